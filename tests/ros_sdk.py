@@ -32,7 +32,7 @@ def definition(name: str) -> str:
 
 
 def publisher(port: int, topic: str, name: str, **options: Any) -> Any:
-    options = {"type_hash": names.known_hash(name), **options}
+    options = {"type_hash": names.hash_from_table(name), **options}
     return sdk.ROS2Publisher(
         topic, name, definition(name), router_ip="127.0.0.1", router_port=port, **options
     )
@@ -43,7 +43,7 @@ def subscriber(
 ) -> Any:
     return sdk.ROS2Subscriber(
         topic, name, callback, definition(name), router_ip="127.0.0.1", router_port=port,
-        type_hash=names.known_hash(name), **options,
+        type_hash=names.hash_from_table(name), **options,
     )  # fmt: skip
 
 

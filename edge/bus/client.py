@@ -79,7 +79,7 @@ def send_request(
 
     Args:
         session: an open session.
-        key: where requests go, such as `edge/mission/request`.
+        key: Zenoh key of the server, such as `edge/mission/request`.
         request: the request, such as `{"do": "status"}`.
         timeout_s: how long to wait for the answer.
         what: the command's name, for the error message.
@@ -96,11 +96,11 @@ def send_request(
     )  # fmt: skip
     for reply in replies:
         if reply.ok is not None:
-            return _object(key, reply.ok.payload.to_bytes(), what)
+            return _read_answer(key, reply.ok.payload.to_bytes(), what)
         content = reply.err.payload.to_bytes()
         if content == _ZENOH_TIMEOUT:
             raise RequestError(f"{what}: {key}: no answer within {timeout_s:g} s")
-        reason = one_line(_object(key, content, what).get("error"), _REASON_CHARS)
+        reason = one_line(_read_answer(key, content, what).get("error"), _REASON_CHARS)
         raise RefusedError(f"{what}: refused: {reason}")
     raise RequestError(
         f"{what}: no service answers at {key}; start one with `edge run`. If one runs, its access "
@@ -108,7 +108,8 @@ def send_request(
     )
 
 
-def _object(key: str, content: bytes, what: str) -> dict:
+def _read_answer(key: str, content: bytes, what: str) -> dict:
+    """Parse an answer; raise RequestError if it is not a JSON object."""
     try:
         return read_json_object(content)
     except ValueError:

@@ -24,7 +24,7 @@ log = logging.getLogger("edge.bus.presence")
 
 ANSWER_S = 5.0
 """Time in seconds in which the router must list the services."""
-_REFUSED = "refused"
+_REFUSED = "refused"  # last part of the token of a service that was refused
 _WARN_PERIOD_S = 60.0
 _YIELD_S = 3.0  # longest wait for the other of two services to leave
 _POLL_S = 0.1
@@ -91,11 +91,13 @@ class Presence:
         )
 
     def close(self) -> None:
+        """Remove the token and end the watch."""
         for declared in (self._subscriber, self._token):
             if declared is not None:
                 declared.undeclare()
 
     def _others(self) -> set[str]:
+        """Return the session ids of other services with this prefix."""
         found = online_sessions(self._session, self._settings.prefix)
         return found.get(self._settings.prefix, set()) - {self._own}
 

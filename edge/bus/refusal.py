@@ -17,6 +17,7 @@ from edge.host.interruptible import start_detached_thread
 from edge.text import one_line
 
 PROBE_S = 0.5
+"""Longest wait in seconds for the TCP connection."""
 _NAME_S = 1.0  # to resolve a host name; the resolver's own timeout is longer
 
 _CLIENT_KEYS = "root_ca_certificate", "connect_certificate", "connect_private_key"
@@ -37,7 +38,8 @@ _ALERTS = {
     "ACCESS_DENIED": "the server rejects our certificate",
 }
 _OUT_OF_DATE = (9, 10)  # X509_V_ERR_CERT_NOT_YET_VALID, …_HAS_EXPIRED
-_NO_TLS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
+# OpenSSL's reasons if the other side answers the handshake with something that is not TLS.
+_NO_TLS_REASONS = ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "UNEXPECTED_EOF_WHILE_READING")
 _REFUSED_TCP = (
     "a server is there but refuses the session: it asks for a user and a password, or {file} has "
     "wrong ones (transport/auth/usrpwd), or it is full, or it speaks TLS, or it is no Zenoh"
@@ -56,28 +58,28 @@ class UnknownHostError(Exception):
     """The host name of an endpoint cannot be resolved; the message has the name and the reason."""
 
 
-def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | None:
+def diagnose_refusal(endpoint: str, native: zenoh.Config, file: str) -> str | None:
     """Return why the server at an endpoint refuses a session; None if no server is there.
 
     Waits for at most `_NAME_S` + 2 `PROBE_S`.
 
     Args:
         endpoint: such as `tls/robot.local:7447`.
-        found: the configuration of the failed session.
+        native: Zenoh's configuration of the failed session.
         file: the file or configuration key that the user should check, for the message.
 
     Raises:
         UnknownHostError: the endpoint's host name cannot be resolved.
     """
-    if (lacks := unreadable_file(found, listens=False)) is not None:
-        return lacks
+    if (unreadable := unreadable_file(native, listens=False)) is not None:
+        return unreadable
     if protocol(endpoint) not in ("tcp", "tls") or not host_and_port(endpoint)[1]:
         return None
     answers: list[str | UnknownHostError | None] = []
     # The resolver may search for an unknown name for half a minute.
     resolved = threading.Event()
     probe = start_detached_thread(
-        "probe", lambda: answers.append(_probe(endpoint, found, file, resolved))
+        "probe", lambda: answers.append(_probe(endpoint, native, file, resolved))
     )
     probe.join(_NAME_S + 2 * PROBE_S)
     answer = answers[0] if answers else None
@@ -90,7 +92,7 @@ def diagnose_refusal(endpoint: str, found: zenoh.Config, file: str) -> str | Non
 
 
 def _probe(
-    endpoint: str, found: zenoh.Config, file: str, resolved: threading.Event
+    endpoint: str, native: zenoh.Config, file: str, resolved: threading.Event
 ) -> str | UnknownHostError | None:
     """Try the endpoint; set `resolved` once its host has an address."""
     host, port = host_and_port(endpoint)
@@ -100,21 +102,22 @@ def _probe(
         with socket.create_connection((host, port), PROBE_S) as plain:
             if protocol(endpoint) == "tcp":
                 return _REFUSED_TCP.format(file=file)
-            return _tls_refusal(plain, host, endpoint, found, file)
+            return _tls_refusal(plain, host, endpoint, native, file)
     except (socket.gaierror, UnicodeError) as error:  # UnicodeError: not a valid host name
         why = getattr(error, "strerror", None) or "not a valid host name"
         return UnknownHostError(f"no address is known for {one_line(host)!r} ({one_line(why)})")
-    except OSError:
+    except OSError:  # nothing listens there
         return None
 
 
 def _tls_refusal(
-    plain: socket.socket, host: str, endpoint: str, found: zenoh.Config, file: str
+    plain: socket.socket, host: str, endpoint: str, native: zenoh.Config, file: str
 ) -> str:
-    if _INLINE in endpoint or any(get(found, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
+    """Try a TLS handshake over an open TCP connection; return why the server refuses."""
+    if _INLINE in endpoint or any(get(native, f"{TLS}/{key}{_INLINE}") for key in _CLIENT_KEYS):
         return _REFUSED_UNCHECKED_TLS.format(file=file)
     try:
-        context = _context(endpoint, found)
+        context = _tls_context(endpoint, native)
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
         return f"the certificates of {file} cannot be used: {one_line(error)}"
     try:
@@ -134,7 +137,7 @@ def _tls_refusal(
         for alert, text in _ALERTS.items():
             if reason.endswith(alert):
                 return text.format(file=file)
-        if reason in _NO_TLS:
+        if reason in _NO_TLS_REASONS:
             return "the server does not speak TLS: give its endpoint as tcp/…"
         return f"client and server agree on no kind of TLS ({one_line(reason or error)})"
     except OSError:  # no answer yet, as from a Zenoh that waits for us, or connection closed
@@ -142,12 +145,12 @@ def _tls_refusal(
     return _REFUSED_AFTER_TLS.format(file=file)
 
 
-def _context(endpoint: str, found: zenoh.Config) -> ssl.SSLContext:
-    """Return the TLS context Zenoh would use. The endpoint's own parameters override the file."""
+def _tls_context(endpoint: str, native: zenoh.Config) -> ssl.SSLContext:
+    """Return Zenoh's TLS context. The endpoint's own parameters override the file."""
     overrides = parameters(endpoint)
 
     def setting(key: str, parameter: str) -> object:
-        return overrides.get(parameter, get(found, f"{TLS}/{key}"))
+        return overrides.get(parameter, get(native, f"{TLS}/{key}"))
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = setting("verify_name_on_connect", "verify_name_on_connect") not in (

@@ -1,5 +1,8 @@
 """Queue of requests to the loop, independent of the transport; JSON in, JSON out.
 
+A query is one message of a client. A request is what the loop handles: several equal queries become
+one request, and each of them gets its answer.
+
 There are two lanes. Requests in the first need no preparation. Requests in the second are prepared
 by a thread first, for example translated. The loop only polls the lanes, so neither a slow
 preparation nor a slow client blocks the robot.
@@ -7,9 +10,10 @@ preparation nor a slow client blocks the robot.
 The sender of a query is unknown, so a flood is limited by content, not by sender:
 
 - Requests of the first lane are served before those of the second.
-- Equal requests are merged: the loop handles them once.
-- A request that stops the robot always finds a place, at the end of the first lane. It also refuses
-  all requests in the second lane: after the answer to a stop, only a later request moves the robot.
+- Equal queries are merged: the loop handles them once.
+- A request that stops the robot always finds a place, at the end of the first lane. It also cancels
+  (refuses) all requests in the second lane: after the answer to a stop, only a later request moves
+  the robot.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from edge.bus.verbs import Request, Verb, error_of, read_request
+from edge.bus.verbs import Request, Verb, error_payload, read_request
 from edge.errors import UserError
 
 log = logging.getLogger("edge.bus.request_queue")
@@ -46,7 +50,8 @@ class Query:
 
     Attributes:
         reply: called once with (payload, is_error), from any thread. Must not block.
-        until_s: monotonic time at which the client has waited long enough.
+        until_s: monotonic time at which the client has waited long enough; infinite while the
+            request waits for preparation.
     """
 
     reply: Callable[[bytes, bool], None]
@@ -75,6 +80,7 @@ class RequestQueue:
         self._patience_s = patience_s
         self._lock = threading.Lock()  # for both lanes and the open queries
         self._to_prepare = threading.Condition(self._lock)
+        # The two lanes.
         self._first: list[Request] = []
         self._second: list[Request] = []  # prepared, or waiting for preparation
         self._open: set[Query] = set()
@@ -138,27 +144,27 @@ class RequestQueue:
             self._open.add(query)
             closed = self._closed
         if closed:
-            self._finish((query,), error_of(_STOPPING), True)
+            self._finish((query,), error_payload(_STOPPING), True)
             return
         try:
             do, fields = read_request(payload, self._verbs)
         except ValueError as error:
-            self._finish((query,), error_of(str(error)), True)
+            self._finish((query,), error_payload(str(error)), True)
             return
-        overtaken: list[Request] = []
+        cancelled: list[Request] = []
         with self._lock:
             if self._verbs[do].stops_robot:
-                overtaken, self._second = self._second, []
-            if (request := self._place(do, fields)) is not None:
+                cancelled, self._second = self._second, []
+            if (request := self._find_place(do, fields)) is not None:
                 request.queries.append(query)
-                request.cancelled += len(overtaken)
+                request.cancelled += len(cancelled)
                 if request.ready:
                     query.until_s = time.monotonic() + self._patience_s
                 self._to_prepare.notify()
-        for stopped in overtaken:
-            stopped.refuse(_STOPPED)
+        for other in cancelled:
+            other.refuse(_STOPPED)
         if request is None:
-            self._finish((query,), error_of(_BUSY), True)
+            self._finish((query,), error_payload(_BUSY), True)
 
     def expire(self) -> None:
         """Answer queries that have waited too long with an error; call this periodically."""
@@ -175,9 +181,9 @@ class RequestQueue:
         why = f"the loop is not running: request not handled {limit}"
         if now_s - polled_s < self._patience_s:
             why = f"busy with other requests: not handled {limit}; try again later"
-        self._finish(waiting, error_of(why), True)
-        taken = f"request accepted, but not answered {limit}; ask for the status"
-        self._finish(late - waiting, error_of(taken), True)
+        self._finish(waiting, error_payload(why), True)
+        accepted = f"request accepted, but not answered {limit}; ask for the status"
+        self._finish(late - waiting, error_payload(accepted), True)
 
     def close(self) -> None:
         """Refuse all open and future queries; does not wait."""
@@ -185,23 +191,26 @@ class RequestQueue:
             self._closed = True
             left = tuple(self._open)
             self._to_prepare.notify()
-        self._finish(left, error_of(_STOPPING), True)
+        self._finish(left, error_payload(_STOPPING), True)
 
     def join(self, timeout_s: float) -> None:
         """Wait for the preparation thread after `close`; after the timeout it is abandoned."""
         self._thread.join(timeout_s)
 
-    def _place(self, do: str, fields: dict) -> Request | None:
-        """Return the request that a query joins, or a new one in its lane; None if it is full.
+    def _find_place(self, do: str, fields: dict) -> Request | None:
+        """Return the request that a query joins, or a new one in its lane.
 
-        A query joins the last request of its lane if both are equal. It does not pass a different
-        request: that request would then take effect last. A request that stops the robot may pass
-        other stops and requests that only read. So few stops wait however many arrive, and a stop
+        A query joins an equal request only if no different one is behind that request: the
+        different one would then be handled after the query. Exception: behind a stop there may be
+        other stops, and requests that only read. So few stops wait, however many arrive, and a stop
         is never refused.
+
+        Returns:
+            The request; None if the lane, or the equal request, is full.
         """
         verb = self._verbs[do]
         lane = self._first if verb.prepare is None else self._second
-        for request in reversed(lane):
+        for request in reversed(lane):  # from the last one
             if (request.do, request.fields) == (do, fields):
                 return request if verb.stops_robot or len(request.queries) < _MAX_MERGED else None
             other = self._verbs[request.do]
@@ -241,6 +250,7 @@ class RequestQueue:
         return [request for request in self._second if not request.ready]
 
     def _prepare(self, request: Request) -> None:
+        """Prepare a request and mark it as ready, or refuse it."""
         try:
             prepared = self._verbs[request.do].prepare(request.fields)
         except UserError as error:
@@ -260,6 +270,7 @@ class RequestQueue:
                     query.until_s = until_s
 
     def _drop_failed(self, request: Request, error: UserError) -> None:
+        """Refuse a request whose preparation failed, and remove it from its lane."""
         with self._lock:
             if request in self._second:
                 self._second.remove(request)

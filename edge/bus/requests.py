@@ -19,7 +19,7 @@ import zenoh
 
 from edge.bus.request_queue import MAX_BYTES, PATIENCE_S, RequestQueue
 from edge.bus.session import QueryRing
-from edge.bus.verbs import Request, Verb, error_of
+from edge.bus.verbs import Request, Verb, error_payload
 
 log = logging.getLogger("edge.bus.requests")
 
@@ -60,10 +60,10 @@ class RequestServer:
         # A full ring drops the oldest query; a full FIFO would block the session.
         self._ring = QueryRing(session, key, _RING_QUERIES)
         self._polled: deque[zenoh.Query] = deque()  # taken from the ring, not handled yet
-        tasks = [self._receive_all, *[self._send_all] * _SENDERS]
+        loops = [self._receive_all, *[self._send_all] * _SENDERS]
         self._threads = [
-            threading.Thread(target=task, name=f"{key}{task.__name__}", daemon=True)
-            for task in tasks
+            threading.Thread(target=loop, name=f"{key}{loop.__name__}", daemon=True)
+            for loop in loops
         ]
         for thread in self._threads:
             thread.start()
@@ -83,6 +83,7 @@ class RequestServer:
     # -- the receiving thread
 
     def _receive_all(self) -> None:
+        """Receive queries until the server is closed; then refuse those that are left."""
         try:
             while not self._closing.wait(_RECEIVE_S):
                 for query in self._take_queries(_MOST_PER_POLL):
@@ -103,6 +104,7 @@ class RequestServer:
                 self._replies.put(None)
 
     def _take_queries(self, most: int) -> Iterator[zenoh.Query]:
+        """Yield at most `most` queries that have arrived."""
         for _ in range(most):
             if not self._polled:
                 self._polled.extend(self._ring.take())
@@ -111,11 +113,12 @@ class RequestServer:
             yield self._polled.popleft()
 
     def _receive(self, query: zenoh.Query) -> None:
+        """Pass a query to the queue, or refuse it."""
         reply = partial(self._reply, query)
         try:
             payload = _payload(query)
         except ValueError as error:
-            reply(error_of(str(error)), True)
+            reply(error_payload(str(error)), True)
         else:
             self.queue.accept(payload, reply)
 
@@ -129,7 +132,7 @@ class RequestServer:
             self._send(*entry)
 
     def _send(self, query: zenoh.Query, reply: bytes, is_error: bool) -> None:
-        """Send a reply and release the query; otherwise its client would wait on."""
+        """Send a reply and release the query; until then its client waits."""
         try:
             with query as asked:
                 if is_error:

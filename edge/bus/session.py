@@ -42,10 +42,11 @@ CLOSE_S = 2.0
 """Time in seconds that the caller waits for a session to close."""
 HOST_S = 30.0
 """Timeout for name resolution: a computer that is just booting may have no name server yet."""
+# Log texts; `{}` is an address, or the prefix.
 OPEN_WARNING = (
     "{} is open: every client that reaches it may command the robot; see docs/security.md"
 )
-SHUT_WARNING = (
+DENIED_WARNING = (
     "access_control allows no key below {}/ (zenoh.prefix): no message can be sent or received"
 )
 ENVELOPE_BYTES = 65536
@@ -93,10 +94,10 @@ class ConnectInterrupted(Stopped):
     """
 
     def __init__(self, address: str, refused: str | None, unknown: str | None = None) -> None:
-        while_what = (
+        situation = (
             f"no server answered at {address}" if refused is None else f"refused at {address}"
         )
-        super().__init__(f"zenoh.endpoint: stopped while {while_what}")
+        super().__init__(f"zenoh.endpoint: stopped while {situation}")
         self.refused, self.unknown = refused, unknown
 
 
@@ -130,10 +131,10 @@ def session_config(
     key, name = zenoh_file_of(settings, role)
     listens = role == "route" or (role == "listen" and settings.mode == "peer")
     mode = "router" if role == "route" else "peer" if listens else "client"
-    found = read_zenoh_file(key, name)
+    native = read_zenoh_file(key, name)
     try:
         return apply_settings(
-            found,
+            native,
             mode,
             settings.endpoint,
             listens,
@@ -154,9 +155,10 @@ def check_settings(settings: config.ZenohConfig, role: Role) -> None:
         ConfigError: see `session_config`.
         BusError: see `session_config`; or a file with a certificate or password cannot be read.
     """
-    found = session_config(settings, role)
-    if (lacks := unreadable_file(found, listens=bool(get(found, "listen/endpoints")))) is not None:
-        raise BusError(_explain(settings.address, role, lacks))
+    native = session_config(settings, role)
+    unreadable = unreadable_file(native, listens=bool(get(native, "listen/endpoints")))
+    if unreadable is not None:
+        raise BusError(_explain(settings.address, role, unreadable))
 
 
 def zenoh_file_of(settings: config.ZenohConfig, role: Role) -> tuple[str, str | None]:
@@ -175,7 +177,7 @@ def zenoh_session(
     most_bytes: int | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
-    """Open a session as `open_session` does, and close it at exit in limited time.
+    """Open a session as `open_session` does, and close it in limited time when the block ends.
 
     If a peer accepts no data, Zenoh needs up to 12 s to close (it flushes, then lingers). After
     `CLOSE_S` closing continues in a thread that is not joined (`edge.host.interruptible`).
@@ -184,7 +186,7 @@ def zenoh_session(
     try:
         yield opened
     finally:
-        if sys.is_finalizing():  # the context was never left; no thread can start any more
+        if sys.is_finalizing():  # the process exits inside the block; no thread can start any more
             _close(opened)
         else:
             closing = start_detached_thread("zenoh-close", _close, opened)
@@ -195,7 +197,7 @@ def zenoh_session(
 
 
 def _close(opened: zenoh.Session) -> None:
-    with suppress(zenoh.ZError):  # closing took longer than Zenoh's own limit
+    with suppress(zenoh.ZError):  # if closing took longer than Zenoh's own limit
         opened.close()
 
 
@@ -228,33 +230,32 @@ def open_session(
     """
     _init_zenoh_log()
     stop = stop or threading.Event()
-    found = session_config(settings, role, keep_zenoh_timeout, most_bytes)
+    native = session_config(settings, role, keep_zenoh_timeout, most_bytes)
     key, name = zenoh_file_of(settings, role)
-    for address in open_addresses(found):
+    for address in open_addresses(native):
         log.warning("zenoh.endpoint: %s", OPEN_WARNING.format(address))
-    if role != "route" and denies_prefix(found, settings.prefix):
-        log.warning("%s: %s", key, SHUT_WARNING.format(settings.prefix))
+    if role != "route" and denies_prefix(native, settings.prefix):
+        log.warning("%s: %s", key, DENIED_WARNING.format(settings.prefix))
     logged: set[str | None] = set()
     last_reason: str | None = None
     resolved_s = time.monotonic()  # when the host name was last resolved
     while True:
         try:
-            return zenoh.open(found)
+            return zenoh.open(native)
         except zenoh.ZError as error:
             if _NO_SERVER_TEXT not in str(error):
-                lacks = unreadable_file(found, listens=bool(get(found, "listen/endpoints")))
-                cause = str(error) if lacks is None else lacks
+                unreadable = unreadable_file(native, listens=bool(get(native, "listen/endpoints")))
+                cause = str(error) if unreadable is None else unreadable
                 raise BusError(_explain(settings.address, role, cause)) from None
+        # Here no server answered: find out why, then wait and try again.
         refused = unknown = None
         try:
-            refused = diagnose_refusal(settings.endpoint, found, name or key)
+            refused = diagnose_refusal(settings.endpoint, native, name or key)
             resolved_s = time.monotonic()
         except UnknownHostError as error:
             unknown = str(error)
-        level, what = (
-            logging.WARNING,
-            f"zenoh: refused at {settings.address}: {refused}; trying again",
-        )
+        level = logging.WARNING
+        what = f"zenoh: refused at {settings.address}: {refused}; trying again"
         if unknown is not None:
             what = f"zenoh.endpoint: {settings.address}: {unknown}"
             if time.monotonic() - resolved_s >= HOST_S:
@@ -293,22 +294,23 @@ class Ring:
     Args:
         session: an open session.
         key: key expression.
-        kept: capacity in messages; a poll returns at most so many. A full ring drops the oldest.
+        capacity: most messages that are kept, and that a poll returns. A full ring drops the
+            oldest.
 
     Attributes:
         overruns: number of times that two polls in a row found the ring full. Messages were lost;
             it is unknown how many. A single full poll is normal after a late poll or at the start.
-            Always 0 for a ring of one, which is for topics whose last message is enough.
+            Always 0 if `capacity` is 1, which is for topics whose last message is enough.
     """
 
-    def __init__(self, session: zenoh.Session, key: str, kept: int) -> None:
+    def __init__(self, session: zenoh.Session, key: str, capacity: int) -> None:
         self.overruns = 0
         self._full = False
-        self._key, self._capacity = key, kept
-        self._subscriber = self._declare(session, key, zenoh.handlers.RingChannel(kept))
+        self._key, self._capacity = key, capacity
+        self._subscriber = self._declare(session, key, zenoh.handlers.RingChannel(capacity))
 
     def take(self) -> list[zenoh.Sample]:
-        """Return the messages since the last poll, oldest first; at most `kept`."""
+        """Return the messages since the last poll, oldest first; at most `capacity`."""
         samples: list[zenoh.Sample] = []
         # Not until the ring is empty: with a fast sender that would never end.
         while len(samples) < self._capacity:
@@ -346,6 +348,7 @@ class QueryRing(Ring):
 
 
 def _explain(address: str, role: Role, reason: str) -> str:
+    """Return the message of a BusError for Zenoh's reason, without Zenoh's own decoration."""
     if "already in use" in reason:
         return (
             f"zenoh.endpoint: {address} is in use: another service runs there; "

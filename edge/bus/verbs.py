@@ -27,12 +27,12 @@ class Verb:
     """One kind of request.
 
     Attributes:
-        fields: names of the fields a request may have besides `do`.
+        fields: names of the fields that a request may have, without `do`.
         read: checks and converts the fields; raises ValueError with one line.
         prepare: slow part of the work: called with the fields on a thread of the server, one
             request at a time; raises UserError to refuse the request.
         stops_robot: True if the request stops the robot. It is never refused for lack of room, and
-            it refuses the requests that wait in the second lane of `RequestQueue`.
+            it cancels the requests that wait in the second lane of `RequestQueue`.
         read_only: True if the request changes nothing.
         instead: returns the verb and fields of another request that means the same, or None. So
             the instruction "stop" is as urgent as the verb that stops the robot.
@@ -55,7 +55,7 @@ def read_request(payload: bytes, verbs: Mapping[str, Verb]) -> tuple[str, dict]:
     data = read_json_object(payload)
     do = data.pop("do", None)
     if not isinstance(do, str) or do not in verbs:
-        raise ValueError(f"do: unknown {shown(do)} (choices: {', '.join(verbs)})")
+        raise ValueError(f"do: unknown {show(do)} (choices: {', '.join(verbs)})")
     if unknown := sorted(data.keys() - set(verbs[do].fields)):
         fields = ", ".join(verbs[do].fields) or "none"
         raise ValueError(
@@ -72,7 +72,7 @@ def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
         ValueError: it is not a string, blank, not Unicode, or longer than `limit` characters.
     """
     if not isinstance(text, str) or not text.strip():
-        raise ValueError(f"{name}: expected text, got {shown(text)}")
+        raise ValueError(f"{name}: expected text, got {show(text)}")
     if len(text) > limit:
         raise ValueError(f"{name}: {len(text)} characters, at most {limit} are allowed")
     if any("\ud800" <= c <= "\udfff" for c in text):
@@ -88,7 +88,7 @@ def check_flag(name: str, fields: Mapping[str, object]) -> bool:
     """
     flag = fields.get(name, False)
     if not isinstance(flag, bool):
-        raise ValueError(f"{name}: expected true or false, got {shown(flag)}")
+        raise ValueError(f"{name}: expected true or false, got {show(flag)}")
     return flag
 
 
@@ -102,12 +102,12 @@ def check_pose(name: str, value: object) -> SE2:
     valid = len(numbers) == 3 and all(type(n) in (int, float) for n in numbers)
     if not valid or not all(abs(n) <= FARTHEST_M for n in numbers):
         raise ValueError(
-            f"{name}: expected [x_m, y_m, yaw_rad], none beyond {FARTHEST_M:g}, got {shown(value)}"
+            f"{name}: expected [x_m, y_m, yaw_rad], none beyond {FARTHEST_M:g}, got {show(value)}"
         )
     return SE2(*map(float, numbers))
 
 
-def shown(value: object) -> str:
+def show(value: object) -> str:
     """Format a value for a message. Containers are not shown, as they may be nested deeply."""
     plain = value is None or isinstance(value, (str, int, float))
     return bounded_repr(value, 40) if plain else f"a {type(value).__name__}"
@@ -128,7 +128,8 @@ class Request:
         queries: the merged queries, in the server's own type.
         prepared: result of `Verb.prepare`.
         ready: True if the loop may handle the request.
-        cancelled: number of earlier requests, not yet started, that this request refused.
+        cancelled: number of earlier requests, not yet started, that this request cancelled
+            (see `edge.bus.request_queue`).
     """
 
     do: str
@@ -154,10 +155,10 @@ class Request:
             self.finish(self.queries, reply, False)
 
     def refuse(self, reason: str, details: Mapping[str, object] = MappingProxyType({})) -> None:
-        """Send an error; see `error_of`."""
-        self.finish(self.queries, error_of(reason, details), True)
+        """Send an error; see `error_payload`."""
+        self.finish(self.queries, error_payload(reason, details), True)
 
 
-def error_of(reason: str, details: Mapping[str, object] = MappingProxyType({})) -> bytes:
+def error_payload(reason: str, details: Mapping[str, object] = MappingProxyType({})) -> bytes:
     """Return the payload of an error; for `details` see `UserError`."""
     return json.dumps({"error": one_line(reason, MAX_ERROR_CHARS), **details}).encode()

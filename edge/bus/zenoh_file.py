@@ -11,6 +11,9 @@ copy of the service's own file is `zenoh.file.json5`. For settings that `edge` s
 - Connection timeouts are `edge`'s, because it handles signals between attempts.
 - Shared memory is off if `zenoh.shared_memory` or the file says so.
 - `edge`'s `DEFAULTS` apply to the keys for which the file keeps Zenoh's own default.
+
+In `edge.bus`, `native` is a configuration of Zenoh (`zenoh.Config`), and `settings` is the section
+`zenoh` of our configuration.
 """
 
 from __future__ import annotations
@@ -37,8 +40,11 @@ TLS = "transport/link/tls"
 # for 10 s each, so 120 idle clients lock out everybody. Here are more places, freed sooner. Pending
 # connections and sessions together stay below 1024, the usual limit of file descriptors.
 PENDING = 512
+"""Largest number of pending connections."""
 HANDSHAKE_MS = 2000
+"""Longest time of a connection until its session is open."""
 SESSIONS = 128
+"""Largest number of sessions."""
 
 DEFAULTS: dict[str, Any] = {
     "scouting/multicast/enabled": False,
@@ -48,26 +54,28 @@ DEFAULTS: dict[str, Any] = {
     "transport/unicast/accept_timeout": HANDSHAKE_MS,
     "transport/unicast/max_sessions": SESSIONS,
 }
+"""Values for keys that the file does not change."""
 
-_BY_HOST = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
-_BY_OTHER = ("serial", "unixsock-stream", "unixpipe", "vsock")
+_HOST_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
+_OTHER_PROTOCOLS = ("serial", "unixsock-stream", "unixpipe", "vsock")
 _HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _MAX_MESSAGE_BYTES = "transport/link/rx/max_message_size"
 _SHARED_MEMORY = "transport/shared_memory/enabled"
 _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
-_ATTEMPT_MS = 500
+_ATTEMPT_MS = 500  # length of one attempt to connect
 _USERS = "transport/auth/usrpwd/dictionary_file"
 _SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
 # If one of these keys is set, the configuration file itself is secret.
-_SECRET_WORDS = (
+_INLINE_SECRETS = (
     "transport/auth/usrpwd/password",
     f"{TLS}/listen_private_key_base64",
     f"{TLS}/connect_private_key_base64",
 )
-_WITH_CERTIFICATES = ("tls", "quic")
-_ON_THIS_MACHINE = ("unixsock-stream", "unixpipe", "serial", "vsock")
+_TLS_PROTOCOLS = ("tls", "quic")
+# Only processes of this computer can connect with these.
+_LOCAL_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
 
 
 def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
@@ -83,20 +91,20 @@ def read_zenoh_file(key: str, name: str | None) -> zenoh.Config:
     """
     if name is None:
         return zenoh.Config()
-    path = credential_path(_own_name(key, name), name)
+    path = credential_path(_copy_name(key, name), name)
     if not path.is_file():
         raise ConfigError(f"{key}: {name}: no such file")
     try:
-        found = zenoh.Config.from_file(str(path))
+        native = zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
-        raise ConfigError(f"{key}: {name}: {_fault(str(error))}") from None
+        raise ConfigError(f"{key}: {name}: {_fault_without_values(str(error))}") from None
     for secret in _SECRETS:
-        if (file := get(found, secret)) is not None:
-            found.insert_json5(secret, json.dumps(str(credential_path(_last_word(secret), file))))
-    return found
+        if (file := get(native, secret)) is not None:
+            native.insert_json5(secret, json.dumps(str(credential_path(_last_word(secret), file))))
+    return native
 
 
-def _own_name(key: str, name: str) -> str:
+def _copy_name(key: str, name: str) -> str:
     """Return the name of the service manager's copy; Zenoh knows the format by the suffix."""
     return key + os.path.splitext(name)[1]
 
@@ -106,7 +114,7 @@ def _last_word(key: str) -> str:
 
 
 def apply_settings(
-    found: zenoh.Config,
+    native: zenoh.Config,
     mode: str,
     endpoint: str,
     listens: bool,
@@ -117,7 +125,7 @@ def apply_settings(
     """Change a configuration in place as the module's docstring says, and return it.
 
     Args:
-        found: Zenoh's configuration.
+        native: Zenoh's configuration.
         mode: `peer`, `client` or `router`.
         endpoint: `zenoh.endpoint`.
         listens: True to listen at the endpoint, False to connect to it.
@@ -128,15 +136,15 @@ def apply_settings(
     Raises:
         ConfigError: the file has another mode, or a private key in an endpoint.
     """
-    own = get(found, "mode")
-    if own not in (None, mode):
+    file_mode = get(native, "mode")
+    if file_mode not in (None, mode):
         raise ConfigError(
-            f"mode is {own!r}, but edge sets {mode!r} here: remove mode from this file "
+            f"mode is {file_mode!r}, but edge sets {mode!r} here: remove mode from this file "
             "(zenoh.mode in edge's configuration chooses)"
         )
-    listening = _all_of(found, "listen/endpoints", mode)
-    connecting = _all_of(found, "connect/endpoints", mode)
-    if any(KEY_IN_ENDPOINT in further for further in (*listening, *connecting)):
+    listening = _endpoints_of_file(native, "listen/endpoints", mode)
+    connecting = _endpoints_of_file(native, "connect/endpoints", mode)
+    if any(KEY_IN_ENDPOINT in other for other in (*listening, *connecting)):
         raise ConfigError(
             f"an endpoint has a private key ({KEY_IN_ENDPOINT}): move the key to {TLS} of this file"
         )
@@ -150,42 +158,44 @@ def apply_settings(
         "connect/retry": _RETRY,
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
-        _SHARED_MEMORY: shared_memory and get(found, _SHARED_MEMORY),
+        _SHARED_MEMORY: shared_memory and get(native, _SHARED_MEMORY),
     }
     # Publishers that keep their last message for late subscribers (`edge.bus.ros2`) need stamps.
-    ours = DEFAULTS | {"timestamping/enabled": mode == "client"}
+    defaults = DEFAULTS | {"timestamping/enabled": mode == "client"}
     if not keep_zenoh_timeout:
-        ours[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
+        defaults[_WAIT_BEFORE_CLOSE] = int(1e6 * BLOCKED_S)
     if most_bytes is not None:
-        ours[_MAX_MESSAGE_BYTES] = most_bytes
-    plain = zenoh.Config()
-    values |= {key: value for key, value in ours.items() if get(found, key) == get(plain, key)}
+        defaults[_MAX_MESSAGE_BYTES] = most_bytes
+    zenoh_defaults = zenoh.Config()
+    unchanged = (key for key in defaults if get(native, key) == get(zenoh_defaults, key))
+    values |= {key: defaults[key] for key in unchanged}
     for key, value in values.items():
-        found.insert_json5(key, json.dumps(value))
-    return found
+        native.insert_json5(key, json.dumps(value))
+    return native
 
 
-def get(found: zenoh.Config, key: str) -> Any:
-    return json.loads(found.get_json(key))
+def get(native: zenoh.Config, key: str) -> Any:
+    """Return the value of a key of Zenoh's configuration."""
+    return json.loads(native.get_json(key))
 
 
-def open_addresses(found: zenoh.Config) -> list[str]:
+def open_addresses(native: zenoh.Config) -> list[str]:
     """Return the listening addresses that are open to everybody.
 
     An address is open if other computers can reach it, and if it requires no certificate and no
     password.
     """
-    if get(found, _USERS) is not None:
+    if get(native, _USERS) is not None:
         return []
-    mutual = "true" if get(found, f"{TLS}/enable_mtls") else "false"
+    mutual = "true" if get(native, f"{TLS}/enable_mtls") else "false"
 
     def is_open(endpoint: str) -> bool:
         kind, host = protocol(endpoint), host_and_port(endpoint)[0]
-        asks = parameters(endpoint).get("enable_mtls", mutual) == "true"
-        certified = kind in _WITH_CERTIFICATES and asks
-        return not (kind in _ON_THIS_MACHINE or is_loopback(host) or certified)
+        is_mutual = parameters(endpoint).get("enable_mtls", mutual) == "true"
+        asks_for_certificate = kind in _TLS_PROTOCOLS and is_mutual
+        return not (kind in _LOCAL_PROTOCOLS or is_loopback(host) or asks_for_certificate)
 
-    endpoints = get(found, "listen/endpoints")
+    endpoints = get(native, "listen/endpoints")
     return [endpoint.partition("#")[0] for endpoint in endpoints if is_open(endpoint)]
 
 
@@ -205,15 +215,17 @@ def endpoint_fault(endpoint: str) -> str | None:
     address = re.split(r"[?#]", rest, maxsplit=1)[0]
     if not slash or not address:
         return "expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447"
-    if kind not in (*_BY_HOST, *_BY_OTHER):
-        return f"unknown protocol {one_line(kind, 40)!r} ({', '.join((*_BY_HOST, *_BY_OTHER))})"
-    found = _HOST_PORT.fullmatch(address)
-    if kind in _BY_HOST and (found is None or int(found["port"]) > MOST_PORT):
+    if kind not in (*_HOST_PROTOCOLS, *_OTHER_PROTOCOLS):
+        known = ", ".join((*_HOST_PROTOCOLS, *_OTHER_PROTOCOLS))
+        return f"unknown protocol {one_line(kind, 40)!r} ({known})"
+    match = _HOST_PORT.fullmatch(address)
+    if kind in _HOST_PROTOCOLS and (match is None or int(match["port"]) > MOST_PORT):
         return f"expected HOST:PORT after {kind}/, the port from 0 to {MOST_PORT}"
     return None
 
 
 def protocol(endpoint: str) -> str:
+    """Return the protocol of an endpoint, such as `tls`."""
     return endpoint.partition("/")[0]
 
 
@@ -223,9 +235,9 @@ def parameters(endpoint: str) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def _all_of(found: zenoh.Config, key: str, mode: str) -> list[str]:
+def _endpoints_of_file(native: zenoh.Config, key: str, mode: str) -> list[str]:
     """Return the endpoints of a mode that the file names, without Zenoh's defaults."""
-    value = get(found, key)
+    value = get(native, key)
     if value == get(zenoh.Config(), key):
         return []
     value = value.get(mode, []) if isinstance(value, dict) else value
@@ -246,7 +258,7 @@ def _with_handshake_timeout(endpoint: str) -> str:
     return f"{endpoint}{';' if '#' in endpoint else '#'}{_TLS_HANDSHAKE}={HANDSHAKE_MS}"
 
 
-def unreadable_file(found: zenoh.Config, listens: bool) -> str | None:
+def unreadable_file(native: zenoh.Config, listens: bool) -> str | None:
     """Return an error for the first TLS or user file that cannot be read, or None.
 
     Only files of the role are checked (listener or client). Zenoh's own error names no file.
@@ -257,65 +269,65 @@ def unreadable_file(found: zenoh.Config, listens: bool) -> str | None:
     else:
         keys += [f"{TLS}/connect_certificate", f"{TLS}/connect_private_key"]
     for key in keys:
-        path = get(found, key)
+        path = get(native, key)
         if path is not None and not os.access(path, os.R_OK):
             return f"{key}: {path}: no such file, or no permission to read it"
     return None
 
 
-def certificates(found: zenoh.Config) -> list[str]:
+def certificates(native: zenoh.Config) -> list[str]:
     """Return the configured certificate files; these are not secret."""
     kinds = ("root_ca_certificate", "listen_certificate", "connect_certificate")
-    paths = [get(found, f"{TLS}/{kind}") for kind in kinds]
+    paths = [get(native, f"{TLS}/{kind}") for kind in kinds]
     return [path for path in paths if path is not None]
 
 
-def secrets(found: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
+def secrets(native: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
     """Return the files with secrets, by the names of their copies from the service manager.
 
     Args:
-        found: Zenoh's configuration.
+        native: Zenoh's configuration.
         key: the configuration key of Zenoh's file, which may hold a secret itself.
         name: path of Zenoh's file, or None.
     """
-    files = {_last_word(secret): get(found, secret) for secret in _SECRETS}
-    if name is not None and any(get(found, word) is not None for word in _SECRET_WORDS):
-        own = _own_name(key, name)
-        files[own] = str(credential_path(own, name))
+    files = {_last_word(secret): get(native, secret) for secret in _SECRETS}
+    if name is not None and any(get(native, word) is not None for word in _INLINE_SECRETS):
+        copy = _copy_name(key, name)
+        files[copy] = str(credential_path(copy, name))
     return {name: path for name, path in files.items() if path is not None}
 
 
-def exposed_secrets(found: zenoh.Config, key: str, name: str | None) -> list[str]:
+def exposed_secrets(native: zenoh.Config, key: str, name: str | None) -> list[str]:
     """Return the files of `secrets` that other users of this computer can read or write."""
-    return [path for path in secrets(found, key, name).values() if is_open_to_others(path)]
+    return [path for path in secrets(native, key, name).values() if is_open_to_others(path)]
 
 
-def denies_prefix(found: zenoh.Config, prefix: str) -> bool:
+def denies_prefix(native: zenoh.Config, prefix: str) -> bool:
     """Return True if the access rules deny every key below a prefix."""
-    control = get(found, "access_control")
+    control = get(native, "access_control")
     if not control["enabled"] or control["default_permission"] == "allow":
         return False
-    ours = zenoh.KeyExpr(f"{prefix}/**")
+    below_prefix = zenoh.KeyExpr(f"{prefix}/**")
     allowed = (rule for rule in control["rules"] or () if rule["permission"] == "allow")
-    return not any(ours.intersects(key) for rule in allowed for key in rule["key_exprs"])
+    return not any(below_prefix.intersects(key) for rule in allowed for key in rule["key_exprs"])
 
 
 _LINE_COLUMN = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
 _QUOTED_MESSAGE = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
-_VALUE = re.compile(
+_QUOTED_VALUE = re.compile(
     r'(invalid (?:type|value): [a-z -]+?|unknown variant) (?:`.*?`|\\".*\\")', re.DOTALL
 )
 _EXPECTED = re.compile(r"= (expected .*)")
 
 
-def _fault(error: str) -> str:
+def _fault_without_values(error: str) -> str:
     """Return Zenoh's error about a file with line and column, but without the file's values."""
     place = _LINE_COLUMN.search(error)
     if place is None:
         return one_line(error.split(" at /")[0])
     line, column = (number for number in place.groups() if number is not None)
     if quoted := _QUOTED_MESSAGE.search(error):
-        what = _VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
+        what = _QUOTED_VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
     else:
         expected = _EXPECTED.search(error)
         what = expected[1].split(" at /")[0] if expected else "not JSON5"

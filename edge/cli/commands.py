@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("edge")
 
 _NO_LIMIT = 1e6
-"""A limit of time [s] or path [m] that no recording reaches."""
+"""A limit of time in s, or of path in m, that no recording reaches."""
 _MAX_PRINTED_OBJECTS = 20
 MissionArguments = tuple[str | None, str | None, str | None]
 """A mission of the command line: (instruction, formula, task); see `edge.launch.open_service`."""
@@ -312,13 +312,13 @@ def run_play(
         config = _with_live_view(config, live)
     _prepare(config, report)
     with Playback(file, config, rate, stop) as playback:
-        for line in playback.opening():
+        for line in playback.describe_contents():
             print(line, flush=True)
         playback.check()
         stay = live is not None
         recorded = report is not None
         ended = _serve(config, stop, False, what, stay=stay, playback=playback, recorded=recorded)
-        lines = [*playback.outcome(), *_map_lines(ended)]
+        lines = [*playback.describe_outcome(), *_map_lines(ended)]
     _conclude(ended, report)
     print("\n".join(lines))
     return os.EX_OK

@@ -100,6 +100,7 @@ def as_json(findings: list[Finding]) -> str:
 
 
 def check_zenoh(config: Config) -> Iterator[Finding]:
+    """Check that Zenoh can send a message on this machine."""
     version = metadata.version("eclipse-zenoh")
     took_ms = loopback_ms(LOOPBACK_S)
     if took_ms is not None:
@@ -167,7 +168,7 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
 
 def check_access(config: Config) -> Iterator[Finding]:
     """Check who can connect to the service, and who can read the files with secrets."""
-    from edge.bus.session import OPEN_WARNING, SHUT_WARNING, session_config, zenoh_file_of
+    from edge.bus.session import DENIED_WARNING, OPEN_WARNING, session_config, zenoh_file_of
     from edge.bus.zenoh_file import denies_prefix, exposed_secrets, open_addresses
     from edge.host.credentials import is_open_to_others, read_token
 
@@ -178,7 +179,7 @@ def check_access(config: Config) -> Iterator[Finding]:
         yield Finding("warn", OPEN_WARNING.format(address), todo)
     if denies_prefix(served, settings.prefix):
         todo = "correct the keys under access_control in zenoh.file (docs/security.md)"
-        yield Finding("warn", SHUT_WARNING.format(settings.prefix), todo)
+        yield Finding("warn", DENIED_WARNING.format(settings.prefix), todo)
     paths = [
         path
         for role in ("listen", "connect")
@@ -186,7 +187,8 @@ def check_access(config: Config) -> Iterator[Finding]:
     ]
     if http.token_file is not None:
         read_token("http.token_file", http.token_file)
-        paths += [http.token_file] * is_open_to_others(resources.expand(http.token_file))
+        if is_open_to_others(resources.expand(http.token_file)):
+            paths.append(http.token_file)
     for path in dict.fromkeys(paths):
         what = f"{path} holds a secret, but every user of this machine can read or write it"
         yield Finding("warn", what, f"chmod o= {path}")
@@ -195,7 +197,7 @@ def check_access(config: Config) -> Iterator[Finding]:
 # -- the detector -----------------------------------------------------------------------------
 
 
-def _installed(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     try:
         metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -204,11 +206,12 @@ def _installed(package: str) -> bool:
 
 
 def check_onnxruntime(config: Config) -> Iterator[Finding]:
+    """Check that onnxruntime works and has the configured execution providers."""
     detector = config.perception.detector
     wanted = detector.providers if detector.kind == "onnx" else ()
     needed = any(name != TENSORRT for name in wanted)
     level_if_missing: Level = "fail" if needed else "warn"
-    if _installed("onnxruntime") and _installed("onnxruntime-gpu"):
+    if _is_installed("onnxruntime") and _is_installed("onnxruntime-gpu"):
         todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
         yield Finding("warn", "onnxruntime and onnxruntime-gpu are both installed", todo)
     probed = probe()
@@ -453,6 +456,7 @@ def check_tasks(config: Config) -> Iterator[Finding]:
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
+    """Check the packages for simulated worlds with textures."""
     wanted = ("trimesh", "PIL", "embreex")
     missing = [name for name in wanted if util.find_spec(name) is None]
     if not missing:

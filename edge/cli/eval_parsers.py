@@ -16,26 +16,26 @@ from edge.cli.options import (
 )
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_eval(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `eval` and its kinds."""
     evaluate = commands.add_parser(
         "eval", help="measure how well policies, planners, translators and trajectories do"
     )
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
-    _episodes(kinds)
-    _planning(kinds)
-    _translate(kinds)
-    _trajectories(kinds)
-    _rooms(kinds)
+    _add_episodes(kinds)
+    _add_planning(kinds)
+    _add_translate(kinds)
+    _add_trajectories(kinds)
+    _add_rooms(kinds)
 
 
-def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
+def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     episodes = kinds.add_parser(
         "episodes", help="compare policies or settings in simulated searches for objects"
     )
     episodes.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
     group = episodes.add_argument_group("episodes to run")
-    option, task = group.add_argument, group.add_mutually_exclusive_group().add_argument
+    option, exclusive = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option(
         "--episodes", type=Path, metavar="FILE",
         help="run the episodes of this file, which --plan wrote; of this group's other options "
@@ -63,12 +63,12 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "--per-world", type=count, metavar="N",
         help="keep at most N episodes of each world, drawn at random (default: all)",
     )  # fmt: skip
-    task(
+    exclusive(
         "--missions", type=count, metavar="N",
         help="run N missions with two to four targets in each world, instead of searches for one "
         "target",
     )  # fmt: skip
-    task(
+    exclusive(
         "--goals", type=count, metavar="N",
         help="run one session in each world, instead of single searches: N targets one after "
         "another, once with and once without memory of the earlier searches",
@@ -78,11 +78,11 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         help="with --goals: share of the movable objects that are moved between two searches, 0 "
         "to 1 (default: 0)",
     )  # fmt: skip
-    task(
+    exclusive(
         "--zones", action="store_true",
         help="put a random keep-out zone on the shortest path of each episode",
     )  # fmt: skip
-    task(
+    exclusive(
         "--ask", action="store_true",
         help="run one episode in each world, instead of searches: the robot explores it, then is "
         "asked where each target is",
@@ -147,7 +147,7 @@ def _episodes(kinds) -> None:  # type: ignore[no-untyped-def]
 _P_OBS = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0"
 
 
-def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
+def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     planning = kinds.add_parser(
         "planning", help="compare mission planners on simulated missions (figure 4 of ViTL)"
     )
@@ -211,7 +211,7 @@ def _planning(kinds) -> None:  # type: ignore[no-untyped-def]
     planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", lab=True))
 
 
-def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
+def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
     translate = kinds.add_parser(
         "translate", help="measure how many instructions are translated to the correct formula"
     )
@@ -269,7 +269,7 @@ def _translate(kinds) -> None:  # type: ignore[no-untyped-def]
     translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
 
 
-def _rooms(kinds) -> None:  # type: ignore[no-untyped-def]
+def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     rooms = kinds.add_parser(
         "rooms",
         help="explore ProcTHOR houses, compare the rooms found with the true ones, drive to some",
@@ -292,7 +292,7 @@ def _rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", lab=True))
 
 
-def _trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
+def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
     trajectories = kinds.add_parser(
         "trajectories", help="measure trajectories made from instructions (section IV of OpenNav)"
     )

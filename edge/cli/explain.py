@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{'ambiguous:' if several else 'not sure:':13}{ways}")
         for doubt in error.doubts:
             print(f"word:        {doubt}")
-        _list([reading.english for reading in error.readings])
+        _print_readings([reading.english for reading in error.readings])
         print(f"choose:      --reading {'N' if several else 1}{_default_reading(error.implied)}")
         return 0
     translation = spec.translation
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"understood:  {translation.understood}")
     if translation.readings:
         print(f"reading:     {translation.reading} of {len(translation.readings)}")
-        _list(translation.readings)
+        _print_readings(translation.readings)
     print(f"formula:     {one_line(translation.formula)}")
     print(f"by:          {translation.backend}, {translation.seconds:.2f} s")
     print(f"targets:     {one_line(', '.join(spec.targets), _LIST_CHARS)}")
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list(readings: Sequence[str]) -> None:
+def _print_readings(readings: Sequence[str]) -> None:
     for number, english in enumerate(readings, start=1):
         print(f"  ({number})        {one_line(english, _LIST_CHARS)}")
 
@@ -86,6 +86,7 @@ def _default_reading(implied: int | None) -> str:
 
 
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
+    """Draw the automaton to a file; the suffix chooses the format."""
     from edge.host.files import save
     from edge.lab.report import canvas, dot
     from edge.lab.report.automaton_graph import draw

@@ -28,7 +28,7 @@ from edge.text import format_table, one_line
 
 log = logging.getLogger("edge")
 
-ANY = "any"
+ANY = "any"  # value of --to: the dispatcher chooses the robot
 _PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws", "unixsock-stream")
 _CELL_CHARS = 40
 """Longest text in a cell of a table."""
@@ -68,11 +68,11 @@ def show(args: argparse.Namespace) -> int:
 def table(robots: Iterable[Robot]) -> str:
     """Return a table with a line for each robot."""
     rows = [["robot", "phase", "mission", "target", "pose", "health", "reason"]]
-    rows += [_shortened(_cells(robot).values()) for robot in robots]
+    rows += [_shorten(_cells(robot).values()) for robot in robots]
     return format_table(rows)
 
 
-def _shortened(cells: Iterable[str]) -> list[str]:
+def _shorten(cells: Iterable[str]) -> list[str]:
     """Shorten the cells, except for health and reason, which are shown in full."""
     *others, health, reason = cells
     return [*(one_line(cell, _CELL_CHARS) for cell in others), one_line(health), one_line(reason)]
@@ -123,12 +123,12 @@ def _watch(args: argparse.Namespace) -> int:
                     else "no connection to the router; trying again"
                 )
             if robots is not None:
-                before = _changes(before, robots, args.json)
+                before = _print_changes(before, robots, args.json)
             roster.wait(POLL_S)
     return 0
 
 
-def _changes(
+def _print_changes(
     before: Mapping[str, dict[str, str]], robots: Mapping[str, Robot], as_json: bool
 ) -> dict[str, dict[str, str]]:
     """Print the robots that have changed; return their present state, without poses."""
@@ -141,7 +141,7 @@ def _changes(
             gone = {"robot": name, "problem": "gone", "answer": None}
             print(json.dumps(_as_dict(robots[name]) if name in robots else gone), flush=True)
         else:
-            cells = _shortened(state[name].values()) if name in state else [one_line(name), "gone"]
+            cells = _shorten(state[name].values()) if name in state else [one_line(name), "gone"]
             _say("  ".join(cells))
     return state
 

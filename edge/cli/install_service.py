@@ -26,21 +26,21 @@ from edge.host import resources
 from edge.host.files import save
 from edge.loop.service_health import HANGS_S
 
-UNITS = Path("/etc/systemd/system")
-STATE = Path("/var/lib")
-OF_SYSTEMD = "that systemd creates"
+UNITS = Path("/etc/systemd/system")  # has the units of the administrator
+STATE = Path("/var/lib")  # has the working folder of the service
+DYNAMIC_USER = "that systemd creates"
 """Description of a dynamic user, for errors."""
 _GROUPS = ("video", "render")  # they may use cameras and GPUs
 _HOMES = ("/home", "/root", "/run/user")
 _TEMPORARY = ("/tmp", "/var/tmp")  # PrivateTmp gives the service its own
-# For errors: the name of a path that the service's user cannot read, and what to do.
-_PYTHON = (
+# Errors for paths that the service's user cannot read: (name of the path, what to do).
+_PYTHON_ERROR = (
     "the Python of this environment, {}",
     "make the environment with a Python that all users can read (such as "
     "/usr/bin/python3 -m venv /opt/edge)",
 )
-_INSTALLED = "the package, {}", "install it where all users can read it (such as /opt/edge)"
-_NAMED = "{}", "put it where all users can read it (such as /opt)"
+_PACKAGE_ERROR = "the package, {}", "install it where all users can read it (such as /opt/edge)"
+_OTHER_ERROR = "{}", "put it where all users can read it (such as /opt)"
 _DEVICES = (
     "char-nvidia", "char-nvidia-uvm", "/dev/nvmap", "/dev/nvhost-ctrl", "/dev/nvhost-ctrl-gpu",
     "/dev/nvhost-gpu", "/dev/nvhost-as-gpu", "/dev/nvhost-prof-gpu", "char-drm",
@@ -145,18 +145,18 @@ def unit(config: Config, name: str, user: str | None) -> str:
         UserError: see `run`.
     """
     at = STATE / name
-    files, copied = _files_to_read(config, at)
+    files, credentials = _files_to_read(config, at)
     here = (Path(config.path), Path(sys.executable), Path(sys.base_prefix), resources.PACKAGE)
     needed = (*here, *files)
     _check_readable(needed, user)
-    _check_exist(copied)
-    _check_writable(config, at)
+    _check_exist(credentials)
+    _check_checkpoint(config, at)
     words = (sys.executable, "-m", "edge.cli", "run", config.path)
     priority = config.loop.priority
     return _UNIT.format(
         name=name,
-        command=" ".join(map(_quoted_argument, words)),
-        user="\n".join([*_user_lines(user), *_credential_lines(copied)]),
+        command=" ".join(map(_quote_argument, words)),
+        user="\n".join([*_user_lines(user), *_credential_lines(credentials)]),
         homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # Twice HANGS_S, so that /healthz reports a hang before systemd kills the service.
         watchdog_s=2 * HANGS_S,
@@ -179,22 +179,22 @@ def _files_to_read(config: Config, at: Path) -> tuple[list[Path], dict[str, Path
     key, name = "zenoh.file", config.zenoh.file
     if name is not None:
         name = str(at / resources.expand(name))
-    found = read_zenoh_file(key, name)
-    hidden = secrets(found, key, name)
+    native = read_zenoh_file(key, name)
+    secret_files = secrets(native, key, name)
     if config.http.token_file is not None:
-        hidden["http.token_file"] = config.http.token_file
-    plain = certificates(found)
-    if name is not None and name not in hidden.values():
-        plain.append(name)
+        secret_files["http.token_file"] = config.http.token_file
+    public_files = certificates(native)
+    if name is not None and name not in secret_files.values():
+        public_files.append(name)
     return (
-        [at / resources.expand(path) for path in plain],
-        {secret: at / resources.expand(path) for secret, path in hidden.items()},
+        [at / resources.expand(path) for path in public_files],
+        {secret: at / resources.expand(path) for secret, path in secret_files.items()},
     )
 
 
-def _check_exist(copied: Mapping[str, Path]) -> None:
+def _check_exist(credentials: Mapping[str, Path]) -> None:
     """Raise UnavailableError for the first file that systemd could not copy."""
-    for secret, path in copied.items():
+    for secret, path in credentials.items():
         if not os.path.isfile(path):  # unlike Path.is_file, does not raise without permission
             raise UnavailableError(
                 f"{secret}: {path}: no such file, or only root can see it; correct the path, or "
@@ -202,7 +202,8 @@ def _check_exist(copied: Mapping[str, Path]) -> None:
             )
 
 
-def _check_writable(config: Config, at: Path) -> None:
+def _check_checkpoint(config: Config, at: Path) -> None:
+    """Raise UserError if the service cannot write its checkpoint."""
     checkpoint = config.mission.checkpoint
     if checkpoint is not None and not (at / resources.expand(checkpoint)).is_relative_to(at):
         raise UserError(
@@ -212,6 +213,7 @@ def _check_writable(config: Config, at: Path) -> None:
 
 
 def _user_lines(user: str | None) -> list[str]:
+    """Return the lines of the unit that set user and groups."""
     lines = ["DynamicUser=yes"] if user is None else [f"User={user}"]
     # A group that this machine does not have would make the start fail.
     known = {group.gr_name for group in grp.getgrall()}
@@ -220,11 +222,13 @@ def _user_lines(user: str | None) -> list[str]:
     return lines
 
 
-def _credential_lines(copied: Mapping[str, Path]) -> list[str]:
-    return [f"LoadCredential={name}:{path}".replace("%", "%%") for name, path in copied.items()]
+def _credential_lines(credentials: Mapping[str, Path]) -> list[str]:
+    return [
+        f"LoadCredential={name}:{path}".replace("%", "%%") for name, path in credentials.items()
+    ]
 
 
-def _quoted_argument(text: str) -> str:
+def _quote_argument(text: str) -> str:
     """Return a word of `ExecStart=`, quoted and escaped."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if any(c in " \t'\"\\;" for c in text) else escaped
@@ -274,7 +278,7 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
                     why = "" if step == place else f", who cannot enter {step}"
                     raise UserError(
                         f"{named.format(place)}: cannot be read by the user "
-                        f"{user or OF_SYSTEMD}{why}; "
+                        f"{user or DYNAMIC_USER}{why}; "
                         f"{todo}, {instead}"
                     )
 
@@ -282,8 +286,8 @@ def _check_readable(paths: tuple[Path, ...], user: str | None) -> None:
 def _name_and_remedy(path: Path) -> tuple[str, str]:
     """Return the name of an unreadable path, and what to do, for an error."""
     if path in (Path(sys.executable), Path(sys.base_prefix)):
-        return _PYTHON
-    return _INSTALLED if path == resources.PACKAGE else _NAMED
+        return _PYTHON_ERROR
+    return _PACKAGE_ERROR if path == resources.PACKAGE else _OTHER_ERROR
 
 
 def _may_read(path: Path, uid: int | None, gids: frozenset[int]) -> bool:

@@ -17,8 +17,8 @@ from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
 from edge.types import Observation
 
-_WAIT_S = 0.1
-_SLOW, _FAST = 0.7, 1.5  # tolerated share of the configured rate
+_WAIT_S = 0.1  # for one observation
+_SLOWEST, _FASTEST = 0.7, 1.5  # tolerated rates, as shares of the configured rate
 _DROPPED = 0.05  # tolerated share of dropped messages
 _OLD_S = 0.5  # tolerated age of a frame
 _AHEAD_S = 0.05  # tolerated time by which a stamp is in the future
@@ -110,6 +110,7 @@ class _SensorMeasurements:
             yield Finding(level, found.what, found.todo)
 
     def _check_mounts(self, observation: Observation) -> Iterator[Finding]:
+        """Yield size, mount and valid depth of the sensors; nothing is judged here."""
         if observation.camera is not None:
             camera = observation.camera
             mount = _describe_mount(observation.T_base_camera, observation.T_base_camera[:3, 2])
@@ -124,6 +125,7 @@ class _SensorMeasurements:
             yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
 
     def _check_floor(self) -> Iterator[Finding]:
+        """Check that the floor is measured at the height of the base frame."""
         if not self._lowest_m:
             yield Finding("ok", "floor: not checked, because no sensor looks down at the floor")
             return
@@ -153,7 +155,7 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
         yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
         return
     expected = row.expected_hz
-    if expected and not _SLOW * expected <= row.hz <= _FAST * expected:
+    if expected and not _SLOWEST * expected <= row.hz <= _FASTEST * expected:
         todo = "correct the rate of the driver, or the rate under sensors in the configuration"
         yield Finding("warn", f"{rate}, configured: {expected:g} Hz", todo)
     else:
@@ -167,6 +169,7 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
 
 
 def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
+    """Check that frames are neither old nor in the future."""
     what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
     if -_AHEAD_S <= age_s <= _OLD_S:
         yield Finding("ok", what)

@@ -23,6 +23,7 @@ from edge.host.files import make_writable
 from edge.perception.runtime.sessions import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
+"""Versions of Python that are supported: from the first, below the second."""
 MIN_CORES = 2
 MIN_SHM_MB = 64
 """Least size of the shared memory."""
@@ -118,6 +119,7 @@ def _is_installed(package: str) -> bool:
 
 
 def check_jetson(config: Config) -> Iterator[Finding]:
+    """Check that onnxruntime or TensorRT can use the GPU of a Jetson."""
     name = machine.tegra_release(TEGRA_RELEASE)
     if name is None:
         return
@@ -134,6 +136,7 @@ def check_jetson(config: Config) -> Iterator[Finding]:
 
 
 def check_shared_memory(config: Config) -> Iterator[Finding]:
+    """Check that Zenoh's shared memory is large enough."""
     if not config.zenoh.shared_memory:
         return
     if not SHM.is_dir():
@@ -155,6 +158,7 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
 
 
 def check_cache(config: Config) -> Iterator[Finding]:
+    """Check that the cache folder can be written and has free space."""
     path = resources.cache_dir()
     try:
         make_writable(path)
@@ -174,6 +178,7 @@ def _add(a: int, b: int) -> int:
 
 
 def check_numba(config: Config) -> Iterator[Finding]:
+    """Check that numba compiles, and can store what it compiles."""
     import numba
 
     before = time.perf_counter()

@@ -53,10 +53,10 @@ def main(argv: list[str] | None = None) -> int:
         os.environ[TRUST_CACHE] = "1"
     show_stacks_on_signals()
     interrupt_on_signals()
-    return _exit_now_if_needed(_outcome(args))
+    return _exit_now_if_needed(_run_handler(args))
 
 
-def _outcome(args: argparse.Namespace) -> int:
+def _run_handler(args: argparse.Namespace) -> int:
     """Run the handler, print its error, and return the exit code (`edge.errors.EXIT_CODES`)."""
     try:
         with kernel_cache():

@@ -13,7 +13,7 @@ from pathlib import Path
 from edge.cli.service_request import add_action, connected
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_memory(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge memory`."""
     memory = commands.add_parser(
         "memory", help="show which objects a running service has seen, and where"

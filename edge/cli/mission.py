@@ -173,32 +173,33 @@ def _format_key(key: str, between: str = ", ") -> Callable[[dict], str]:
     return format_value
 
 
-def _state(answer: dict) -> str:
+def _format_state(answer: dict) -> str:
     state, states = answer.get("state"), answer.get("states")
     known = isinstance(state, int) and isinstance(states, int)
     return f"{state} (of 0 … {states - 1})" if known else _format_key("state")(answer)
 
 
-def _phase(answer: dict) -> str:
+def _format_phase(answer: dict) -> str:
     paused = "paused (continue with `edge mission resume`)" if answer.get("paused") else ""
     return "; ".join(
         filter(None, [paused, _format_key("phase")(answer), _format_key("reason")(answer)])
     )
 
 
-def _not_ready(answer: dict) -> str:
+def _format_problems(answer: dict) -> str:
     """Return the reasons why the robot is not ready, as in `/readyz`."""
     robot = answer.get("robot")
     return _format_key("problems", "; ")(robot) if isinstance(robot, dict) else ""
 
 
-def _reading(answer: dict) -> str:
+def _format_reading(answer: dict) -> str:
     """Return the number of the reading that was chosen, such as `1 of 2`."""
     reading, readings = answer.get("reading"), answer.get("readings")
     return f"{reading} of {len(readings)}" if reading and isinstance(readings, list) else ""
 
 
-def _overtaken(answer: dict) -> str:
+def _format_overtaken(answer: dict) -> str:
+    """Return the number of missions that the request cancelled before they began."""
     number = answer.get("overtaken")
     return f"{number} missions that were waiting to start" if number else ""
 
@@ -213,7 +214,7 @@ def _format_task(format_part: Callable[[dict], str]) -> Callable[[dict], str]:
     return format_answer
 
 
-def _trajectory(task: dict) -> str:
+def _format_trajectory(task: dict) -> str:
     length_m, driven_m, refinements = (
         task.get(key) for key in ("length_m", "driven_m", "refinements")
     )
@@ -224,7 +225,7 @@ def _trajectory(task: dict) -> str:
     return f"{driven_m:.1f} of {length_m:.1f} m driven{changed}"
 
 
-def _steps(task: dict) -> str:
+def _format_steps(task: dict) -> str:
     """Return the state of each step, if there are several."""
     steps = task.get("steps")
     if not isinstance(steps, list) or len(steps) < 2:
@@ -233,7 +234,7 @@ def _steps(task: dict) -> str:
     return "; ".join(f"{step.get('state')}: {step.get('said')}" for step in valid)
 
 
-def _answers(task: dict) -> str:
+def _format_answers(task: dict) -> str:
     """Return the number of a model's answers, and the error of the newest one."""
     answers, rounds = task.get("answers"), task.get("rounds")
     if not _are_numbers(answers) or not answers:
@@ -247,16 +248,17 @@ def _are_numbers(*values: object) -> bool:
     return all(type(value) in (int, float) for value in values)
 
 
+# Name of a line → function that formats it from the answer; "" if the answer has no such data.
 _ROWS: dict[str, Callable[[dict], str]] = {
-    "stopped": _overtaken,
+    "stopped": _format_overtaken,
     "instruction": _format_key("instruction"),
     "understood": _format_key("english"),
-    "reading": _reading,
+    "reading": _format_reading,
     "formula": _format_key("formula"),
     "warning": _format_key("warnings"),
-    "state": _state,
-    "phase": _phase,
-    "not ready": _not_ready,
+    "state": _format_state,
+    "phase": _format_phase,
+    "not ready": _format_problems,
     "target": _format_key("target"),
     "why": _format_key("why"),
     "plan": _format_key("plan", ", then "),
@@ -265,12 +267,12 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "failed": _format_key("failed"),
     "forbidden": _format_key("forbidden"),
     "task": _format_task(_format_key("phase")),
-    "steps": _format_task(_steps),
+    "steps": _format_task(_format_steps),
     "written by": _format_task(_format_key("writer")),
     "read as": _format_task(_format_key("understood")),
     "missing": _format_task(_format_key("missing")),
-    "answers": _format_task(_answers),
-    "trajectory": _format_task(_trajectory),
+    "answers": _format_task(_format_answers),
+    "trajectory": _format_task(_format_trajectory),
     "notes": _format_task(_format_key("notes", "; ")),
 }
 

@@ -10,7 +10,7 @@ from edge.cli.options import CONFIG, dispatch_on_option, lazy_handler, positive
 _CARD = "name of a model card, as `edge models list` shows it"
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_models(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge models` and its actions."""
     models = commands.add_parser(
         "models", help="list, check, download, export or switch neural models"
@@ -20,7 +20,7 @@ def add(commands) -> None:  # type: ignore[no-untyped-def]
         add_to(actions.add_parser(name, help=text, description=text))
 
 
-def _list(action: argparse.ArgumentParser) -> None:
+def _add_list_options(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
     option("name", nargs="?", help=f"{_CARD} (default: all)")
     option("--json", action="store_true", help="print the cards as JSON")
@@ -46,7 +46,7 @@ def _list(action: argparse.ArgumentParser) -> None:
     )
 
 
-def _pull(action: argparse.ArgumentParser) -> None:
+def _add_pull_options(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
     action.add_argument(
         "--from", dest="places", action="append", default=[], metavar="PLACE",
@@ -58,7 +58,7 @@ def _pull(action: argparse.ArgumentParser) -> None:
     action.set_defaults(handler=lazy_handler("edge.models.pull", "run"))
 
 
-def _export(action: argparse.ArgumentParser) -> None:
+def _add_export_options(action: argparse.ArgumentParser) -> None:
     option = action.add_argument
     option("name", help=f"{_CARD}; if --weights is a folder: name of the new card")
     option(
@@ -71,8 +71,8 @@ def _export(action: argparse.ArgumentParser) -> None:
         help="make the model from its FP32 file by quantization (needs edge-vln[quantize])",
     )  # fmt: skip
     option(
-        "--precision", nargs="+", metavar="P", help="precisions to make: of CLIP or SigLIP "
-        "(default: fp32), or with --quantize of a vision-language model (default: q4)",
+        "--precision", nargs="+", metavar="P", help="precisions of CLIP or SigLIP to make "
+        "(default: fp32); with --quantize: those of a vision-language model (default: q4)",
     )  # fmt: skip
     option("--family", help="with a folder as --weights: family of the new cards (default: NAME)")
     option(
@@ -104,7 +104,7 @@ def _export(action: argparse.ArgumentParser) -> None:
     )
 
 
-def _use(action: argparse.ArgumentParser) -> None:
+def _add_use_options(action: argparse.ArgumentParser) -> None:
     action.add_argument("name", help=_CARD)
     action.add_argument("config", nargs="?", default="cpu", help=f"{CONFIG} (default: cpu)")
     action.add_argument(
@@ -120,8 +120,11 @@ def _use(action: argparse.ArgumentParser) -> None:
 
 
 _ACTIONS = {
-    "list": ("list the model cards and their files, or check the files", _list),
-    "pull": ("download a model file, or the weights to export it from", _pull),
-    "export": ("make a model file from weights (edge-vln[export]), or quantize one", _export),
-    "use": ("switch the model of a running service", _use),
+    "list": ("list the model cards and their files, or check the files", _add_list_options),
+    "pull": ("download a model file, or the weights to export it from", _add_pull_options),
+    "export": (
+        "make a model file from weights (edge-vln[export]), or quantize one",
+        _add_export_options,
+    ),
+    "use": ("switch the model of a running service", _add_use_options),
 }

@@ -14,6 +14,7 @@ from edge.errors import UnavailableError
 Handler = Callable[[argparse.Namespace], int]
 
 CONFIG = "YAML file, or the name of a built-in configuration, such as demo or turtlebot4"
+"""Help of the argument that names a configuration."""
 WHERE = (
     "a configuration whose zenoh.endpoint is the fleet's router, or that endpoint itself, such as "
     "tcp/10.0.0.1:7447 (for robots with zenoh.prefix robots/NAME)"

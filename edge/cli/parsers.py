@@ -40,26 +40,26 @@ def make_parser() -> argparse.ArgumentParser:
     add_arguments(parser)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for add in (
-        _run,
-        _demo,
-        _sim,
-        _config,
-        _play,
-        _mission,
-        _fleet,
+        _add_run,
+        _add_demo,
+        _add_sim,
+        _add_config,
+        _add_play,
+        _add_mission,
+        _add_fleet,
         site.add_places,
         site.add_zones,
-        memory.add,
-        room.add,
-        model_parsers.add,
-        _record,
-        _replay,
-        _ros2_adapter,
+        memory.add_memory,
+        room.add_room,
+        model_parsers.add_models,
+        _add_record,
+        _add_replay,
+        _add_ros2_adapter,
         lab_parsers.add_trajectory,
         lab_parsers.add_bench,
-        eval_parsers.add,
+        eval_parsers.add_eval,
         lab_parsers.add_soak,
-        _doctor,
+        _add_doctor,
     ):
         add(commands)
     return parser
@@ -77,7 +77,7 @@ def _exit_codes() -> str:
     return "\n".join(["exit codes:", *lines, "  128+N interrupted by signal N"])
 
 
-def _run(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_run(commands) -> None:  # type: ignore[no-untyped-def]
     run = commands.add_parser(
         "run", help="run the service for a robot or simulator that is already running"
     )
@@ -118,7 +118,7 @@ def _run(commands) -> None:  # type: ignore[no-untyped-def]
     )
 
 
-def _demo(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_demo(commands) -> None:  # type: ignore[no-untyped-def]
     text = "run the service with a simulated robot in a built-in house"
     demo = commands.add_parser("demo", help=text)
     demo.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
@@ -162,7 +162,7 @@ def _add_live_option(command: argparse.ArgumentParser) -> None:
     trust_option(command)
 
 
-def _sim(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_sim(commands) -> None:  # type: ignore[no-untyped-def]
     sim = commands.add_parser("sim", help="run a simulated robot and the reference controller")
     sim.add_argument("config", help=CONFIG)
     which = sim.add_mutually_exclusive_group()
@@ -183,7 +183,7 @@ def _add_parent_option(command: argparse.ArgumentParser) -> None:
     command.add_argument("--with-parent", type=int, metavar="PID", help=argparse.SUPPRESS)
 
 
-def _config(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_config(commands) -> None:  # type: ignore[no-untyped-def]
     config = commands.add_parser(
         "config", help="print a configuration with its defaults, and check it"
     )
@@ -194,7 +194,7 @@ def _config(commands) -> None:  # type: ignore[no-untyped-def]
     config.set_defaults(handler=lazy_handler("edge.cli.main", "config"))
 
 
-def _mission(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_mission(commands) -> None:  # type: ignore[no-untyped-def]
     parser = commands.add_parser(
         "mission", help="start, pause, end or show a mission of a running service, or explain one"
     )
@@ -213,7 +213,7 @@ def _mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain.set_defaults(handler=lazy_handler("edge.cli.explain", "run"))
 
 
-def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_fleet(commands) -> None:  # type: ignore[no-untyped-def]
     fleet = commands.add_parser("fleet", help="list the robots of a fleet, or run its router")
     actions = fleet.add_subparsers(required=True, metavar="ACTION", title="actions")
     show = actions.add_parser("list", help="list all robots and their state")
@@ -233,7 +233,7 @@ def _fleet(commands) -> None:  # type: ignore[no-untyped-def]
     router.set_defaults(handler=lazy_handler("edge.cli.fleet", "route"))
 
 
-def _record(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_record(commands) -> None:  # type: ignore[no-untyped-def]
     record = commands.add_parser("record", help="record the sensors' messages to an MCAP file")
     record.add_argument("config", help=CONFIG)
     record.add_argument(
@@ -249,7 +249,7 @@ def _record(commands) -> None:  # type: ignore[no-untyped-def]
     record.set_defaults(handler=lazy_handler("edge.sources.recording", "run"))
 
 
-def _play(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_play(commands) -> None:  # type: ignore[no-untyped-def]
     text = "run the service on a recording of any robot (MCAP, rosbag2), and print the results"
     play = commands.add_parser("play", help=text)
     play.add_argument("file", type=Path, metavar="FILE", help="MCAP file, .db3 file, or folder "
@@ -274,7 +274,7 @@ def _play(commands) -> None:  # type: ignore[no-untyped-def]
     play.set_defaults(handler=lazy_handler("edge.cli.main", "play"))
 
 
-def _replay(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_replay(commands) -> None:  # type: ignore[no-untyped-def]
     replay = commands.add_parser(
         "replay", help="run the service again on the inputs of a recorded run; compare the results"
     )
@@ -324,7 +324,7 @@ def _replay(commands) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
     adapter = commands.add_parser(
         "ros2-adapter", help="run the node that connects the robot's ROS 2 with the service"
     )
@@ -338,7 +338,7 @@ def _ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
     adapter.set_defaults(handler=lazy_handler("edge.ros2_adapter.process", "run"))
 
 
-def _doctor(commands) -> None:  # type: ignore[no-untyped-def]
+def _add_doctor(commands) -> None:  # type: ignore[no-untyped-def]
     doctor = commands.add_parser(
         "doctor", help="check that this machine has all that the service needs"
     )

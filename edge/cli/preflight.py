@@ -62,7 +62,7 @@ def check(config: Config) -> None:
         UserError: one line for each fault, with the exit code of the first.
     """
     faults: list[UserError] = []
-    for run_check in (*_CHECKS, *(partial(_model, model) for model in named_models(config))):
+    for run_check in (*_CHECKS, *(partial(_check_model, model) for model in named_models(config))):
         try:
             run_check(config)
         except UserError as error:
@@ -97,25 +97,25 @@ def check_mission(config: Config) -> None:
         make_text_encoder(card, detector.vocabulary).embed(spec.prompts)
 
 
-def _policy(config: Config) -> None:
+def _check_policy(config: Config) -> None:
     find_policy(config.policy, config.origin("policy"))
 
 
-def _planner(config: Config) -> None:
+def _check_planner(config: Config) -> None:
     if isinstance(config.mission.planner, PlannerPlugin):
         find_plugin_planner(config.mission.planner, config.locate("mission.planner"))
 
 
-def _bus(config: Config) -> None:
+def _check_bus(config: Config) -> None:
     check_settings(config.zenoh, "listen")
 
 
-def _http(config: Config) -> None:
+def _check_http(config: Config) -> None:
     if config.http.token_file is not None:
         read_token("http.token_file", config.http.token_file)
 
 
-def _translator(config: Config) -> None:
+def _check_translator(config: Config) -> None:
     translator = config.mission.translator
     if (card := getattr(translator, "card", None)) is not None:
         with _prefix_errors(config, "mission.translator.card"):
@@ -124,22 +124,27 @@ def _translator(config: Config) -> None:
         make_translator(translator)
 
 
-def _choice(config: Config) -> None:
+def _check_choice(config: Config) -> None:
     choice = config.perception.choice
     if isinstance(choice, (ChoiceOpenai, ChoiceText)):
         make_server_scorer(choice).close()
 
 
-def _tasks(config: Config) -> None:
+def _check_tasks(config: Config) -> None:
     if isinstance(config.tasks.planner, WriterModel):
         with _prefix_errors(config, "tasks.planner"):
             make_chat_client(config.tasks.planner).close()
         script.version()
 
 
-CLASSES: tuple[Callable[[Config], object], ...] = (find_source, find_sinks, _policy, _planner)
+CLASSES: tuple[Callable[[Config], object], ...] = (
+    find_source,
+    find_sinks,
+    _check_policy,
+    _check_planner,
+)
 """Checks that the classes that a configuration names exist and accept their options."""
-_CHECKS = (*CLASSES, _bus, _http, _translator, _choice, _tasks)
+_CHECKS = (*CLASSES, _check_bus, _check_http, _check_translator, _check_choice, _check_tasks)
 
 
 class NamedModel(NamedTuple):
@@ -179,10 +184,10 @@ def named_models(config: Config) -> Iterator[NamedModel]:
         yield NamedModel("perception.choice.card", choice.card, ChoiceCard, choice.providers)
 
 
-def _model(model: NamedModel, config: Config) -> None:
+def _check_model(model: NamedModel, config: Config) -> None:
     """Check the card of a model and the cards that it refers to: files, packages, providers."""
     with _prefix_errors(config, model.key):
-        cards = list(_cards(config, model.name, model.kind))
+        cards = list(_checked_cards(config, model.name, model.kind))
     if any(file.server is None for card in cards for file in card.files):
         # A model in a separate process must not load onnxruntime into this one.
         isolated = config.perception.isolation == "process"
@@ -192,7 +197,7 @@ def _model(model: NamedModel, config: Config) -> None:
         )
 
 
-def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
+def _checked_cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
     """Yield a card and the cards that it refers to; check that all they need is installed."""
     card = load_card(name)
     if kind is not ChoiceCard or not isinstance(card, MarksCard):
@@ -216,9 +221,9 @@ def _cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
                 )
     elif isinstance(card, SimilarityCard) and not is_running_detector(card, perception):
         if card.detector is not None:
-            yield from _cards(config, card.detector, DetectCard)
+            yield from _checked_cards(config, card.detector, DetectCard)
         else:
-            yield from _cards(config, str(card.image_encoder), ImageCard)
+            yield from _checked_cards(config, str(card.image_encoder), ImageCard)
             check_text_encoder(card.text_encoder, vocabulary)
 
 

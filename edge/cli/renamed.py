@@ -49,5 +49,6 @@ def translate_renamed(argv: Sequence[str]) -> tuple[list[str], list[str]]:
         if new := OPTIONS.get(f"{words} {old}"):
             command[i] = new + equals + value
             warning = f"edge {words} {old} is now: {new}"
-            warnings += [warning] * (warning not in warnings)
+            if warning not in warnings:
+                warnings.append(warning)
     return [*before, *command], warnings

@@ -11,7 +11,7 @@ import json
 from edge.cli.service_request import add_action, connected
 
 
-def add(commands) -> None:  # type: ignore[no-untyped-def]
+def add_room(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge room`."""
     room = commands.add_parser("room", help="list, name or close the rooms of a running service")
     actions = room.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")

@@ -68,6 +68,7 @@ def _add_common_actions(actions, content: str) -> None:  # type: ignore[no-untyp
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:
+    """Parse numbers with commas between."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:

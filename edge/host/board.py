@@ -84,10 +84,10 @@ def throttling_reason(
     for alarm, events in board.over_current.items():
         if before is not None and events > before.over_current.get(alarm, events):
             return f"the board throttles, it draws too much current ({alarm})"
-    for (zone, what), trip_c in board.trip_c.items():
+    for (zone, kind), trip_c in board.trip_c.items():
         celsius = board.temperature_c.get(zone)
         if celsius is not None and celsius >= trip_c - margin_c:
-            return f"{zone} is at {celsius:.0f} C, {what} from {trip_c:.0f} C"
+            return f"{zone} is at {celsius:.0f} C, {kind} from {trip_c:.0f} C"
     return ""
 
 
@@ -132,7 +132,7 @@ def _power(hwmon: Path) -> Iterator[tuple[str, float]]:
     for chip in _chips(hwmon, "ina3221"):
         for label in chip.glob("in*_label"):
             rail, number = _read_name(label), label.name[2 : -len("_label")]
-            milli = (
+            milli = (  # millivolts, milliamperes
                 _read_number(chip / f"in{number}_input"),
                 _read_number(chip / f"curr{number}_input"),
             )

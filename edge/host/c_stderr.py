@@ -31,7 +31,7 @@ _STREAMS = _streams()
 
 
 @contextmanager
-def silenced() -> Iterator[None]:
+def silence_c_stderr() -> Iterator[None]:
     """Drop what C libraries print to `stderr` in this block, on any thread."""
     if _STREAMS is None:
         yield

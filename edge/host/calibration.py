@@ -25,6 +25,7 @@ REFERENCE = "AMD EPYC (Zen 5), 2 virtual cores"
 """The reference computer."""
 REFERENCE_MS = {"kernels": 3.45, "arrays": 0.45, "memory": 1.85, "python": 2.55}
 """CPU time of each workload on the reference computer."""
+# Advice for messages.
 HINT = "measure this computer with `edge bench --calibrate`"
 ROUNDS = 40  # of each workload; the fastest counts
 AS_FAST = 1.05  # smaller differences count as equal

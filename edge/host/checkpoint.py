@@ -36,18 +36,22 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION, OLDEST_VERSION = 5, 4
-MAX_STATE_BYTES = 8 << 20
+VERSION, OLDEST_VERSION = 5, 4  # of the format: written, and oldest that can be read
+MAX_STATE_BYTES = 8 << 20  # of the line of JSON
 _MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
 _ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
-_ZIP64 = b"PK\x06\x07"  # begins a record that only archives over 4 GB need
+_ZIP64 = b"PK\x06\x07"  # begins a record of 20 bytes that only archives over 4 GB need
+_TAIL_BYTES = 20 + _ZIP_END_BYTES
 # The line of JSON behind `CheckpointFormat.begins`: up to the hash, and the rest.
 _HEAD_PATTERN = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
 _REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
-_FAR, _FAR_NS = 1 << 32, 1 << 61  # largest cell index; largest stamp in ns, or id
+_FAR = 1 << 32  # largest cell index
+_FAR_NS = 1 << 61  # largest stamp in ns, or id of an object
 
 Arrays = dict[str, np.ndarray]
+"""Name → array."""
 Rows = dict[tuple[str, ...], int]
+"""See `check_arrays`."""
 State = TypeVar("State")
 
 
@@ -88,6 +92,9 @@ class CheckpointFormat(Generic[State]):
         max_bytes: largest file.
         check: raises ValueError if a state with valid types is inconsistent.
         renamed: array names of older versions → present ones.
+
+    Attributes:
+        begins: first bytes of every file of this format.
     """
 
     def __init__(
@@ -111,15 +118,15 @@ class CheckpointFormat(Generic[State]):
             ValueError: `decode` would refuse the content; one line.
         """
         state = self._adapter.dump_json(checkpoint.state)
-        self._state(state)
+        self._read_state(state)  # raises ValueError for a state that `decode` would refuse
         if any(array.dtype.hasobject for array in checkpoint.arrays.values()):
             raise ValueError("an array holds Python objects; only numbers and text can be saved")
         archive = io.BytesIO()
         np.savez(archive, **checkpoint.arrays)  # type: ignore[arg-type]
-        about = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
+        rest = b'"config":"%s","written_ns":%d,"state":%s}\n' % (
             checkpoint.config.encode(), checkpoint.written_ns, state
         )  # fmt: skip
-        body = about + archive.getvalue()
+        body = rest + archive.getvalue()
         content = self.begins + b'"version":%d,"sha256":"%s",' % (VERSION, _sha256(body)) + body
         if len(content) > self.max_bytes:
             raise ValueError(
@@ -145,15 +152,16 @@ class CheckpointFormat(Generic[State]):
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: the checksum does not match")
-        about = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
-        if about is None:
+        rest = re.compile(_REST_PATTERN).match(content, head.end(), head.end() + MAX_STATE_BYTES)
+        if rest is None:
             raise ValueError(f"not a complete {self.title}")
-        arrays = _read_archive(content[about.end() :])
+        arrays = _read_archive(content[rest.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
-        return Checkpoint(self._state(about[3]), arrays, about[1].decode(), int(about[2]))
+        return Checkpoint(self._read_state(rest[3]), arrays, rest[1].decode(), int(rest[2]))
 
-    def _state(self, text: bytes) -> State:
+    def _read_state(self, text: bytes) -> State:
+        """Parse and check a state; raise ValueError with one line."""
         try:
             state = self._adapter.validate_json(text)
         except ValidationError as error:
@@ -172,8 +180,10 @@ def _read_archive(content: bytes) -> Arrays:
     """Read an uncompressed archive, so that the arrays are not larger than the file."""
     # zipfile reads the whole directory when it opens the archive, so check its size before.
     end = content[-_ZIP_END_BYTES:]
-    plain = end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-42:]
-    if not plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
+    is_plain = (
+        end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-_TAIL_BYTES:]
+    )
+    if not is_plain or int.from_bytes(end[12:16], "little") > _MAX_DIRECTORY_BYTES:
         raise ValueError("damaged: the list of arrays is missing or too long")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -226,14 +236,14 @@ def check_arrays(
         raise ValueError(f"the array {name!r:.60} is {'missing' if name in like else 'unknown'}")
     group_of = {name: group for group in rows for name in group}
     for name, array in state.items():
-        group, model = group_of.get(name), like[name]
-        shape = model.shape
-        if group is not None:
+        group, expected = group_of.get(name), like[name]
+        shape = expected.shape
+        if group is not None:  # as many rows as the first array of its group, within the limit
             shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
-        is_text = array.dtype.kind == model.dtype.kind == "U"
-        if array.shape != shape or not (is_text or array.dtype == model.dtype):
+        is_text = array.dtype.kind == expected.dtype.kind == "U"
+        if array.shape != shape or not (is_text or array.dtype == expected.dtype):
             raise ValueError(
-                f"{name} is {array.dtype} {array.shape}, expected {model.dtype} {shape}"
+                f"{name} is {array.dtype} {array.shape}, expected {expected.dtype} {shape}"
             )
         if is_text:
             _check_names(name, array)
@@ -249,6 +259,7 @@ def check_arrays(
 
 
 def _check_names(name: str, words: np.ndarray) -> None:
+    """Raise ValueError if a text in the array is no valid name."""
     try:
         for word in set(words.tolist()):
             names.normalise(word)
@@ -336,7 +347,7 @@ class CheckpointWriter(Generic[State]):
         self._period_ns = int(period_s * 1e9)
         self._posted_ns: int | None = None
         _check_writable(self.path, form)
-        self._worker = Worker("checkpoint", self._write, finishes=True)
+        self._worker = Worker("checkpoint", self._write, finish_on_close=True)
 
     @property
     def idle(self) -> bool:
@@ -362,6 +373,7 @@ class CheckpointWriter(Generic[State]):
         return self._worker.close(timeout_s)
 
     def _write(self, make: Callable[[], Checkpoint[State]]) -> None:
+        """Save a checkpoint; log the first failure of a series, and its end."""
         try:
             save(self.path, make(), self._form)
         except (OSError, ValueError) as error:

@@ -26,7 +26,14 @@ class RequestCancelledError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HttpReply:
-    """Answer of a server. If the body is longer than `max_bytes`, the server sent too much."""
+    """Answer of a server.
+
+    Attributes:
+        status: HTTP status.
+        headers: headers.
+        body: content, as it was sent. If it is longer than `max_bytes` of
+            `CancellableRequest.send`, the server sent more than the caller accepts.
+    """
 
     status: int
     headers: httpx.Headers

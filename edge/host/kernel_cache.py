@@ -32,8 +32,8 @@ def kernel_cache() -> Iterator[None]:
         yield
         return
     with ExitStack() as stack:
-        stack.callback(_set, os.environ.get(_VARIABLE))
-        _set(str(_own_folder() or _temporary_folder(stack)))
+        stack.callback(_set_variable, os.environ.get(_VARIABLE))
+        _set_variable(str(_own_folder() or _temporary_folder(stack)))
         yield
 
 
@@ -70,7 +70,7 @@ def _is_writable(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK, effective_ids=True)
 
 
-def _set(value: str | None) -> None:
+def _set_variable(value: str | None) -> None:
     if value is None:
         os.environ.pop(_VARIABLE, None)
     else:

@@ -190,6 +190,7 @@ def gpu_memory_mb() -> float | None:
 
 
 def _jetson(root: Path) -> Description:
+    """Describe a Jetson; {} on any other computer."""
     release = tegra_release(root / "etc/nv_tegra_release")
     if release is None:
         return {}

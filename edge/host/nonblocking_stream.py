@@ -34,19 +34,19 @@ class NonBlockingStream(io.TextIOBase):
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._descriptor = stream, stream.fileno()
         self._waiting: deque[str] = deque()
-        self._lost = 0
-        self._ends = False
+        self._n_dropped = 0
+        self._is_draining = False
         self._changed = threading.Condition()
         self._thread = start_detached_thread("stderr", self._write_texts)
 
     def write(self, text: str) -> int:
         """Queue the text without blocking; after `drain`, write it to the stream directly."""
         with self._changed:
-            if not self._ends:
+            if not self._is_draining:
                 if len(self._waiting) < MOST_WAITING:
                     self._waiting.append(text)
                 else:
-                    self._lost += 1
+                    self._n_dropped += 1
                 self._changed.notify()
                 return len(text)
         return self._stream.write(text)
@@ -60,21 +60,22 @@ class NonBlockingStream(io.TextIOBase):
     def drain(self) -> None:
         """Stop queueing, and wait at most 1 s until all text is written."""
         with self._changed:
-            self._ends = True
+            self._is_draining = True
             self._changed.notify()
         self._thread.join(_END_S)
 
     def _write_texts(self) -> None:
+        """Write queued text until `drain` was called and nothing is left."""
         while True:
             with self._changed:
-                while not (self._waiting or self._ends):
+                while not (self._waiting or self._is_draining):
                     self._changed.wait()
                 texts = [self._waiting.popleft() for _ in range(len(self._waiting))]
-                if self._lost:
+                if dropped := self._n_dropped:
                     texts.append(
-                        f"({self._lost} lines of output were dropped: the reader is too slow)\n"
+                        f"({dropped} lines of output were dropped: the reader is too slow)\n"
                     )
-                    self._lost = 0
+                    self._n_dropped = 0
             if not texts:
                 return
             # Not through the stream's buffer, whose lock the interpreter needs at exit.

@@ -10,7 +10,7 @@ from edge.errors import UnavailableError
 
 LEAST = 256
 """Lowest limit: a service with sensors, models and viewers has up to 100 files open."""
-_TARGET = 4096
+_TARGET = 4096  # the limit that is set
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
 
 

@@ -26,11 +26,11 @@ def real_time(priority: int) -> Iterator[bool]:
     Yields:
         True if the priority was set. Without the permission, a warning is logged.
     """
-    given = priority > 0 and _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority)
+    is_set = priority > 0 and _schedule(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority)
     try:
-        yield given
+        yield is_set
     finally:
-        if given:
+        if is_set:
             _schedule(os.SCHED_OTHER, 0)
 
 

@@ -29,7 +29,7 @@ def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
     """
     parent = parent or tempfile.gettempdir()
     _remove_stale(prefix, parent)
-    folder, fd = _make(prefix, parent)
+    folder, fd = _make_locked(prefix, parent)
     try:
         yield folder
     finally:
@@ -37,7 +37,7 @@ def private_folder(prefix: str, parent: str | None = None) -> Iterator[Path]:
         os.close(fd)
 
 
-def _make(prefix: str, parent: str) -> tuple[Path, int]:
+def _make_locked(prefix: str, parent: str) -> tuple[Path, int]:
     """Return a new folder, and the descriptor that holds its lock."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
@@ -50,6 +50,7 @@ def _make(prefix: str, parent: str) -> tuple[Path, int]:
 
 
 def _remove_stale(prefix: str, parent: str) -> None:
+    """Remove folders of this prefix and user that no process holds."""
     for folder in Path(parent).glob(f"{prefix}*"):
         # Not a folder, already gone, or in use (BlockingIOError is an OSError).
         with contextlib.suppress(OSError):
@@ -60,6 +61,7 @@ def _remove_stale(prefix: str, parent: str) -> None:
 
 
 def _lock(folder: Path, operation: int) -> int:
+    """Lock a folder and return its descriptor; raise OSError if that fails."""
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(fd, operation)

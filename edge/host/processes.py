@@ -10,9 +10,10 @@ from pathlib import Path
 _PROC = Path("/proc")
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _MB_PER_KIB = 1.024e-3
-# /proc/PID/stat: the end of the command's name, and the index of each field after it: parent, CPU
+# /proc/PID/stat: the end of the command's name, and indices of fields after it: state, parent, CPU
 # time in user and system mode, start time.
-_COMM_ENDS, _PARENT, _USER, _SYSTEM, _STARTED = b")", 1, 11, 12, 19
+_COMMAND_END = b")"
+_STATE, _PARENT, _USER, _SYSTEM, _STARTED = 0, 1, 11, 12, 19
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class Process:
 
     def is_running(self) -> bool:
         """Return True if the process is running; a zombie is not."""
-        current = _read(self.pid)
+        current = _read_process(self.pid)
         return current is not None and current.started == self.started
 
 
@@ -65,12 +66,12 @@ def usage(pid: int) -> Usage | None:
         own_mb, shared_mb = (
             int(status[key].split()[0]) * _MB_PER_KIB for key in ("RssAnon", "RssShmem")
         )
-        fields = _stat(pid)
+        fields = _read_stat(pid)
         cpu_s = (int(fields[_USER]) + int(fields[_SYSTEM])) / _TICKS_PER_S
-        opened = len(os.listdir(folder / "fd"))
+        descriptors = len(os.listdir(folder / "fd"))
     except (OSError, KeyError):  # KeyError: it has ended and has no memory
         return None
-    return Usage(own_mb + shared_mb, shared_mb, int(status["Threads"]), opened, cpu_s)
+    return Usage(own_mb + shared_mb, shared_mb, int(status["Threads"]), descriptors, cpu_s)
 
 
 def descendants(pid: int) -> list[Process]:
@@ -87,23 +88,24 @@ def descendants(pid: int) -> list[Process]:
 
 def _running() -> Iterator[Process]:
     for name in os.listdir(_PROC):
-        if name.isdecimal() and (process := _read(int(name))) is not None:
+        if name.isdecimal() and (process := _read_process(int(name))) is not None:
             yield process
 
 
-def _read(pid: int) -> Process | None:
+def _read_process(pid: int) -> Process | None:
+    """Return a process; None if it has ended."""
     try:
-        fields = _stat(pid)
+        fields = _read_stat(pid)
         command = (_PROC / str(pid) / "cmdline").read_bytes()
     except OSError:
         return None
-    if fields[0] in (b"Z", b"X"):
+    if fields[_STATE] in (b"Z", b"X"):  # a zombie, or dead
         return None
     words = command.replace(b"\0", b" ").decode("utf-8", "replace").strip()
     return Process(pid, int(fields[_PARENT]), int(fields[_STARTED]), words)
 
 
-def _stat(pid: int) -> list[bytes]:
+def _read_stat(pid: int) -> list[bytes]:
     """Return the fields after the command's name, which may contain any character."""
     content = (_PROC / str(pid) / "stat").read_bytes()
-    return content.rpartition(_COMM_ENDS)[2].split()
+    return content.rpartition(_COMMAND_END)[2].split()

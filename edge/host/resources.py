@@ -1,4 +1,4 @@
-"""Folders of built-in configurations, model cards, and the cache."""
+"""Paths of the built-in configurations and model cards, and of the cache."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def data_dir(kind: str) -> Path:
-    """Return the folder of `config` or `models`: in an installed wheel, or in a clone."""
+    """Return a folder of built-in data, in an installed wheel or in a clone.
+
+    Args:
+        kind: `config` or `models`.
+    """
     packaged = PACKAGE / "_data" / kind
     return packaged if packaged.is_dir() else PACKAGE.parent / kind
 

@@ -79,6 +79,7 @@ class SystemdNotifier:
         self._send(WATCHDOG="1")
 
     def _send(self, **fields: str) -> None:
+        """Send one notification; log the first failure."""
         if self._socket is None:
             return
         lines = (f"{name}={one_line(text, _STATUS_CHARS)}" for name, text in fields.items())

@@ -16,18 +16,20 @@ from contextlib import suppress
 log = logging.getLogger("edge")
 
 STOP = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that stop the process."""
 SHOW = (signal.SIGUSR1, signal.SIGUSR2)
+"""Signals that print the stacks of all threads."""
 
 _PARENT_PERIOD_S = 1.0
-_WAKE, _WAKE_S = signal.SIGURG, 0.05  # sent to the main thread with this period, to wake it
+_WAKE = signal.SIGURG  # sent to the main thread, to wake it
+_WAKE_S = 0.05  # period of `_WAKE`
 
 # Actions that run on a separate thread as soon as a signal comes. A Python handler runs later, in
 # the main thread: a signal to another thread does not wake it, and a handler must take no lock,
 # since the main thread may hold it.
 _actions: dict[int, Callable[[int], None]] = {}
-_wakeup_socket: socket.socket | None = (
-    None  # kept open, since the interpreter writes to its descriptor
-)
+# Kept open, since the interpreter writes the number of each signal to its descriptor.
+_wakeup_socket: socket.socket | None = None
 
 
 def interrupt_on_signals() -> None:
@@ -45,13 +47,12 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
             killed parent cannot stop its children. None: do not watch it.
     """
     stop = threading.Event()
-    numbers: list[int] = []
-
-    n_signals = 0
+    handled: list[int] = []  # numbers of the signals that the main thread has handled
+    n_signals = 0  # signals that came
 
     def handle(signum: int, frame: object) -> None:
-        numbers.append(signum)
-        if len(numbers) > 1:
+        handled.append(signum)
+        if len(handled) > 1:
             signal.signal(signum, signal.SIG_DFL)
             _interrupt(signum, frame)
 
@@ -61,7 +62,7 @@ def stop_on_signals(parent: int | None = None) -> threading.Event:
         if n_signals == 1:
             log.info("%s: stopping", signal.Signals(signum).name)
         stop.set()
-        _wake_main_thread(lambda: len(numbers) >= n_signals)
+        _wake_main_thread(lambda: len(handled) >= n_signals)
 
     signal.signal(_WAKE, lambda signum, frame: None)
     _add_actions(dict.fromkeys(STOP, stop_now))
@@ -120,18 +121,19 @@ def _run_actions(numbers: socket.socket) -> None:
             action(number)
 
 
-def _wake_main_thread(handled: Callable[[], bool]) -> None:
+def _wake_main_thread(has_handled: Callable[[], bool]) -> None:
     """Interrupt what the main thread waits for, until it has handled its signals.
 
     A signal that comes just before the main thread begins to wait does not end that wait.
     """
     main = threading.main_thread()
-    while not handled() and main.is_alive():
+    while not has_handled() and main.is_alive():
         signal.pthread_kill(main.ident, _WAKE)
         time.sleep(_WAKE_S)
 
 
 def _show_stacks(_signum: int) -> None:
+    """Write the stacks of all threads to stderr."""
     # Not with `faulthandler`, which reads the frames of running threads and has crashed.
     names = {thread.ident: thread.name for thread in threading.enumerate()}
     parts = []

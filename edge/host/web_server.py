@@ -39,7 +39,7 @@ MOST_BYTES = 65536
 """Largest body of a POST."""
 _PATIENCE_S = 5.0  # time in which a client must send its request
 _POLL_S = 0.1  # period of the check for the end of the block
-# States of a connection.
+# States of a connection; the lowest is closed first to make room.
 _STRANGER = 0  # no request had the token
 _KNOWN = 1  # a request had the token
 _BUSY = 2  # a request with the token is in progress
@@ -175,12 +175,12 @@ class _Server(ThreadingMixIn, HTTPServer):
     daemon_threads, block_on_close = True, False
     request_queue_size = 4 * MOST_OPEN
 
-    def __init__(self, site: ServedPages, port: int) -> None:
-        self.site = site
+    def __init__(self, served: ServedPages, port: int) -> None:
+        self.served = served
         self._open: dict[socket.socket, int] = {}
         self._lock = threading.Lock()
         self._logged_paths: set[str] = set()
-        family, *_, address = socket.getaddrinfo(site.host, port, type=socket.SOCK_STREAM)[0]
+        family, *_, address = socket.getaddrinfo(served.host, port, type=socket.SOCK_STREAM)[0]
         self.address_family = family
         super().__init__(address[:2], _Handler)
 
@@ -199,15 +199,16 @@ class _Server(ThreadingMixIn, HTTPServer):
             raise
 
     def process_request(self, request: Any, client_address: Any) -> None:
+        """Make room for a connection if needed, then handle it on a thread."""
         with self._lock:
             if len(self._open) >= MOST_OPEN:
                 # The first of equal connections is the oldest.
-                first = min(self._open, key=self._open.__getitem__)
-                if self._open[first] == _BUSY:
-                    first = request
-                self._open.pop(first, None)  # so that the next connection closes another one
+                victim = min(self._open, key=self._open.__getitem__)
+                if self._open[victim] == _BUSY:
+                    victim = request
+                self._open.pop(victim, None)  # so that the next connection closes another one
                 with suppress(OSError):  # it may be closed already
-                    first.shutdown(socket.SHUT_RDWR)
+                    victim.shutdown(socket.SHUT_RDWR)
             if len(self._open) < MOST_OPEN:
                 self._open[request] = _STRANGER
         super().process_request(request, client_address)
@@ -271,34 +272,36 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.mark(self.connection, _KNOWN)
 
     def do_GET(self) -> None:
-        site, path = self.server.site, self.path.partition("?")[0]
+        """Send a page if the client may read it, else its bare status or a refusal."""
+        served, path = self.server.served, self.path.partition("?")[0]
         try:
             self._body_length(most=0)
         except _RefusedError as refused:
             self._refuse(refused, close=True)
             return
-        stranger = self._unauthorized_reason()
-        if stranger is None or (path in site.public and stranger.status != _OTHER_HOST):
-            make = site.pages.get(path)
+        denied = self._unauthorized_reason()
+        if denied is None or (path in served.public and denied.status != _OTHER_HOST):
+            make = served.pages.get(path)
             self._send_response(
                 self._not_found_page() if make is None else self._build_response(path, make)
             )
-        elif path in site.probes:
-            self._send_response(replace(self._build_response(path, site.pages[path]), body=b""))
+        elif path in served.probes:
+            self._send_response(replace(self._build_response(path, served.pages[path]), body=b""))
         else:
-            self._refuse(stranger)
+            self._refuse(denied)
 
     do_HEAD = do_GET  # noqa: N815 - the name that http.server calls
 
     def do_POST(self) -> None:
+        """Pass the body to the handler of the path, if the client may change things."""
         path = self.path.partition("?")[0]
         try:
-            take = self._find_form(path)
+            handle = self._find_form(path)
             body = self._read_body()
         except _RefusedError as refused:
             self._refuse(refused, close=True)
         else:
-            self._send_response(self._build_response(path, partial(take, body)))
+            self._send_response(self._build_response(path, partial(handle, body)))
 
     def _build_response(self, path: str, make: Callable[[], HttpResponse]) -> HttpResponse:
         """Build the response. If the handler raises, return status 500 with the reason."""
@@ -311,27 +314,27 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _find_form(self, path: str) -> Callable[[bytes], HttpResponse]:
         """Return the handler of a POST, or raise _RefusedError."""
-        site = self.server.site
-        if path not in site.forms:
+        served = self.server.served
+        if path not in served.forms:
             raise _RefusedError(HTTPStatus.METHOD_NOT_ALLOWED, "POST is not supported here")
-        if (stranger := self._unauthorized_reason()) is not None:
-            raise stranger
-        if site.token is None:
+        if (denied := self._unauthorized_reason()) is not None:
+            raise denied
+        if served.token is None:
             raise _RefusedError(
                 HTTPStatus.FORBIDDEN, "read-only: set http.token_file to allow changes"
             )
         origin = self.headers.get("Origin")
         if origin is not None and _authority(origin) != self.headers.get("Host"):
             raise _RefusedError(HTTPStatus.FORBIDDEN, "refused: sent by a page of another site")
-        return site.forms[path]
+        return served.forms[path]
 
     def _unauthorized_reason(self) -> _RefusedError | None:
         """Return why the client is not authorized; None if it is authorized."""
-        site = self.server.site
-        if site.token is None:
-            if not _names_this_machine(self.headers.get("Host"), site.host):
+        served = self.server.served
+        if served.token is None:
+            if not _names_this_machine(self.headers.get("Host"), served.host):
                 return _RefusedError(_OTHER_HOST, "the request names another host than this one")
-        elif not site.token.matches(self.headers.get("Authorization", "")):
+        elif not served.token.matches(self.headers.get("Authorization", "")):
             return _RefusedError(
                 HTTPStatus.UNAUTHORIZED, "a token is required: Authorization: Bearer TOKEN"
             )
@@ -372,7 +375,7 @@ class _Handler(BaseHTTPRequestHandler):
         return bytes(body)
 
     def _not_found_page(self) -> HttpResponse:
-        paths = ", ".join(sorted(self.server.site.pages))
+        paths = ", ".join(sorted(self.server.served.pages))
         return _text_page(f"no such page (pages: {paths})", HTTPStatus.NOT_FOUND)
 
     def _refuse(self, refused: _RefusedError, close: bool = False) -> None:
@@ -381,6 +384,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_response(_text_page(str(refused), refused.status))
 
     def _send_response(self, page: HttpResponse) -> None:
+        """Send a page, or 304 if the client has this version of it."""
         if page.etag and self.headers.get("If-None-Match") == f'"{page.etag}"':
             page = replace(page, body=b"", status=HTTPStatus.NOT_MODIFIED)
         self.send_response(page.status)

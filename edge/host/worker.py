@@ -1,4 +1,8 @@
-"""Background work: the newest item in, the newest result out, without blocking the caller."""
+"""Background work on a thread, without blocking the caller.
+
+The loop gives items to a `Worker` and polls its newest result. `submit` replaces a waiting item,
+`enqueue` keeps all (up to a limit).
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,14 @@ log = logging.getLogger(__name__)
 
 LONGEST_ERROR = 500
 """Longest text of an error, in characters."""
-MAX_DOUBLINGS, MAX_PAUSE_S = 6, 30.0
-"""Limits of the pause after failures: how often it doubles, and its length in seconds."""
+MAX_DOUBLINGS = 6
+"""Limit of how often the pause after failures doubles."""
+MAX_PAUSE_S = 30.0
+"""Longest pause after failures, in seconds."""
 MOST_QUEUED = 256
 """Largest number of items that `enqueue` keeps."""
-BEAT_S = 0.1
-"""Period of `beat` without items, in seconds."""
+PERIOD_S = 0.1
+"""Period of `periodic` without items, in seconds."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -66,7 +72,7 @@ class Worker(Generic[Item, Result]):
     logged and counted, and do not end the worker.
 
     Args:
-        what: name of the work, for the log.
+        what: name of the work, for the log and the thread.
         work: called with each item. Its result can be polled, unless it is None.
         inline: True: no thread, `submit` does the work, so that a run replays bit for bit.
         rest_s: pause after a success.
@@ -74,8 +80,8 @@ class Worker(Generic[Item, Result]):
             2, 4, 8 … items are dropped instead.
         drop: called with each item that is not processed.
         drop_result: called with each result that is not polled.
-        finishes: True: `close` processes the waiting items instead of dropping them.
-        beat: called after each item, and every `BEAT_S` if no item comes.
+        finish_on_close: True: `close` processes the waiting items instead of dropping them.
+        periodic: called after each item, and every `PERIOD_S` if no item comes.
 
     Example:
         >>> worker = Worker("double", lambda x: 2 * x, inline=True)
@@ -94,14 +100,14 @@ class Worker(Generic[Item, Result]):
         pause_s: float = 0.0,
         drop: Callable[[Item], object] = lambda item: None,
         drop_result: Callable[[Result], object] = lambda result: None,
-        finishes: bool = False,
-        beat: Callable[[], object] | None = None,
+        finish_on_close: bool = False,
+        periodic: Callable[[], object] | None = None,
     ) -> None:
         self.stats = WorkerStats()
         self._name, self._work = what, work
         self._rest_s, self._pause_s = rest_s, pause_s
         self._drop, self._drop_result = drop, drop_result
-        self._finishes, self._beat = finishes, beat
+        self._finish_on_close, self._periodic = finish_on_close, periodic
         self._changed = threading.Condition()
         self._waiting: dict[Hashable, Item] = {}
         self._result: Result | None = None
@@ -144,11 +150,16 @@ class Worker(Generic[Item, Result]):
         """Process this item after all that wait; beyond `MOST_QUEUED`, the oldest is dropped."""
         with self._changed:
             self._serial += 1
-            self.submit(item, self._serial)
+            serial = self._serial
+        self.submit(item, serial)  # a key of its own, so it replaces no item
+        oldest = None
+        with self._changed:
             queued = [key for key in self._waiting if isinstance(key, int)]
             if len(queued) > MOST_QUEUED:
                 self.stats.replaced += 1
-                self._drop(self._waiting.pop(queued[0]))
+                oldest = self._waiting.pop(queued[0])
+        if oldest is not None:
+            self._drop(oldest)
 
     def poll(self) -> Result | None:
         """Return the newest result that was not polled yet, or None."""
@@ -171,10 +182,10 @@ class Worker(Generic[Item, Result]):
             self._drop_result(unread)
 
     def stop(self) -> None:
-        """Accept no more items."""
+        """Accept no more items, and drop those that wait, unless `finish_on_close`."""
         with self._changed:
             self._closed = True
-            dropped = [] if self._finishes else list(self._waiting.values())
+            dropped = [] if self._finish_on_close else list(self._waiting.values())
             if dropped:
                 self._waiting.clear()
             self._changed.notify_all()
@@ -191,6 +202,7 @@ class Worker(Generic[Item, Result]):
         return self._thread is None or not self._thread.is_alive()
 
     def _process_inline(self, item: Item) -> None:
+        """Process an item in the caller's thread, or drop it after a failure."""
         if self._closed or self._n_to_drop > 0:
             self._n_to_drop -= 1
             self._drop(item)
@@ -201,21 +213,22 @@ class Worker(Generic[Item, Result]):
             self._n_to_drop = 2 ** min(self.stats.in_a_row, MAX_DOUBLINGS)
 
     def _run(self) -> None:
+        """Process items until the worker is closed."""
         while not self._closed or self._waiting:
-            for item in self._take():
-                self._pause_between(self._rest_s if self._process(item) else self._pause())
-            if self._beat is not None:
+            for item in self._take():  # at most one
+                self._wait_s(self._rest_s if self._process(item) else self._pause_length_s())
+            if self._periodic is not None:
                 try:
-                    self._beat()
+                    self._periodic()
                 except Exception as error:
                     self._failed(error)
 
     def _take(self) -> list[Item]:
-        """Wait for an item or the next beat; return the oldest item in a list, or []."""
+        """Wait for an item, or for `PERIOD_S`; return the oldest item in a list, or []."""
         with self._changed:
             self._busy = False
             if not self._waiting and not self._closed:
-                self._changed.wait(BEAT_S if self._beat is not None else None)
+                self._changed.wait(PERIOD_S if self._periodic is not None else None)
             self._busy, self._discards_at_begin = bool(self._waiting), self._n_discards
             return [self._waiting.pop(key) for key in list(self._waiting)[:1]]
 
@@ -231,6 +244,7 @@ class Worker(Generic[Item, Result]):
         return True
 
     def _record_result(self, result: Result | None, took_ns: int) -> None:
+        """Keep a result for `poll`; drop the one it replaces, or itself if not wanted."""
         stats, unread = self.stats, result
         with self._changed:
             stats.done += 1
@@ -242,21 +256,24 @@ class Worker(Generic[Item, Result]):
         if unread is not None:
             self._drop_result(unread)
 
-    def _pause_between(self, seconds: float) -> None:
+    def _wait_s(self, seconds: float) -> None:
         if seconds > 0.0:
             with self._changed:
                 self._changed.wait_for(lambda: self._closed, seconds)
 
-    def _pause(self) -> float:
+    def _pause_length_s(self) -> float:
         doublings = max(min(self.stats.in_a_row - 1, MAX_DOUBLINGS), 0)
         return min(self._pause_s * 2.0**doublings, MAX_PAUSE_S)
 
     def _failed(self, error: Exception, excused: bool = False) -> None:
-        """Count a failure, and log the first of its type; with pauses, the first of each row.
+        """Count a failure, and log the first of its type.
+
+        With `pause_s`, the first of each series of failures is logged too.
 
         Args:
             error: the failure.
-            excused: True: do not count it in `in_a_row`.
+            excused: True: do not count it in `in_a_row`. Subclasses use it for a detector that
+                has reported by itself that it is not ready.
         """
         kind, stats = type(error).__name__, self.stats
         stats.failed += 1

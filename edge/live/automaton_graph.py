@@ -1,9 +1,10 @@
 """Graph of an automaton to draw: selection of states, transitions and labels.
 
-Letters that lead from one state to the same next state share an arrow. Two kinds of letters have
-no arrow: those that keep the state, and those that make success impossible. The state lists the
-latter ("not tv"). So a letter that is neither on an arrow nor in that list changes nothing, and the
-drawing is complete.
+A letter is one input of the automaton: a proposition of the formula, or `NOTHING`. Letters that
+lead from one state to the same next state share an arrow. Two kinds of letters have no arrow: those
+that keep the state, and fatal ones, which make success impossible. The state lists its fatal
+letters ("not tv"). So a letter that is neither on an arrow nor in that list changes nothing, and
+the drawing is complete.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class StateNode(NamedTuple):
         accepting: True if the mission succeeds here.
         dead: True if success is impossible from here.
         current: True for the current state.
-        forbidden: lines with letters that make success impossible here.
+        forbidden: lines with the letters that are fatal here.
         hidden: number of next states that are not shown.
         title: a full description in one sentence.
     """
@@ -107,9 +108,9 @@ def make_automaton_graph(
     nodes, arrows = [], []
     for s in shown:
         next_states = transitions_from(automaton, s)
-        dead = [] if automaton.is_dead(s) else _fatal_letters(automaton, s)
+        fatal = [] if automaton.is_dead(s) else _fatal_letters(automaton, s)
         hidden = [t for t in next_states if t not in index and not automaton.is_dead(t)]
-        nodes.append(_node(automaton, s, s == state, dead, len(hidden)))
+        nodes.append(_node(automaton, s, s == state, fatal, len(hidden)))
         for t, letters in next_states.items():
             if t not in index or (automaton.is_dead(t) and (s, t) not in roles):
                 continue
@@ -117,9 +118,10 @@ def make_automaton_graph(
     return AutomatonGraph(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
 
 
-def _walk(automaton: Automaton, state: int, word: Sequence[str]) -> list[int]:
+def _walk(automaton: Automaton, state: int, letters: Sequence[str]) -> list[int]:
+    """Return the states that the letters lead through, from this state on."""
     states = [state]
-    for letter in word:
+    for letter in letters:
         states.append(automaton.step(states[-1], letter))
     return states
 
@@ -141,9 +143,10 @@ def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
 
 
 def _fatal_letters(automaton: Automaton, state: int) -> list[str]:
-    row = automaton.delta[state]
-    lost = automaton.steps_left[row] < 0
-    return [a for a, bad in zip((*automaton.propositions, NOTHING), lost, strict=True) if bad]
+    """Return the letters that lead from this state to one from which success is impossible."""
+    letters, next_states = (*automaton.propositions, NOTHING), automaton.delta[state]
+    is_fatal = automaton.steps_left[next_states] < 0
+    return [letter for letter, fatal in zip(letters, is_fatal, strict=True) if fatal]
 
 
 def _choose_states(
@@ -155,33 +158,35 @@ def _choose_states(
     one.
     """
     current = 0 if state is None else state
-    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
+    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()  # success is possible from here
     wanted = list(dict.fromkeys((current, *planned, *reversed(visited))))
-    whole = list(dict.fromkeys((0, *wanted, *hopeful)))
-    if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, whole) <= MAX_ARROWS:
-        return whole
+    complete = list(dict.fromkeys((0, *wanted, *hopeful)))
+    if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, complete) <= MAX_ARROWS:
+        return complete
+    # The states that must be shown, then level by level those that follow them.
     part = wanted[:MAX_PART]
-    while len(part) > 1 and not _fits(automaton, part):
+    while len(part) > 1 and not _is_readable(automaton, part):
         part.pop()
     level = part[:1]
     while level:
-        first = level == [current]
+        is_first = level == [current]
         next_states = (
             t for s in level for t in transitions_from(automaton, s) if not automaton.is_dead(t)
         )
         level = [t for t in dict.fromkeys(next_states) if t not in part]
-        while level and not _fits(automaton, [*part, *level]):
-            level = level[:-1] if first else []  # show at least some of the next states
+        while level and not _is_readable(automaton, [*part, *level]):
+            # Show at least some of the next states; of later ones all or none.
+            level = level[:-1] if is_first else []
         part += level
     return sorted(part, key=lambda s: (s != 0, s != current)) if 0 in part else part
 
 
-def _fits(automaton: Automaton, part: Sequence[int]) -> bool:
+def _is_readable(automaton: Automaton, part: Sequence[int]) -> bool:
     return len(part) <= MAX_PART and _arrows_among(automaton, part) <= MAX_ARROWS
 
 
 def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
-    """Return the number of ordered pairs of different states with a transition."""
+    """Return the number of arrows between the states: pairs of states with a transition."""
     inside = set(states)
     return sum(len(inside.intersection(automaton.delta[s].tolist()) - {s}) for s in states)
 
@@ -189,6 +194,7 @@ def _arrows_among(automaton: Automaton, states: Sequence[int]) -> int:
 def _node(
     automaton: Automaton, state: int, current: bool, fatal: Sequence[str], hidden: int
 ) -> StateNode:
+    """Return the node of a state, with its caption and description."""
     accepting, left = bool(automaton.accepting[state]), int(automaton.steps_left[state])
     parts = [f"state {state}"]
     parts += ["the robot is here"] if current else []
@@ -197,7 +203,8 @@ def _node(
     parts += [f"at least {left} to reach"] if left > 0 else []
     parts += [f"not {', '.join(map(_letter_text, fatal))}"] if fatal else []
     parts += [f"{hidden} more next states, not shown"] if hidden else []
-    words = wrap(f"not {in_words(fatal, automaton.propositions)}", CAPTION_LENGTH) if fatal else ()
+    caption = f"not {format_letters(fatal, automaton.propositions)}"
+    words = wrap(caption, CAPTION_LENGTH) if fatal else ()
     return StateNode(
         state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts)
     )
@@ -210,16 +217,18 @@ def _arrow(
     index: Mapping[int, int],
     roles: Mapping[tuple[int, int], tuple[Role, str]],
 ) -> StateArrow:
+    """Return the arrow between two states, labelled with its letters."""
     role, taken = roles.get(ends, ("other", ""))
     title = f"{ends[0]} to {ends[1]}: {', '.join(map(_letter_text, letters))}"
-    if taken in letters and role != "other":  # name it, and first
+    if taken in letters and role != "other":  # name the letter that was taken first
         words = ", ".join(map(_letter_text, dict.fromkeys((taken, *letters))))
     else:
-        words = in_words(letters, automaton.propositions)
+        words = format_letters(letters, automaton.propositions)
     return StateArrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
 
 
 def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[StateNode]) -> str:
+    """Return the legend for what is drawn."""
     parts = []
     left_out = set(np.flatnonzero(automaton.steps_left >= 0).tolist()) - set(shown)
     if left_out:
@@ -233,12 +242,12 @@ def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[StateNod
     return " ".join([*parts, "Names that a state does not list change nothing there."])
 
 
-def in_words(letters: Sequence[str], alphabet: Sequence[str]) -> str:
+def format_letters(letters: Sequence[str], alphabet: Sequence[str]) -> str:
     """Format a set of letters (which may include `NOTHING`) as a short list.
 
-    >>> in_words(["chair", ""], ["chair", "tv"])
+    >>> format_letters(["chair", ""], ["chair", "tv"])
     'chair, nothing'
-    >>> in_words(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
+    >>> format_letters(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
     'all but e'
     """
     names = [letter for letter in letters if letter != NOTHING]

@@ -21,10 +21,11 @@ MAX_POINTS = 400
 """Largest number of points of a path that is drawn."""
 MAX_STEPS = 60  # of the mission log
 MAX_LAYERS = 16
-MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000  # characters
+# Characters of a prompt, of a script, of another text, and of one line of a list.
+MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000
 MAX_LINES = 50  # entries of a list, such as notes
 _KINDS = {FRONTIER: "frontier", INSTANCE: "instance"}
-_NS = 1e-9
+_NS = 1e-9  # seconds in a nanosecond
 
 
 def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
@@ -137,6 +138,7 @@ def _goal(goal: Goal, answer: GoalStatus | None) -> dict[str, Any]:
 
 
 def _candidates(snapshot: LiveSnapshot) -> list[dict[str, Any]]:
+    """Return the candidates of the tick, one object for each."""
     rows = []
     for kind, i, xy_m, score, path_m, blocked in zip(*snapshot.candidates, strict=True):
         letter, p = snapshot.mark_letters.get(int(i), ("", 0.0)) if kind == FRONTIER else ("", 0.0)
@@ -163,7 +165,12 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "mission": {**mission_json(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [
-            {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
+            {
+                "t_s": step.stamp_ns * _NS,
+                "kind": step.kind,
+                "label": step.label,
+                "text": step.text,
+            }
             for step in mission.log[-MAX_STEPS:]
         ],
         "trail": points(snapshot.trail[:, :2]),
@@ -188,8 +195,9 @@ def automaton_json(mission: MissionFacts) -> dict[str, Any]:
 
 
 def points(xy_m: np.ndarray) -> list[list[float]]:
-    """Return (n, 2) points as JSON, subsampled to `MAX_POINTS` including the last."""
-    stride = -(-len(xy_m) // MAX_POINTS) or 1
+    """Return (n, 2) points as JSON: every few points if there are over `MAX_POINTS`."""
+    stride = max(1, math.ceil(len(xy_m) / MAX_POINTS))
+    # Counted from the end, so that the last point is kept.
     return np.round(xy_m[::-1][::stride][::-1].astype(np.float64), 2).tolist()
 
 

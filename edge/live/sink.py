@@ -1,4 +1,4 @@
-"""Sink that keeps the page's data while somebody views the page."""
+"""Sink that keeps the data of the live page while somebody views the page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OBJECTS_S = 1.0
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960  # longer side of an image
 MAX_BOXES = 60  # of targets, and of other objects
-_BEAT_WINDOW_S = 1.0  # over which ticks are counted
+_WINDOW_S = 1.0  # over which ticks are counted
 _UNBOXED_S = 0.5  # after this time without detections, images are shown without boxes
 _TRAIL_POSES = 2048
 
@@ -142,7 +142,8 @@ class LiveSink:
         self._site = Site()
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
-        self._beat = (0.0, 0, 0.0)  # start of the window, ticks until then, previous rate
+        self._window_s, self._window_ticks = 0.0, 0  # start of the window, ticks until then
+        self._beat_hz = 0.0  # rate in the last window
 
     # -- for any thread ------------------------------------------------------------------------
 
@@ -162,22 +163,23 @@ class LiveSink:
         if result.observation is not None:
             self._n_ticks += 1
             self._trail.append(result.now_ns, result.observation.pose)
-        if now_s - self._beat[0] >= _BEAT_WINDOW_S:
-            since_s, ticks, _ = self._beat
-            self._beat = (now_s, self._n_ticks, (self._n_ticks - ticks) / (now_s - since_s))
+        if now_s - self._window_s >= _WINDOW_S:
+            self._beat_hz = (self._n_ticks - self._window_ticks) / (now_s - self._window_s)
+            self._window_s, self._window_ticks = now_s, self._n_ticks
         if now_s - self._viewed_s > WATCHED_S:
             self.snapshot = self.shot = None  # free the map that a snapshot holds
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
-            self.snapshot = self._gather(result, now_s)
+            self.snapshot = self._make_snapshot(result, now_s)
         if now_s >= self._shot_due_s:
             self._copy_image(result, now_s)
 
     def close(self) -> None:
         """Do nothing; see `edge.loop.result.Sink`."""
 
-    def _gather(self, result: TickResult, now_s: float) -> LiveSnapshot:
+    def _make_snapshot(self, result: TickResult, now_s: float) -> LiveSnapshot:
+        """Collect the state of the service; the lists of objects only once a second."""
         choice, task = result.choice, result.task()
         self._n_tasks += not same_text(task, self._task)
         self._task = task
@@ -201,9 +203,9 @@ class LiveSink:
             path=result.path(),
             layers=result.layers(),
             health=result.health(),
-            mark_letters={} if choice is None else _letter_of_candidate(choice),
+            mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
-            beat_hz=self._beat[2],
+            beat_hz=self._beat_hz,
             events=self._events,
             n_events=self._n_events,
         )
@@ -221,7 +223,7 @@ class LiveSink:
         if observation.rgb is None:
             return
         self._shot_due_s = now_s + PERIOD_S
-        stride = -(-max(observation.rgb.shape[:2]) // MAX_SHOT_PX)
+        stride = math.ceil(max(observation.rgb.shape[:2]) / MAX_SHOT_PX)
         self._n_shots += 1
         self.shot = CameraShot(
             self._n_shots,
@@ -231,12 +233,14 @@ class LiveSink:
         )
 
 
-def _letter_of_candidate(choice: FrontierChoice) -> dict[int, tuple[str, float]]:
+def _letters_by_candidate(choice: FrontierChoice) -> dict[int, tuple[str, float]]:
+    """Return (letter, probability) of each candidate that the model was asked about, by id."""
     entries = zip(choice.ids, LETTERS, choice.p.tolist(), strict=False)
     return {candidate: (letter, p) for candidate, letter, p in entries}
 
 
 def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
+    """Return the boxes of the targets, then those of other objects."""
     rgb, boxes = detections.observation.rgb, []
     if rgb is None:
         return ()
@@ -261,9 +265,9 @@ def _visible_letters(
     camera, choice = observation.camera, result.choice
     if camera is None or choice is None:
         return ()
-    letters, candidates = _letter_of_candidate(choice), result.candidates()
-    lettered = np.isin(candidates.id, choice.ids) & (candidates.kind == FRONTIER)
-    marks = visible_marks(observation, candidates.xy_m[lettered], candidates.id[lettered])
+    letters, candidates = _letters_by_candidate(choice), result.candidates()
+    has_letter = np.isin(candidates.id, choice.ids) & (candidates.kind == FRONTIER)
+    marks = visible_marks(observation, candidates.xy_m[has_letter], candidates.id[has_letter])
     return tuple(
         (letters[m.id][0], (m.u_px + 0.5) / camera.width_px, (m.v_px + 0.5) / camera.height_px)
         for m in marks

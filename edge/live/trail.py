@@ -12,13 +12,17 @@ STEP_NS = 100_000_000
 
 
 class DrivenPath:
-    """A path in a fixed array: if full, every other pose is dropped and the spacing doubles."""
+    """A path in a fixed array: if full, every other pose is dropped and the spacing doubles.
+
+    Args:
+        capacity: largest number of poses, each x and y in metres and yaw in radians.
+    """
 
     def __init__(self, capacity: int = 16384) -> None:
         self._poses = np.zeros((capacity, 3))
         self._stamp_ns = np.zeros(capacity, dtype=np.int64)
         self._n = 0
-        self._stride = 1
+        self._stride = 1  # doubled whenever the array is full
         self._last: tuple[int, SE2] | None = None
 
     def append(self, stamp_ns: int, pose: SE2) -> None:
@@ -26,8 +30,8 @@ class DrivenPath:
         if self._last is not None:
             last_ns, last = self._last
             moved_m = last.distance_to(pose.x_m, pose.y_m)
-            near = moved_m < STEP_M * self._stride
-            if near and stamp_ns - last_ns < STEP_NS * self._stride:
+            is_near = moved_m < STEP_M * self._stride
+            if is_near and stamp_ns - last_ns < STEP_NS * self._stride:
                 return
         if self._n == len(self._poses):
             self._halve()
@@ -37,6 +41,7 @@ class DrivenPath:
         self._last = (stamp_ns, pose)
 
     def _halve(self) -> None:
+        """Drop every other pose."""
         kept = (self._n + 1) // 2
         self._poses[:kept] = self._poses[: self._n : 2].copy()
         self._stamp_ns[:kept] = self._stamp_ns[: self._n : 2].copy()

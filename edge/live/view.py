@@ -14,7 +14,7 @@ from typing import Any
 
 from edge.bus import topics
 from edge.bus.request_queue import RequestQueue
-from edge.bus.verbs import error_of
+from edge.bus.verbs import error_payload
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.web_server import GetRoutes, HttpResponse, PostRoutes
@@ -35,7 +35,7 @@ ANSWER_S = 120.0
 _LATENCY_TICKS = 300  # newest ticks in the table of latencies
 _TOO_CLOSE = 50  # map value of cells near obstacles, which the page draws differently
 _FOLDER = Path(__file__).parent / "page"
-_KINDS = {
+_MEDIA_TYPES = {
     ".html": "text/html",
     ".css": "text/css",
     ".js": "text/javascript",
@@ -44,7 +44,7 @@ _KINDS = {
 _FILES = {
     "/" if path.name == "index.html" else f"/live/{path.name}": path
     for path in sorted(_FOLDER.iterdir())
-    if path.suffix in _KINDS
+    if path.suffix in _MEDIA_TYPES
 }
 PUBLIC = tuple(_FILES)
 """Pages without a token: they have no data of the robot."""
@@ -94,6 +94,7 @@ class LiveView:
     # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> HttpResponse:
+        """Return the data that change all the time."""
         now_s = self.sink.mark_watched()
         snapshot, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
         why = self._health.problems()
@@ -156,8 +157,9 @@ class LiveView:
         self.sink.mark_watched()
         return self.sink.snapshot
 
-    def _grid(self, name: str, take: Callable[[], Grid]) -> HttpResponse:
-        grid = take()
+    def _grid(self, name: str, copy_grid: Callable[[], Grid]) -> HttpResponse:
+        """Return a grid, with a tag by which a browser sees that it has not changed."""
+        grid = copy_grid()
         digest = blake2b(grid.cells, digest_size=8)
         digest.update(f"{grid.origin_xy_m} {grid.resolution_m} {grid.cells.shape}".encode())
         tag = digest.hexdigest()
@@ -180,17 +182,18 @@ class LiveView:
     # -- requests ------------------------------------------------------------------------------
 
     def _request(self, key: str, body: bytes) -> HttpResponse:
+        """Pass a request to the loop, and wait for its answer."""
         if key not in self._queues:
             state = self._health.state
             return HttpResponse(
-                error_of(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
+                error_payload(f"the service is {state}"), _JSON, HTTPStatus.SERVICE_UNAVAILABLE
             )
         answers: queue.SimpleQueue[tuple[bytes, bool]] = queue.SimpleQueue()
         self._queues[key].accept(body, lambda reply, is_error: answers.put((reply, is_error)))
         try:
             reply, is_error = answers.get(timeout=ANSWER_S)
         except queue.Empty:
-            reply, is_error = error_of(f"no answer within {ANSWER_S:g} s"), True
+            reply, is_error = error_payload(f"no answer within {ANSWER_S:g} s"), True
         return HttpResponse(reply, _JSON, HTTPStatus.CONFLICT if is_error else HTTPStatus.OK)
 
 
@@ -203,4 +206,4 @@ def _json(data: Any, etag: str = "") -> HttpResponse:
 
 
 def _file(path: Path) -> HttpResponse:
-    return HttpResponse(path.read_bytes(), f"{_KINDS[path.suffix]}; charset=utf-8")
+    return HttpResponse(path.read_bytes(), f"{_MEDIA_TYPES[path.suffix]}; charset=utf-8")

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge import names
-from edge.bus.verbs import Request, Verb, check_text, shown
+from edge.bus.verbs import Request, Verb, check_text, show
 from edge.errors import UserError
 from edge.memory import describe_location, describe_similar, known_objects
 from edge.memory.site import MAX_NAME_CHARS, name_of
@@ -34,7 +34,7 @@ def _check_filters(fields: dict) -> dict:
     if "since_s" in fields:
         since_s = fields["since_s"]
         if type(since_s) not in (int, float) or not 0 <= since_s < float("inf"):
-            raise ValueError(f"since_s: expected seconds, 0 or more, got {shown(since_s)}")
+            raise ValueError(f"since_s: expected seconds, 0 or more, got {show(since_s)}")
         found["since_s"] = since_s
     return found
 
@@ -46,7 +46,7 @@ def _check_find(fields: dict) -> dict:
 
 def _check_crop(fields: dict) -> dict:
     if type(fields.get("id")) is not int:
-        raise ValueError(f"id: expected the id of an object, got {shown(fields.get('id'))}")
+        raise ValueError(f"id: expected the id of an object, got {show(fields.get('id'))}")
     return {"id": fields["id"]}
 
 

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from edge.bus import topics
-from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, shown
+from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, check_text, show
 from edge.config import TranslatorLtl
 from edge.errors import UserError
 from edge.loop.behaviours.room_targets import refuse_closed
@@ -180,7 +180,7 @@ def _check_reading(fields: dict) -> dict:
         return {}
     reading = fields["reading"]
     if type(reading) is not int or reading < 1:
-        raise ValueError(f"reading: expected an integer from 1 on, got {shown(reading)}")
+        raise ValueError(f"reading: expected an integer from 1 on, got {show(reading)}")
     if "instruction" not in fields:
         raise ValueError("reading: only valid with an instruction")
     return {"reading": reading}
@@ -194,14 +194,14 @@ def _check_repetition(fields: dict) -> dict:
     if "task" in fields:
         raise ValueError("rounds, for_s: only valid with an instruction or a formula")
     if rounds is not None and (type(rounds) is not int or not 1 <= rounds <= MAX_ROUNDS):
-        raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {shown(rounds)}")
+        raise ValueError(f"rounds: expected an integer from 1 to {MAX_ROUNDS}, got {show(rounds)}")
     return {"repeat": Repetition(rounds, None if for_s is None else _check_seconds(for_s))}
 
 
 def _check_seconds(for_s: object) -> float:
     """Return the value of `for_s` after a check."""
     if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
-        raise ValueError(f"for_s: expected over 0 to {LONGEST_S:g} s, got {shown(for_s)}")
+        raise ValueError(f"for_s: expected over 0 to {LONGEST_S:g} s, got {show(for_s)}")
     return for_s
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edge.bus.verbs import Request, Verb, check_flag, check_text, shown
+from edge.bus.verbs import Request, Verb, check_flag, check_text, show
 from edge.errors import UserError
 from edge.memory import Place, RoomName, Site, Zone, item_of, merge_items, site_of, without_mapped
 from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
@@ -37,7 +37,7 @@ def _check_set(fields: dict) -> dict:
     if "feature" in fields:
         return {"item": item_of(fields["feature"])}
     if kind not in ("place", "room"):
-        raise ValueError(f"kind: expected place or room, got {shown(kind)}")
+        raise ValueError(f"kind: expected place or room, got {show(kind)}")
     name = check_text("name", fields["name"], MAX_NAME_CHARS)
     return {"item": _item_here(name, kind), "here": True}
 

@@ -498,7 +498,7 @@ class SiteFile:
             self.site = Site() if self.path is None else read_site(self.path)
         # The last result of `known`, after the site and the start for which it holds.
         self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
-        self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
+        self._worker: Worker[Site, None] = Worker("site", self._save, finish_on_close=True)
 
     @property
     def known(self) -> Site:

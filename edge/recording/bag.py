@@ -30,17 +30,19 @@ from edge.text import one_line
 METADATA = "metadata.yaml"
 WINDOW_NS = 1_000_000_000
 """In a file that is nearly sorted, log times differ by at most this from those in sorted order."""
-_MAX_WAITING_BYTES = 1 << 28
+_MAX_WAITING_BYTES = 1 << 28  # of messages that wait to be sorted
 _MESSAGE_BYTES = 1000  # memory of a message besides its payload
+# First bytes of files, and of compressed data.
 _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 20  # decompressed at a time
 _MAX_NAME_CHARS = 2000  # characters of a topic and its type together
+_HIDDEN = 6  # field of `PRAGMA table_xinfo`: not 0 for a computed column
 _SUFFIXES = (".mcap", ".mcap.zstd", ".db3", ".db3.zstd")
 
 
-def in_order(
+def by_log_time(
     messages: Iterable[RecordedMessage], most_bytes: int = _MAX_WAITING_BYTES
 ) -> Iterator[RecordedMessage]:
     """Yield nearly sorted messages in the order of their log times.
@@ -104,6 +106,7 @@ class Db3Reader:
     def _messages(
         self, db: sqlite3.Connection, topics: dict[Any, tuple[str, str, str]]
     ) -> Iterator[RecordedMessage]:
+        """Yield the messages of all rows; stop at the first damaged row."""
         rows = db.execute(
             "SELECT topic_id, timestamp, CASE WHEN length(data) <= ? THEN data END "
             "FROM messages ORDER BY rowid",
@@ -122,7 +125,8 @@ def _check_tables(db: sqlite3.Connection) -> None:
     for table in ("topics", "messages"):
         plain = "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"
         root = db.execute(plain, (table,)).fetchone()
-        computed = [row for row in db.execute(f"PRAGMA table_xinfo({table})") if row[6]]
+        columns = db.execute(f"PRAGMA table_xinfo({table})")
+        computed = [column for column in columns if column[_HIDDEN]]
         if root is None or not root[0] or computed:
             raise sqlite3.DatabaseError(f"no usable table {table}")
 
@@ -169,15 +173,16 @@ class Bag:
                 yield from self._messages(path)
 
     def _messages(self, path: Path) -> Iterator[RecordedMessage]:
-        reading = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
-        for message in reading:
-            payload = _payload(message.payload)
+        """Yield the messages of a file, decompressed; note if the file is damaged."""
+        reader = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
+        for message in reader:
+            payload = _decompressed(message.payload)
             if payload is None:
-                reading.truncation = f"damaged: a message of {one_line(message.topic, 80)}"
+                reader.truncation = f"damaged: a message of {one_line(message.topic, 80)}"
                 break
             yield message._replace(payload=payload)
-        if reading.truncation:
-            self._note(f"{path.name}: {reading.truncation}")
+        if reader.truncation:
+            self._note(f"{path.name}: {reader.truncation}")
 
     @contextmanager
     def _note_errors(self, alone: bool) -> Iterator[None]:
@@ -193,19 +198,19 @@ class Bag:
         if note not in self.notes:
             self.notes.append(note)
 
-    def by_time(self, topics: Collection[str], sorted_nearly: bool) -> Iterator[RecordedMessage]:
+    def by_time(self, topics: Collection[str], nearly_sorted: bool) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics in the order of their log times.
 
         Args:
             topics: their names.
-            sorted_nearly: True if all messages are within `WINDOW_NS` of their place. If not, the
+            nearly_sorted: True if all messages are within `WINDOW_NS` of their place. If not, the
                 file is read once per topic, because it may hold one topic after the other.
         """
-        if sorted_nearly:
-            return in_order(m for m in self if m.topic in topics)
+        if nearly_sorted:
+            return by_log_time(m for m in self if m.topic in topics)
         most_bytes = _MAX_WAITING_BYTES // max(1, len(topics))
-        each = (in_order(self._of_topic(topic), most_bytes) for topic in sorted(topics))
-        return heapq.merge(*each, key=lambda m: m.log_ns)
+        by_topic = (by_log_time(self._of_topic(topic), most_bytes) for topic in sorted(topics))
+        return heapq.merge(*by_topic, key=lambda m: m.log_ns)
 
     def _of_topic(self, topic: str) -> Iterator[RecordedMessage]:
         return (m for m in self if m.topic == topic)
@@ -233,7 +238,10 @@ def _files_in(folder: Path, notes: list[str]) -> list[Path]:
 
 
 def _listed_files(folder: Path, notes: list[str]) -> list[str] | None:
-    """Return the names in `metadata.yaml` without folders, which old or forged files have."""
+    """Return the names in `metadata.yaml`, without folders, which old or forged files have.
+
+    None if there is no such list.
+    """
     path = folder / METADATA
     if not path.exists():
         return None
@@ -310,7 +318,7 @@ def _decompress(path: Path, out: Path) -> Path:
     return out
 
 
-def _payload(payload: bytes) -> bytes | None:
+def _decompressed(payload: bytes) -> bytes | None:
     """Decompress a message if rosbag2 compressed it; return None if it is damaged or too large.
 
     No other message begins like zstd: CDR begins with 0, JSON with a bracket.

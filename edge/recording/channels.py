@@ -1,4 +1,7 @@
-"""Channels of a recording, with the schemas of Foxglove and ROS 2."""
+"""Channels of a recording, with the schemas of Foxglove and ROS 2.
+
+The sinks write them; the replay reads the journal and the channels with arrays.
+"""
 
 from __future__ import annotations
 
@@ -31,24 +34,24 @@ class Channel:
     schema_text: str
 
 
-def of_ros(topic: str, type_name: str) -> Channel:
+def ros_channel(topic: str, type_name: str) -> Channel:
     """Return a channel of a ROS 2 message."""
     text = schemas.schema_text(type_name)
     return Channel(topic, "cdr", schemas.full_name(type_name), "ros2msg", text)
 
 
-def of_json(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
+def json_channel(topic: str, name: str, schema: dict[str, Any] | None = None) -> Channel:
     """Return a channel of JSON objects; without a schema, of any objects."""
     text = json.dumps({"type": "object"} if schema is None else schema)
     return Channel(topic, "json", name, "jsonschema", text)
 
 
 @cache
-def of_topic(topic: Topic) -> Channel:
+def topic_channel(topic: Topic) -> Channel:
     """Return the channel of a bus topic, with its own format."""
     if topic.type == "json":
-        return of_json(f"/{topic.key}", topic.key)
-    return of_ros(f"/{topic.key}", topic.type)
+        return json_channel(f"/{topic.key}", topic.key)
+    return ros_channel(f"/{topic.key}", topic.type)
 
 
 def _object(title: str, **properties: dict[str, Any]) -> dict[str, Any]:
@@ -59,6 +62,7 @@ def _list(items: dict[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
+# JSON schemas of the messages.
 _INTEGER, _NUMBER, _TEXT = {"type": "integer"}, {"type": "number"}, {"type": "string"}
 _TIME = _object("time", sec=_INTEGER, nsec=_INTEGER)
 _POINT = _object("foxglove.Point2", x=_NUMBER, y=_NUMBER)
@@ -71,13 +75,13 @@ _OUTLINE = _object(
     "foxglove.PointsAnnotation", timestamp=_TIME, type=_INTEGER, points=_list(_POINT),
     outline_color=_COLOUR, outline_colors=_list(_COLOUR), fill_color=_COLOUR, thickness=_NUMBER,
 )  # fmt: skip
-_WORDS = _object(
+_LABEL = _object(
     "foxglove.TextAnnotation", timestamp=_TIME, position=_POINT, text=_TEXT, font_size=_NUMBER,
     text_color=_COLOUR, background_color=_COLOUR,
 )  # fmt: skip
 _ANNOTATIONS = _object(
     "foxglove.ImageAnnotations", circles=_list({"type": "object"}), points=_list(_OUTLINE),
-    texts=_list(_WORDS),
+    texts=_list(_LABEL),
 )  # fmt: skip
 _JOURNAL = {
     **_object(
@@ -89,28 +93,28 @@ _JOURNAL = {
     "description": "docs/recording.md",
 }
 
-PICTURE = of_ros("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
-DEPTH = of_topic(topics.DEPTH)
-CAMERA_INFO = of_topic(topics.CAMERA_INFO)
-CLOUD = of_topic(topics.CLOUD)
-ODOMETRY = of_topic(topics.ODOMETRY)
-TF = of_ros("/tf", "tf2_msgs/TFMessage")
-BOXES = of_json("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
-EVENTS = of_json("/events", "foxglove.Log", _LOG)
+PICTURE = ros_channel("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
+DEPTH = topic_channel(topics.DEPTH)
+CAMERA_INFO = topic_channel(topics.CAMERA_INFO)
+CLOUD = topic_channel(topics.CLOUD)
+ODOMETRY = topic_channel(topics.ODOMETRY)
+TF = ros_channel("/tf", "tf2_msgs/TFMessage")
+BOXES = json_channel("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
+EVENTS = json_channel("/events", "foxglove.Log", _LOG)
 GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
-    of_topic,
+    topic_channel,
     (
         topics.GOAL, topics.MAP, topics.STATUS, topics.LATENCY, topics.MISSION, topics.TRAJECTORY,
         topics.GOAL_STATUS,
     ),
 )  # fmt: skip
-PATH = of_ros("/path", "nav_msgs/Path")
-MARKERS = of_ros("/markers", "visualization_msgs/MarkerArray")
-SPANS = of_json("/spans", "edge.Spans")
+PATH = ros_channel("/path", "nav_msgs/Path")
+MARKERS = ros_channel("/markers", "visualization_msgs/MarkerArray")
+SPANS = json_channel("/spans", "edge.Spans")
 VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
 )  # fmt: skip
 """All channels but the journal, which is for the replay only."""
 
-JOURNAL = of_json("/journal", "edge.Journal", _JOURNAL)
+JOURNAL = json_channel("/journal", "edge.Journal", _JOURNAL)

@@ -25,7 +25,7 @@ from edge.recording.session import RecordedRun
 from edge.recording.trace import PAGE, trace_bytes
 from edge.text import format_table, one_line, read_json
 
-_PATIENCE_S = 10.0  # timeout of the request to the service
+_TIMEOUT_S = 10.0  # timeout of the request to the service
 MAX_SPANS = 2_000_000
 """Most spans of a trace, about an hour; each takes a kilobyte while the trace is written."""
 
@@ -69,13 +69,14 @@ def format_result(session: RecordedRun, o: ReplayResult) -> str:
             format_table([("", "recorded", "replayed"), *_differing(at.recorded, at.replayed)])
         )
     if o.latency_then is not None and o.latency_now is not None:
-        lines += ["", latencies(o.latency_then, o.latency_now)]
+        lines += ["", compare_latencies(o.latency_then, o.latency_now)]
     return "\n".join(lines)
 
 
 def _differing(
     then: dict[str, Any] | None, now: dict[str, Any] | None
 ) -> Iterator[tuple[str, str, str]]:
+    """Yield (name, recorded, replayed) of each decision that differs."""
     for key in ("target", "phase", "goal", "sent"):
         a, b = (None if decisions is None else decisions[key] for decisions in (then, now))
         if a != b:
@@ -83,6 +84,7 @@ def _differing(
 
 
 def _text_of(value: Any) -> str:
+    """Return a decision as text: a goal, a list of goals, or a word."""
     if isinstance(value, list):
         return "; ".join(map(_text_of, value)) or "-"
     if not isinstance(value, dict):
@@ -95,7 +97,7 @@ def _text_of(value: Any) -> str:
     )
 
 
-def latencies(then: dict[str, Any], now: LatencyReport) -> str:
+def compare_latencies(then: dict[str, Any], now: LatencyReport) -> str:
     """Compare latencies by stage. The recorded latencies are of the newest ticks in the ring."""
     rows = [("ms", "p50 recorded", "replayed", "p95 recorded", "replayed", "ratio")]
     for row in now.rows:
@@ -180,7 +182,7 @@ def _ask_service(name: str) -> bytes:
         headers = read_token("http.token_file", http.token_file).header()
     where = f"http://{http.host}:{http.port}{PAGE}"
     try:
-        answer = httpx.get(where, headers=headers, timeout=_PATIENCE_S)
+        answer = httpx.get(where, headers=headers, timeout=_TIMEOUT_S)
         answer.raise_for_status()
     except httpx.HTTPError as error:
         raise UnavailableError(f"{where}: {one_line(error)}: is the service running?") from None

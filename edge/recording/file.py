@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from edge.errors import FileError
 from edge.host.files import open_regular, sync
 from edge.recording.channels import Channel
-from edge.recording.reader import MAGIC, DamagedError, Message, records
+from edge.recording.reader import MAGIC, DamagedError, Message, read_records
 
 PARTIAL = ".partial"
 COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
@@ -82,7 +82,7 @@ class McapWriter:
         suffix: str = PARTIAL,
     ) -> None:
         self.path = Path(path)
-        self.messages = 0
+        self.messages = 0  # number of messages added
         self._compression = compression
         self._metadata = metadata or {}
         self._partial = self.path.with_name(self.path.name + suffix)
@@ -162,7 +162,17 @@ class McapWriter:
 
 
 class RecordedMessage(NamedTuple):
-    """One message of a file; `schema` is the name of its schema."""
+    """One message of a file.
+
+    Attributes:
+        topic: name of its channel.
+        schema: name of its schema; "" if it has none.
+        encoding: `cdr`, `json`, or another.
+        log_ns: time at which it was recorded.
+        stamp_ns: time of its data.
+        sequence: number of the message in its channel.
+        payload: content.
+    """
 
     topic: str
     schema: str
@@ -198,11 +208,11 @@ class McapReader:
             RecordingError: no such file, or no MCAP file.
         """
         with _open_to_read(self.path) as file:
-            reading = records(file)
+            records = read_records(file)
             begun = False
             while not self.is_complete:
                 try:
-                    record = next(reading)
+                    record = next(records)
                 except EOFError:
                     self._stop_reading(begun, _RECORD_TOO_LONG if _has_end(file) else "cut off")
                     return
@@ -288,25 +298,26 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     for new in (out, out.with_name(out.name + _RECOVERING)):
         if new.exists():
             raise RecordingError(f"{new}: exists already; name another file with --out")
-    reading = McapReader(path)
-    messages = iter(reading)
+    reader = McapReader(path)
+    messages = iter(reader)
     following = next(messages, None)  # before a file is created: `path` may be no recording
-    copy = McapWriter(out, "zstd", reading.metadata, _RECOVERING)
+    copy = McapWriter(out, "zstd", reader.metadata, _RECOVERING)
     try:
         with copy:
             known: dict[str, Channel] = {}
             while following is not None:
                 m, following = following, next(messages, None)
                 if m.topic not in known:
-                    known[m.topic] = _copy_channel(reading, m)
+                    known[m.topic] = _copy_channel(reader, m)
                 copy.add(known[m.topic], m.log_ns, m.stamp_ns, m.payload, sequence=m.sequence)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
-    return copy.messages, reading.truncation
+    return copy.messages, reader.truncation
 
 
-def _copy_channel(reading: McapReader, message: RecordedMessage) -> Channel:
-    of_name = (s for s in reading.schemas.values() if s.name == message.schema)
+def _copy_channel(reader: McapReader, message: RecordedMessage) -> Channel:
+    """Return the channel of a message, with the schema that the reader has found."""
+    of_name = (s for s in reader.schemas.values() if s.name == message.schema)
     schema = next(of_name, Schema(0, b"", "", message.schema))  # a channel may have no schema
     text = schema.data.decode(errors="replace")
     return Channel(message.topic, message.encoding, schema.name, schema.encoding, text)

@@ -61,21 +61,21 @@ class JournalPage:
 
 
 def encode_page(
-    inputs: Iterable[LoopInput], result: TickResult, seen: Observation | None, rig: dict[str, Any]
+    inputs: Iterable[LoopInput], result: TickResult, kept: Observation | None, rig: dict[str, Any]
 ) -> bytes:
     """Encode one page.
 
     Args:
         inputs: inputs since the last page.
         result: the newest result of these inputs.
-        seen: observation of the result, with only the arrays that are recorded.
+        kept: observation of the result, with only the arrays that are recorded.
         rig: camera and mounts as last written, empty at first; changed in place.
     """
     page = {
         "entries": [
             {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
         ],
-        "observation": None if seen is None else _observation(seen, result.observation, rig),
+        "observation": None if kept is None else _observation(kept, result.observation, rig),
         "decisions": decisions_of(result),
     }  # fmt: skip
     return _JSON(page).encode()
@@ -101,18 +101,18 @@ def decode_page(payload: bytes) -> JournalPage:
 _NO_GOAL = {"pose": (0.0, 0.0, 0.0), "score": 0.0, "kind": "", "id": 0, "target": ""}
 
 
-def _check_decisions(said: dict[str, Any] | None) -> dict[str, Any] | None:
+def _check_decisions(decisions: dict[str, Any] | None) -> dict[str, Any] | None:
     """Raise an error for malformed decisions, which will be compared and printed."""
-    if said is None:
+    if decisions is None:
         return None
-    if missing := sorted({"target", "phase", "goal", "sent"} - said.keys()):
+    if missing := sorted({"target", "phase", "goal", "sent"} - decisions.keys()):
         raise ValueError(f"the recorded decisions lack {', '.join(missing)}")
-    for goal in (said["goal"] or dict(_NO_GOAL), *said["sent"]):
+    for goal in (decisions["goal"] or dict(_NO_GOAL), *decisions["sent"]):
         if not _NO_GOAL.keys() <= goal.keys() or len(goal["pose"]) != 3:
             raise ValueError("a recorded goal lacks a field, or its pose is not x, y, yaw")
         goal["pose"] = [float(v) for v in goal["pose"]]
         goal["score"] = float(goal["score"])
-    return said
+    return decisions
 
 
 def decisions_of(result: TickResult) -> dict[str, Any] | None:
@@ -139,34 +139,36 @@ def _goal(goal: Goal) -> dict[str, Any]:
 
 
 def _observation(
-    seen: Observation, whole: Observation | None, rig: dict[str, Any]
+    kept: Observation, original: Observation | None, rig: dict[str, Any]
 ) -> dict[str, Any]:
-    said = {
-        "seq": seen.seq,
-        "stamp_ns": seen.stamp_ns,
-        "T_map_base": _array(seen.T_map_base),
-        "rgb_hw": None if whole is None or whole.rgb is None else list(whole.rgb.shape[:2]),
-        "depth": whole is not None and whole.depth_m is not None,
-        "cloud": whole is not None and whole.cloud_m is not None,
-        "pose_age_ns": seen.pose_age_ns,
+    """Encode an observation; camera and mounts only if they changed."""
+    rgb = None if original is None else original.rgb
+    stored = {
+        "seq": kept.seq,
+        "stamp_ns": kept.stamp_ns,
+        "T_map_base": _array(kept.T_map_base),
+        "rgb_hw": None if rgb is None else list(rgb.shape[:2]),
+        "depth": original is not None and original.depth_m is not None,
+        "cloud": original is not None and original.cloud_m is not None,
+        "pose_age_ns": kept.pose_age_ns,
     }
     now = {
-        "camera": seen.camera,
-        "T_base_camera": seen.T_base_camera.tobytes(),
-        "T_base_lidar": seen.T_base_lidar.tobytes(),
+        "camera": kept.camera,
+        "T_base_camera": kept.T_base_camera.tobytes(),
+        "T_base_lidar": kept.T_base_lidar.tobytes(),
     }
     if now != rig:
         rig.update(now)
-        said["rig"] = {
-            "camera": None if seen.camera is None else asdict(seen.camera),
-            "T_base_camera": _array(seen.T_base_camera),
-            "T_base_lidar": _array(seen.T_base_lidar),
+        stored["rig"] = {
+            "camera": None if kept.camera is None else asdict(kept.camera),
+            "T_base_camera": _array(kept.T_base_camera),
+            "T_base_lidar": _array(kept.T_base_lidar),
         }
-    return said
+    return stored
 
 
 def observation_of(
-    said: dict[str, Any],
+    stored: dict[str, Any],
     rig: dict[str, Any],
     rgb: np.ndarray | None,
     depth_m: np.ndarray | None,
@@ -175,25 +177,25 @@ def observation_of(
     """Decode an observation, with its recorded arrays.
 
     Args:
-        said: the observation as JSON.
+        stored: the observation as JSON.
         rig: camera and mounts as last read; changed in place.
         rgb: (h, w, 3) uint8, or None.
         depth_m: (h, w) float32, or None.
         cloud_m: (n, 3) float32, or None.
     """
-    rig.update(said.get("rig", {}))
+    rig.update(stored.get("rig", {}))
     camera = rig["camera"]
     for name in ("seq", "stamp_ns"):
-        if type(said[name]) is not int or not 0 <= said[name] < 1 << 63:
-            raise ValueError(f"{name}: expected 0 or more, got {bounded_repr(said[name], 40)}")
+        if type(stored[name]) is not int or not 0 <= stored[name] < 1 << 63:
+            raise ValueError(f"{name}: expected 0 or more, got {bounded_repr(stored[name], 40)}")
     return Observation(
-        said["seq"], said["stamp_ns"], _array_of(said["T_map_base"]), rgb, depth_m,
+        stored["seq"], stored["stamp_ns"], _array_of(stored["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
-        cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(said.get("pose_age_ns", 0)),
+        cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(stored.get("pose_age_ns", 0)),
     )  # fmt: skip
 
 
-# -- entries: `_x` encodes, `_x_of` or `x_of` decodes --------------------------------------------
+# -- entries: `_x` encodes to JSON, `_x_of` or `x_of` decodes the stored JSON --------------------
 
 
 def _array(array: np.ndarray) -> dict[str, Any]:
@@ -202,9 +204,9 @@ def _array(array: np.ndarray) -> dict[str, Any]:
     return {"dtype": array.dtype.str, "shape": list(array.shape), "base64": data}
 
 
-def _array_of(said: dict[str, Any]) -> np.ndarray:
-    data = base64.b64decode(said["base64"])
-    return np.frombuffer(data, np.dtype(said["dtype"])).reshape(said["shape"]).copy()
+def _array_of(stored: dict[str, Any]) -> np.ndarray:
+    data = base64.b64decode(stored["base64"])
+    return np.frombuffer(data, np.dtype(stored["dtype"])).reshape(stored["shape"]).copy()
 
 
 def _pose(pose: SE2 | None) -> list[float] | None:
@@ -220,17 +222,18 @@ def _translation(t: Translation) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _translation_of(said: dict[str, Any]) -> Translation:
+def _translation_of(stored: dict[str, Any]) -> Translation:
     return Translation(
-        said["instruction"], ltl.parse(said["formula"]), said["english"], said["backend"],
-        reading=said.get("reading"), readings=tuple(said.get("readings", ())),
-        implied=said.get("implied", False),
-        destinations=destinations_of_json(said.get("destinations", said.get("places", {}))),
-        repeat=None if said.get("repeat") is None else Repetition(**said["repeat"]),
+        stored["instruction"], ltl.parse(stored["formula"]), stored["english"], stored["backend"],
+        reading=stored.get("reading"), readings=tuple(stored.get("readings", ())),
+        implied=stored.get("implied", False),
+        destinations=destinations_of_json(stored.get("destinations", stored.get("places", {}))),
+        repeat=None if stored.get("repeat") is None else Repetition(**stored["repeat"]),
     )  # fmt: skip
 
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
+    """Encode the start of a service, with its checkpoints as base64."""
     saved, known = fields["mission_checkpoint"], fields["map_checkpoint"]
     files = {
         "mission_checkpoint": None if saved is None else MISSION.encode(Checkpoint(saved)),
@@ -244,16 +247,18 @@ def _start(fields: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _start_of(said: dict[str, Any]) -> dict[str, Any]:
-    files = {name: _file_of(said[name]) for name in ("mission_checkpoint", "map_checkpoint")}
-    site = site_of(said["site"]) if "site" in said else Site()
-    return {**said, "translation": _translation_of(said["translation"]), "site": site, **files}
+def _start_of(stored: dict[str, Any]) -> dict[str, Any]:
+    files = {name: _file_of(stored[name]) for name in ("mission_checkpoint", "map_checkpoint")}
+    site = site_of(stored["site"]) if "site" in stored else Site()
+    return {**stored, "translation": _translation_of(stored["translation"]), "site": site, **files}
 
 
-def _file_of(said: str | None) -> bytes | None:
-    if said is None or said.startswith("{"):  # JSON of a mission, written by older versions
-        return said and said.encode()
-    return base64.b64decode(said)
+def _file_of(stored: str | None) -> bytes | None:
+    if stored is None:
+        return None
+    if stored.startswith("{"):  # JSON of a mission, written by older versions
+        return stored.encode()
+    return base64.b64decode(stored)
 
 
 def _boxes(found: Detections) -> dict[str, Any]:
@@ -272,24 +277,24 @@ def _boxes(found: Detections) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def detections_of(said: dict[str, Any], observation: Observation) -> Detections:
+def detections_of(stored: dict[str, Any], observation: Observation) -> Detections:
     """Decode detections of this observation."""
-    c, competing = said["context"], said["competing_score"]
+    c, competing = stored["context"], stored["competing_score"]
     return Detections(
-        observation, _array_of(said["xyxy_px"]), _array_of(said["score"]),
-        _array_of(said["class_id"]), tuple(said["prompts"]),
+        observation, _array_of(stored["xyxy_px"]), _array_of(stored["score"]),
+        _array_of(stored["class_id"]), tuple(stored["prompts"]),
         None if competing is None else _array_of(competing),
         None if c is None else ContextBoxes(
             _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
             tuple(c["words"]),
         ),
-        said["model"], said["latency_ns"], _masks_of(said.get("mask")),
+        stored["model"], stored["latency_ns"], _masks_of(stored.get("mask")),
     )  # fmt: skip
 
 
-def _masks_of(said: dict[str, Any] | None) -> np.ndarray | None:
+def _masks_of(stored: dict[str, Any] | None) -> np.ndarray | None:
     """Decode masks; None if there are none, as in older recordings."""
-    return None if said is None else np.unpackbits(_array_of(said), axis=-1).astype(np.bool_)
+    return None if stored is None else np.unpackbits(_array_of(stored), axis=-1).astype(np.bool_)
 
 
 def _rooms(found: RoomSurvey) -> dict[str, Any]:
@@ -302,44 +307,44 @@ def _rooms(found: RoomSurvey) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def rooms_of(said: dict[str, Any]) -> RoomSurvey:
+def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
     """Decode a survey of the rooms; in older recordings the rooms have no ids."""
-    origin = said["origin_xy_m"]
-    grid = Grid(_array_of(said["cells"]), (origin[0], origin[1]), said["resolution_m"])
-    wall, label = _array_of(said["wall"]), _array_of(said["label"])
-    regions = RegionMap(grid, wall, label, said["n"], _array_of(said["border"]))
-    ids = _array_of(said["ids"]) if "ids" in said else np.zeros(said["n"] + 1, np.int64)
-    lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in said.get("lost", ()))
-    return outline_rooms(regions, ids, said.get("next_id", 1), lost)
+    origin = stored["origin_xy_m"]
+    grid = Grid(_array_of(stored["cells"]), (origin[0], origin[1]), stored["resolution_m"])
+    wall, label = _array_of(stored["wall"]), _array_of(stored["label"])
+    regions = RegionMap(grid, wall, label, stored["n"], _array_of(stored["border"]))
+    ids = _array_of(stored["ids"]) if "ids" in stored else np.zeros(stored["n"] + 1, np.int64)
+    lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in stored.get("lost", ()))
+    return outline_rooms(regions, ids, stored.get("next_id", 1), lost)
 
 
 def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
-    said = found[1]
+    similarity = found[1]
     return {
-        "stamp_ns": said.stamp_ns, "pose": _pose(said.pose), "targets": list(said.targets),
-        "score": _array(said.score),
+        "stamp_ns": similarity.stamp_ns, "pose": _pose(similarity.pose),
+        "targets": list(similarity.targets), "score": _array(similarity.score),
     }  # fmt: skip
 
 
-def similarity_of(said: dict[str, Any]) -> ImageSimilarity:
+def similarity_of(stored: dict[str, Any]) -> ImageSimilarity:
     """Decode the answer of a similarity scorer."""
-    targets, score = tuple(said["targets"]), _array_of(said["score"])
-    return ImageSimilarity(said["stamp_ns"], SE2(*said["pose"]), targets, score)
+    targets, score = tuple(stored["targets"]), _array_of(stored["score"])
+    return ImageSimilarity(stored["stamp_ns"], SE2(*stored["pose"]), targets, score)
 
 
 def _choice(found: tuple[Any, FrontierChoice]) -> dict[str, Any]:
-    said = found[1]
+    choice = found[1]
     return {
-        "stamp_ns": said.stamp_ns, "target": said.target, "ids": [int(i) for i in said.ids],
-        "p": _array(said.p), "elsewhere": float(said.elsewhere), "scene": float(said.scene),
+        "stamp_ns": choice.stamp_ns, "target": choice.target, "ids": [int(i) for i in choice.ids],
+        "p": _array(choice.p), "elsewhere": float(choice.elsewhere), "scene": float(choice.scene),
     }  # fmt: skip
 
 
-def choice_of(said: dict[str, Any]) -> FrontierChoice:
+def choice_of(stored: dict[str, Any]) -> FrontierChoice:
     """Decode the answer of a choice scorer."""
     return FrontierChoice(
-        said["stamp_ns"], said["target"], tuple(said["ids"]), _array_of(said["p"]),
-        said["elsewhere"], said["scene"],
+        stored["stamp_ns"], stored["target"], tuple(stored["ids"]), _array_of(stored["p"]),
+        stored["elsewhere"], stored["scene"],
     )  # fmt: skip
 
 
@@ -356,15 +361,17 @@ def _refined(r: RefinedTrajectory) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _refined_of(said: dict[str, Any]) -> RefinedTrajectory:
-    arrays = {name: _array_of(said[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
-    legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in said["legs"])
-    numbers = {name: said[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")}
-    drivable, notes = frozenset(said["drivable"]), tuple(said["notes"])
+def _refined_of(stored: dict[str, Any]) -> RefinedTrajectory:
+    arrays = {name: _array_of(stored[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
+    legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in stored["legs"])
+    numbers = {
+        name: stored[name] for name in ("heading_rad", "cost_m", "control_m", "off_region_m")
+    }
+    drivable, notes = frozenset(stored["drivable"]), tuple(stored["notes"])
     return RefinedTrajectory(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
 
 
-def _draft(d: PlanResult) -> dict[str, Any]:
+def _plan_result(d: PlanResult) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
         "hopeless": d.hopeless, "mistakable": d.ambiguous, "speed_mps": d.speed_mps,
@@ -375,44 +382,47 @@ def _draft(d: PlanResult) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def draft_of(said: dict[str, Any]) -> PlanResult:
+def plan_result_of(stored: dict[str, Any]) -> PlanResult:
     """Decode a `PlanResult`; older recordings have no `mistakable`, or no `stops`."""
-    refined, coarse_m, stops_at = said["refined"], said["coarse_m"], said["stops_at"]
-    same = {name: said[name] for name in ("error", "hopeless", "understood", "prompt")}
+    refined, coarse_m, stops_at = stored["refined"], stored["coarse_m"], stored["stops_at"]
+    same = {name: stored[name] for name in ("error", "hopeless", "understood", "prompt")}
     return PlanResult(
         refined=None if refined is None else _refined_of(refined),
-        ambiguous=tuple(said.get("mistakable", ())),
+        ambiguous=tuple(stored.get("mistakable", ())),
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
-        speed_mps=said["speed_mps"],
+        speed_mps=stored["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
         stops=tuple(
             tuple((number, label) for number, label in step)
-            for step in said.get("stops", () if stops_at is None else ((stops_at,),))
+            for step in stored.get("stops", () if stops_at is None else ((stops_at,),))
         ),
-        rounds=tuple(PlanAttempt(**r) for r in said["rounds"]),
-        n_done=said["upto"],
+        rounds=tuple(PlanAttempt(**r) for r in stored["rounds"]),
+        n_done=stored["upto"],
         **same,
     )
 
 
-def _survey(distance_m: np.ndarray) -> dict[str, Any]:
+def _travel_cost(distance_m: np.ndarray) -> dict[str, Any]:
     return {"distance_m": _array(distance_m)}
 
 
-def survey_of(said: dict[str, Any]) -> np.ndarray:
-    """Decode the driving distances of a survey, in metres."""
-    return _array_of(said["distance_m"])
+def travel_cost_of(stored: dict[str, Any]) -> np.ndarray:
+    """Decode the driving distances of a travel-cost estimate, in metres."""
+    return _array_of(stored["distance_m"])
 
 
-_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "detector": _boxes, "travel_cost": _survey, "rooms": _rooms, "similarity": _similarity,
-    "choice": _choice, "task": _draft,
+# Name of a worker → encoder of its result.
+_ENCODE_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "detector": _boxes, "travel_cost": _travel_cost, "rooms": _rooms, "similarity": _similarity,
+    "choice": _choice, "task": _plan_result,
 }  # fmt: skip
 
 
-def _answer_of(said: dict[str, Any]) -> dict[str, Any]:
-    blocked = said.pop("blocked")
-    return {"goal_status": GoalStatus(**said, blocked=None if blocked is None else tuple(blocked))}
+def _answer_of(stored: dict[str, Any]) -> dict[str, Any]:
+    blocked = stored.pop("blocked")
+    return {
+        "goal_status": GoalStatus(**stored, blocked=None if blocked is None else tuple(blocked))
+    }
 
 
 def config_text(config: Config) -> dict[str, Any]:
@@ -420,20 +430,21 @@ def config_text(config: Config) -> dict[str, Any]:
     return redact(config.model_dump(mode="json"))
 
 
-def config_of(said: dict[str, Any]) -> Config:
+def config_of(stored: dict[str, Any]) -> Config:
     """Decode a configuration; raise ConfigError."""
-    path = said.pop("path", "<recording>")
-    return parse(said, path)
+    path = stored.pop("path", "<recording>")
+    return parse(stored, path)
 
 
-_UNCHANGED = dict
+_UNCHANGED = dict  # copies the fields
+# Kind of an entry → function that encodes, or decodes, its fields.
 _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "start": _start,
     "tick": _UNCHANGED,
     "images": lambda fields: {"done": fields["done"]},
     "request": _UNCHANGED,
     "result": lambda fields: {
-        "worker": fields["worker"], "result": _RESULT[fields["worker"]](fields["result"])
+        "worker": fields["worker"], "result": _ENCODE_RESULT[fields["worker"]](fields["result"])
     },
     "decision": _UNCHANGED,
     "idle": lambda fields: {"now_ns": fields["now_ns"], "pose": _pose(fields["pose"])},
@@ -452,10 +463,10 @@ _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     **dict.fromkeys(_ENCODE, _UNCHANGED),
     "start": _start_of,
     "goal_status": _answer_of,
-    "mission": lambda said: {**said, "translation": _translation_of(said["translation"])},
-    "config": lambda said: {"config": config_of(said["config"])},
-    "site": lambda said: {**said, "site": site_of(said["site"])},
-    "idle": lambda said: {
-        "now_ns": said["now_ns"], "pose": None if said["pose"] is None else SE2(*said["pose"])
+    "mission": lambda stored: {**stored, "translation": _translation_of(stored["translation"])},
+    "config": lambda stored: {"config": config_of(stored["config"])},
+    "site": lambda stored: {**stored, "site": site_of(stored["site"])},
+    "idle": lambda stored: {
+        "now_ns": stored["now_ns"], "pose": None if stored["pose"] is None else SE2(*stored["pose"])
     },
 }  # fmt: skip

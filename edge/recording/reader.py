@@ -52,7 +52,15 @@ class DamagedError(ValueError):
 
 
 class Message(NamedTuple):
-    """A message of a channel; its times are in nanoseconds."""
+    """A message of a channel.
+
+    Attributes:
+        channel_id: id of the channel in this file.
+        sequence: number of the message in its channel.
+        log_time: time at which it was recorded, in ns.
+        publish_time: time of its data, in ns.
+        data: content.
+    """
 
     channel_id: int
     sequence: int
@@ -64,7 +72,7 @@ class Message(NamedTuple):
 Record = Header | Schema | Channel | Metadata | DataEnd | Message
 
 
-def records(file: BinaryIO) -> Iterator[Record]:
+def read_records(file: BinaryIO) -> Iterator[Record]:
     """Yield the records of a file in their order; `Header` is first, `DataEnd` last.
 
     Attachments, indices and unknown records are skipped.
@@ -73,17 +81,17 @@ def records(file: BinaryIO) -> Iterator[Record]:
         EOFError: the file ends before its data do.
         DamagedError: the file violates the format. Records yielded before are valid.
     """
-    if _read(file, len(MAGIC)) != MAGIC:
+    if _read_exactly(file, len(MAGIC)) != MAGIC:
         raise DamagedError("the first bytes are not those of MCAP")
     crc, kept, begun = zlib.crc32(MAGIC), _KeptRecords(), False
     while True:
-        head = _read(file, _HEAD.size)
+        head = _read_exactly(file, _HEAD.size)
         opcode, size = _HEAD.unpack(head)
         if not begun and opcode != Opcode.HEADER:
             raise DamagedError("the file does not begin with a header")
         begun = True
         if opcode == Opcode.DATA_END:
-            end = _parse(DataEnd, _read(file, _check_size(size)))
+            end = _parse(DataEnd, _read_exactly(file, _check_size(size)))
             if end.data_section_crc not in (0, crc):
                 raise DamagedError("the checksum of the file's data does not match")
             yield end
@@ -91,15 +99,15 @@ def records(file: BinaryIO) -> Iterator[Record]:
         crc = zlib.crc32(head, crc)
         if opcode not in _USED:
             while size > 0:
-                block = _read(file, min(size, _BLOCK_BYTES))
+                block = _read_exactly(file, min(size, _BLOCK_BYTES))
                 crc, size = zlib.crc32(block, crc), size - len(block)
             continue
-        body = _read(file, _check_size(size, _max_size(opcode)))
+        body = _read_exactly(file, _check_size(size, _max_size(opcode)))
         crc = zlib.crc32(body, crc)
         if opcode == Opcode.CHUNK:
             yield from _chunk_records(_parse(Chunk, body), kept)
         else:
-            yield _record(opcode, body, kept)
+            yield _parse_record(opcode, body, kept)
 
 
 _USED = (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT)
@@ -110,9 +118,10 @@ class _KeptRecords:
 
     def __init__(self) -> None:
         self._sizes: dict[tuple[int, int | str], int] = {}
-        self._left = MAX_KEPT_BYTES
+        self._left = MAX_KEPT_BYTES  # bytes that may still be added
 
     def add(self, opcode: int, record: McapRecord, size: int) -> None:
+        """Count a record; raise DamagedError above the limits."""
         key = opcode, getattr(record, "id", getattr(record, "name", ""))
         known = self._sizes.get(key, 0)
         if size > known:
@@ -126,6 +135,7 @@ class _KeptRecords:
 
 
 def _chunk_records(chunk: Chunk, kept: _KeptRecords) -> Iterator[Record]:
+    """Yield the messages and the kept records of a chunk."""
     data = _decompress(chunk)
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamagedError("the checksum of a chunk does not match")
@@ -138,7 +148,7 @@ def _chunk_records(chunk: Chunk, kept: _KeptRecords) -> Iterator[Record]:
         if size > len(data) - at:
             raise DamagedError("a record is longer than its chunk")
         if opcode == Opcode.MESSAGE or opcode in _KEPT:
-            yield _record(opcode, data[at : at + _check_size(size, _max_size(opcode))], kept)
+            yield _parse_record(opcode, data[at : at + _check_size(size, _max_size(opcode))], kept)
         at += size
 
 
@@ -167,7 +177,8 @@ def _decompress(chunk: Chunk) -> bytes:
     return data
 
 
-def _record(opcode: int, body: bytes, kept: _KeptRecords) -> Record:
+def _parse_record(opcode: int, body: bytes, kept: _KeptRecords) -> Record:
+    """Parse a message, or a record that is kept."""
     if opcode != Opcode.MESSAGE:
         record = _parse(_KEPT[Opcode(opcode)], body)
         kept.add(opcode, record, len(body))
@@ -197,7 +208,7 @@ def _parse(kind: type[McapRecord], body: bytes) -> McapRecord:
         raise DamagedError(f"a {kind.__name__} cannot be read: {why}") from None
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
+def _read_exactly(file: BinaryIO, size: int) -> bytes:
     data = file.read(size)
     if len(data) != size:
         raise EOFError

@@ -112,7 +112,7 @@ class DecisionSink:
         """Do nothing."""
 
 
-class _Run:
+class _ReplayedService:
     """A service that gets the recorded inputs.
 
     Args:
@@ -160,7 +160,7 @@ class _Run:
     def n_unrecorded(self) -> int:
         return 0 if self._replay_source is None else self._replay_source.n_unrecorded
 
-    def do(self, step: RecordedStep) -> None:
+    def apply(self, step: RecordedStep) -> None:
         """Give the inputs of a page to the service."""
         if step.observation is not None:
             self._tick_events.add_frame(step.observation, step.picture)
@@ -184,6 +184,7 @@ class _Run:
         site: Site,
         task: Any = None,
     ) -> None:
+        """Start the service as it was started when the run was recorded."""
         config = self.config
         spec = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(mission_checkpoint, map_checkpoint)
@@ -201,11 +202,13 @@ class _Run:
         self._worker = worker = DetectorWorker(detector, inline=True)
         self._stack.callback(worker.close)
         scorers = self._scorers(spec.prompts)
-        real_workers = ()
+        real_workers: tuple[str, ...] = ()
         if self._has_other_config:
-            by_prior = isinstance(config.perception.choice, ChoiceCooccurrence)
-            by_rules = config.tasks.planner.kind == "rules"
-            real_workers = (*_MAP_WORKERS, *["choice"] * by_prior, *[TASK] * by_rules)
+            real_workers = _MAP_WORKERS
+            if isinstance(config.perception.choice, ChoiceCooccurrence):
+                real_workers = (*real_workers, "choice")
+            if config.tasks.planner.kind == "rules":
+                real_workers = (*real_workers, TASK)
         self._replay_source = ReplaySource(self._tick_events, detect, real_workers)
         policy = make_policy(config.policy, config.path)
         self.service = Service(
@@ -236,6 +239,7 @@ class _Run:
                 self._worker.stats.done = entry.fields["done"]
 
     def _scorers(self, targets: Sequence[str]) -> Scorers | None:
+        """Return the scorers of the configuration, with models that are never called."""
         scorers = make_scorers(
             self.config, targets,
             make_similarity=lambda card, *_: NullModel(card.name),
@@ -275,6 +279,7 @@ class _Run:
         now_ns: int,
         task: Any = None,
     ) -> None:
+        """Begin a recorded mission."""
         self.service.begin(restore_spec(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
@@ -294,16 +299,17 @@ def _replay_settings(config: Config) -> Config:
     return config.model_copy(update={"loop": loop, "mission": mission, "sinks": ()})
 
 
+# Kind of an input → function (run, observation, its fields).
 _HANDLERS: dict[str, Callable[..., None]] = {
-    "tick": _Run._tick,
-    "idle": _Run._idle,
+    "tick": _ReplayedService._tick,
+    "idle": _ReplayedService._idle,
     "goal_status": lambda run, _, goal_status: run.service.on_goal_status(goal_status),
-    "mission": _Run._begin,
+    "mission": _ReplayedService._begin,
     "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
     "cancel": lambda run, _, reason, now_ns: run.service.cancel(reason, now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
-    "config": _Run._reconfigure,
+    "config": _ReplayedService._reconfigure,
     "jump": lambda run, _, now_ns: run.service.on_pose_jump(now_ns),
 }
 
@@ -334,7 +340,7 @@ def replay(
         session: the recorded run.
         config: another configuration than the recorded one; the mission stays the recorded one.
         detect: run the detector on the recorded images instead of using recorded detections.
-        each: called after every page.
+        each: called with the result so far, after every page.
 
     Raises:
         RecordingError: the recording does not begin with the run, or is malformed.
@@ -348,10 +354,10 @@ def replay(
         )
     outcome, first_ns = ReplayResult(), None
     with ExitStack() as stack:
-        run = _Run(session, config, detect, stack)
-        for step in session.moments():
+        run = _ReplayedService(session, config, detect, stack)
+        for step in session.steps():
             try:
-                run.do(step)
+                run.apply(step)
             except UserError:
                 raise
             except Exception as error:  # an error that the loop survived, or damaged data
@@ -373,6 +379,7 @@ def replay(
 
 
 def _compare(outcome: ReplayResult, step: RecordedStep, now: list[dict[str, Any]]) -> None:
+    """Compare the decisions of a page with those of the replay, and update the result."""
     then = [] if step.page.decisions is None else [step.page.decisions]
     outcome.ticks += sum(entry.kind == "tick" for entry in step.page.entries)
     outcome.goals_then += sum(len(decisions["sent"]) for decisions in then)

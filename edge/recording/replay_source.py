@@ -34,7 +34,7 @@ class NullModel:
     def detect(self, observation: Observation) -> Detections:
         raise AssertionError("a model is not called in a replay")
 
-    prepare = answer = score = detect
+    prepare = answer = score = detect  # other models' methods, which are not called either
 
     def health(self) -> Health:
         return Health()
@@ -62,6 +62,7 @@ class ReplayTick:
     pictures: set[int] = field(default_factory=set)
 
     def begin(self, entries: Sequence[LoopInput]) -> None:
+        """Set the events and decisions of the next tick."""
         self.asked = {e.fields["worker"] for e in entries if e.kind == "request"}
         self.found = {e.fields["worker"]: e.fields["result"] for e in entries if e.kind == "result"}
         self.decided = {
@@ -69,6 +70,7 @@ class ReplayTick:
         }
 
     def add_frame(self, observation: Observation, picture: bool) -> None:
+        """Keep a frame for later detections, and forget the oldest above the limits."""
         self.frames[observation.seq] = observation
         if picture:
             self.pictures.add(observation.seq)
@@ -111,6 +113,7 @@ class _ReplayedWorker:
 
     @property
     def idle(self) -> bool:
+        """True in the recorded ticks with a question: the loop asks only an idle worker."""
         return self._name in self._now.asked
 
     def submit(self, item: Any) -> None:
@@ -130,25 +133,25 @@ class ReplaySource(InputLog):
     Args:
         now: recorded events of the current tick.
         detect: runs a detector on the recorded images; None: recorded detections are used.
-        own: names of workers that run for real.
+        real_workers: names of workers that run for real.
     """
 
     def __init__(
         self,
         now: ReplayTick,
         detect: Callable[[Observation], Detections] | None,
-        own: Sequence[str],
+        real_workers: Sequence[str],
     ) -> None:
         super().__init__()
         self.n_unrecorded = 0
-        self._now, self._detect, self._real_workers = now, detect, own
+        self._now, self._detect, self._real_workers = now, detect, real_workers
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._decode_detections,
-            "travel_cost": lambda answer, asked: journal.survey_of(answer),
+            "travel_cost": lambda answer, asked: journal.travel_cost_of(answer),
             "rooms": lambda answer, asked: journal.rooms_of(answer),
             "similarity": self._decode_similarity,
             "choice": self._decode_choice,
-            "task": lambda answer, asked: journal.draft_of(answer),
+            "task": lambda answer, asked: journal.plan_result_of(answer),
         }
 
     def record_decision(
@@ -168,6 +171,7 @@ class ReplaySource(InputLog):
         return _ReplayedWorker(name, worker, self._now, self._decode[name])
 
     def _decode_detections(self, answer: dict[str, Any], asked: Any) -> Detections | None:
+        """Return the recorded detections, or new ones; None if the image was not recorded."""
         observation = self._now.frame(answer["seq"])
         if self._detect is None:
             return journal.detections_of(answer, observation)

@@ -129,6 +129,7 @@ class RollingRecorder:
             self._finish()
 
     def _begin(self, now_s: float) -> None:
+        """Open the next file; if that fails, report it and try again later."""
         path = _free_name(self._folder)
         file = McapWriter(path, self._compression, self._metadata(self._n_files))
         try:

@@ -63,9 +63,9 @@ def read_header(path: Path) -> RecordingHeader:
     Raises:
         RecordingError: no file, no MCAP file, no recording of a run, or one of another version.
     """
-    reading = McapReader(path)
-    next(iter(reading), None)
-    metadata = reading.metadata.get(FORMAT)
+    reader = McapReader(path)
+    next(iter(reader), None)
+    metadata = reader.metadata.get(FORMAT)
     if metadata is None:
         raise RecordingError(
             f"{path}: an MCAP file, but not of the sink `mcap`, so there is no journal to replay; "
@@ -144,12 +144,12 @@ class RecordedRun:
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the messages of all files in the order in which they were written."""
         for path in self.files:
-            reading = McapReader(path)
-            yield from reading
-            if reading.truncation:
-                self.truncation = f"{path}: {reading.truncation}"
+            reader = McapReader(path)
+            yield from reader
+            if reader.truncation:
+                self.truncation = f"{path}: {reader.truncation}"
 
-    def moments(self) -> Iterator[RecordedStep]:
+    def steps(self) -> Iterator[RecordedStep]:
         """Yield every page of the journal, up to the first gap.
 
         Raises:
@@ -182,13 +182,14 @@ class RecordedRun:
                 return
             n += len(numbers)
             if step.missing:
-                lacks = " and ".join(step.missing)
-                self.gap = f"the next frame's {lacks} was dropped while recording"
+                missing = " and ".join(step.missing)
+                self.gap = f"the next frame's {missing} was dropped while recording"
                 return
             yield step
 
 
 def _files_from(head: RecordingHeader) -> list[Path]:
+    """Return this file of a run and those that follow in the same folder, up to a gap."""
     files, part = [head.path], head.part
     parts: dict[int, Path] = {}
     for path in files_of(head.path.resolve().parent):
@@ -203,26 +204,34 @@ def _files_from(head: RecordingHeader) -> list[Path]:
     return files
 
 
-_MAX_PIXELS = 1 << 26
+_MAX_PIXELS = 1 << 26  # of an image
 _ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
 
 
 def _make_step(
     page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
 ) -> RecordedStep:
+    """Return a page with its observation.
+
+    Args:
+        page: the page.
+        array_messages: messages with arrays since the last page, by topic.
+        rig: see `journal.observation_of`.
+    """
     fields = page.observation
     if fields is None:
         return RecordedStep(page, None, False, ())
-    depth_m, cloud_m, rgb = _depth(array_messages), _cloud(array_messages), _picture(array_messages)
+    depth_m, cloud_m = _decode_depth(array_messages), _decode_cloud(array_messages)
+    rgb = _decode_picture(array_messages)
     picture = rgb is not None
     if rgb is None and fields["rgb_hw"] is not None:
         height, width = fields["rgb_hw"]
         _check_pixels(height, width)
         rgb = np.zeros((height, width, 3), np.uint8)
     arrays = {"depth": depth_m, "cloud": cloud_m}
-    lacks = tuple(name for name, array in arrays.items() if fields[name] and array is None)
+    missing = tuple(name for name, array in arrays.items() if fields[name] and array is None)
     observation = journal.observation_of(fields, rig, rgb, depth_m, cloud_m)
-    return RecordedStep(page, observation, picture, lacks)
+    return RecordedStep(page, observation, picture, missing)
 
 
 def _check_pixels(height: int, width: int) -> None:
@@ -231,6 +240,7 @@ def _check_pixels(height: int, width: int) -> None:
 
 
 def _parse_latency(payload: bytes) -> dict[str, Any]:
+    """Parse a latency report whose numbers will be printed."""
     report = read_json(payload, journal.MAX_VALUES)
     for row in (report["tick"], *report["stages"].values()):
         for name in ("p50_ms", "p95_ms"):
@@ -238,7 +248,8 @@ def _parse_latency(payload: bytes) -> dict[str, Any]:
     return report
 
 
-def _depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+def _decode_depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+    """Return the recorded depth in metres, (h, w) float32; None if there is none."""
     if (m := array_messages.get(channels.DEPTH.topic)) is None:
         return None
     header = messages.decode_image_header(m.payload)
@@ -249,14 +260,15 @@ def _depth(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     return out * np.float32(0.001) if exact else out
 
 
-def _cloud(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+def _decode_cloud(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
     if (m := array_messages.get(channels.CLOUD.topic)) is None:
         return None
-    out = np.empty((len(m.payload) // 12, 3), np.float32)
-    return out[: messages.decode_point_cloud_into(m.payload, out, whole=True)].copy()
+    out = np.empty((len(m.payload) // 12, 3), np.float32)  # a point has at least 12 bytes
+    return out[: messages.decode_point_cloud_into(m.payload, out, keep_invalid=True)].copy()
 
 
-def _picture(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+def _decode_picture(array_messages: dict[str, RecordedMessage]) -> np.ndarray | None:
+    """Return the recorded image, (h, w, 3) uint8 RGB; None if there is none."""
     if (m := array_messages.get(channels.PICTURE.topic)) is None:
         return None
     header = compressed.decode_compressed_header(m.payload)

@@ -1,4 +1,4 @@
-"""Spans of the latency ring in the trace event format, for Perfetto and Chrome.
+"""Spans (durations of ticks and stages) in the trace event format, for Perfetto and Chrome.
 
 https://docs.google.com/document/d/1CvAClvFfyA5R-PhYUmn5OOQtYMH4h6I0nSsKchNAySU defines the format.
 """
@@ -14,7 +14,7 @@ from edge.host.web_server import GetRoutes, HttpResponse, json_response
 from edge.loop.latency import Span
 
 PAGE = "/trace"
-PID, LOOP = 1, 1
+PID, LOOP = 1, 1  # numbers of the process, and of the loop's thread
 _US = 1e-3  # microseconds in a nanosecond
 
 
@@ -68,6 +68,7 @@ class TracePage:
         self.spans: Callable[[], list[Span]] | None = None
 
     def pages(self) -> GetRoutes:
+        """Return the page by its path."""
         return {PAGE: self._page}
 
     def _page(self) -> HttpResponse:

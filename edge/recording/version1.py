@@ -28,6 +28,7 @@ def present_page(page: dict[str, Any]) -> dict[str, Any]:
 
 
 def _present_entry(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry with the present names."""
     kind, fields = entry["kind"], FIELDS.get(entry["kind"], {})
     entry = {fields.get(name, name): value for name, value in entry.items()}
     entry["kind"] = KINDS.get(kind, kind)

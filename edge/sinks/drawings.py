@@ -18,7 +18,7 @@ from edge.types import Goal, Instance
 
 # Colours: red, green, blue and opacity, each from 0 to 1.
 _FRONTIER: markers.RGBA = (0.2, 0.6, 1.0, 0.8)
-_THING: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
+_OBJECT: markers.RGBA = (1.0, 0.6, 0.1, 0.6)
 _REJECTED: markers.RGBA = (0.5, 0.5, 0.5, 0.3)
 _GOAL: markers.RGBA = (0.2, 0.9, 0.3, 0.9)
 _TEXT: markers.RGBA = (1.0, 1.0, 1.0, 1.0)
@@ -32,7 +32,12 @@ _LABEL_M = (0.0, 0.0, 0.2)  # a text marker has a height only
 
 
 class PathRing:
-    """The driven path: the last poses, at least `apart_m` apart, in a preallocated ring."""
+    """The driven path: the last poses, in a preallocated ring.
+
+    Args:
+        capacity: largest number of poses.
+        apart_m: smallest distance of two poses, in metres.
+    """
 
     def __init__(self, capacity: int = 2000, apart_m: float = 0.1) -> None:
         self._poses = np.zeros((capacity, 3))
@@ -40,6 +45,7 @@ class PathRing:
         self._n = 0
 
     def add(self, pose: SE2) -> None:
+        """Append a pose, unless it is closer than `apart_m` to the last one."""
         if self._n:
             last = self._poses[(self._n - 1) % len(self._poses)]
             if math.hypot(pose.x_m - last[0], pose.y_m - last[1]) < self._apart_m:
@@ -100,13 +106,13 @@ def markers_of(drawing: Drawing) -> list[Marker]:
         drawn.append(
             Marker("frontiers", 0, markers.SPHERE_LIST, (0.1,) * 3, _FRONTIER, points_m=points)
         )
-    for i, thing in enumerate(drawing.instances):
-        x, y, z = map(float, thing.center_m)
-        colour = _REJECTED if thing.state == "rejected" else _THING
-        at, words = SE2(x, y, 0.0), f"{thing.label} {thing.score:.2f}"
+    for i, instance in enumerate(drawing.instances):
+        x, y, z = map(float, instance.center_m)
+        colour = _REJECTED if instance.state == "rejected" else _OBJECT
+        at, text = SE2(x, y, 0.0), f"{instance.label} {instance.score:.2f}"
         drawn.append(Marker("things", i, markers.CUBE, (0.25,) * 3, colour, at, z))
-        drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _TEXT, at, z + 0.4, words))
-    named = {thing.label for thing in drawing.instances}
+        drawn.append(Marker("names", i, markers.TEXT, _LABEL_M, _TEXT, at, z + 0.4, text))
+    named = {instance.label for instance in drawing.instances}
     others = [known for known in drawing.objects if known.name not in named]
     if others:
         points = np.array([known.xyz_m for known in others])
@@ -139,7 +145,8 @@ def _line(
     """Return a closed line through corners (n, 2)."""
     flat = np.asarray(corners_m, np.float64).reshape(-1, 2)
     ring = np.zeros((len(flat) + 1, 3))
-    ring[:, :2] = flat[np.arange(len(ring)) % max(len(flat), 1)] if len(flat) else 0.0
+    if len(flat):
+        ring[:-1, :2], ring[-1, :2] = flat, flat[0]
     return Marker(group, id, markers.LINE_STRIP, (width_m,) * 3, colour, points_m=ring)
 
 

@@ -33,19 +33,21 @@ from edge.text import one_line
 from edge.types import Detections, Observation
 
 STATUS_HZ = LATENCY_HZ = DRAWN_HZ = INFO_HZ = 1.0
+"""Rates of the status, the latencies, the drawings and the camera info."""
 MOST_MAP_HZ = 1.0
-"""Limit, because a map is as large as several depth images."""
+"""Largest rate of the map, because a map is as large as several depth images."""
 SHOWN_HZ = 10.0
 """Rate of pose, transforms and boxes: enough for people."""
 TRAJECTORY_HZ = 0.2
 """A trajectory may be long; it is also sent when it changes."""
 QUALITY = 85  # of JPEG
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
-_MAX_SPARE = 16  # depth buffers
+_MAX_SPARE = 16  # depth buffers that are kept for later use
 _NO_DEPTH = np.zeros((0, 0), np.uint16)
 _NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
 _INFO = 2  # of foxglove.Log
 _LINE_LOOP = 2  # of foxglove.PointsAnnotation
+# Colours: of boxes and their labels, of the ground of labels, and none.
 _BOX = {"r": 1.0, "g": 0.6, "b": 0.1, "a": 1.0}
 _DARK = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.6}
 _NOTHING = {"r": 0.0, "g": 0.0, "b": 0.0, "a": 0.0}
@@ -101,21 +103,21 @@ class ResultEncoder:
     Args:
         config: the configuration.
         rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
-        wanted: returns True if a channel has a receiver; called by any thread.
+        is_wanted: returns True if a channel has a receiver; called by any thread.
     """
 
     def __init__(
         self,
         config: Config,
         rgb_hz: float,
-        wanted: Callable[[Channel], bool] = lambda channel: True,
+        is_wanted: Callable[[Channel], bool] = lambda channel: True,
     ) -> None:
-        self._rgb_hz, self._wanted = rgb_hz, wanted
+        self._rgb_hz, self._is_wanted = rgb_hz, is_wanted
         map_hz = min(config.report.map_hz, MOST_MAP_HZ)
         rates = {"map": map_hz, "info": INFO_HZ, "status": STATUS_HZ, "latency": LATENCY_HZ}
-        shown = {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
+        rates |= {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
         rates["trajectory"] = TRAJECTORY_HZ
-        self._pace = RateLimiter(rgb=max(rgb_hz, 1e-9), **shown, **rates)
+        self._limiter = RateLimiter(rgb=max(rgb_hz, 1e-9), **rates)  # 1e-9: not 0
         self._driven_path = PathRing()
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
@@ -136,12 +138,12 @@ class ResultEncoder:
         if observation is not None:
             kept = self._copy_arrays(observation, result.now_ns) if arrays else {}
             observation = replace(observation, slot=None, **_NO_ARRAYS)
-            if self._pace.is_due("pose", result.now_ns) or "rgb" in kept:
+            if self._limiter.take_turn("pose", result.now_ns) or "rgb" in kept:
                 pending += _pose_messages(observation, "cloud_m" in kept)
-            if observation.camera is not None and self._pace.is_due("info", result.now_ns):
+            if observation.camera is not None and self._limiter.take_turn("info", result.now_ns):
                 pending.append(_camera_message(observation.stamp_ns, observation.camera))
             pending += _array_messages(observation, kept)
-        if result.detections is not None and self._pace.is_due("boxes", result.now_ns):
+        if result.detections is not None and self._limiter.take_turn("boxes", result.now_ns):
             pending.append(_boxes_message(result.detections))
         pending += self._result_messages(result, result.now_ns)
         return ResultSnapshot(result.now_ns, observation, kept, pending)
@@ -153,12 +155,12 @@ class ResultEncoder:
             "depth_m": (observation.depth_m, channels.DEPTH),
             "cloud_m": (observation.cloud_m, channels.CLOUD),
         }
-        if not (self._rgb_hz > 0 and self._pace.is_due("rgb", now_ns)):
+        if not (self._rgb_hz > 0 and self._limiter.take_turn("rgb", now_ns)):
             del available["rgb"]
         return {
             name: self._copy_depth(array) if name == "depth_m" else array.copy()
             for name, (array, channel) in available.items()
-            if array is not None and self._wanted(channel)
+            if array is not None and self._is_wanted(channel)
         }
 
     def _copy_depth(self, depth_m: np.ndarray) -> np.ndarray:
@@ -176,6 +178,7 @@ class ResultEncoder:
         return depth_m.copy()
 
     def _result_messages(self, result: TickResult, now_ns: int) -> Iterator[_PendingMessage]:
+        """Yield all messages but those of the observation and of the detections."""
         for goal in result.goals:
             encode = partial(messages.encode_pose_stamped, goal.stamp_ns, goal.pose)
             yield _PendingMessage(channels.GOAL, goal.stamp_ns, encode)
@@ -188,21 +191,21 @@ class ResultEncoder:
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
             yield _PendingMessage(channels.MISSION, now_ns, partial(json_bytes, asdict(status)))
-        if self._pace.is_due("status", now_ns):
+        if self._limiter.take_turn("status", now_ns):
             yield _PendingMessage(
                 channels.STATUS, now_ns, partial(json_bytes, status_message(result))
             )
-        if self._pace.is_due("latency", now_ns):
+        if self._limiter.take_turn("latency", now_ns):
             yield _PendingMessage(
                 channels.LATENCY, now_ns, lambda: json_bytes(result.latency().as_dict())
             )
             yield _PendingMessage(channels.SPANS, now_ns, partial(self._encode_spans, result))
-        if self._pace.is_due("map", now_ns):
+        if self._limiter.take_turn("map", now_ns):
             yield _PendingMessage(
                 channels.MAP, now_ns,
                 lambda: messages.encode_occupancy_grid(now_ns, result.snapshot()),
             )  # fmt: skip
-        if self._pace.is_due("drawings", now_ns):
+        if self._limiter.take_turn("drawings", now_ns):
             driven, drawing = self._driven_path.poses(), drawing_of(result)
             path = partial(transforms.encode_path, now_ns, MAP_FRAME, driven)
             yield _PendingMessage(channels.PATH, now_ns, path)
@@ -217,7 +220,7 @@ class ResultEncoder:
         """Yield the trajectory if it changed, and every few seconds; an empty one after its end."""
         task = result.task()
         refined = None if task is None else task.refined
-        due = refined is not None and self._pace.is_due("trajectory", now_ns)
+        due = refined is not None and self._limiter.take_turn("trajectory", now_ns)
         if due or refined is not self._trajectory:
             self._trajectory = refined
             yield _PendingMessage(
@@ -234,7 +237,7 @@ class ResultEncoder:
     def encode(self, snapshot: ResultSnapshot) -> Iterator[EncodedMessage]:
         """Yield the messages in the order of events; payloads are valid until `release`."""
         for channel, stamp_ns, encode, sequence in snapshot.messages:
-            if self._wanted(channel):
+            if self._is_wanted(channel):
                 encoded = encode()
                 payload = encoded if isinstance(encoded, tuple) else (encoded,)
                 yield EncodedMessage(channel, stamp_ns, payload, sequence)
@@ -276,6 +279,7 @@ def _array_messages(
 
 
 _Encoder = Callable[[int, str, np.ndarray], Any]
+# Field of `Observation` → channel, frame, encoder.
 _ENCODERS: dict[str, tuple[Channel, str, _Encoder]] = {
     "cloud_m": (channels.CLOUD, LIDAR_FRAME, clouds.cloud_parts),
     "depth_m": (channels.DEPTH, CAMERA_FRAME, images.image_parts),
@@ -291,7 +295,7 @@ def _boxes_message(found: Detections) -> _PendingMessage:
 def _encode_boxes(stamp_ns: int, found: Detections) -> bytes:
     """Encode foxglove.ImageAnnotations."""
     at = _time(stamp_ns)
-    outlines, words = [], []
+    outlines, labels = [], []
     for (x0, y0, x1, y1), score, k in zip(
         found.xyxy_px.tolist(), found.score.tolist(), found.class_id.tolist(), strict=True
     ):
@@ -300,11 +304,11 @@ def _encode_boxes(stamp_ns: int, found: Detections) -> bytes:
             "timestamp": at, "type": _LINE_LOOP, "points": corners, "outline_color": _BOX,
             "outline_colors": [], "fill_color": _NOTHING, "thickness": 2.0,
         })  # fmt: skip
-        words.append({
+        labels.append({
             "timestamp": at, "position": corners[0], "text": f"{found.prompts[k]} {score:.2f}",
             "font_size": 12.0, "text_color": _BOX, "background_color": _DARK,
         })  # fmt: skip
-    return json_bytes({"circles": [], "points": outlines, "texts": words})
+    return json_bytes({"circles": [], "points": outlines, "texts": labels})
 
 
 def _encode_log(now_ns: int, text: str) -> bytes:
@@ -321,6 +325,7 @@ def _time(stamp_ns: int) -> dict[str, int]:
 
 
 def json_bytes(value: Any) -> bytes:
+    """Encode as compact JSON; raise ValueError for NaN or inf."""
     return _JSON(value).encode()
 
 

@@ -45,7 +45,7 @@ class FoxgloveSink:
     def __init__(
         self, config: Config, host: str = "127.0.0.1", port: int = 8765, rgb_hz: float = 10.0
     ) -> None:
-        foxglove = _sdk()
+        foxglove = _import_sdk()
         self._context = context = foxglove.Context()  # channels do not keep it alive
         self._channels = {
             channel: foxglove.Channel(
@@ -72,7 +72,7 @@ class FoxgloveSink:
         if not is_loopback(host):
             log.warning("sinks: foxglove: everyone who can connect to %s port %d sees what the "
                         "robot sees", host, self.port)  # fmt: skip
-        self._encoder = ResultEncoder(config, rgb_hz, self._wanted)
+        self._encoder = ResultEncoder(config, rgb_hz, self._is_subscribed)
         self._worker: Worker[ResultSnapshot, None] = Worker("foxglove-sink", self._send)
 
     @staticmethod
@@ -82,13 +82,13 @@ class FoxgloveSink:
             raise ConfigError(
                 f"sinks: foxglove: port: expected a number from 0 to {MOST_PORT}, got {port!r:.40}"
             )
-        _sdk()
+        _import_sdk()
 
     def tick(self, result: TickResult) -> None:
         """Copy the subscribed data; see `edge.loop.result.Sink`."""
-        moment = self._encoder.capture(result)
-        if moment.messages:
-            self._worker.enqueue(moment)
+        snapshot = self._encoder.capture(result)
+        if snapshot.messages:
+            self._worker.enqueue(snapshot)
 
     def status(self) -> dict[str, Any]:
         """Return port and worker statistics; see `edge.loop.result.Sink`."""
@@ -99,17 +99,17 @@ class FoxgloveSink:
         self._worker.close(_CLOSE_S)
         self._server.stop()
 
-    def _wanted(self, channel: Channel) -> bool:
+    def _is_subscribed(self, channel: Channel) -> bool:
         return bool(self._channels[channel].has_sinks())
 
-    def _send(self, moment: ResultSnapshot) -> None:
-        for message in self._encoder.encode(moment):
+    def _send(self, snapshot: ResultSnapshot) -> None:
+        for message in self._encoder.encode(snapshot):
             payload = b"".join(message.payload)
-            self._channels[message.channel].log(payload, log_time=max(0, moment.now_ns))
-        self._encoder.release(moment)
+            self._channels[message.channel].log(payload, log_time=max(0, snapshot.now_ns))
+        self._encoder.release(snapshot)
 
 
-def _sdk() -> Any:
+def _import_sdk() -> Any:
     try:
         import foxglove
     except ImportError:

@@ -29,7 +29,8 @@ from edge.recording.rolling import RecordingLimits, RollingRecorder
 from edge.sinks.encoder import EncodedMessage, ResultEncoder, ResultSnapshot
 from edge.text import one_line
 
-PAGE_NS = 500_000_000  # longest delay of a journal page
+PAGE_NS = 500_000_000
+"""Longest time of ticks without observation that share one page of the journal."""
 BATCH = 8
 """Number of ticks that are written together: this costs half as much as single writes.
 
@@ -98,14 +99,14 @@ class McapSink:
         self._rig: dict[str, Any] = {}  # camera and mounts as last written
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
         self._lock = threading.Lock()  # for pending bytes
-        self._dropped = {"arrays": 0, "moments": 0}
+        self._dropped = {"arrays": 0, "moments": 0}  # ticks without arrays; whole ticks
         # In lockstep the simulated time waits for writing, so nothing is dropped.
         self._lockstep = config.loop.lockstep
         self._failed, self._problem = 0, ""
         self._batch: list[_Item] = []
         self._worker: Worker[list[_Item], None] = Worker(
-            "mcap-sink", self._write, inline=self._lockstep, drop=self._drop, finishes=True,
-            beat=self._files.sync,
+            "mcap-sink", self._write, inline=self._lockstep, drop=self._count_dropped,
+            finish_on_close=True, periodic=self._files.sync,
         )  # fmt: skip
 
     # -- on the loop's thread -------------------------------------------------------------------
@@ -122,13 +123,14 @@ class McapSink:
         self._inputs += result.inputs
         if self._page_ns is None:
             self._page_ns = result.now_ns
-        waits = 0 <= result.now_ns - self._page_ns < PAGE_NS
-        if waits and result.observation is None and not (result.goals or result.events):
+        may_wait = 0 <= result.now_ns - self._page_ns < PAGE_NS
+        if may_wait and result.observation is None and not (result.goals or result.events):
             self._held_back = result
         else:
             self._queue(result)
 
     def _queue(self, result: TickResult) -> None:
+        """Copy a result, with the inputs since the last one, into the batch."""
         has_room = self._pending_bytes < self._most_bytes
         snapshot = self._encoder.capture(result, arrays=has_room)
         self._dropped["arrays"] += result.observation is not None and not has_room
@@ -168,7 +170,7 @@ class McapSink:
         if self._worker.close(_CLOSE_S):
             self._files.close()
 
-    def _drop(self, batch: list[_Item]) -> None:
+    def _count_dropped(self, batch: list[_Item]) -> None:
         self._dropped["moments"] += len(batch)
         self._release(sum(item.bytes for item in batch))
 
@@ -215,6 +217,7 @@ class McapSink:
             self._failed += 1
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
+        """Return the metadata of the file of this number."""
         config = json.dumps(journal.config_text(self._config))
         fields = {
             "version": str(journal.VERSION), "edge": __version__, "session": self._session,
@@ -232,6 +235,7 @@ def _check_values(
     compression: str,
     pending_mb: float,
 ) -> None:
+    """Raise ConfigError for a number or name that is out of range."""
     numbers = {"max_mb": max_mb, "max_s": max_s, "sync_s": sync_s, "pending_mb": pending_mb}
     for name, value in numbers.items():
         if not value > 0:

@@ -33,15 +33,17 @@ PATIENCE_S = 5.0  # time without the action before a warning
 REPLACED_S = 0.5  # time in which a server with one goal at a time has dropped the replaced goal
 _ACCEPT_S = 5.0  # timeout of the answers to a new goal and to a cancellation
 _RESULT_S = 600.0  # timeout of a request for the result; it is then sent again
-_KEPT = 16  # messages of a topic between two updates, and replaced goals
+_RING_MESSAGES = 16  # messages of a topic between two updates, and replaced goals
 _STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "aborted"}
 
 
 @dataclass(slots=True)
-class _Driven:
+class _ActiveGoal:
     """The goal that Nav2 should drive to.
 
     Attributes:
+        goal: the goal of the service.
+        goal_id: id of the goal for Nav2.
         stage: `waiting`: not sent; `sent`: not answered; `driving`: accepted.
         reply: pending reply: first the answer to the goal, then its result.
         due_s: when to request again if no reply is pending.
@@ -90,51 +92,53 @@ class NavigateToPoseClient:
         self._send = node.client(f"{below}/send_goal", f"{kind}_SendGoal", _ACCEPT_S)
         self._result = node.client(f"{below}/get_result", f"{kind}_GetResult", _RESULT_S)
         self._cancel = node.client(f"{below}/cancel_goal", "action_msgs/srv/CancelGoal", _ACCEPT_S)
-        self._feedback = node.subscription(f"{below}/feedback", (f"{kind}_FeedbackMessage",), _KEPT)
-        self._status = node.subscription(
-            f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _KEPT
+        self._feedback = node.subscription(
+            f"{below}/feedback", (f"{kind}_FeedbackMessage",), _RING_MESSAGES
         )
-        self._driven: _Driven | None = None
-        self._replaced: deque[bytes] = deque(maxlen=_KEPT)  # goals replaced by newer ones
+        self._status = node.subscription(
+            f"{below}/status", ("action_msgs/msg/GoalStatusArray",), _RING_MESSAGES
+        )
+        self._active: _ActiveGoal | None = None
+        self._replaced: deque[bytes] = deque(maxlen=_RING_MESSAGES)  # goals replaced by newer ones
         self._cancel_replaced_s = math.inf  # when to cancel those that are still active
         self._malformed = 0
         self._waiting_logged = False
 
     def send(self, goal: Goal) -> None:
         """Drive to this goal, and no longer to the previous one."""
-        if self._driven is not None and self._driven.stage != "waiting":
-            self._replaced.append(self._driven.goal_id)
+        if self._active is not None and self._active.stage != "waiting":
+            self._replaced.append(self._active.goal_id)
             self._cancel_replaced_s = math.inf
-        self._driven = _Driven(goal)
+        self._active = _ActiveGoal(goal)
         self.update()
 
     def cancel(self) -> None:
         """Cancel the current goal."""
         self._cancel_replaced()
-        driven = self._driven
-        if driven is None:
+        active = self._active
+        if active is None:
             return
-        if driven.stage == "driving":
-            self._drop(driven)
-        elif driven.stage == "sent":
-            driven.unwanted = True
+        if active.stage == "driving":
+            self._cancel_active(active)
+        elif active.stage == "sent":
+            active.unwanted = True
             # Cancel now as well, in case this service ends: Nav2 may have accepted the goal.
-            self._send_cancel(driven.goal_id)
+            self._send_cancel(active.goal_id)
         else:
-            self._driven = None
+            self._active = None
 
     def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
         for _, payload in self._feedback.take():
-            self._guarded(self._on_feedback, payload.to_bytes())
+            self._run_step(self._on_feedback, payload.to_bytes())
         for _, payload in self._status.take():
-            self._guarded(self._on_status_message, payload.to_bytes())
-        if self._driven is not None:
-            self._guarded(_STEPS[self._driven.stage], self, self._driven)
+            self._run_step(self._on_status_message, payload.to_bytes())
+        if self._active is not None:
+            self._run_step(_STEPS[self._active.stage], self, self._active)
         if time.monotonic() >= self._cancel_replaced_s:
             self._cancel_replaced()
 
-    def _guarded(self, step: Callable[..., None], *arguments: object) -> None:
+    def _run_step(self, step: Callable[..., None], *arguments: object) -> None:
         """Run a step; count a malformed message, so that it affects no other."""
         try:
             step(*arguments)
@@ -146,33 +150,34 @@ class NavigateToPoseClient:
 
     # -- one step a stage -------------------------------------------------------------------------
 
-    def _step_waiting(self, driven: _Driven) -> None:
+    def _step_waiting(self, active: _ActiveGoal) -> None:
+        """Send the goal when the action server is there."""
         now_s = time.monotonic()
         if not self._send.has_server():
-            if now_s - driven.since_s > PATIENCE_S and not self._waiting_logged:
+            if now_s - active.since_s > PATIENCE_S and not self._waiting_logged:
                 self._waiting_logged = True
                 log.warning(
                     "ros2: waiting for the action server %s: is Nav2 running?", self._action
                 )
             return
-        if now_s < driven.due_s:
+        if now_s < active.due_s:
             return
-        driven.due_s, self._waiting_logged = now_s + RETRY_S, False
+        active.due_s, self._waiting_logged = now_s + RETRY_S, False
         # A new id for each attempt: a server refuses an id that it knows.
-        driven.goal_id = uuid.uuid4().bytes
-        request = self._encode(driven.goal_id, driven.goal)
-        driven.reply, driven.stage = self._send.call(request), "sent"
+        active.goal_id = uuid.uuid4().bytes
+        request = self._encode(active.goal_id, active.goal)
+        active.reply, active.stage = self._send.call(request), "sent"
 
-    def _adopt(self, goal: Goal) -> bool:
+    def _continue_for(self, goal: Goal) -> bool:
         """Continue the current action for a new goal; return False if there is none.
 
         For subclasses, whose actions do not depend on the pose of the goal.
         """
-        driven = self._driven
-        if driven is None or driven.unwanted:
+        active = self._active
+        if active is None or active.unwanted:
             return False
-        driven.goal = goal
-        if driven.stage == "driving":
+        active.goal = goal
+        if active.stage == "driving":
             self._report(GoalStatus(goal.stamp_ns, "accepted"))
         return True
 
@@ -184,86 +189,94 @@ class NavigateToPoseClient:
         """Return the result of a goal."""
         return navigation.decode_result(payload)
 
-    def _step_sent(self, driven: _Driven) -> None:
-        payload = driven.reply.poll()
+    def _step_sent(self, active: _ActiveGoal) -> None:
+        """Handle the answer to the goal: accepted, refused, or none in time."""
+        payload = active.reply.poll()
         if payload is None:
-            if driven.reply.done:
-                driven.stage = "waiting"
-                self._driven = None if driven.unwanted else driven
+            if active.reply.done:
+                active.stage = "waiting"
+                self._active = None if active.unwanted else active
             return
         self._cancel_replaced_s = time.monotonic() + REPLACED_S
         if not navigation.decode_send_goal_answer(payload):
-            self._finish(driven, "failed", f"refused by {self._name}")
+            self._finish(active, "failed", f"refused by {self._name}")
             return
-        driven.stage, driven.due_s = "driving", 0.0
-        driven.reply = PendingReply(None)
-        if driven.unwanted:
-            self._drop(driven)
+        active.stage, active.due_s = "driving", 0.0
+        active.reply = PendingReply(None)
+        if active.unwanted:
+            self._cancel_active(active)
             return
-        self._report(GoalStatus(driven.goal.stamp_ns, "accepted"))
-        self._step_driving(driven)
+        self._report(GoalStatus(active.goal.stamp_ns, "accepted"))
+        self._step_driving(active)
 
-    def _step_driving(self, driven: _Driven) -> None:
-        payload = driven.reply.poll()
+    def _step_driving(self, active: _ActiveGoal) -> None:
+        """Handle the result of the goal, or ask for it again."""
+        payload = active.reply.poll()
         if payload is not None:
-            self._report_result(driven, self._decode_result(payload))
-        elif driven.status and time.monotonic() >= driven.ended_s + RESULT_LATE_S:
-            self._report_result(driven, navigation.Result(driven.status))
-        elif driven.reply.done and time.monotonic() >= driven.due_s:
-            self._request_result(driven)
+            self._report_result(active, self._decode_result(payload))
+        elif active.status and time.monotonic() >= active.ended_s + RESULT_LATE_S:
+            self._report_result(active, navigation.Result(active.status))
+        elif active.reply.done and time.monotonic() >= active.due_s:
+            self._request_result(active)
 
-    def _request_result(self, driven: _Driven) -> None:
+    def _request_result(self, active: _ActiveGoal) -> None:
+        """Ask for the result; the goal fails if the action is gone for `GONE_S`."""
         now_s = time.monotonic()
         if self._result.has_server():
-            driven.due_s, driven.lost_s = now_s + RETRY_S, 0.0
-            driven.reply = self._result.call(navigation.encode_get_result(driven.goal_id))
-        elif driven.lost_s == 0.0:
-            driven.lost_s = now_s
-        elif now_s - driven.lost_s > GONE_S:
-            self._finish(driven, "failed", f"{self._name} is gone")
+            active.due_s, active.lost_s = now_s + RETRY_S, 0.0
+            active.reply = self._result.call(navigation.encode_get_result(active.goal_id))
+        elif active.lost_s == 0.0:
+            active.lost_s = now_s
+        elif now_s - active.lost_s > GONE_S:
+            self._finish(active, "failed", f"{self._name} is gone")
 
     # -- messages from Nav2 -----------------------------------------------------------------------
 
     def _on_feedback(self, payload: bytes) -> None:
-        feedback, driven = navigation.decode_feedback(payload), self._driven
-        if driven is None or driven.stage != "driving" or feedback.goal_id != driven.goal_id:
+        """Report a new recovery of the present goal."""
+        feedback, active = navigation.decode_feedback(payload), self._active
+        if active is None or active.stage != "driving" or feedback.goal_id != active.goal_id:
             return
-        if feedback.recoveries > driven.recoveries:
-            driven.recoveries = feedback.recoveries
+        if feedback.recoveries > active.recoveries:
+            active.recoveries = feedback.recoveries
             reason = f"{feedback.recoveries} recoveries, {feedback.distance_m:.1f} m left"
-            self._report(GoalStatus(driven.goal.stamp_ns, "accepted", reason))
+            self._report(GoalStatus(active.goal.stamp_ns, "accepted", reason))
 
     def _on_status_message(self, payload: bytes) -> None:
-        driven = self._driven
+        """Note which goals have ended, for results that are lost."""
+        active = self._active
         for goal_id, status in navigation.decode_goal_statuses(payload):
-            ours = driven is not None and goal_id == driven.goal_id
-            if ours and status in SETTLED and not driven.status:
-                driven.status, driven.ended_s = status, time.monotonic()
+            ours = active is not None and goal_id == active.goal_id
+            if ours and status in SETTLED and not active.status:
+                active.status, active.ended_s = status, time.monotonic()
             elif status in SETTLED and goal_id in self._replaced:
                 self._replaced.remove(goal_id)
 
-    def _report_result(self, driven: _Driven, result: navigation.Result) -> None:
+    def _report_result(self, active: _ActiveGoal, result: navigation.Result) -> None:
+        """Report the end of the goal."""
         if result.status == SUCCEEDED:
-            self._finish(driven, "reached", "")
+            self._finish(active, "reached", "")
         elif result.status in SETTLED:
             code = f" (error {result.error_code})" if result.error_code else ""
-            words = f": {one_line(result.error)}" if result.error else ""
-            self._finish(driven, "failed", f"{_STATES[result.status]} by Nav2{code}{words}")
+            text = f": {one_line(result.error)}" if result.error else ""
+            self._finish(active, "failed", f"{_STATES[result.status]} by Nav2{code}{text}")
         else:
-            self._finish(driven, "failed", f"unknown to Nav2 (status {result.status})")
+            self._finish(active, "failed", f"unknown to Nav2 (status {result.status})")
 
-    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
-        self._driven = None
-        if not driven.unwanted:
-            self._report(GoalStatus(driven.goal.stamp_ns, state, reason))
+    def _finish(
+        self, active: _ActiveGoal, state: Literal["reached", "failed"], reason: str
+    ) -> None:
+        self._active = None
+        if not active.unwanted:
+            self._report(GoalStatus(active.goal.stamp_ns, state, reason))
 
-    def _drop(self, driven: _Driven) -> None:
+    def _cancel_active(self, active: _ActiveGoal) -> None:
         """Cancel a goal and forget it.
 
         The answer is not needed: a robot that drives on is noticed by its poses.
         """
-        self._driven = None
-        self._send_cancel(driven.goal_id)
+        self._active = None
+        self._send_cancel(active.goal_id)
 
     def _cancel_replaced(self) -> None:
         """Cancel replaced goals that may still be active."""
@@ -310,12 +323,18 @@ class DockRobotClient(NavigateToPoseClient):
 
     def send(self, goal: Goal) -> None:
         """Dock at this goal's place. A robot that is docking there goes on, for the new goal."""
-        if self._driven is None or self._driven.goal.target != goal.target or not self._adopt(goal):
+        if (
+            self._active is None
+            or self._active.goal.target != goal.target
+            or not self._continue_for(goal)
+        ):
             super().send(goal)
 
-    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
+    def _finish(
+        self, active: _ActiveGoal, state: Literal["reached", "failed"], reason: str
+    ) -> None:
         self.docked |= state == "reached"
-        super()._finish(driven, state, reason)
+        super()._finish(active, state, reason)
 
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
         dock_id = self._docks[names.normalise(goal.target)]
@@ -354,7 +373,7 @@ class UndockRobotClient(NavigateToPoseClient):
 
     def send(self, goal: Goal) -> None:
         """Undock for this goal. A robot that is undocking goes on, for the new goal."""
-        if not self._adopt(goal):
+        if not self._continue_for(goal):
             super().send(goal)
 
     def _encode(self, goal_id: bytes, goal: Goal) -> bytes:
@@ -366,15 +385,17 @@ class UndockRobotClient(NavigateToPoseClient):
     def _on_feedback(self, payload: bytes) -> None:
         """Do nothing: UndockRobot has no feedback."""
 
-    def _finish(self, driven: _Driven, state: Literal["reached", "failed"], reason: str) -> None:
-        if state == "reached" and not driven.unwanted:
-            self._driven = None
-            self._go_on(driven.goal)
+    def _finish(
+        self, active: _ActiveGoal, state: Literal["reached", "failed"], reason: str
+    ) -> None:
+        if state == "reached" and not active.unwanted:
+            self._active = None
+            self._go_on(active.goal)
         else:
-            super()._finish(driven, state, reason)
+            super()._finish(active, state, reason)
 
 
-_STEPS: dict[str, Callable[[NavigateToPoseClient, _Driven], None]] = {
+_STEPS: dict[str, Callable[[NavigateToPoseClient, _ActiveGoal], None]] = {
     "waiting": NavigateToPoseClient._step_waiting,
     "sent": NavigateToPoseClient._step_sent,
     "driving": NavigateToPoseClient._step_driving,

@@ -1,4 +1,4 @@
-"""Rate limits of a sink's messages."""
+"""Rate limits of the messages that a sink sends."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ class RateLimiter:
         hz: highest rate of each, by name.
 
     Example:
-        >>> pace = RateLimiter(map=2.0)
-        >>> pace.is_due("map", 0), pace.is_due("map", 100_000_000)
+        >>> limiter = RateLimiter(map=2.0)
+        >>> limiter.take_turn("map", 0), limiter.take_turn("map", 100_000_000)
         (True, False)
     """
 
@@ -19,7 +19,7 @@ class RateLimiter:
         self._period_ns = {name: int(1e9 / rate) for name, rate in hz.items()}
         self._last_ns: dict[str, int] = {}
 
-    def is_due(self, name: str, now_ns: int) -> bool:
+    def take_turn(self, name: str, now_ns: int) -> bool:
         """Return True if a message is due, and record that it was sent at `now_ns`."""
         last_ns = self._last_ns.get(name)
         # A clock that was set back must not silence the sink.

@@ -31,7 +31,8 @@ from edge.tasks.refine import RefinedTrajectory
 from edge.types import Goal, GoalStatus
 
 DRAWN_HZ = 1.0
-_CLOSE_S = 1.0
+"""Rate of path and markers, and of checks if the robot entered a zone."""
+_CLOSE_S = 1.0  # longest time to send what is pending at the end
 
 
 class Ros2Sink:
@@ -72,8 +73,10 @@ class Ros2Sink:
         self._driven_path = PathRing()
         self._driving = False
         self._trajectory: RefinedTrajectory | None = None
-        self._pace = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
-        self._worker = Worker("ros2-sink", self._deliver, finishes=True, beat=self._beat)
+        self._limiter = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
+        self._worker = Worker(
+            "ros2-sink", self._deliver, finish_on_close=True, periodic=self._update_clients
+        )
 
     def _publisher(self, name: str) -> Ros2Publisher:
         return self._node.publisher(self._settings.topic(name), PUBLISHED[name], name in LATCHED)
@@ -105,13 +108,13 @@ class Ros2Sink:
             self._trajectory = refined
             self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
         if self._keepout is not None:
-            is_due = self._pace.is_due("zones", now_ns)  # the robot may have entered one
+            is_due = self._limiter.take_turn("zones", now_ns)  # the robot may have entered one
             if is_due or result.zones is not self._zones:
                 self._zones = result.zones
                 self._worker.submit(("zones", (now_ns, result.zones, result.pose)), key="zones")
-        if self._pace.is_due("map", now_ns):
+        if self._limiter.take_turn("map", now_ns):
             self._worker.submit(("map", (now_ns, result.snapshot)), key="map")
-        if self._pace.is_due("drawings", now_ns):
+        if self._limiter.take_turn("drawings", now_ns):
             drawn = now_ns, self._driven_path.poses(), drawing_of(result)
             self._worker.submit(("drawings", drawn), key="drawings")
 
@@ -130,12 +133,13 @@ class Ros2Sink:
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _deliver(self, message: tuple[str, Any]) -> None:
+        """Publish one queued item."""
         name, item = message
         if name == "goal":
             self._drive(item)
         elif name == "map":
-            stamp_ns, take = item
-            self._map.put(_encode_map(stamp_ns, take, self._frame))
+            stamp_ns, copy_map = item
+            self._map.put(_encode_map(stamp_ns, copy_map, self._frame))
         elif name == "zones" and self._keepout is not None:
             self._keepout.update(*item)
         elif name == "trajectory":
@@ -148,9 +152,10 @@ class Ros2Sink:
             self._markers.put(payload)
 
     def _drive(self, goal: Goal | None) -> None:
+        """Send a goal to the client that comes first, and cancel the others; None: cancel all."""
         if self._navigator is None:
             self._pending_goal = goal
-            self._beat()
+            self._update_clients()
             return
         client = None if goal is None else self._client_for(goal)
         for other in (self._navigator, self._docker, self._undocker):
@@ -158,7 +163,7 @@ class Ros2Sink:
                 other.cancel()
         if goal is not None and client is not None:
             client.send(goal)
-        self._beat()
+        self._update_clients()
 
     def _client_for(self, goal: Goal) -> NavigateToPoseClient | None:
         """Return the client of the action that must come first for a goal."""
@@ -174,7 +179,7 @@ class Ros2Sink:
         self._docker.docked = False
         self._navigator.send(goal)
 
-    def _beat(self) -> None:
+    def _update_clients(self) -> None:
         """Update the clients, and send a pending goal; the worker calls this periodically."""
         self._node.update()
         for docking in (self._docker, self._undocker):
@@ -198,5 +203,5 @@ class Ros2Sink:
         self._status_publisher.put(json.dumps(fields).encode())
 
 
-def _encode_map(stamp_ns: int, take: Callable[[], Grid], frame_id: str) -> bytes:
-    return messages.encode_occupancy_grid(stamp_ns, take(), frame_id)
+def _encode_map(stamp_ns: int, copy_map: Callable[[], Grid], frame_id: str) -> bytes:
+    return messages.encode_occupancy_grid(stamp_ns, copy_map(), frame_id)

@@ -38,6 +38,7 @@ LATENCY_HZ = 1.0
 _CLOSE_S = 1.0  # longest time to send what is pending at the end
 
 WRITTEN = tuple(topic for topic in topics.ALL if topic.writer == "service")
+"""Topics that this sink publishes."""
 
 
 @dataclass(slots=True)
@@ -82,12 +83,14 @@ class ZenohSink:
             # and, before it, the map.
             self._repeat_s["tick"] = UNANSWERED_S
         self._last_map = b""
-        self._pace = RateLimiter(
+        self._limiter = RateLimiter(
             map=config.report.map_hz, status=config.report.status_hz, latency=LATENCY_HZ
         )
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
-        self._worker = Worker("zenoh-sink", self._deliver, finishes=True, beat=self._repeat)
+        self._worker = Worker(
+            "zenoh-sink", self._deliver, finish_on_close=True, periodic=self._repeat
+        )
 
     # -- on the loop's thread -------------------------------------------------------------------
 
@@ -98,11 +101,11 @@ class ZenohSink:
         for goal in result.goals:
             self._put("goal", goal)
         now_ns, status = result.now_ns, result.status
-        if self._pace.is_due("map", now_ns):
+        if self._limiter.take_turn("map", now_ns):
             self._put("map", (now_ns, self._map_of(result)))
-        if self._pace.is_due("status", now_ns):
+        if self._limiter.take_turn("status", now_ns):
             self._put("status", status_message(result))
-        if self._pace.is_due("latency", now_ns):
+        if self._limiter.take_turn("latency", now_ns):
             self._put("latency", result.latency)
         if (status.target, status.phase, status.reason) != self._mission:
             self._mission = (status.target, status.phase, status.reason)
@@ -149,6 +152,7 @@ class ZenohSink:
     # -- on the worker's thread ------------------------------------------------------------------
 
     def _deliver(self, message: tuple[str, Any]) -> None:
+        """Publish one queued item, and keep it if it is repeated."""
         name, item = message
         if name == "answered":
             self._slow_down(*item)
@@ -177,6 +181,7 @@ class ZenohSink:
             goal.period_s = UNSETTLED_S
 
     def _repeat(self) -> None:
+        """Send the messages again whose period is over."""
         now_s = time.monotonic()
         for name, repeated in self._repeated.items():
             if now_s >= repeated.due_s:
@@ -191,10 +196,11 @@ def _json(item: Any) -> bytes:
 
 
 def _encode_map(item: tuple[int, Callable[[], Grid]]) -> bytes:
-    stamp_ns, take = item
-    return messages.encode_occupancy_grid(stamp_ns, take())
+    stamp_ns, copy_map = item
+    return messages.encode_occupancy_grid(stamp_ns, copy_map())
 
 
+# Name of a topic → encoder of its queued item.
 _ENCODERS: dict[str, Callable[[Any], bytes]] = {
     "goal": lambda goal: messages.encode_pose_stamped(goal.stamp_ns, goal.pose),
     "map": _encode_map,

@@ -24,6 +24,7 @@ from edge.sources.decoder import KINDS
 from edge.sources.synchronizer import streams_of
 from edge.text import format_table, one_line
 
+# Our names of the topics.
 RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
     topic.key
     for topic in (
@@ -32,11 +33,12 @@ RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
 )  # fmt: skip
 TF, TF_STATIC = "tf", "tf_static"
 _DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
+# Usual names of base and world frames, the most likely first.
 _BASES = ("base_link", "base_footprint", "base", "base_frame")
 _WORLDS = ("map", "odom", "world")
 _MAX_TOPICS = 10_000
-_MAX_STATIC_BYTES = 1 << 23
-_MAX_FRAMES = 4096
+_MAX_STATIC_BYTES = 1 << 23  # of tf_static messages that are kept
+_MAX_FRAMES = 4096  # of tf
 _MAX_LISTED = 12  # topics in a message
 
 _TYPES = {kind for name in SUBSCRIBED for kind in accepted_types(name, "")}
@@ -101,7 +103,7 @@ class RecordingContents:
         topics: the topics that have messages, by name.
         first_ns: log time of the first message.
         last_ns: log time of the last message.
-        sorted_nearly: True if the messages are nearly sorted by log time; see `Bag.by_time`.
+        nearly_sorted: True if the messages are nearly sorted by log time; see `Bag.by_time`.
         static: payloads of the `tf_static` messages, by topic. Playback processes all of them at
             its start, as a late subscriber would.
         static_bytes: size of all `tf_static` messages, also of those that are not in `static`.
@@ -112,7 +114,7 @@ class RecordingContents:
     topics: dict[str, TopicFacts] = field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
-    sorted_nearly: bool = True
+    nearly_sorted: bool = True
     static: dict[str, list[bytes]] = field(default_factory=dict)
     static_bytes: int = 0
     parents: dict[str, str] = field(default_factory=dict)
@@ -151,13 +153,14 @@ class RecordingContents:
             f"{one_line(name, 80)} ({_type_text(facts)}, {facts.count})"
             for name, facts in sorted(self.topics.items())
         ]
-        left = len(shown) - _MAX_LISTED
-        return ", ".join(shown[:_MAX_LISTED] + [f"{left} more"] * (left > 0)) or "no topics"
+        if len(shown) > _MAX_LISTED:
+            shown[_MAX_LISTED:] = [f"{len(shown) - _MAX_LISTED} more"]
+        return ", ".join(shown) or "no topics"
 
 
 def _type_text(facts: TopicFacts) -> str:
-    as_what = "" if facts.encoding == "cdr" else f" as {facts.encoding}"
-    return one_line(f"{facts.type}{as_what}", 60)
+    note = "" if facts.encoding == "cdr" else f" as {facts.encoding}"
+    return one_line(f"{facts.type}{note}", 60)
 
 
 def read_contents(bag: Bag, stop: threading.Event) -> RecordingContents:
@@ -179,23 +182,23 @@ def read_contents(bag: Bag, stop: threading.Event) -> RecordingContents:
                 found.first_ns = message.log_ns
             facts = TopicFacts(_type_name(message.schema), message.encoding)
             found.topics[message.topic] = facts
-            _describe(facts, message)
+            _set_facts(facts, message)
         facts.count += 1
         found.first_ns = min(found.first_ns, message.log_ns)
         latest_ns = max(latest_ns, message.log_ns)
-        found.sorted_nearly &= latest_ns - message.log_ns <= WINDOW_NS
+        found.nearly_sorted &= latest_ns - message.log_ns <= WINDOW_NS
         if facts.type == SUBSCRIBED[TF] and facts.encoding == "cdr":
-            _take_frames(found, message)
+            _add_frames(found, message)
     found.last_ns = max(latest_ns, found.first_ns)
     return found
 
 
 def _type_name(schema: str) -> str:
-    """Return the ROS 2 name of `sensor_msgs/Image`: `sensor_msgs/msg/Image`."""
+    """Return the ROS 2 name of a type, such as `sensor_msgs/msg/Image` for `sensor_msgs/Image`."""
     return re.sub(r"^(\w+)/(\w+)$", r"\1/msg/\2", schema)
 
 
-def _describe(facts: TopicFacts, message: RecordedMessage) -> None:
+def _set_facts(facts: TopicFacts, message: RecordedMessage) -> None:
     """Set facts from the first message. A damaged message is counted later, during playback."""
     if facts.encoding != "cdr" or facts.type not in _TYPES or facts.type == SUBSCRIBED[TF]:
         return
@@ -216,7 +219,8 @@ def _describe(facts: TopicFacts, message: RecordedMessage) -> None:
         facts.frame_id, facts.child = facts.frame_id.lstrip("/"), facts.child.lstrip("/")
 
 
-def _take_frames(found: RecordingContents, message: RecordedMessage) -> None:
+def _add_frames(found: RecordingContents, message: RecordedMessage) -> None:
+    """Add the frames of a tf message to the contents."""
     static = _is_static(message.topic)
     if static:
         found.static_bytes += len(message.payload)
@@ -329,7 +333,7 @@ class _TopicChooser:
             for topic, facts in self._contents.topics.items()
             if facts.encoding == "cdr" and facts.type in accepted_types(name, topic)
         }
-        topic, how = self._by_name(name, present)
+        topic, how = self._find_by_name(name, present)
         if not topic:
             scores = {
                 t: self._score(name, t, facts)
@@ -345,7 +349,7 @@ class _TopicChooser:
             how = f"{facts.count} {facts.type}, {how}" if how else f"{facts.count} {facts.type}"
         self.how[name] = how
 
-    def _by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
+    def _find_by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
         """Return the topic with the configured, our own or the usual name, and a description."""
         configured = self._config.ros2.topics.get(name)
         if configured is not None:
@@ -361,6 +365,7 @@ class _TopicChooser:
         return "", ""
 
     def _may_be(self, name: str, topic: str, facts: TopicFacts) -> bool:
+        """Return True if a topic may be played as this sensor, going by its content."""
         if name in (RGB, DEPTH):
             return facts.is_depth == (name == DEPTH)
         if name in (TF, TF_STATIC):
@@ -433,7 +438,7 @@ class _FrameMatcher:
         self.lines: list[str] = []
 
     def resolve(self, found: dict[str, str]) -> None:
-        """Find the frames, given the topics of the recording by our name."""
+        """Find the frames, given the topics of the recording by our name; set the attributes."""
         config, contents = self.config, self._contents
         if not self.by_tf:
             self.lines.append(
@@ -442,7 +447,7 @@ class _FrameMatcher:
             return
         ros2, odom = config.ros2, contents.topics.get(found.get(ODOMETRY, ""))
         sensors = [contents.topics[found[n]].frame_id for n in (RGB, CLOUD, SCAN) if n in found]
-        base = self._base(ros2.base_frame, odom, sensors)
+        base = self._find_base(ros2.base_frame, odom, sensors)
         if odom is not None and self._odometry_is_apart(odom, base):
             self.lines.append(
                 f"odom: tf does not connect {one_line(odom.frame_id)} with {ros2.map_frame}, but "
@@ -451,7 +456,7 @@ class _FrameMatcher:
             self.drops_odometry, odom = True, None
         if odom is None:
             self.moving_frame = contents.moving_frame(base)
-        world = self._map(ros2.map_frame, base, odom)
+        world = self._find_map(ros2.map_frame, base, odom)
         frames = {"base_frame": base, "map_frame": world}
         if ros2.mounts == "tf" and not any(contents.connected(base, name) for name in sensors):
             frames["mounts"] = "config"
@@ -468,7 +473,7 @@ class _FrameMatcher:
         has_base = connected(base, world) and bool(self._contents.moving_frame(base))
         return has_base and bool(odom.frame_id) and not connected(odom.frame_id, world)
 
-    def _base(self, configured: str, odom: TopicFacts | None, sensors: list[str]) -> str:
+    def _find_base(self, configured: str, odom: TopicFacts | None, sensors: list[str]) -> str:
         """Return the base frame: the configured one, or a frame that moves."""
         base = configured
         if odom is not None:
@@ -484,7 +489,7 @@ class _FrameMatcher:
             self.lines.append(f"base: {one_line(base)} instead of ros2.base_frame ({configured})")
         return base
 
-    def _map(self, configured: str, base: str, odom: TopicFacts | None) -> str:
+    def _find_map(self, configured: str, base: str, odom: TopicFacts | None) -> str:
         """Return the map frame: the configured one, or the frame of the poses."""
         frame = self._contents.root(base) if odom is None else odom.frame_id
         if self._contents.connected(configured, frame) or not frame:

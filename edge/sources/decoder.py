@@ -31,7 +31,9 @@ _WAIT_SHARE = 0.8  # part of a frame's waiting time in which its pose may wait f
 _INFO_BODY = 12  # offset behind CDR header and stamp: the rest is the same in most messages
 
 
-def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out: np.ndarray) -> int:
+def _check_height(
+    header: messages.ImageHeader | compressed.CompressedHeader, out: np.ndarray
+) -> int:
     """Return the height; 0 for an empty image. Raise WrongSizeError unless it fits `out`."""
     if header.height * header.width == 0:
         return 0
@@ -44,14 +46,14 @@ def _check_size(header: messages.ImageHeader | compressed.CompressedHeader, out:
 
 def _image_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     header = messages.decode_image_header(payload)
-    if (height := _check_size(header, out)) > 0:
+    if (height := _check_height(header, out)) > 0:
         messages.decode_image_into(payload, header, out, settings.depth_unit_m)
     return height
 
 
 def _compressed_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
     header = compressed.decode_compressed_header(payload)
-    if (height := _check_size(header, out)) > 0:
+    if (height := _check_height(header, out)) > 0:
         compressed.decode_compressed_into(payload, header, out, settings.depth_unit_m)
     return height
 
@@ -72,13 +74,13 @@ KINDS: dict[Topic, type[SensorFrame]] = {
 }
 """Message class of each topic."""
 
-_INTO: dict[str, Callable[[SourceConfig, bytes, np.ndarray], int]] = {
+_DECODERS: dict[str, Callable[[SourceConfig, bytes, np.ndarray], int]] = {
     "sensor_msgs/PointCloud2": _cloud_into,
     "sensor_msgs/LaserScan": _scan_into,
     "sensor_msgs/Image": _image_into,
     "sensor_msgs/CompressedImage": _compressed_into,
 }
-"""Decoder of each ROS 2 type."""
+"""ROS 2 type → function (settings, payload, out) that decodes into `out`, and returns the rows."""
 
 
 class CdrDecoder:
@@ -100,11 +102,11 @@ class CdrDecoder:
         self._settings = synchronizer.config.source
         self._clock = clock
         self._frames = frames
-        self._info = b""
+        self._last_info = b""
         config = synchronizer.config
         wait_ns = _WAIT_SHARE * 1e9 * config.source.wait_s
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
-        self._most_waiting = config.source.odometry_ring
+        self._max_waiting = config.source.odometry_ring
         # (arrival in ns, pose) of the poses that wait for transforms.
         self._waiting: deque[tuple[int, messages.OdometryMessage]] = deque()
 
@@ -122,7 +124,7 @@ class CdrDecoder:
             return
         try:
             if topic is topics.ODOMETRY:
-                self.move(messages.decode_odometry(payload))
+                self.offer_pose(messages.decode_odometry(payload))
             elif topic is topics.CAMERA_INFO:
                 self._offer_camera_info(payload)
             else:
@@ -130,21 +132,22 @@ class CdrDecoder:
         except DecodeError as error:
             self._synchronizer.count(topic.key, "malformed", str(error))
 
-    def move(self, sample: messages.OdometryMessage) -> None:
+    def offer_pose(self, sample: messages.OdometryMessage) -> None:
         """Process a pose from an odometry message or from tf."""
         if self._frames is None:
             self._synchronizer.offer(Odometry(sample.stamp_ns, sample.T_map_base))
             return
         self._waiting.append((self._clock(), sample))
-        self.settle()
+        self.convert_waiting_poses()
 
-    def settle(self) -> None:
+    def convert_waiting_poses(self) -> None:
         """Convert waiting poses into `map` if their transforms have come or waiting is over."""
         while self._waiting:
             came_ns, sample = self._waiting[0]
             placed = self._frames.base_in_map(sample)
             waited = self._clock() - came_ns > self._wait_ns
-            if placed.age_ns and not waited and len(self._waiting) < self._most_waiting:
+            # An age above 0: newer transforms may still come.
+            if placed.age_ns and not waited and len(self._waiting) < self._max_waiting:
                 return
             self._waiting.popleft()
             if placed.T is None:
@@ -153,7 +156,8 @@ class CdrDecoder:
                 self._synchronizer.offer(Odometry(sample.stamp_ns, placed.T, placed.age_ns))
 
     def _offer_frame(self, topic: Topic, payload: bytes, type_name: str) -> None:
-        kind, into = KINDS[topic], _INTO[type_name]
+        """Pass a frame to the synchronizer, which decodes it only if it is used."""
+        kind, into = KINDS[topic], _DECODERS[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
         # Depth is registered to the colour image: it uses that mount, whatever its frame_id is.
         by_tf = self._frames is not None and self._frames.by_tf and kind is not DepthImage
@@ -165,7 +169,7 @@ class CdrDecoder:
 
     def _offer_camera_info(self, payload: bytes) -> None:
         """Process camera info; drivers repeat it with every frame, but it hardly ever changes."""
-        if payload[_INFO_BODY:] != self._info:
+        if payload[_INFO_BODY:] != self._last_info:
             info = messages.decode_camera_info(payload)
             self._synchronizer.offer(CameraInfo(info.camera, info.lens, info.cut))
-            self._info = payload[_INFO_BODY:]
+            self._last_info = payload[_INFO_BODY:]

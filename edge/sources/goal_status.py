@@ -16,8 +16,9 @@ from edge.types import GoalStatus
 log = logging.getLogger("edge.sources.goal_status")
 
 STATES = ("accepted", "reached", "failed")
-_MAX_BYTES = 4096
-_KEPT = 64  # messages in the ring
+"""Values of `state` in a message."""
+_MAX_BYTES = 4096  # of a message
+_RING_MESSAGES = 64
 
 
 def parse_goal_status(payload: bytes) -> GoalStatus:
@@ -60,7 +61,7 @@ class GoalStatusInbox:
 
     def __init__(self, session: zenoh.Session, settings: ZenohConfig) -> None:
         self.malformed = 0
-        self._ring = Ring(session, settings.key(topics.GOAL_STATUS.key), _KEPT)
+        self._ring = Ring(session, settings.key(topics.GOAL_STATUS.key), _RING_MESSAGES)
 
     @property
     def overruns(self) -> int:
@@ -68,7 +69,7 @@ class GoalStatusInbox:
         return self._ring.overruns
 
     def poll(self) -> list[GoalStatus]:
-        """Return the statuses since the last poll, oldest first; at most one ring."""
+        """Return the statuses since the last poll, oldest first, at most one ring's length."""
         answers = []
         for sample in self._ring.take():
             try:

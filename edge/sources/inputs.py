@@ -76,6 +76,7 @@ class _Input:
         self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
 
     def on_message(self, now_ns: int) -> None:
+        """Count a message, and measure the rate once a window."""
         if self.came_ns is None or now_ns - self.came_ns > self.silent_ns:
             self.since_ns, self.in_window, self.hz = now_ns, 0, 0.0
         elif now_ns - self.since_ns >= _WINDOW_NS:
@@ -90,6 +91,7 @@ class _Input:
         return self.warning if now_ns - self.warned_ns <= _WINDOW_NS else ""
 
     def state(self, now_ns: int) -> InputState:
+        """Return the state of the input without regard to its group."""
         if self.came_ns is None:
             return "missing"
         if now_ns - self.came_ns > self.silent_ns:
@@ -155,7 +157,7 @@ class InputTable:
         for row in self._by_name.get(name, ()):
             row.used_ns, row.reason = self._clock(), ""
 
-    def dropped(self, name: str, reason: str, detail: str = "") -> None:
+    def on_dropped(self, name: str, reason: str, detail: str = "") -> None:
         """Count a drop.
 
         For repeated drops with one reason the first detail is kept, so that the text does not
@@ -166,15 +168,15 @@ class InputTable:
             if reason not in _NO_FAULT and (reason != row.reason or reason == "no_transform"):
                 row.reason, row.detail = reason, detail
 
-    def warn(self, name: str, doubt: str) -> None:
+    def warn(self, name: str, warning: str) -> None:
         """Record a warning about messages that are used. The first of a series is kept."""
         now_ns = self._clock()
         for row in self._by_name.get(name, ()):
             if not row.current_warning(now_ns):
-                row.warning = doubt
+                row.warning = warning
             row.warned_ns = now_ns
 
-    def unpaired(self, group: str, detail: str) -> None:
+    def on_unpaired(self, group: str, detail: str) -> None:
         """Record that an observation was made without these optional inputs."""
         for row in self._inputs:
             if row.group == group and not row.reason:
@@ -190,12 +192,15 @@ class InputTable:
             row.group for row, state in zip(self._inputs, states, strict=True) if state != "missing"
         }
         return tuple(
-            _row(row, "unused" if state == "missing" and row.group in active else state, now_ns)
+            _make_status(
+                row, "unused" if state == "missing" and row.group in active else state, now_ns
+            )
             for row, state in zip(self._inputs, states, strict=True)
         )
 
 
-def _row(row: _Input, state: InputState, now_ns: int) -> InputStatus:
+def _make_status(row: _Input, state: InputState, now_ns: int) -> InputStatus:
+    """Return the row of the table for an input."""
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)

@@ -24,6 +24,7 @@ class Odometry:
     """Pose of the base in `map`.
 
     Attributes:
+        stamp_ns: time of measurement.
         T_map_base: (4, 4) float64.
         age_ns: age, at the stamp, of the transforms that converted the pose into `map`.
     """

@@ -17,6 +17,7 @@ _N_LINEAR = 4  # newest poses that are searched one by one, before bisection
 _SPEED_WINDOW_NS = 100_000_000  # shortest time over which the speed is measured
 _MAX_TURN_RAD = 1.0  # largest jump of yaw
 
+# Reason why there is no pose, see `OdometryRing.pose_at`; "": there is one.
 Missing = Literal["", "empty", "too_old", "too_new", "gap"]
 
 
@@ -91,6 +92,7 @@ class StampedPoses:
 
     def push(self, stamp_ns: int, T: np.ndarray, age_ns: int = 0) -> None:
         """Append the newest transform; `age_ns` is the age of its oldest part."""
+        # If the new one and the second newest are this close, the one between them is overwritten.
         if self._n_kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
             self._n_pushed -= 1
             self._n_kept -= 1
@@ -115,15 +117,16 @@ class StampedPoses:
         """Return the `n`-th newest transform, as a view of the ring."""
         return self._poses[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
-    def newer_than(self, stamp_ns: int) -> int:
+    def count_newer(self, stamp_ns: int) -> int:
         """Return the number of transforms newer than an instant."""
         n_linear = min(_N_LINEAR, self._n_kept)
         for n in range(n_linear):  # the usual case
             if self.stamp(n) <= stamp_ns:
                 return n
+        # Bisection needs ascending values, and stamps descend with `n`.
         return bisect_left(range(self._n_kept), -stamp_ns, n_linear, key=lambda n: -self.stamp(n))
 
-    def between(self, n: int, stamp_ns: int) -> np.ndarray:
+    def interpolate_at(self, n: int, stamp_ns: int) -> np.ndarray:
         """Interpolate between the `n`-th newest transform and its successor."""
         before_ns = self.stamp(n)
         fraction = (stamp_ns - before_ns) / (self.stamp(n - 1) - before_ns)
@@ -169,6 +172,7 @@ class OdometryRing:
 
     @property
     def newest_ns(self) -> int | None:
+        """Stamp of the newest pose; None if there is none."""
         return self._poses.stamp(0) if len(self) else None
 
     @property
@@ -194,7 +198,7 @@ class OdometryRing:
             return verdict
         # After a clock reset only the time since the reset is known.
         since_ns = self._guard.behind_since_ns if verdict == "clock_reset" else last_ns
-        if len(self) and self._jumped(T_map_base, (stamp_ns - since_ns) * 1e-9):
+        if len(self) and self._is_jump(T_map_base, (stamp_ns - since_ns) * 1e-9):
             self.epoch += 1
             verdict = "pose_jump"
         if verdict != "ok":
@@ -202,7 +206,7 @@ class OdometryRing:
         self._poses.push(stamp_ns, T_map_base, age_ns)
         return "" if verdict == "ok" else verdict
 
-    def _jumped(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
+    def _is_jump(self, T_map_base: np.ndarray, elapsed_s: float) -> bool:
         """Return True if the robot cannot move from the newest pose to this one in that time."""
         last = self._poses.pose(0)
         moved_m = math.dist(T_map_base[:3, 3], last[:3, 3])
@@ -222,7 +226,7 @@ class OdometryRing:
         poses = self._poses
         if not len(poses):
             return None, "empty", 0
-        n = poses.newer_than(stamp_ns)
+        n = poses.count_newer(stamp_ns)
         if n == len(poses):
             return None, "too_old", 0
         before_ns = poses.stamp(n)
@@ -232,9 +236,9 @@ class OdometryRing:
             return None, "too_new", 0
         if poses.stamp(n - 1) - before_ns > self._max_gap_ns:
             return None, "gap", 0
-        return poses.between(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
+        return poses.interpolate_at(n, stamp_ns), "", max(poses.age(n), poses.age(n - 1))
 
-    def extrapolated(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
+    def extrapolate(self, stamp_ns: int) -> tuple[np.ndarray | None, int]:
         """Extrapolate the newest pose to an instant, with the speed of the poses before it.
 
         Returns:
@@ -245,7 +249,7 @@ class OdometryRing:
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
             return None, 0
         over_ns = max(stamp_ns - newest_ns, _SPEED_WINDOW_NS)
-        n = min(poses.newer_than(newest_ns - over_ns), len(poses) - 1)
+        n = min(poses.count_newer(newest_ns - over_ns), len(poses) - 1)
         since_ns = poses.stamp(n)
         if newest_ns - since_ns < stamp_ns - newest_ns:  # too few poses to extrapolate this far
             return poses.pose(0).copy(), poses.age(0)

@@ -85,15 +85,15 @@ class PlayedSource(PolledSource):
         self._process_static(contents)
         self._names = {topic: name for name, topic in matched.topics.items()}
         self._types = {topic: contents.topics[topic].type for topic in self._names}
-        self._messages = playback.bag.by_time(self._names.keys(), contents.sorted_nearly)
+        self._messages = playback.bag.by_time(self._names.keys(), contents.nearly_sorted)
         self._ahead = None if rate is None else _ReadAhead(self._messages)
         if self._ahead is not None:
             self._messages = self._ahead
         self._next = next(self._messages, None)
         if self._next is not None:  # other topics may have begun earlier
             self._now_ns = self._last_ns = self._first_ns = self._next.log_ns
-        self._began_ns: int | None = None
-        self._skipped_ns = 0
+        self._began_ns: int | None = None  # monotonic time of the start
+        self._skipped_ns = 0  # log time without messages that was skipped
 
     def _process_static(self, contents: RecordingContents) -> None:
         """Process all of tf_static at once, as a late subscriber would get it."""
@@ -139,6 +139,7 @@ class PlayedSource(PolledSource):
         return one_line(self._matched.topics.get(topic.key, _ABSENT), 80)
 
     def _drain(self) -> int:
+        """Process the messages up to the present log time; return their number."""
         now_ns, n = self.clock(), 0
         while self._next is not None and self._next.log_ns <= now_ns and n < _MAX_BATCH:
             self._advance()
@@ -153,7 +154,7 @@ class PlayedSource(PolledSource):
         message = self._next
         if message is None:
             self._now_ns += _REST_NS
-            self._decoder.settle()
+            self._decoder.convert_waiting_poses()
             self.is_over = True
             return
         self._now_ns = self._last_ns = max(self._now_ns, message.log_ns)
@@ -167,8 +168,9 @@ class PlayedSource(PolledSource):
                 log.info("skipping %.0f s without messages in the recording", gap_ns * 1e-9)
 
     def _process(self, message: RecordedMessage) -> None:
+        """Pass one recorded message to the decoder, or to tf."""
         name = self._names[message.topic]
-        self._decoder.settle()
+        self._decoder.convert_waiting_poses()
         if name not in (TF, TF_STATIC):
             if not self._is_too_large(name, message.payload):
                 type_name = self._types[message.topic].replace("/msg/", "/")
@@ -185,15 +187,18 @@ class PlayedSource(PolledSource):
                 if t.child == self._matched.moving_frame:
                     self._synchronizer.received(ODOMETRY)
                     sample = messages.OdometryMessage(t.stamp_ns, t.T, 0.0, 0.0, t.parent, t.child)
-                    self._decoder.move(sample)
+                    self._decoder.offer_pose(sample)
 
 
 class _ReadAhead:
-    """Reads messages in advance on a thread, so that decompressing a large chunk blocks no tick."""
+    """Iterator that reads messages in advance on a thread.
+
+    So decompressing a large chunk blocks no tick.
+    """
 
     def __init__(self, messages: Iterator[RecordedMessage]) -> None:
-        self._read: deque[RecordedMessage] = deque()
-        self._bytes = 0
+        self._read: deque[RecordedMessage] = deque()  # not yet taken
+        self._bytes = 0  # of these
         self._over = self._closed = False
         self._error: Exception | None = None
         self._changed = threading.Condition()
@@ -209,6 +214,7 @@ class _ReadAhead:
         with self._changed:
             self._changed.wait_for(lambda: self._read or self._over)
             if not self._read:
+                # An error of the thread is raised once; then the iteration is over.
                 error, self._error = self._error, None
                 raise error or StopIteration
             message = self._read.popleft()
@@ -224,6 +230,7 @@ class _ReadAhead:
         self._thread.join()
 
     def _run(self, messages: Iterator[RecordedMessage]) -> None:
+        """Read messages until the limit of bytes, then whenever there is room."""
         try:
             for message in messages:
                 with self._changed:
@@ -300,8 +307,8 @@ class Playback:
         return self.contents.first_ns if self.source is None else self.source.clock()
 
     @property
-    def as_on_the_bus(self) -> bool:
-        """True if the messages can be sent on the bus unchanged, for the source `zenoh`.
+    def has_bus_topics(self) -> bool:
+        """True if the messages can be sent on the bus as they are, for the source `zenoh`.
 
         The file must be undamaged, and each topic must have the name and type of a bus topic.
         """
@@ -323,10 +330,10 @@ class Playback:
         Raises:
             RecordingError: one line with what was searched for and what was found.
         """
-        if self._lacking():
+        if self._missing_inputs():
             raise self._no_observation_error()
 
-    def opening(self) -> Iterator[str]:
+    def describe_contents(self) -> Iterator[str]:
         """Yield lines about the contents of the recording and what of it is played."""
         found = self.contents
         n = sum(facts.count for facts in found.topics.values())
@@ -338,7 +345,7 @@ class Playback:
         if unused.topics:
             yield f"not used: {unused.topic_list()}"
 
-    def outcome(self) -> Iterator[str]:
+    def describe_outcome(self) -> Iterator[str]:
         """Yield lines about what happened to the messages.
 
         Raises:
@@ -349,22 +356,25 @@ class Playback:
         if n == 0:
             raise self._no_observation_error(rows)
         table = [("input", "topic", "messages", "dropped")]
-        table += [(row.name, row.where, row.received, _dropped(row)) for row in rows]
+        table += [(row.name, row.where, row.received, _describe_drops(row)) for row in rows]
         yield format_table(table)
         late = self.source.counters["superseded"]
         yield f"{n} observations; {late} frames were replaced by newer ones"
 
-    def _lacking(self) -> list[str]:
+    def _missing_inputs(self) -> list[str]:
         """Return the inputs that an observation needs and the recording lacks."""
         poses = [ODOMETRY] if self.matched.moving_frame else []
         return list(missing_inputs(self._config, [*self.matched.topics, *poses]))
 
     def _no_observation_error(self, rows: tuple[InputStatus, ...] = ()) -> RecordingError:
-        lacks = ", ".join(self._lacking())
-        dropped = [f"{row.name} ({row.where}): {_dropped(row)}" for row in rows if row.dropped]
+        """Return the error of a recording that gives no observation."""
+        missing = ", ".join(self._missing_inputs())
+        dropped = [
+            f"{row.name} ({row.where}): {_describe_drops(row)}" for row in rows if row.dropped
+        ]
         parts = [
             f"searched for {', '.join(self.needed_topics)}",
-            f"found no {lacks}" if lacks else "",
+            f"found no {missing}" if missing else "",
             f"dropped {'; '.join(dropped)}" if dropped else "",
             f"the recording has {self.contents.topic_list()}",
             *self.bag.notes,
@@ -379,7 +389,7 @@ def _with_limited_wait(config: Config) -> Config:
     return config.model_copy(update={"loop": config.loop.model_copy(update={"lockstep": False})})
 
 
-def _dropped(row: InputStatus) -> str:
+def _describe_drops(row: InputStatus) -> str:
     """Describe why messages of an input were not used, most frequent reason first."""
     reasons = sorted(row.dropped.items(), key=lambda item: -item[1])
     return ", ".join(f"{n} {reason}" for reason, n in reasons) or "-"

@@ -53,10 +53,10 @@ class PolledSource(ABC):
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self.inbox = GoalStatusInbox(session, config.zenoh)
         fields = self._synchronizer.streams
-        self._kept = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
-        self._kept |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in fields}
-        """Messages of each topic to buffer between polls; odometry is read first."""
-        for topic in self._kept:
+        self._capacities = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
+        self._capacities |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in fields}
+        """Topic → number of messages to buffer between two polls; odometry is read first."""
+        for topic in self._capacities:
             self._synchronizer.inputs.listen(topic.key, self._where(topic))
 
     @staticmethod
@@ -103,12 +103,16 @@ class PolledSource(ABC):
 
     @abstractmethod
     def _drain(self) -> int:
-        """Pass new messages to the synchronizer, at most a ring per topic; return their number."""
+        """Pass new messages to the synchronizer, at most one ring's length of each topic.
+
+        Returns:
+            Their number.
+        """
 
     def _take_transforms(
         self, name: str, payload: zenoh.ZBytes | bytes, frames: RobotFrames, static: bool
     ) -> None:
-        """Process a tf message that was received under this name."""
+        """Process a tf message that was received under this name, and count its faults."""
         self._synchronizer.received(name)
         if self._is_too_large(name, payload):
             return

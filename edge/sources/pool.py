@@ -14,6 +14,7 @@ class PoolSlot:
         rgb: (h, w, 3) uint8; None if the pool has no images.
         depth_m: (h, w) float32, or None.
         cloud_m: (cap, 3) float32, or None.
+        holds: number of readers; 0: free.
     """
 
     __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "rgb")

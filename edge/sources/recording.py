@@ -34,14 +34,14 @@ from edge.config import Config, ZenohConfig, load
 from edge.errors import FAILED, UnavailableError, UserError
 from edge.host.children import python_module
 from edge.host.signals import stop_on_signals
-from edge.recording.bag import in_order
-from edge.recording.channels import Channel, of_ros, of_topic
+from edge.recording.bag import by_log_time
+from edge.recording.channels import Channel, ros_channel, topic_channel
 from edge.recording.file import McapReader, McapWriter, RecordingError, is_complete
 from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
 
 log = logging.getLogger("edge.sources.recording")
 
-_ENDINGS = ("", *COMPRESSED_ENDINGS)  # of a recorded topic
+_ENDINGS = ("", *COMPRESSED_ENDINGS)  # suffixes of a recorded topic
 _WITHOUT_HEADER = (f"/{TF}", f"/{TF_STATIC}")
 _RING = 64  # messages of a topic between two polls
 _PAUSE_S = 0.002  # between two polls
@@ -68,7 +68,7 @@ def record_messages(
     """
     with McapWriter(path, "zstd") as file:
         for topic, stamp_ns, payload in messages:
-            file.add(of_topic(topic), stamp_ns, stamp_ns, payload)
+            file.add(topic_channel(topic), stamp_ns, stamp_ns, payload)
     return file.messages
 
 
@@ -109,7 +109,7 @@ def record(
             for tap in taps:
                 for channel, payload in tap.take():
                     now_ns = time.time_ns()
-                    file.add(channel, now_ns, _stamp_of(channel, payload, now_ns), payload)
+                    file.add(channel, now_ns, _stamp_or(channel, payload, now_ns), payload)
                     written[channel.topic] += 1
             if time.monotonic() >= sync_s:
                 sync_s = time.monotonic() + _SYNC_S
@@ -156,7 +156,7 @@ class _ZenohTap:
     def take(self) -> Iterator[tuple[Channel, bytes]]:
         for topic, ring in self._rings:
             for sample in ring.take():
-                yield of_topic(topic), sample.payload.to_bytes()
+                yield topic_channel(topic), sample.payload.to_bytes()
 
     def close(self) -> None:
         for _, ring in self._rings:
@@ -201,10 +201,11 @@ def _channel_of(name: str, ros_name: str, type_name: str) -> Channel:
     ending = ""
     if type_name == COMPRESSED:
         ending = next((end for end in COMPRESSED_ENDINGS if ros_name.endswith(end)), "/compressed")
-    return of_ros(f"/{name}{ending}", type_name.replace("/msg/", "/"))
+    return ros_channel(f"/{name}{ending}", type_name.replace("/msg/", "/"))
 
 
-def _stamp_of(channel: Channel, payload: bytes, otherwise_ns: int) -> int:
+def _stamp_or(channel: Channel, payload: bytes, otherwise_ns: int) -> int:
+    """Return the stamp of a message's header, else `otherwise_ns`."""
     if channel.encoding != "cdr" or channel.topic in _WITHOUT_HEADER:
         return otherwise_ns
     try:
@@ -227,15 +228,15 @@ def read(path: str | os.PathLike[str]) -> Iterator[BusMessage]:
     Raises:
         RecordingError: no such file, or not a complete MCAP file.
     """
-    reading = McapReader(path)
+    reader = McapReader(path)
     if is_complete(path):  # an incomplete file is not played at all
-        for message in in_order(reading):
+        for message in by_log_time(reader):
             topic = _TOPICS.get(message.topic)
             if topic is not None:
                 yield BusMessage(topic, message.log_ns, message.payload)
-        if not reading.truncation:
+        if not reader.truncation:
             return
-    why = reading.truncation or "the end is missing"
+    why = reader.truncation or "the end is missing"
     raise RecordingError(
         f"{path}: not a complete MCAP file: {why}; repair it with `edge replay --recover`"
     )
@@ -291,7 +292,7 @@ def play(
             if stop.is_set():
                 break
             if restamp and topic.type != "json":
-                payload = _restamped(payload, first_ns, begin_ns, rate)
+                payload = _shift_stamp(payload, first_ns, begin_ns, rate)
             if topic.key not in publishers:
                 publishers[topic.key] = declare_publisher(session, topic, settings)
             publishers[topic.key].put(payload)
@@ -315,7 +316,7 @@ def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
     return max(0.0, time.monotonic() - deadline_s)
 
 
-def _restamped(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
+def _shift_stamp(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
     """Return the payload with its stamp shifted from the recording's time to the current time."""
     stamp_ns = begin_ns + int((peek_stamp_ns(payload) - first_ns) / rate)
     at = len(HEADER)
@@ -390,11 +391,11 @@ def run(args: argparse.Namespace) -> int:
     received = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
     if TF in received:  # tf can replace odometry
         received.add(ODOMETRY)
-    lacks = list(missing_inputs(config, received))
-    if lacks:
-        print(f"nothing received from {', '.join(lacks)} (source.kind: {config.source.kind}): no "
+    missing = list(missing_inputs(config, received))
+    if missing:
+        print(f"nothing received from {', '.join(missing)} (source.kind: {config.source.kind}): no "
               "map can be built from this recording")  # fmt: skip
-    return FAILED if lacks else os.EX_OK
+    return FAILED if missing else os.EX_OK
 
 
 def _play_command(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ from edge.geometry import CameraModel, Lens
 from edge.sources.messages import DepthImage, Image, SensorFrame
 
 FISHEYE = "equidistant"
+# Distortion models that can be rectified, as ROS 2 names them.
 MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
 _COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers that OpenCV accepts; missing ones are zero
 _RECTIFIED_WORDS = {"rect", "rectified"}
@@ -73,12 +74,13 @@ class Rectifier:
     def _make_maps(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the raw pixel of each rectified pixel, in OpenCV's fastest format, by field."""
         lens, camera = self._lens, self._camera
-        fisheye = lens.model == FISHEYE
-        make = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-        size = camera.width_px, camera.height_px
-        maps = make(_matrix(lens.camera), self._d, np.eye(3), _matrix(camera), size, cv2.CV_32F)
+        make_maps = cv2.initUndistortRectifyMap
+        if lens.model == FISHEYE:
+            make_maps = cv2.fisheye.initUndistortRectifyMap
+        size, no_turn = (camera.width_px, camera.height_px), np.eye(3)
+        maps = make_maps(_matrix(lens.camera), self._d, no_turn, _matrix(camera), size, cv2.CV_32F)
         with np.errstate(over="ignore", invalid="ignore"):  # coefficients may be nonsense
-            outside = ~np.isfinite(maps[0] + maps[1]) | self._folded(camera)
+            outside = ~np.isfinite(maps[0] + maps[1]) | self._find_folded_pixels(camera)
         for axis in maps:
             axis[outside] = _OUTSIDE_PX
         # Depth needs a separate map: the one for colour would be rounded down.
@@ -87,7 +89,7 @@ class Rectifier:
             DepthImage.field: cv2.convertMaps(*maps, cv2.CV_16SC2, nninterpolation=True),
         }
 
-    def _folded(self, camera: CameraModel) -> np.ndarray:
+    def _find_folded_pixels(self, camera: CameraModel) -> np.ndarray:
         """Return (h, w) bool: pixels far outside, where the distortion model folds back.
 
         The polynomials are fitted inside the image. Farther out they turn, and the image would
@@ -101,8 +103,8 @@ class Rectifier:
         rays = np.stack([r, np.zeros_like(r), np.ones_like(r)], axis=1)[:, None]
         project = cv2.fisheye.projectPoints if self._lens.model == FISHEYE else cv2.projectPoints
         seen_at = project(rays, np.zeros(3), np.zeros(3), np.eye(3), self._d)[0][:, 0, 0]
-        turns = np.flatnonzero(~(np.diff(seen_at) > 0.0))
-        return radius > (r[turns[0]] if len(turns) else np.inf)
+        turning_points = np.flatnonzero(~(np.diff(seen_at) > 0.0))
+        return radius > (r[turning_points[0]] if len(turning_points) else np.inf)
 
 
 def _coefficients(lens: Lens) -> np.ndarray:
@@ -145,7 +147,7 @@ class LensPlan(NamedTuple):
         return self.rectifier.into(frame, out)
 
 
-def plan_for(
+def make_lens_plan(
     lens: Lens | None,
     camera: CameraModel,
     setting: Literal["rectify", "ignore", "refuse"],

@@ -16,7 +16,7 @@ from edge.config import Config
 from edge.sources.polled import PolledSource
 from edge.sources.tf import RobotFrames
 
-_TF_KEPT = 256
+_TF_MESSAGES = 256  # buffered between two polls
 
 
 class Ros2Source(PolledSource):
@@ -27,16 +27,18 @@ class Ros2Source(PolledSource):
         super().__init__(config, session, self._frames)
         self._node = open_node(config, session, "source")
         # Process tf first: frames of a sensor without a known mount are dropped.
-        self._transforms = {n: self._subscribe(n, _TF_KEPT) for n in ("tf_static", "tf")}
+        self._transforms = {n: self._subscribe(n, _TF_MESSAGES) for n in ("tf_static", "tf")}
         for name in ("tf", "tf_static"):
             self._synchronizer.inputs.add(name, "tf", needed=self._frames.by_tf)
             self._synchronizer.inputs.listen(name, self._settings.topic(name))
-        self._sensors = {topic: self._subscribe(topic.key, n) for topic, n in self._kept.items()}
+        self._sensors = {
+            topic: self._subscribe(topic.key, n) for topic, n in self._capacities.items()
+        }
 
-    def _subscribe(self, name: str, kept: int) -> Ros2Subscription:
+    def _subscribe(self, name: str, capacity: int) -> Ros2Subscription:
         ros_name = self._settings.topic(name)
         types = accepted_types(name, ros_name)
-        return self._node.subscription(ros_name, types, kept, latched=name in LATCHED)
+        return self._node.subscription(ros_name, types, capacity, latched=name in LATCHED)
 
     def close(self) -> None:
         self._node.close()
@@ -58,14 +60,15 @@ class Ros2Source(PolledSource):
             for type_name, payload in subscription.take():
                 n += 1
                 self._offer(topic, subscription, type_name, payload)
-        self._decoder.settle()
-        every = (*self._transforms.values(), *self._sensors.values())
-        self.counters["overrun"] = sum(subscription.overruns for subscription in every)
+        self._decoder.convert_waiting_poses()
+        subscriptions = (*self._transforms.values(), *self._sensors.values())
+        self.counters["overrun"] = sum(subscription.overruns for subscription in subscriptions)
         return n
 
     def _offer(
         self, topic: Topic, subscription: Ros2Subscription, type_name: str, payload: zenoh.ZBytes
     ) -> None:
+        """Pass a message to the decoder, or count it if its type is wrong."""
         if self._is_too_large(topic.key, payload):
             return
         if type_name not in subscription.types:

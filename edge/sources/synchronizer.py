@@ -36,7 +36,7 @@ from edge.sources.messages import (
 )
 from edge.sources.odometry import Missing, OdometryRing
 from edge.sources.pool import FramePool, PoolSlot
-from edge.sources.rectify import LensPlan, plan_for
+from edge.sources.rectify import LensPlan, make_lens_plan
 from edge.sources.streams import Stream
 from edge.text import one_line
 from edge.types import Observation
@@ -48,6 +48,7 @@ _POSES_APART_NS = 1_000_000  # smallest distance of two poses that are kept
 _MAX_LARGE_MESSAGES = 4  # messages of the largest size that one stream may hold
 _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 
+# Reasons of drops, the keys of `TimeSynchronizer.counters`.
 REASONS = (
     "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
     "unpaired", "no_pose", "no_camera_info", "no_transform", "pool_exhausted", "pose_jump",
@@ -160,6 +161,7 @@ class TimeSynchronizer:
             config.source.max_pose_jump_m,
             config.robot.max_speed_mps,
             config.robot.max_turn_radps,
+            # So a full ring covers at least twice the waiting time (see `StampedPoses`).
             max(_POSES_APART_NS, 4 * wait_ns // config.source.odometry_ring),
         )
         totals = ("received", "observations", "old_pose")
@@ -195,7 +197,7 @@ class TimeSynchronizer:
         self.counters[reason] += 1
         limit = f"the limit is {_LIMITS[reason]}" if reason in _LIMITS else ""
         detail = ", ".join(filter(None, (one_line(detail), limit)))
-        self.inputs.dropped(topic, reason, detail)
+        self.inputs.on_dropped(topic, reason, detail)
         if reason != "superseded" and (topic, reason) not in self._logged:
             self._logged.add((topic, reason))
             shown = f"({detail}) " if detail else ""
@@ -238,12 +240,14 @@ class TimeSynchronizer:
             reason = stream.offer(message)
             if message.field == Image.field:
                 self._camera_frame = message.frame_id
+            # A frame of another sensor that no leading frame needed is no drop.
             if reason == "superseded" and message.field != self._leader:
                 return
         if reason:
             self.count(message.topic, reason)
 
     def _use_camera_info(self, message: CameraInfo) -> None:
+        """Use new camera info: plan the rectification, and allocate frames again."""
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
@@ -261,7 +265,7 @@ class TimeSynchronizer:
             )
         where, listens = self.inputs.where, DepthImage.field in self.streams
         try:
-            self._lens = plan_for(
+            self._lens = make_lens_plan(
                 message.lens, camera, self.config.source.distortion, where(Image.topic),
                 where(DepthImage.topic) if listens else None,
             )  # fmt: skip
@@ -269,8 +273,10 @@ class TimeSynchronizer:
             self.count(message.topic, "distorted", error)
             return
         if message.lens is not None:
-            guess = self._lens.distortion == "rectified"
-            self._log_once(message, self._lens.log_line, logging.WARNING if guess else logging.INFO)
+            # A guess that the user should see: the images may be rectified already.
+            is_guess = self._lens.distortion == "rectified"
+            level = logging.WARNING if is_guess else logging.INFO
+            self._log_once(message, self._lens.log_line, level)
         self._camera = camera
         self.inputs.on_used(message.topic)
 
@@ -325,7 +331,7 @@ class TimeSynchronizer:
                 return None
             # If no pose came after the frame, odometry is not late but silent.
             if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
-                T_map_base, tf_age_ns = self.odometry.extrapolated(leader.stamp_ns)
+                T_map_base, tf_age_ns = self.odometry.extrapolate(leader.stamp_ns)
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
         if T_map_base is None:
             return self._without_pose(leader, missing)
@@ -363,6 +369,7 @@ class TimeSynchronizer:
         return lookups
 
     def _without_pose(self, leader: SensorFrame, missing: Missing) -> _Dropped:
+        """Return why a frame without a pose is dropped."""
         if missing == "gap":
             why = "the poses around it are farther apart than source.max_pose_gap_s"
             return _Dropped("no_pose", why)
@@ -401,7 +408,7 @@ class TimeSynchronizer:
             if not isinstance(leader, Cloud):
                 return None
             frames = [leader]
-        slot = self._acquire()
+        slot = self._acquire_slot()
         if slot is None:
             self.count(leader.topic, "pool_exhausted")
             return None
@@ -419,7 +426,7 @@ class TimeSynchronizer:
                 self.inputs.on_used(frame.topic)
         for field in self._others:
             if field not in fields:  # optional: an observation without it is complete, too
-                self.inputs.unpaired(field, self._describe_distance(leader, field))
+                self.inputs.on_unpaired(field, self._describe_distance(leader, field))
         self._count_old(leader, joined)
         return Observation(
             seq=self._seq - 1,
@@ -458,7 +465,8 @@ class TimeSynchronizer:
                 return None
         return fields
 
-    def _acquire(self) -> PoolSlot | None:
+    def _acquire_slot(self) -> PoolSlot | None:
+        """Return a free slot; allocate the pool at the first call."""
         if self._pool is None:
             camera = self._camera
             self._pool = FramePool(

@@ -12,7 +12,7 @@ from edge.sources.messages import TransformLookup
 from edge.sources.odometry import StampedPoses, StampGuard
 
 _MAX_DEPTH = 64  # frames from a leaf to the root
-_KEPT = 128  # transforms of each moving frame
+_HISTORY = 128  # transforms that are kept of each moving frame
 _RARELY_NS = 500_000_000  # see `_Edge`; at least this
 _IDENTITY = TransformLookup(np.eye(4))
 _IDENTITY.T.flags.writeable = False
@@ -23,31 +23,37 @@ class _Edge:
 
     A transform holds until the next one if that comes more than `rarely_ns` later; a single
     transform holds for all time. Such a frame moves in steps, or never, so no lookup waits.
+
+    Attributes:
+        parent: name of the parent frame.
+        T: the newest transform, (4, 4).
     """
 
-    __slots__ = ("T", "_guard", "_moves", "_rarely_ns", "parent")
+    __slots__ = ("T", "_guard", "_history", "_rarely_ns", "parent")
 
     def __init__(self, transform: Transform, rarely_ns: int) -> None:
         self.parent, self.T = transform.parent, transform.T
         self._rarely_ns = rarely_ns
         self._guard = StampGuard()
         self._guard.check(transform.stamp_ns)
-        self._moves: StampedPoses | None = None
+        self._history: StampedPoses | None = None
 
     def push(self, transform: Transform) -> None:
+        """Add a later transform of the frame."""
         first_ns = self._guard.newest_ns
         verdict = self._guard.check(transform.stamp_ns)
         if verdict == "backward":
             return
         if verdict == "clock_reset":
-            self._moves = None
+            self._history = None
         elif verdict == "ok":
-            if self._moves is None:
-                self._moves = StampedPoses(_KEPT, 8 * self._rarely_ns // _KEPT)
-                self._moves.push(first_ns, self.T)
-            self._moves.push(transform.stamp_ns, transform.T)
-        elif self._moves is not None:
-            self._moves.replace(transform.T)
+            if self._history is None:
+                # A full history covers at least four times `rarely_ns` (see `StampedPoses`).
+                self._history = StampedPoses(_HISTORY, 8 * self._rarely_ns // _HISTORY)
+                self._history.push(first_ns, self.T)
+            self._history.push(transform.stamp_ns, transform.T)
+        elif self._history is not None:
+            self._history.replace(transform.T)
         self.T = transform.T
 
     def at(self, stamp_ns: int) -> tuple[np.ndarray, int]:
@@ -55,20 +61,21 @@ class _Edge:
 
         If the instant is before all transforms, the age is negative: minus the time to the first.
         """
-        moves = self._moves
-        if moves is None:
+        history = self._history
+        if history is None:
             return self.T, 0
-        n = moves.newer_than(stamp_ns)
-        if n == len(moves):
-            return moves.pose(n - 1), stamp_ns - moves.stamp(n - 1)
-        before_ns = moves.stamp(n)
+        n = history.count_newer(stamp_ns)
+        if n == len(history):
+            return history.pose(n - 1), stamp_ns - history.stamp(n - 1)
+        before_ns = history.stamp(n)
         if before_ns == stamp_ns:
-            return moves.pose(n).copy(), 0
+            return history.pose(n).copy(), 0
+        # The step around the instant; after all transforms (n is 0), the last step.
         later = max(n, 1) - 1
-        is_step = moves.stamp(later) - moves.stamp(later + 1) > self._rarely_ns
+        is_step = history.stamp(later) - history.stamp(later + 1) > self._rarely_ns
         if n == 0:
-            return moves.pose(0).copy(), 0 if is_step else stamp_ns - before_ns
-        return moves.pose(n).copy() if is_step else moves.between(n, stamp_ns), 0
+            return history.pose(0).copy(), 0 if is_step else stamp_ns - before_ns
+        return history.pose(n).copy() if is_step else history.interpolate_at(n, stamp_ns), 0
 
 
 class TfBuffer:
@@ -195,7 +202,7 @@ class RobotFrames:
         """Return why a sensor's mount is unknown, given the frame id of its messages, or ""."""
         frame = frame_id.lstrip("/")
         if not frame:
-            return f"header.frame_id is {_shown(frame_id)}: the driver must name the sensor's frame"
+            return f"header.frame_id is {_quote(frame_id)}: the driver must name the sensor's frame"
         return self._tf.why_apart(self._base, frame)
 
     def mount_at(self, frame_id: str, stamp_ns: int) -> TransformLookup:
@@ -206,12 +213,12 @@ class RobotFrames:
         """Return `T_map_base` at the stamp of odometry, from its own frames through tf."""
         parent, child = odometry.frame_id.lstrip("/"), odometry.child_frame_id.lstrip("/")
         if not parent:
-            shown = _shown(odometry.frame_id)
+            shown = _quote(odometry.frame_id)
             return TransformLookup(
                 None, why=f"header.frame_id is {shown}: the driver must set it, as odom"
             )
         if not child:
-            shown = _shown(odometry.child_frame_id)
+            shown = _quote(odometry.child_frame_id)
             fix = f"the driver must set it to the robot's frame, as {self._base}"
             return TransformLookup(None, why=f"child_frame_id is {shown}: {fix}")
         T_map_odom = self._tf.lookup(self._map, parent, odometry.stamp_ns)
@@ -222,5 +229,5 @@ class RobotFrames:
         return TransformLookup(T, max(T_map_odom.age_ns, T_child_base.age_ns))
 
 
-def _shown(name: str) -> str:
+def _quote(name: str) -> str:
     return f"'{name}'" if name else "empty"

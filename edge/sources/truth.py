@@ -56,6 +56,7 @@ class SegmentationInbox:
         return Segmentation(self._ids, self._labels)
 
     def _receive(self) -> None:
+        """Take the labels and segmentations that have arrived."""
         for sample in self._label_ring.take():
             try:
                 self._labels = parse_labels(sample.payload.to_bytes())

@@ -1,8 +1,8 @@
 """Observations from Zenoh: CDR in ring channels that the loop polls, without callbacks.
 
 A ring keeps the newest messages, so a slow loop never falls further behind. One poll reads at most
-one ring of each topic, so a flood cannot block the loop. Frames are decoded only when they are
-used.
+one ring's length of messages of each topic, so a flood cannot block the loop. Frames are decoded
+only when they are used.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class ZenohSource(PolledSource):
         super().__init__(config, session)
         self._rings = {
             topic: Ring(session, config.zenoh.key(topic.key), n)
-            for topic, n in self._kept.items()
+            for topic, n in self._capacities.items()
             if topic not in self.NOT_FROM_ZENOH
         }
 

@@ -32,7 +32,7 @@ from edge.bus.wire import images, messages
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.host.interruptible import start_detached_thread
-from edge.recording.channels import Channel, of_topic
+from edge.recording.channels import Channel, topic_channel
 from edge.sources.messages import CameraInfo, DepthImage, Image, SensorFrame, WrongSizeError
 from edge.sources.streams import KEPT
 from edge.sources.zenoh import ZenohSource
@@ -121,6 +121,7 @@ def _parse_intrinsics(intrinsics: object, width: int, height: int) -> CameraMode
 def _decode_checked(
     unit_m: float | None, buffer: memoryview, header: images.ImageHeader, out: np.ndarray
 ) -> int:
+    """Decode pixels into `out`; raise WrongSizeError if the image has another size."""
     if (header.height, header.width) != out.shape[:2]:
         height, width = out.shape[:2]
         says = f"the intrinsics are of {width}x{height}"
@@ -198,6 +199,7 @@ class ZmqSource(ZenohSource):
         return KEPT
 
     def _offer(self, parts: list[zmq.Frame]) -> None:
+        """Pass a camera message to the synchronizer, or count it as malformed."""
         topic = one_line(self._address)
         try:
             if len(parts) != 2:
@@ -287,17 +289,18 @@ def _bus_messages(head: bytes, pixels: bytes) -> Iterator[tuple[Channel, bytes]]
     image, topic = header.image, _FRAMES[header.topic].topic
     if header.camera is not None:
         info = messages.encode_camera_info(image.stamp_ns, _FRAME_ID, header.camera)
-        yield of_topic(topics.CAMERA_INFO), info
+        yield topic_channel(topics.CAMERA_INFO), info
     shape, is_depth = (image.height, image.width), topic == topics.DEPTH.key
     out = np.empty(shape if is_depth else (*shape, 3), np.float32 if is_depth else np.uint8)
     images.decode_image_into(pixels, image, out)
     yield (
-        of_topic(topics.DEPTH if is_depth else topics.RGB),
+        topic_channel(topics.DEPTH if is_depth else topics.RGB),
         messages.encode_image(image.stamp_ns, _FRAME_ID, out),
     )
 
 
 def _open_socket(config: Config, max_bytes: int) -> tuple[Any, zmq.Context, zmq.Socket]:
+    """Return the module zmq, a context, and a socket that is not connected yet."""
     try:
         import zmq
     except ImportError:
@@ -326,6 +329,7 @@ def _warn_unresolved(address: str) -> None:
 
 
 def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
+    """Connect the socket; raise ConfigError for an invalid address."""
     try:
         camera.connect(address)
     except Exception as error:  # ZMQError, or others for an address of the wrong type

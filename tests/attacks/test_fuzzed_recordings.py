@@ -57,7 +57,7 @@ def look_at(path: Path) -> list[bool]:
     out = path.with_name("whole.mcap")
     out.unlink(missing_ok=True)
     return [
-        reads_or_refuses(lambda: list(RecordedRun(path).moments())),
+        reads_or_refuses(lambda: list(RecordedRun(path).steps())),
         reads_or_refuses(lambda: commands.spans_of(path)),
         reads_or_refuses(lambda: file.recover(path, out)),
     ]

@@ -244,14 +244,16 @@ def test_a_flood_of_one_new_mission_leaves_room_for_others(session, serve, monke
     assert {asking.answer["began"] for asking in flood} == {"a"}
 
 
-def test_a_loop_that_does_not_run_is_told_of(session, serve):
+def test_a_refusal_reports_a_loop_that_does_not_run(session, serve):
     server = serve(patience_s=0.05)
     assert "the loop is not running" in Asking(session, do="pause").refusal
     assert "the loop is not running" in Asking(session, do="new", formula="F a").refusal
     assert server.poll() is None
 
 
-def test_a_loop_that_takes_a_request_and_says_nothing_is_told_of(session, serve, monkeypatch):
+def test_a_refusal_reports_a_loop_that_takes_a_request_without_an_answer(
+    session, serve, monkeypatch
+):
     server = serve()
     asking = Asking(session, do="pause")
     request = taken(server)

@@ -142,7 +142,7 @@ PASSWORD = '{transport: {auth: {usrpwd: {user: "me", password: "SENTINEL"%s}}}}'
         ),
     ],
 )
-def test_a_file_that_cannot_be_used_is_told_in_one_line_without_its_secrets(settings, text, says):
+def test_the_error_of_an_unusable_file_is_one_line_without_its_secrets(settings, text, says):
     said = settings(text)
     with pytest.raises(ConfigError) as caught:
         session_config(said, "listen")
@@ -176,7 +176,7 @@ def test_a_private_key_in_the_endpoint_is_refused_and_not_shown():
         ("{access_control: {enabled: true}}", "ACL rules/subjects/policies"),
     ],
 )
-def test_what_the_service_lacks_is_told_in_one_line(settings, text, says):
+def test_the_error_names_what_is_missing_in_one_line(settings, text, says):
     with pytest.raises(BusError) as caught:
         open_session(settings(text, endpoint="tls/127.0.0.1:0"), "listen")
     assert says in str(caught.value)

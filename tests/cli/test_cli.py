@@ -120,14 +120,14 @@ def test_a_configuration_that_is_not_there(command, capsys):
         ("eval", "episodes", "demo"),
     ],
 )
-def test_a_report_that_cannot_be_written_is_told_before_the_run(words, tmp_path, capsys):
+def test_a_report_that_cannot_be_written_fails_before_the_run(words, tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
     report = str(tmp_path / "file" / "report")
     error = fails(capsys, *words, "--report", report, code=os.EX_IOERR)
     assert "cannot write the report" in error
 
 
-def test_an_address_in_use_is_told_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
+def test_an_address_in_use_fails_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("edge.launch.make_detector", None)
     monkeypatch.setattr("edge.launch.warm_up", None)
     with socket.socket() as taken:
@@ -229,7 +229,7 @@ def test_an_empty_mission_is_not_taken_for_none(option, code, tmp_path, monkeypa
         (("--formula", "F bed"), (None, "F bed", "chair", None, 3)),
     ],
 )
-def test_the_service_is_told_the_mission_that_was_asked_for(
+def test_the_service_gets_the_mission_of_the_command_line(
     command, words, expected, tmp_path, monkeypatch
 ):
     """A formula leaves the configuration as it is: later orders are read by its translator."""
@@ -317,9 +317,7 @@ def test_what_a_command_ends_with_says_how(outcome, code, monkeypatch):
     ("once", "phase", "code"),
     [(True, "failed", FAILED), (True, "reached", 0), (False, "failed", 0), (False, "reached", 0)],
 )
-def test_a_service_that_is_told_to_stop_has_not_failed_with_its_mission(
-    once, phase, code, monkeypatch
-):
+def test_a_stopped_service_does_not_fail_with_its_mission(once, phase, code, monkeypatch):
     mission = SimpleNamespace(phase=phase)
     record = SimpleNamespace(latency=SimpleNamespace(table=str), mission=mission)
     monkeypatch.setattr(run_commands, "_serve", lambda *_, **__: record)

@@ -67,7 +67,7 @@ def assert_refused(text: str, formula: bool, says: str) -> None:
     assert says in str(caught.value)
 
 
-def test_all_readings_are_told_and_one_is_chosen():
+def test_all_readings_are_listed_and_one_is_chosen():
     said = "the sofa must be visited before the bed"
     first, *listed, last = explained(said, formula=False)
     assert first == f"ambiguous:   it can be read in {len(listed)} ways"

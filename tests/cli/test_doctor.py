@@ -225,7 +225,7 @@ def test_who_may_come_in(tmp_path):
     assert levels(doctor.check_access, shut) == []
 
 
-def test_rules_that_are_for_another_prefix_are_told():
+def test_rules_for_another_prefix_give_a_warning():
     rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
     for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
         settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})
@@ -263,7 +263,7 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     ],
 )
 def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
-    monkeypatch.setattr(doctor, "_installed", lambda package: package in installed)
+    monkeypatch.setattr(doctor, "_is_installed", lambda package: package in installed)
     monkeypatch.setattr(doctor, "probe", lambda: probed)
     findings = list(doctor.check_onnxruntime(settings))
     assert [finding.level for finding in findings] == expected

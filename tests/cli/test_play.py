@@ -45,7 +45,7 @@ def play(capsys):
     return run
 
 
-def test_nothing_to_play_is_told_in_one_line(play, config, tmp_path):
+def test_nothing_to_play_is_an_error_of_one_line(play, config, tmp_path):
     path = write_mcap(tmp_path / "robot.mcap", [])
     code, _, error = play(path, config, "--fast")
     assert code == os.EX_IOERR
@@ -53,7 +53,7 @@ def test_nothing_to_play_is_told_in_one_line(play, config, tmp_path):
 
 
 @pytest.mark.parametrize("pace", [("--fast",), ("--rate", "8")])
-def test_a_recording_is_played_and_told(play, config, tmp_path, pace):
+def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path, pace):
     folder, report = write_bag(tmp_path / "robot", plain()), tmp_path / "report"
     code, told, _ = play(folder, config, *pace, "--report", report)
     assert code == os.EX_OK

@@ -143,7 +143,7 @@ def test_a_target_that_the_detector_does_not_know_is_refused_by_both(capsys, mon
     assert line_of("run", sections, capsys) == (code, line)
 
 
-def test_all_faults_are_told_at_once(capsys):
+def test_all_faults_are_reported_at_once(capsys):
     sections = {"sinks": ["zenho"], "policy": {"kind": "no.such:Policy"}}
     code, lines = line_of("config", {**perception(similarity="nobody"), **sections}, capsys)
     assert code == os.EX_CONFIG
@@ -170,14 +170,14 @@ def test_all_faults_are_told_at_once(capsys):
         ),
     ],
 )
-def test_a_missing_extra_is_told_before_anything_is_loaded(package, sections, says, monkeypatch):
+def test_a_missing_extra_fails_before_anything_is_loaded(package, sections, says, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(UserError) as caught:
         check(simulated(sections))
     assert says in str(caught.value)
 
 
-def test_what_cannot_be_opened_is_told_before_kernels_are_compiled(monkeypatch):
+def test_what_cannot_be_opened_fails_before_kernels_are_compiled(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", None)
     monkeypatch.setattr(launch, "make_detector", None)
     config = launch.with_free_port(simulated({"sinks": [f"{__name__}:Fails"]}))

@@ -26,7 +26,7 @@ CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 
 @pytest.mark.parametrize("event", CONNECTED)
 @pytest.mark.parametrize("cut_first", [False, True])
-def test_who_waits_is_told_the_end(event, cut_first):
+def test_a_waiting_reader_gets_the_end_of_a_cut_connection(event, cut_first):
     mine, others = socket.socketpair()
     with mine, others:
         connection = CuttableConnection()

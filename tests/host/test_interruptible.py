@@ -26,7 +26,7 @@ def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
             too_late(stop)
 
 
-def test_a_step_that_goes_on_for_ever_is_left_once_told_to_stop(stop):
+def test_a_step_that_never_ends_is_abandoned_when_stop_is_set(stop):
     over, threads = threading.Event(), []
 
     def work() -> None:

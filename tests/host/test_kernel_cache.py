@@ -40,7 +40,7 @@ def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, mo
 
 
 @pytest.mark.parametrize("ours", [None, "closed/cache"])
-def test_else_it_is_a_temporary_folder_and_the_remedy_is_told(ours, places, monkeypatch, caplog):
+def test_else_it_is_a_temporary_folder_with_a_warning(ours, places, monkeypatch, caplog):
     if ours is not None:
         monkeypatch.setenv("EDGE_CACHE_DIR", str(places / ours))
     folder = chosen()

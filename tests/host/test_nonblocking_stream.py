@@ -39,7 +39,7 @@ def all_of(read: int) -> str:
         return reader.read()
 
 
-def test_a_full_pipe_is_not_waited_for_and_what_was_lost_is_told(pipe, monkeypatch):
+def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeypatch):
     monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe
     outlet = NonBlockingStream(stream)

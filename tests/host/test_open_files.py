@@ -43,7 +43,7 @@ def test_a_limit_that_may_be_raised_is():
             assert limited(soft, hard, [sys.executable, "-c", show]).stdout.strip() == now
 
 
-def test_a_shortage_is_told_while_it_lasts():
+def test_a_shortage_is_reported_while_it_lasts():
     assert open_files.open_files_problem() == ""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     taken = []

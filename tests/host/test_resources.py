@@ -37,7 +37,7 @@ def test_the_cache(environ, expected, monkeypatch):
     assert resources.cache_dir() == Path(expected)
 
 
-def test_without_a_home_the_variable_to_set_is_told(homeless, monkeypatch):
+def test_without_a_home_the_error_names_the_variable_to_set(homeless, monkeypatch):
     assert resources.user_cache() is None
     with pytest.raises(ConfigError, match="has no home folder: set EDGE_CACHE_DIR"):
         resources.cache_dir()

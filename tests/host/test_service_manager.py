@@ -69,7 +69,7 @@ def test_how_often_a_sign_of_life_is_due(environ, ping_s):
 
 
 @pytest.mark.parametrize("name", [NOBODY, "vsock:2:9"])
-def test_a_manager_that_cannot_be_reached_is_told_of_once(name, caplog):
+def test_a_manager_that_cannot_be_reached_is_logged_once(name, caplog):
     told = SystemdNotifier({"NOTIFY_SOCKET": name})
     told.ready()
     told.alive()

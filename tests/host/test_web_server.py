@@ -78,7 +78,7 @@ def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
         ("/else", (401, b"a token is required: Authorization: Bearer TOKEN\n"), (404, None)),
     ],
 )
-def test_without_the_token_probes_tell_their_status_and_nothing_else_is_told(path, stranger, known):
+def test_without_the_token_only_the_status_of_probes_is_returned(path, stranger, known):
     pages = {
         "/probe": lambda: HttpResponse(b"why", "text/plain", HTTPStatus.SERVICE_UNAVAILABLE),
         "/page": lambda: HttpResponse(b"secret", "text/plain"),
@@ -293,7 +293,7 @@ def test_without_a_token_nothing_can_be_posted():
         ("", 421),
     ],
 )
-def test_without_a_token_only_who_asks_for_this_machine_is_told(host, status):
+def test_without_a_token_the_request_must_name_this_machine(host, status):
     """A page of another site may have its name lead here (DNS rebinding)."""
     with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0, public=("/",)) as port:
         assert ask(port, "/", Host=host.format(port=port))[0] == status

@@ -94,7 +94,7 @@ def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(ga
 
 
 def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
-    worker = stuck(gate, finishes=True)
+    worker = stuck(gate, finish_on_close=True)
     worker.submit("map 1", key="map")
     worker.enqueue("tick 1")
     worker.submit("status 1", key="status")
@@ -108,7 +108,7 @@ def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
 def test_the_queue_is_bounded_and_the_newest_stay(gate, monkeypatch):
     monkeypatch.setattr(host, "MOST_QUEUED", 3)
     dropped: list = []
-    worker = stuck(gate, finishes=True, drop=dropped.append)
+    worker = stuck(gate, finish_on_close=True, drop=dropped.append)
     worker.submit("map", key="map")
     for n in range(5):
         worker.enqueue(n)
@@ -130,7 +130,7 @@ def test_closing_drops_what_waits_and_waits_no_longer_than_it_may(gate):
     assert worker.poll() is None
 
 
-def test_a_failure_is_one_bounded_line_told_once_a_kind_and_outlived(caplog):
+def test_the_worker_survives_a_failure_and_logs_each_kind_once_in_one_line(caplog):
     done: list = []
 
     def work(item):
@@ -183,7 +183,7 @@ def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
     pauses = []
     for n in (0, 1, 2, 3, MAX_DOUBLINGS, 10**6):
         worker.stats.in_a_row = n
-        pauses.append(worker._pause())
+        pauses.append(worker._pause_length_s())
     assert pauses == [0.5, 0.5, 1.0, 2.0, 16.0, MAX_PAUSE_S]
     worker._pause_s = 1e9
     worker.submit(RuntimeError("no"))
@@ -212,7 +212,7 @@ def test_a_beat_comes_while_nothing_else_does_and_may_fail(caplog):
         beats.release()
         raise ValueError("no beat")
 
-    worker = Worker("test", print, beat=beat)
+    worker = Worker("test", print, periodic=beat)
     for _ in range(3):
         assert beats.acquire(timeout=PATIENCE_S)
     assert worker.close(PATIENCE_S)

@@ -16,14 +16,14 @@ from live_patience import PATIENCE_S, eventually
 from secure_files import USERS, etc_edge, settings_of
 from zenoh import ext
 
-from edge.bus.ros2.names import NO_HASH, plain
+from edge.bus.ros2.names import NO_HASH, plain_dialect
 from edge.bus.ros2.node import Ros2Node, Ros2Subscription
 from edge.bus.ros2.topics import PUBLISHED, SUBSCRIBED
 from edge.bus.session import open_session, zenoh_session
 from edge.config import ZenohConfig
 from edge.host.ports import free_port
 
-ROS = plain("edge/ros2/")
+ROS = plain_dialect("edge/ros2/")
 ACTION = "/navigate_to_pose/_action/send_goal"
 ENOUGH = 5
 

@@ -176,7 +176,7 @@ def heard_by(session: zenoh.Session, prefix: str, least: set[str]) -> set[str]:
     return {key for key, n in counts.items() if n}
 
 
-def test_strangers_are_kept_out_and_told_why(etc, elsewhere, tmp_path):
+def test_strangers_are_refused_with_a_reason(etc, elsewhere, tmp_path):
     port = free_port()
     of = settings_of(etc, "certificates", port)
     bare = tmp_path / "bare.json5"
@@ -236,14 +236,14 @@ def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
         assert refusal(known, "the server's certificate is not trusted")
 
 
-def test_a_service_whose_certificate_is_out_of_date_is_told_apart(etc):
+def test_an_outdated_certificate_of_a_service_has_its_own_reason(etc):
     known = settings_of(etc, "certificates", free_port())("operator")
     old = out_of_date(etc, "service.json5", "service", "serverAuth")
     with service(known.model_copy(update={"file": str(old)})):
         assert refusal(known, "the server's certificate is out of date, or the clock here is wrong")
 
 
-def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
+def test_a_wrong_password_is_refused_and_not_shown(etc, tmp_path):
     of = settings_of(etc, "passwords", free_port())
     wrong = tmp_path / "wrong.json5"
     wrong.write_text((etc / "password-operator.json5").read_text().replace("pw-of", "SENTINEL"))
@@ -253,7 +253,7 @@ def test_a_wrong_password_is_told_and_not_shown(etc, tmp_path):
             assert "SENTINEL" not in refusal(settings, "asks for a user and a password")
 
 
-def test_who_may_not_ask_is_told_that_nobody_answers(etc):
+def test_a_client_without_permission_gets_no_answer(etc):
     of = settings_of(etc, "certificates", free_port())
     with (
         service(of("robot")),

@@ -85,7 +85,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
         print("", *lines, sep="\n")
 
 
-def test_a_model_without_eyes_is_told_to_go_without_the_picture(url):
+def test_a_model_that_takes_no_pictures_is_an_error_of_one_line(url):
     """A server whose model takes no pictures says so; that is one line, not a crash."""
     scene = street(*STREET, picture=True)
     config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))

@@ -93,7 +93,7 @@ def test_a_service_that_vanishes_and_comes_back(config, start):
             source.close()
 
 
-def test_a_second_service_is_told_what_is_wrong(config):
+def test_a_second_service_reports_the_address_in_use(config):
     with open_session(config.zenoh, "listen"):
         command = [sys.executable, str(PEER), "service", config.zenoh.endpoint]
         second = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)

@@ -127,7 +127,7 @@ def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
     assert house.service.mission.spec.targets == ("sofa",)
 
 
-def test_a_wait_is_told_and_ends_by_the_button(page, house):
+def test_a_wait_is_shown_and_ends_by_the_button(page, house):
     page.click("#new")
     page.type("#words", 'go to "wait"')
     page.click("#new-ok")
@@ -334,7 +334,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
         inputs.on_message(name)
-    inputs.dropped("odom", "malformed", "<b>no odometry</b>")
+    inputs.on_dropped("odom", "malformed", "<b>no odometry</b>")
     house.service.inputs = house.service._health._inputs = inputs.rows
     house.robot.blind = True
     page.says(
@@ -346,7 +346,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     house.robot.blind = False
 
 
-def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):
+def test_a_degraded_loop_is_shown_and_its_text_is_no_markup(page, house):
     house.brittle.broken = True
     page.says("#banner", "the loop is degraded")
     page.says("#banner", "<b>broken</b>")
@@ -356,7 +356,7 @@ def test_a_degraded_loop_is_told_and_its_words_are_no_markup(page, house):
     page.until("document.getElementById('banner').hidden")
 
 
-def test_an_error_that_is_answered_is_told_apart_from_no_answer(page, monkeypatch):
+def test_an_error_is_shown_differently_from_no_answer(page, monkeypatch):
     def broken(*args):
         raise ValueError("<b>broken</b>")
 

@@ -123,7 +123,7 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     assert sink.snapshot.mark_letters[6] == ("C", pytest.approx(0.3))
 
 
-def test_what_is_told_of_tasks_is_numbered_and_driving_on_is_nothing_new(sink, clock):
+def test_the_version_of_a_task_does_not_change_by_driving(sink, clock):
     sink.mark_watched()
     numbers = []
     for task in (None, looking(), driving(0), driving(50), driving(50, phase="reached"), None):

@@ -38,7 +38,7 @@ def view() -> LiveView:
     return LiveView(simulated({"mission": {"target": "chair"}}), ServiceHealth(SystemdNotifier({})))
 
 
-def told(view: LiveView, path: str):
+def fetch(view: LiveView, path: str):
     page = view.pages()[path]()
     assert page.media_type == "application/json"
     return json.loads(page.body)
@@ -70,11 +70,11 @@ def full() -> dict:
 
 def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view):
     view._health.starting("compiling")
-    now = told(view, "/live/now")
+    now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
     assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
     for path in ("story", "task", "site", "memory", "map", "camera", "layers/0"):
-        assert told(view, f"/live/{path}") is None
+        assert fetch(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (
         503, {"error": "the service is starting"},
@@ -93,7 +93,7 @@ def test_the_page_itself_is_public_and_nothing_else_is(view):
 def test_whatever_is_said_is_json_without_infinities(view):
     view.sink.mark_watched()
     view.sink.tick(result(**full()))
-    moment, story = told(view, "/live/now")["moment"], told(view, "/live/story")
+    moment, story = fetch(view, "/live/now")["moment"], fetch(view, "/live/story")
     assert moment["instances"][0]["label"] == EVIL
     assert moment["goal"]["score"] is None
     assert [c["score"] for c in moment["candidates"]] == [0.5, None]
@@ -101,29 +101,29 @@ def test_whatever_is_said_is_json_without_infinities(view):
     assert len(moment["way"]) <= MAX_POINTS
     assert story["events"] == [{"t_s": 1e-9, "text": EVIL}]
     assert story["layers"] == ["value of chair"]
-    memory = told(view, "/live/memory")
+    memory = fetch(view, "/live/memory")
     (known,) = memory["objects"]
     assert [(room["kinds"], room["area_m2"]) for room in memory["rooms"]] == [(["kitchen"], 12.0)]
     assert (known["name"], known["xyz"]) == (EVIL, [1.0, 2.0, 0.5])
-    site = told(view, "/live/site")
+    site = fetch(view, "/live/site")
     assert site["number"] == moment["site"]
     assert [one["properties"]["name"] for one in site["features"]] == ["dock", "pit"]
     assert [node["current"] for node in story["automaton"]["nodes"]] == [True, False]
 
 
-def test_layers_are_told_by_their_place_and_there_may_be_none(view):
+def test_layers_are_fetched_by_number_and_may_be_absent(view):
     view.sink.mark_watched()
     view.sink.tick(result(**full()))
-    layer = told(view, "/live/layers/0")
+    layer = fetch(view, "/live/layers/0")
     assert (layer["name"], layer["size"]) == ("value of chair", [3, 2])
-    assert told(view, f"/live/layers/{MAX_LAYERS - 1}") is None
+    assert fetch(view, f"/live/layers/{MAX_LAYERS - 1}") is None
 
 
 def test_an_empty_map_has_no_picture(view):
     view.sink.mark_watched()
     empty = Grid(np.zeros((0, 0), np.int8), (0.0, 0.0), 0.05)
     view.sink.tick(result(snapshot=lambda inflated: empty))
-    assert told(view, "/live/map")["png"] == ""
+    assert fetch(view, "/live/map")["png"] == ""
 
 
 @pytest.mark.parametrize(
@@ -155,13 +155,13 @@ class Served:
         RequestQueue.serve(self._queue, 0)
 
 
-def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
+def test_a_task_is_encoded_once_and_its_progress_every_time(view):
     task = by_a_model(index=40)
     view.sink.mark_watched()
     view.sink.tick(result(task=lambda: task))
-    script = told(view, "/live/task")
+    script = fetch(view, "/live/task")
     assert view.pages()["/live/task"]() is view.pages()["/live/task"]()
-    now = told(view, "/live/now")["moment"]["task"]
+    now = fetch(view, "/live/now")["moment"]["task"]
     assert (now["number"], now["phase"]) == (script["number"], "driving")
     assert 0 < now["driven_m"] < script["length_m"]
     assert script["refined"][now["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
@@ -170,13 +170,13 @@ def test_a_task_is_told_once_and_how_far_it_is_driven_all_the_time(view):
         (True, False, True), (False, True, False),
     ]  # fmt: skip
     assert script["rounds"][1]["code"].splitlines()[1:] == task.rounds[1].code.splitlines()[1:]
-    assert len(json.dumps(told(view, "/live/now"))) < 3000
+    assert len(json.dumps(fetch(view, "/live/now"))) < 3000
 
 
 def test_before_it_is_written_it_has_no_lines(view):
     view.sink.mark_watched()
     view.sink.tick(result(task=looking))
-    script = told(view, "/live/task")
+    script = fetch(view, "/live/task")
     assert (script["missing"], script["coarse"], script["refined"]) == (["van", "gate"], [], [])
     assert [step["state"] for step in script["steps"]] == ["looked for", "looked for"]
-    assert told(view, "/live/now")["moment"]["task"]["index"] == -1
+    assert fetch(view, "/live/now")["moment"]["task"]["index"] == -1

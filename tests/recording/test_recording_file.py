@@ -19,10 +19,10 @@ from mcap.stream_reader import StreamReader
 
 from edge.bus import topics
 from edge.recording import commands
-from edge.recording.channels import of_topic
+from edge.recording.channels import topic_channel
 from edge.recording.file import McapReader, McapWriter, RecordingError, is_being_written, recover
 
-STATUS = of_topic(topics.STATUS)
+STATUS = topic_channel(topics.STATUS)
 
 
 def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
@@ -125,13 +125,13 @@ WRITER = """
 import time
 from pathlib import Path
 from edge.bus import topics
-from edge.recording.channels import of_topic
+from edge.recording.channels import topic_channel
 from edge.recording.rolling import RecordingLimits, RollingRecorder
 files = RollingRecorder(Path({folder!r}), RecordingLimits(sync_s=0.05), "lz4", lambda part: {{}})
 k = 0
 while True:
     files.ready()
-    files.add(of_topic(topics.STATUS), k, k, b"%d" % k)
+    files.add(topic_channel(topics.STATUS), k, k, b"%d" % k)
     files.sync()
     k += 1
     if k % 50 == 0:

@@ -146,7 +146,7 @@ def test_what_was_found_in_the_background_comes_back():
         )
     )
     back = {entry.fields["worker"]: entry.fields["result"] for entry in entries}
-    assert journal.survey_of(back["travel_cost"]).tobytes() == values.tobytes()
+    assert journal.travel_cost_of(back["travel_cost"]).tobytes() == values.tobytes()
     again_rooms = journal.rooms_of(back["rooms"])
     assert again_rooms.regions.grid.origin_xy_m == (0.1, -0.2)
     for one, other in zip(regions[1:], again_rooms.regions[1:], strict=True):
@@ -184,7 +184,7 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
             },
         )
     )
-    draft = journal.draft_of(entry.fields["result"])
+    draft = journal.plan_result_of(entry.fields["result"])
     assert (draft.stops_at, draft.n_done, draft.ambiguous) == ((3, "van"), 2, (3, 5))
     assert draft.stops == STOPS
     back = draft.refined
@@ -196,7 +196,7 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
         assert (one.dtype, one.tobytes()) == (other.dtype, other.tobytes())
 
 
-def test_where_the_sensors_are_is_told_when_it_changes():
+def test_the_mounts_are_written_only_when_they_change():
     camera = CameraModel(40, 30, 30.0, 31.0, 20.0, 15.0)
     written: dict = {}
     read: dict = {}

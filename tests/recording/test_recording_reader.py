@@ -167,12 +167,12 @@ def test_a_page_of_a_million_values_is_damaged(tmp_path):
     channel = packed(Channel(1, JOURNAL.topic, "json", {}, 0))
     write(path, said, channel, *[chunk(zstd(m := message(bomb)), len(m), "zstd")])
     with pytest.raises(RecordingError, match="damaged journal: ValueError: more than"):
-        list(RecordedRun(path).moments())
+        list(RecordedRun(path).steps())
 
 
 def test_frames_that_wait_for_detections_are_of_limited_size(tmp_path, monkeypatch):
     session = RecordedRun(Recording(tmp_path).steps(4).close())
-    seen = [m.observation for m in session.moments() if m.observation is not None]
+    seen = [m.observation for m in session.steps() if m.observation is not None]
     now = replay_source.ReplayTick()
     for observation in seen:
         now.add_frame(observation, True)

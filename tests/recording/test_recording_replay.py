@@ -31,7 +31,7 @@ from edge.mission.spec import prepare
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies import make_policy
 from edge.recording import commands
-from edge.recording.channels import DEPTH, JOURNAL, of_json
+from edge.recording.channels import DEPTH, JOURNAL, json_channel
 from edge.recording.file import McapReader, McapWriter, RecordingError
 from edge.recording.journal import config_text
 from edge.recording.replay import ReplayError, replay
@@ -141,9 +141,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     service.idle(now_ns, None, broken)
     service.fail("cancelled", now_ns)
     recording.steps(2)
-    kinds = {
-        entry.kind for m in RecordedRun(recording.close()).moments() for entry in m.page.entries
-    }
+    kinds = {entry.kind for m in RecordedRun(recording.close()).steps() for entry in m.page.entries}
     assert kinds >= {
         "start",
         "tick",
@@ -256,7 +254,7 @@ def test_what_works_in_the_background_comes_when_it_came(tmp_path, monkeypatch):
     eventually(all_came, lambda: f"{ticks} ticks, of the workers came {dict(came)}")
     workers = Counter(
         entry.fields["worker"]
-        for moment in RecordedRun(recording.close()).moments()
+        for moment in RecordedRun(recording.close()).steps()
         for entry in moment.page.entries
         if entry.kind == "result"
     )
@@ -342,7 +340,7 @@ def test_a_run_that_restores_its_map(tmp_path, monkeypatch, localised, boot, els
         one.close()
     monkeypatch.setattr("edge.loop.map_checkpoint.boot_id", lambda: "a desk")
     recorded = files_of(tmp_path / "run")[0]
-    entries = [e for m in RecordedRun(recorded).moments() for e in m.page.entries]
+    entries = [e for m in RecordedRun(recorded).steps() for e in m.page.entries]
     assert [e.fields["value"] for e in entries if e.kind == "decision"] == elsewhere
     same(recorded, 11)
 
@@ -381,7 +379,7 @@ def copied(path: Path, out: Path, change, head=None) -> Path:
         for m in messages:
             payload = change(m.topic, m.payload)
             if payload is not None:
-                channel = of_json(m.topic, m.schema) if m.encoding == "json" else DEPTH
+                channel = json_channel(m.topic, m.schema) if m.encoding == "json" else DEPTH
                 file.add(channel, m.log_ns, m.stamp_ns, payload, sequence=m.sequence)
     return out
 

@@ -9,11 +9,11 @@ import sys
 import pytest
 
 from edge.bus import topics
-from edge.recording.channels import of_topic
+from edge.recording.channels import topic_channel
 from edge.recording.file import PARTIAL, McapReader
 from edge.recording.rolling import RecordingLimits, RollingRecorder, files_of
 
-STATUS = of_topic(topics.STATUS)
+STATUS = topic_channel(topics.STATUS)
 NOISE = os.urandom(100_000)  # does not get smaller
 
 
@@ -98,7 +98,7 @@ def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, cloc
     other.close()
 
 
-def test_what_cannot_be_written_is_told_once_and_goes_on_when_it_can(tmp_path, clock, caplog):
+def test_a_write_error_is_logged_once_and_recording_continues_later(tmp_path, clock, caplog):
     folder = tmp_path / "folder"
     folder.write_bytes(b"in the way")
     files = rolling(folder, clock)
@@ -121,7 +121,7 @@ FULL = """
 import logging, resource, sys
 from pathlib import Path
 from edge.bus import topics
-from edge.recording.channels import of_topic
+from edge.recording.channels import topic_channel
 from edge.recording.rolling import RecordingLimits, RollingRecorder
 logging.basicConfig(format="%(message)s")
 now = [0.0]
@@ -130,7 +130,7 @@ files = RollingRecorder(Path(sys.argv[1]), limits, "none", lambda n: {}, lambda:
 def put(n):
     for _ in range(n):
         now[0] += 0.1
-        files.ready(); files.add(of_topic(topics.STATUS), 0, 0, bytes(10_000)); files.sync()
+        files.ready(); files.add(topic_channel(topics.STATUS), 0, 0, bytes(10_000)); files.sync()
 most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))
 put(120)

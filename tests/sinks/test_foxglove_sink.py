@@ -95,7 +95,7 @@ def test_a_client_sees_what_it_subscribed_to_and_no_more(sink):
         assert depth["schema"] == channels.DEPTH.schema_text
         wanted = ("/camera/depth", "/map", "/mission", "/detections")
         foxglove.subscribe(*wanted)
-        eventually(lambda: sink._wanted(channels.DEPTH))
+        eventually(lambda: sink._is_subscribed(channels.DEPTH))
         k = 0
 
         def came() -> bool:

@@ -131,7 +131,7 @@ def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
     path = files_of(tmp_path)[0]
     (payload,) = [m.payload for m in McapReader(path) if m.topic == "/camera/depth"]
     assert encoding in payload
-    (moment,) = RecordedRun(path).moments()
+    (moment,) = RecordedRun(path).steps()
     np.testing.assert_array_equal(moment.observation.depth_m, depth_m)
     assert moment.observation.T_map_base.tobytes() == seen(1).T_map_base.tobytes()
     assert moment.observation.camera == CAMERA
@@ -145,7 +145,7 @@ def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
     path = files_of(tmp_path)[0]
     (payload,) = [m.payload for m in McapReader(path) if m.topic == "/lidar/points"]
     assert not from_ros(payload, "sensor_msgs/msg/PointCloud2").is_dense
-    (moment,) = RecordedRun(path).moments()
+    (moment,) = RecordedRun(path).steps()
     np.testing.assert_array_equal(moment.observation.cloud_m, cloud_m)
 
 
@@ -156,7 +156,7 @@ def test_what_the_source_writes_over_was_copied(make, tmp_path):
         sink.tick(tick(seen(k, depth_m)))
     depth_m[:] = 0.0
     sink.close()
-    moments = RecordedRun(files_of(tmp_path)[0]).moments()
+    moments = RecordedRun(files_of(tmp_path)[0]).steps()
     assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
 
 
@@ -174,13 +174,13 @@ def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
     sink.tick(tick(seen(31, depth_m)))
     sink.close()
     session = RecordedRun(files_of(tmp_path)[0])
-    assert len(list(session.moments())) == 21
+    assert len(list(session.steps())) == 21
     assert session.gap == "the next frame's depth was dropped while recording"
     written = [m.sequence for m in session.messages() if m.topic == "/camera/depth"]
     assert written == [*range(1, 22), 31]
 
 
-def test_moments_between_observations_are_told_together(make, tmp_path):
+def test_ticks_between_observations_share_a_page(make, tmp_path):
     sink = make()
     for k in range(100):
         sink.tick(result(k * 10**7))

@@ -31,7 +31,7 @@ class Written(Endless):
     def close(self) -> None: ...
 
 
-def test_goals_and_status_go_over_zenoh_unless_told_otherwise():
+def test_goals_and_status_go_over_zenoh_by_default():
     (make,) = find_sinks(simulated())
     sink = make(config=simulated(), session=Flooded("", ()))
     sink.close()
@@ -99,6 +99,6 @@ def made(sinks: list[object]) -> list[Sink]:
         ),
     ],
 )
-def test_what_is_wrong_with_it_is_told_in_one_line(sinks, said):
+def test_an_unusable_sink_is_an_error_of_one_line(sinks, said):
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
         made(sinks)

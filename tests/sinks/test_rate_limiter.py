@@ -16,7 +16,7 @@ from edge.sinks.rate_limiter import RateLimiter
     ],
 )
 def test_each_is_due_as_often_as_it_may_be(times_s, due):
-    pace = RateLimiter(map=2.0, status=1e-3)
-    assert [pace.is_due("map", int(1e9 * t)) for t in times_s] == due
-    assert pace.is_due("status", 0)
-    assert not pace.is_due("status", 10**9)
+    limiter = RateLimiter(map=2.0, status=1e-3)
+    assert [limiter.take_turn("map", int(1e9 * t)) for t in times_s] == due
+    assert limiter.take_turn("status", 0)
+    assert not limiter.take_turn("status", 10**9)

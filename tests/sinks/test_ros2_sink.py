@@ -246,7 +246,7 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch)
 
 
 @pytest.mark.parametrize("accepts", [True, False])
-def test_a_server_that_drives_on_to_the_old_goal_is_told_to_cancel_it(
+def test_the_old_goal_is_cancelled_if_the_server_still_drives_to_it(
     make, nav2, answers, accepts, monkeypatch
 ):
     monkeypatch.setattr(navigate, "REPLACED_S", 0.0)
@@ -278,7 +278,7 @@ def test_closing_takes_the_goal_back(make, nav2):
     assert eventually(lambda: nav2.cancelled) == [goal_id]
 
 
-def test_recoveries_are_told(make, nav2, answers):
+def test_recoveries_are_reported(make, nav2, answers):
     make().tick(driving(1))
     goal_id = first_goal(nav2)
     for recoveries in (0, 1, 1):

@@ -51,7 +51,7 @@ def test_sensors_sit_where_tf_says(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_depth_maps_unless_a_lidar_is_told_to(name):
+def test_the_map_is_made_of_depth_by_default(name):
     assert list(streams_of(builtin_config(name))) == ["depth_m", "rgb"]
 
 

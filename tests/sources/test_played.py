@@ -71,7 +71,7 @@ def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen
                 seen.append(replace(observation, rgb=None, depth_m=None))
                 observation.release()
         source.close()
-        lines = [*playback.opening(), *playback.outcome()]
+        lines = [*playback.describe_contents(), *playback.describe_outcome()]
     return Seen(
         observations=seen, stamps=[o.stamp_ns for o in seen], matched=playback.matched,
         lines="\n".join(lines), counters=source.counters, notes=playback.bag.notes,
@@ -198,7 +198,7 @@ NAMES: dict[str, tuple[list[Sent], dict[str, str], dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_topics_are_found_and_told(tmp_path, name):
+def test_topics_are_found_and_listed(tmp_path, name):
     sent, configured, found = NAMES[name]
     config = simulated({"ros2": {"topics": configured}})
     seen = play(write_mcap(tmp_path / "robot.mcap", sent), config)
@@ -241,7 +241,7 @@ FRAMES: dict[str, tuple[list[Sent], float, str]] = {
 
 
 @pytest.mark.parametrize("name", FRAMES)
-def test_frames_are_followed_and_told(tmp_path, name):
+def test_frames_are_found_and_listed(tmp_path, name):
     sent, first_m, told = FRAMES[name]
     camera = {"x_m": 0.2, "z_m": 0.5, "pitch_deg": 0}
     config = simulated({"sensors": {"camera": camera}})
@@ -300,14 +300,14 @@ def test_one_lidar_maps(tmp_path, cloud, used):
         ),
     ],
 )
-def test_what_is_missing_is_told_with_what_is_there(tmp_path, sent, why):
+def test_the_error_lists_missing_and_present_topics(tmp_path, sent, why):
     with pytest.raises(RecordingError, match=why) as caught:
         play(write_mcap(tmp_path / "robot.mcap", sent))
     assert "searched for camera/rgb, camera/depth, camera/info, odom" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_what_cannot_be_used_is_told_in_the_end(tmp_path):
+def test_the_final_error_lists_unusable_messages(tmp_path):
     config = simulated({"ros2": {"mounts": "tf"}})
     sent = together(odometry(frame=""), camera(), static(BASE))
     with pytest.raises(RecordingError, match=r"dropped .*odom \(/odom\): 12 no_transform"):

@@ -156,7 +156,7 @@ def test_a_camera_over_zeromq_is_recorded(tmp_path):
         np.testing.assert_allclose(out, expected, rtol=1e-6)
 
 
-def test_a_topic_of_another_type_is_left_out_and_told(tmp_path, caplog):
+def test_a_topic_of_another_type_is_not_recorded_but_logged(tmp_path, caplog):
     config = simulated({"source": {"kind": "ros2"}, "ros2": {"topics": {"odom": "/tf"}}})
     with router() as port, ours(port) as robot_session, ours(port) as session:
         robot = Robot(robot_session, RMW_ZENOH)

@@ -101,7 +101,7 @@ def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
     assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
 
 
-def test_poses_that_are_old_are_told_for_as_long_as_they_are_used():
+def test_old_poses_are_reported_while_they_are_used():
     robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
     row = rows(robot)["odom"]
     assert (row.state, row.why) == (

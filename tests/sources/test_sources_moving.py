@@ -51,7 +51,7 @@ class Head:
         for at_ms, name, stamp_ms in self._arrivals:
             self.now_ns = BEGIN_NS + at_ms * MS
             self._send(name, BEGIN_NS + stamp_ms * MS)
-            self.decoder.settle()
+            self.decoder.convert_waiting_poses()
             if (observation := self.synchronizer.poll()) is not None:
                 observation.release()
                 seen.append(observation)
@@ -119,7 +119,7 @@ def test_mounts_and_map_are_those_of_the_stamp(late_ms, hz, data):
 
 
 @pytest.mark.parametrize("late", ["pan", "map"])
-def test_a_transform_that_is_too_late_is_replaced_by_the_newest_and_told_once(late, caplog):
+def test_a_late_transform_is_replaced_by_the_newest_and_logged_once(late, caplog):
     head = Head({late: 800}, {})
     seen = head.live()[30:]
     assert len(seen) > 20

@@ -121,10 +121,10 @@ def test_a_jump_is_more_than_could_be_driven_in_the_time(after_s, x_m, yaw_rad, 
 
 def test_the_newest_pose_serves_for_a_while():
     poses = ring((10**9, 0.5), max_gap_s=0.25)
-    assert poses.extrapolated(1_250_000_000)[0][0, 3] == 0.5
-    assert poses.extrapolated(1_250_000_001) == (None, 0)
-    assert poses.extrapolated(999_999_999) == (None, 0)
-    assert ring().extrapolated(5) == (None, 0)
+    assert poses.extrapolate(1_250_000_000)[0][0, 3] == 0.5
+    assert poses.extrapolate(1_250_000_001) == (None, 0)
+    assert poses.extrapolate(999_999_999) == (None, 0)
+    assert ring().extrapolate(5) == (None, 0)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_newest_pose_serves_for_a_while():
 )
 def test_the_newest_pose_is_moved_on_as_it_moved(stamps_ms, asked_ms, x_m):
     poses = ring(*((1_000_000 * ms, 1e-3 * ms) for ms in stamps_ms))
-    assert poses.extrapolated(1_000_000 * asked_ms)[0][0, 3] == pytest.approx(x_m)
+    assert poses.extrapolate(1_000_000 * asked_ms)[0][0, 3] == pytest.approx(x_m)
 
 
 def test_a_ring_of_one_is_refused():

@@ -21,7 +21,7 @@ def test_a_slot_comes_back_only_after_the_last_release():
     assert pool.acquire() is first
 
 
-def test_unbalanced_readers_are_told():
+def test_unbalanced_readers_raise():
     slot = FramePool(1, (1, 1)).acquire()
     slot.release()
     with pytest.raises(RuntimeError, match="released more often"):

@@ -94,7 +94,7 @@ def names(*cases):
     ("builtins:dict", {}, "kind: builtins:dict is no source: no signature found"),
     (f"{__name__}:Mine", {}, "options: missing a required argument: 'rate_hz'"),
 )
-def test_what_is_no_source_is_told_in_one_line(kind, options, says):
+def test_an_unusable_source_is_an_error_of_one_line(kind, options, says):
     with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}") as caught:
         find_source(configured(kind, **options))
     assert "\n" not in str(caught.value)
@@ -104,7 +104,7 @@ def test_what_is_no_source_is_told_in_one_line(kind, options, says):
     (f"{__name__}:Deaf", {"rate_hz": 5}, r"kind: .*:Deaf is no source: it has no inbox\.poll\(\)$"),
     (f"{__name__}:Broken", {}, "options: .*:Broken: OSError: no camera at 30 Hz$"),
 )
-def test_what_turns_out_to_be_no_source_is_told_in_one_line(kind, options, says):
+def test_a_source_that_fails_when_opened_is_an_error_of_one_line(kind, options, says):
     config = configured(kind, **options)
     with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}"):
         find_source(config)(config=config, session=None)

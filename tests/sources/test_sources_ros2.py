@@ -235,7 +235,7 @@ def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
     eventually(missed)
 
 
-def test_a_topic_of_another_type_is_told(robot, make, caplog):
+def test_a_topic_of_another_type_is_counted_and_logged(robot, make, caplog):
     source = make(topics={**NAMES, "camera/rgb": "/odom", "odom": "/elsewhere"})
 
     def told():

@@ -349,7 +349,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
         ),
     ],
 )
-def test_a_lens_with_distortion_is_told_and_its_images_rectified(
+def test_images_of_a_distorting_lens_are_rectified_and_that_is_logged(
     caplog, distortion, rgb, depth, made, straight, says
 ):
     caplog.set_level("INFO")
@@ -449,7 +449,7 @@ WIDE = CameraModel(100, 80, 90.0, 90.0, 50.0, 40.0)
         ("pool_slots", 3, lambda robot: [robot.cloud(k).wait().poll() for k in range(2, 6)]),
     ],
 )
-def test_what_a_limit_drops_is_told_with_its_setting(caplog, key, limit, send):
+def test_a_drop_by_a_limit_names_its_setting(caplog, key, limit, send):
     robot = Robot({**CLOUD, "source": {key: limit}}).odom(0).odom(FRAME_NS).cloud(1)
     robot.wait().poll()
     assert not caplog.messages

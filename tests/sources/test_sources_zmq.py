@@ -154,7 +154,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("parts", "said"), BAD)
-def test_a_bad_frame_is_told_in_one_line_and_counted(parts, said, caplog):
+def test_a_bad_frame_is_logged_in_one_line_and_counted(parts, said, caplog):
     where = address()
     with camera_at(where) as send, source_of(configured(where), standing()) as source:
 
@@ -171,7 +171,7 @@ def test_a_bad_frame_is_told_in_one_line_and_counted(parts, said, caplog):
     assert "\n" not in line
 
 
-def test_what_is_too_large_is_never_taken_in_and_told_once(caplog):
+def test_a_message_that_is_too_large_is_refused_and_logged_once(caplog):
     where = address()
     with camera_at(where) as send, source_of(configured(where), standing()) as source:
 
@@ -194,7 +194,7 @@ def test_no_header_does_more_than_be_refused(data, n_bytes):
         parse_header(data, n_bytes)
 
 
-def test_a_host_without_an_address_is_told(caplog):
+def test_a_host_without_an_address_is_logged(caplog):
     config = configured("tcp://no.such.host.invalid:5555")
     source = find_source(config)(config=config, session=standing())
     eventually(lambda: "no address is known for 'no.such.host.invalid'" in caplog.text)

@@ -6,7 +6,7 @@ import logging
 
 import zenoh
 
-from edge.bus.ros2.names import NO_HASH, Endpoint, Kind, every_token, known_hash, parse_token
+from edge.bus.ros2.names import NO_HASH, Endpoint, Kind, all_tokens, hash_from_table, parse_token
 
 log = logging.getLogger("edge.bus.ros2")
 
@@ -27,7 +27,7 @@ class Graph:
         self._hashes: dict[str, str] = {}
         self._warned = False
         self._tokens = session.liveliness().declare_subscriber(
-            every_token(domain), zenoh.handlers.RingChannel(_MAX_TOKENS), history=True
+            all_tokens(domain), zenoh.handlers.RingChannel(_MAX_TOKENS), history=True
         )
 
     def update(self) -> bool:
@@ -46,6 +46,7 @@ class Graph:
         return True
 
     def _apply(self, key: str, is_gone: bool) -> None:
+        """Add or remove the endpoint of a token."""
         if is_gone:
             self._by_id.pop(key, None)
         elif len(self._by_id) < _MAX_TOKENS:
@@ -68,7 +69,8 @@ class Graph:
         """Return the hash of a type in this graph; None if neither graph nor table has it."""
         if type_name in self._hashes:
             return self._hashes[type_name]
-        return NO_HASH if NO_HASH in self._hashes.values() else known_hash(type_name)
+        # One endpoint without a hash shows that the graph is of Humble, which has none at all.
+        return NO_HASH if NO_HASH in self._hashes.values() else hash_from_table(type_name)
 
     def close(self) -> None:
         self._tokens.undeclare()

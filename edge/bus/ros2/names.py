@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 NO_HASH = "TypeHashNotSupported"
-"""Humble has no type hashes and writes this instead."""
+"""The text in place of a type hash in ROS 2 Humble, which has no type hashes."""
 
 HASHES: dict[str, str] = {
     "geometry_msgs/msg/PoseStamped": (
@@ -67,7 +67,7 @@ RELIABLE, BEST_EFFORT, LATCHED = "::,10:,:,:,,", "2::,5:,:,:,,", ":1:,1:,:,:,,"
 A latched topic is transient local: a late subscriber gets the last message.
 """
 
-# Sequence number, time in ns, length of the endpoint's id, the id.
+# Sequence number, time in ns, length of the endpoint's id (`gid`), the id.
 _ATTACHMENT = struct.Struct("<qqB16s")
 _MAX_TOKEN_CHARS = 1000
 
@@ -93,7 +93,7 @@ class Endpoint:
     hash: str
 
 
-def known_hash(type_name: str) -> str | None:
+def hash_from_table(type_name: str) -> str | None:
     """Return the hash of a type from the table; None if distributions differ."""
     digits = HASHES.get(type_name)
     return None if digits is None else f"RIHS01_{digits}"
@@ -152,7 +152,7 @@ class Dialect:
 RMW_ZENOH = Dialect(data_key, any_key, has_tokens=True)
 
 
-def plain(prefix: str) -> Dialect:
+def plain_dialect(prefix: str) -> Dialect:
     """Return a dialect of plain names behind a prefix; the other end handles the domain."""
     return Dialect(
         lambda domain, topic, type_name, type_hash: prefix + topic.lstrip("/"),
@@ -161,14 +161,14 @@ def plain(prefix: str) -> Dialect:
     )
 
 
-BRIDGE = plain("")
+BRIDGE = plain_dialect("")
 """Dialect of zenoh-bridge-ros2dds. Its own `namespace` setting, if any, precedes the names."""
 
 
 def dialect_of(via: Literal["rmw_zenoh", "bridge", "adapter"], prefix: str) -> Dialect:
     """Return the dialect for `ros2.via`; the adapter's keys are below `zenoh.prefix`."""
     if via == "adapter":
-        return plain(f"{prefix}/ros2/")
+        return plain_dialect(f"{prefix}/ros2/")
     return {"rmw_zenoh": RMW_ZENOH, "bridge": BRIDGE}[via]
 
 
@@ -178,7 +178,15 @@ def node_token(domain: int, zid: str, nid: int, node: str) -> str:
 
 
 def endpoint_token(domain: int, nid: int, eid: int, endpoint: Endpoint, qos: str) -> str:
-    """Return the token of an endpoint of a node in the root namespace."""
+    """Return the token of an endpoint of a node in the root namespace.
+
+    Args:
+        domain: ROS 2 domain id.
+        nid: number of the node in its session.
+        eid: number of the endpoint in its session.
+        endpoint: the endpoint.
+        qos: `RELIABLE`, `BEST_EFFORT` or `LATCHED`.
+    """
     node, topic = endpoint.node.lstrip("/"), endpoint.topic.replace("/", "%")
     return (
         f"@ros2_lv/{domain}/{endpoint.zid}/{nid}/{eid}/{endpoint.kind}/%/%/{node}/{topic}/"
@@ -186,7 +194,8 @@ def endpoint_token(domain: int, nid: int, eid: int, endpoint: Endpoint, qos: str
     )
 
 
-def every_token(domain: int) -> str:
+def all_tokens(domain: int) -> str:
+    """Return the key expression of all tokens of a domain."""
     return f"@ros2_lv/{domain}/**"
 
 

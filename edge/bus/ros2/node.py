@@ -48,7 +48,7 @@ class Ros2Node:
         self.nid = next(_IDS)
         self.graph = Graph(session, domain) if dialect.has_tokens else None
         self._polled_s = 0.0
-        self._endpoints: list[_Declared] = []
+        self._endpoints: list[_Ros2Endpoint] = []
         self._token: zenoh.LivelinessToken | None = None
         if dialect.has_tokens:
             token = names.node_token(domain, self.zid, self.nid, name)
@@ -75,10 +75,10 @@ class Ros2Node:
         return self._add(Ros2Publisher(self, topic, type_name, latched))
 
     def subscription(
-        self, topic: str, types: Sequence[str], kept: int, latched: bool = False
+        self, topic: str, types: Sequence[str], capacity: int, latched: bool = False
     ) -> Ros2Subscription:
         """Add a subscription; see `Ros2Subscription`."""
-        return self._add(Ros2Subscription(self, topic, types, kept, latched))
+        return self._add(Ros2Subscription(self, topic, types, capacity, latched))
 
     def client(self, service: str, type_name: str, timeout_s: float) -> Ros2Client:
         """Add a service client; see `Ros2Client`."""
@@ -109,11 +109,12 @@ def open_node(config: Config, session: zenoh.Session, part: str) -> Ros2Node:
     return Ros2Node(session, settings.domain, f"{settings.node}_{part}", dialect)
 
 
-class _Declared:
+class _Ros2Endpoint:
     """Base of all endpoints: a token that follows the graph's type name and hash.
 
     Attributes:
-        hash: the declared hash of the type; None before it is known.
+        hash: the declared hash of the type; None before it is known, "" in a dialect without
+            tokens.
     """
 
     def __init__(self, node: Ros2Node, kind: Kind, topic: str, type_name: str, qos: str) -> None:
@@ -147,6 +148,7 @@ class _Declared:
         """Notice new subscribers, in a dialect without tokens."""
 
     def wanted_type(self) -> str:
+        """Return the type to declare, which may depend on the graph."""
         return self.type
 
     def key(self) -> str:
@@ -168,7 +170,7 @@ class _Declared:
             self._token.undeclare()
 
 
-class Ros2Publisher(_Declared):
+class Ros2Publisher(_Ros2Endpoint):
     """Publishes payloads of one type.
 
     Args:
@@ -229,25 +231,25 @@ class Ros2Publisher(_Declared):
             self._publisher = None
 
 
-class Ros2Subscription(_Declared):
+class Ros2Subscription(_Ros2Endpoint):
     """The newest messages of a topic, of several types; best effort, as usual for sensors.
 
     Args:
         node: the node it belongs to.
         topic: topic with a leading slash.
         types: accepted types. The first is announced until another one has a publisher.
-        kept: see `edge.bus.session.Ring`.
+        capacity: see `edge.bus.session.Ring`.
         latched: also receive messages published before.
     """
 
     def __init__(
-        self, node: Ros2Node, topic: str, types: Sequence[str], kept: int, latched: bool
+        self, node: Ros2Node, topic: str, types: Sequence[str], capacity: int, latched: bool
     ) -> None:
         qos = names.LATCHED if latched else names.BEST_EFFORT
         super().__init__(node, "MS", topic, types[0], qos)
         self.types = tuple(types)
-        make: Callable[..., Ring] = _LatchedRing if latched else Ring
-        self._ring = make(node.session, node.dialect.any_key(node.domain, topic), kept)
+        ring_class: Callable[..., Ring] = _LatchedRing if latched else Ring
+        self._ring = ring_class(node.session, node.dialect.any_key(node.domain, topic), capacity)
 
     @property
     def overruns(self) -> int:
@@ -284,8 +286,15 @@ class _LatchedRing(Ring):
         return ext.declare_advanced_subscriber(session, key, ring, history=history)
 
 
-class Ros2Client(_Declared):
-    """Calls a service without blocking; the caller polls the answer."""
+class Ros2Client(_Ros2Endpoint):
+    """Calls a service without blocking; the caller polls the answer.
+
+    Args:
+        node: the node it belongs to.
+        service: name of the service, with a leading slash.
+        type_name: ROS 2 name.
+        timeout_s: longest time until the answer.
+    """
 
     def __init__(self, node: Ros2Node, service: str, type_name: str, timeout_s: float) -> None:
         super().__init__(node, "SC", service, type_name, names.RELIABLE)

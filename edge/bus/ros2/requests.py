@@ -20,15 +20,17 @@ import zenoh
 from edge.bus import topics
 from edge.bus.request_queue import MAX_BYTES, RequestQueue
 from edge.bus.ros2.node import Ros2Node, open_node
-from edge.bus.verbs import error_of, shown
+from edge.bus.verbs import error_payload, show
 from edge.bus.wire.cdr import CdrReader, CdrWriter, DecodeError
 from edge.config import Config
 from edge.host.periodic import run_periodically
 
 STRING = "std_msgs/msg/String"
 POLL_S = 0.05
+"""Period of polls."""
 _RING_MESSAGES = 16
 _MAX_REF_CHARS = 100
+# Value of `to` -> key of its requests.
 _KEYS = {key.removesuffix("/request"): key for key in topics.REQUESTS}
 
 
@@ -68,20 +70,22 @@ class Ros2RequestServer:
         self._node.close()
 
     def _receive(self, payload: zenoh.ZBytes) -> None:
+        """Pass a message to the queue of its requests, or answer with an error."""
         label: dict[str, Any] = {}
         reply = partial(self._reply, label)
         try:
-            request = _request_of(payload)
+            request = _read_message(payload)
             label |= {name: request.pop(name) for name in ("to", "ref") if name in request}
-            accept = self._queue_of(label.get("to"))
+            accept = self._accept_of(label.get("to"))
         except ValueError as error:
-            reply(error_of(str(error)), True)
+            reply(error_payload(str(error)), True)
         else:
             accept(json.dumps(request).encode(), reply)
 
-    def _queue_of(self, to: object) -> Callable[..., None]:
+    def _accept_of(self, to: object) -> Callable[..., None]:
+        """Return the method that accepts requests to this destination."""
         if not isinstance(to, str) or to not in _KEYS:
-            raise ValueError(f"to: unknown {shown(to)} (choices: {', '.join(_KEYS)})")
+            raise ValueError(f"to: unknown {show(to)} (choices: {', '.join(_KEYS)})")
         return self._queues[_KEYS[to]].accept
 
     def _reply(self, label: dict[str, Any], reply: bytes, is_error: bool) -> None:
@@ -101,7 +105,7 @@ def serve_ros2_requests(
         yield
 
 
-def _request_of(payload: zenoh.ZBytes) -> dict[str, Any]:
+def _read_message(payload: zenoh.ZBytes) -> dict[str, Any]:
     """Return the request of a message.
 
     Raises:
@@ -121,6 +125,6 @@ def _request_of(payload: zenoh.ZBytes) -> dict[str, Any]:
     if not isinstance(ref, int | str) or len(str(ref)) > _MAX_REF_CHARS:
         raise ValueError(
             f"ref: expected an integer, or text of at most {_MAX_REF_CHARS} characters, "
-            f"got {shown(ref)}"
+            f"got {show(ref)}"
         )
     return request

@@ -1,4 +1,7 @@
-"""Reader, with bounds checks, and writer of little-endian CDR (header `00 01 00 00`)."""
+"""Reader, with bounds checks, and writer of CDR, the binary format of ROS 2 messages.
+
+Only little-endian CDR (header `00 01 00 00`).
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import struct
 from collections.abc import Sequence
 
 HEADER = b"\x00\x01\x00\x00"
+"""First bytes of each payload; the alignment of fields counts from their end."""
 
 # Layouts without padding: numbers, and a time in seconds and nanoseconds.
 U8 = struct.Struct("<B")
@@ -19,6 +23,10 @@ class DecodeError(ValueError):
 
 class CdrReader:
     """Reads one payload field by field; a read outside the payload raises DecodeError.
+
+    Attributes:
+        payload: the message with its header.
+        at: offset of the next unread byte.
 
     >>> CdrReader(HEADER + U32.pack(7)).read(U32, 4)
     (7,)
@@ -41,7 +49,7 @@ class CdrReader:
 
         The alignment counts from the end of the header.
         """
-        begin = self.at + (-(self.at - len(HEADER))) % align
+        begin = self.at + (-(self.at - len(HEADER))) % align  # (-n) % align: padding after n bytes
         if size > self._size - begin:
             raise DecodeError(
                 f"truncated: {size} bytes expected from byte {begin}, the message has {self._size}"
@@ -63,6 +71,7 @@ class CdrReader:
         self._advance(size, align)
 
     def string(self) -> str:
+        """Read a string, without its final zero byte."""
         (length,) = self.read(U32, 4)
         begin = self._advance(length, 1)
         try:
@@ -76,6 +85,7 @@ class CdrReader:
         return count, self._advance(count * item_size, item_size if count else 1)
 
     def stamp_ns(self) -> int:
+        """Read builtin_interfaces/Time in nanoseconds."""
         seconds, nanoseconds = self.read(STAMP, 4)
         if nanoseconds >= 1_000_000_000:
             raise DecodeError(f"the stamp has nanosec {nanoseconds}, expected less than 1000000000")
@@ -99,6 +109,7 @@ class CdrWriter:
         self._buffer = bytearray(HEADER)
 
     def write(self, layout: struct.Struct, align: int, *values: float) -> CdrWriter:
+        """Append the fields of `layout`, aligned to `align`; return this writer."""
         self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % align)
         self._buffer += layout.pack(*values)
         return self

@@ -30,8 +30,9 @@ def cloud_parts(
     points = np.ascontiguousarray(points_m, dtype=np.float32)
     n = len(points)
     writer = CdrWriter().header(stamp_ns, frame_id).write(_HEIGHT_WIDTH, 4, 1, n).write(U32, 4, 3)
-    for i, name in enumerate("xyz"):
+    for i, name in enumerate("xyz"):  # name, offset, datatype, count
         writer.string(name).write(U32, 4, 4 * i).write(U8, 1, _FLOAT32).write(U32, 4, 1)
+    # is_bigendian, point_step, row_step, size of data
     writer.write(U8, 1, 0).write(U32, 4, 12).write(U32, 4, 12 * n).write(U32, 4, 12 * n)
     is_dense = U8.pack(bool(np.isfinite(points).all()))
     return writer.bytes(), memoryview(points.reshape(-1).view(np.uint8)), is_dense
@@ -51,7 +52,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
         name = reader.string()
         (offset,) = reader.read(U32, 4)
         (datatype,) = reader.read(U8, 1)
-        reader.read(U32, 4)
+        reader.read(U32, 4)  # count
         if datatype == _FLOAT32:
             offsets[name] = offset
     if not offsets.keys() >= {"x", "y", "z"}:
@@ -59,7 +60,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
     return offsets["x"], offsets["y"], offsets["z"]
 
 
-def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = False) -> int:
+def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, keep_invalid: bool = False) -> int:
     """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
 
     The message may have any layout of fields with float32 x, y, z.
@@ -67,7 +68,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
     Args:
         payload: the message.
         out_m: the points in metres, in the message's frame.
-        whole: also write points with NaN or inf.
+        keep_invalid: also write points with NaN or inf.
 
     Returns:
         The number of points written.
@@ -95,10 +96,10 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
             f"cloud {width}x{height}: point_step {point_step} and row_step {row_step} do not fit "
             f"{size} bytes of data: row_step must be width * point_step or more"
         )
-    if whole:
-        code, steps = ">f4" if big_endian else "<f4", (row_step, point_step)
+    if keep_invalid:
+        code, strides = ">f4" if big_endian else "<f4", (row_step, point_step)
         for axis, offset in enumerate(offsets):
-            column = np.ndarray((height, width), code, payload, begin + offset, steps)
+            column = np.ndarray((height, width), code, payload, begin + offset, strides)
             out_m[:n, axis] = column.reshape(-1)
         return n
     return kernels.cloud_points(
@@ -111,11 +112,20 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, whole: bool = Fal
 class LaserScan:
     """sensor_msgs/LaserScan; beam i points at angle_min + i * angle_increment, left positive.
 
-    `ranges_m` (n,) float32 is a read-only view of the payload. Values (REP 117):
+    Values of `ranges_m` (REP 117):
 
     - from range_min to below range_max: a hit.
     - range_max and more, or +inf: no obstacle within range_max.
     - less than range_min, -inf or NaN: no measurement.
+
+    Attributes:
+        stamp_ns: stamp of the message.
+        frame_id: frame of the sensor.
+        angle_min_rad: angle of beam 0.
+        angle_increment_rad: angle from beam to beam.
+        range_min_m: see above.
+        range_max_m: see above.
+        ranges_m: (n,) float32, a read-only view of the payload.
     """
 
     stamp_ns: int

@@ -16,7 +16,7 @@ import numpy as np
 
 from edge.bus.wire.cdr import U32, CdrReader, CdrWriter, DecodeError
 from edge.bus.wire.images import ImageHeader, integers_into
-from edge.host.c_stderr import silenced
+from edge.host.c_stderr import silence_c_stderr
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
@@ -25,14 +25,15 @@ _CRITICAL, _ANIMATED = (b"IHDR", b"PLTE", b"IDAT"), (b"acTL", b"fcTL", b"fdAT")
 _JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 _SEGMENT = struct.Struct(">BBH")  # marker, kind, length
 _FRAME = struct.Struct(">BHH")  # bits, height, width
-_NOT_FRAME_KINDS = (0xC4, 0xC8, 0xCC)
-_SCAN_KIND = 0xDA
-_MAX_SEGMENTS = 64
-_MAX_SCANS = 100
+_NOT_FRAME_KINDS = (0xC4, 0xC8, 0xCC)  # kinds from 0xC0 to 0xCF that have no image size
+_SCAN_KIND = 0xDA  # the pixels follow
+_MAX_SEGMENTS = 64  # of a JPEG before its pixels
+_MAX_SCANS = 100  # of a JPEG
 # compressed_depth_image_transport puts this before the PNG: how depth was quantized to 16 bits.
 _DEPTH_HEADER = struct.Struct("<iff")
 _COLOUR_UNROTATED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
+# See `CompressedHeader.content`.
 Content = Literal["colour", "16UC1", "inverse"]
 
 
@@ -78,12 +79,12 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     """
     reader = CdrReader(payload)
     stamp_ns, frame_id = reader.header()
-    words = reader.string()
+    format_text = reader.string()
     size, begin = reader.sequence(1)
     end, a, b = begin + size, 0.0, 0.0
-    encoding = words.partition(";")[0].strip()
+    encoding = format_text.partition(";")[0].strip()
     content: Content = "16UC1" if encoding in ("16UC1", "mono16") else "colour"
-    if "compressedDepth" in words:
+    if "compressedDepth" in format_text:
         if size < _DEPTH_HEADER.size:
             raise DecodeError(
                 f"compressed depth image of {size} bytes: too short, its header alone has "
@@ -94,12 +95,12 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
         content = "inverse" if encoding == "32FC1" else "16UC1"
         if not (np.isfinite(a) and np.isfinite(b)):
             raise DecodeError("compressed depth image: its quantization parameters are NaN or inf")
-    height, width, bits = _read_size(payload, begin, end, words)
+    height, width, bits = _read_size(payload, begin, end, format_text)
     if bits != (expected := 8 if content == "colour" else 16):
         raise DecodeError(
-            f"compressed image {words[:40]!r}: {bits} bits a channel, expected {expected}"
+            f"compressed image {format_text[:40]!r}: {bits} bits a channel, expected {expected}"
         )
-    is_rgb = "compressed rgb" in words
+    is_rgb = "compressed rgb" in format_text
     return CompressedHeader(stamp_ns, frame_id, height, width, content, begin, end, a, b, is_rgb)
 
 
@@ -111,7 +112,7 @@ def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> 
     return writer.bytes(memoryview(jpeg.reshape(-1)))
 
 
-def _read_size(payload: bytes, begin: int, end: int, words: str) -> tuple[int, int, int]:
+def _read_size(payload: bytes, begin: int, end: int, format_text: str) -> tuple[int, int, int]:
     """Return (height, width, bits per channel) of a JPEG or PNG from its first bytes."""
     if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
         name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
@@ -120,7 +121,7 @@ def _read_size(payload: bytes, begin: int, end: int, words: str) -> tuple[int, i
             return height, width, bits
     elif payload[begin : begin + 2] == _JPEG:
         return _jpeg_size(payload, begin + 2, end)
-    raise DecodeError(f"compressed image {words[:40]!r}: neither JPEG nor PNG")
+    raise DecodeError(f"compressed image {format_text[:40]!r}: neither JPEG nor PNG")
 
 
 def _check_chunks(payload: bytes, at: int, end: int) -> None:
@@ -193,7 +194,7 @@ def decode_compressed_into(
         )
     data = np.frombuffer(payload, np.uint8, header.end - header.begin, header.begin)
     try:
-        with silenced():
+        with silence_c_stderr():
             picture = cv2.imdecode(data, _COLOUR_UNROTATED if colour else cv2.IMREAD_UNCHANGED)
     except cv2.error:
         picture = None

@@ -13,7 +13,7 @@ from edge.bus.wire.cdr import U8, U32, CdrReader, CdrWriter, DecodeError
 
 _HEIGHT_WIDTH = struct.Struct("<II")
 
-# Encoding: bytes per pixel, and channels.
+# Encoding: (bytes per pixel, channels).
 _LAYOUTS = {
     "rgb8": (3, 3), "bgr8": (3, 3), "rgba8": (4, 4), "bgra8": (4, 4), "mono8": (1, 1),
     "16UC1": (2, 1), "mono16": (2, 1), "32FC1": (4, 1),
@@ -86,6 +86,7 @@ def image_parts(stamp_ns: int, frame_id: str, array: np.ndarray) -> tuple[bytes,
     step = width * _LAYOUTS[encoding][0]
     writer = CdrWriter().header(stamp_ns, frame_id)
     writer.write(_HEIGHT_WIDTH, 4, height, width).string(encoding)
+    # is_bigendian, step, size of data
     writer.write(U8, 1, 0).write(U32, 4, step).write(U32, 4, height * step)
     pixels = np.ascontiguousarray(array).reshape(-1)
     return writer.bytes(), memoryview(pixels.view(np.uint8))

@@ -13,10 +13,10 @@ from numba.extending import intrinsic
 from edge.jit import jit
 
 U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)  # unsigned, see `cloud_points`
-INF = np.uint32(0x7F800000)  # a float32's exponent of NaN and inf
+INF = np.uint32(0x7F800000)  # bits of a float32's exponent: all are set for NaN and inf
 
 
-def _loaded(data: Any, at: Any, word: Any, bits: int) -> Any:
+def _make_load(data: Any, at: Any, word: Any, bits: int) -> Any:
     """Return the type and the code of an intrinsic that loads one unsigned number of these bits."""
 
     def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -28,22 +28,22 @@ def _loaded(data: Any, at: Any, word: Any, bits: int) -> Any:
 
 
 @intrinsic
-def _word(typing: Any, data: Any, at: Any) -> Any:
+def _load_uint32(typing: Any, data: Any, at: Any) -> Any:
     """Load four bytes of a uint8 array, `data[at : at + 4]`, as a uint32, at any alignment.
 
     Four single loads would be three times as slow.
     """
-    return _loaded(data, at, types.uint32, 32)
+    return _make_load(data, at, types.uint32, 32)
 
 
 @intrinsic
-def _half(typing: Any, data: Any, at: Any) -> Any:
-    """Load two bytes of a uint8 array as a uint16, like `_word`."""
-    return _loaded(data, at, types.uint16, 16)
+def _load_uint16(typing: Any, data: Any, at: Any) -> Any:
+    """Load two bytes of a uint8 array as a uint16, like `_load_uint32`."""
+    return _make_load(data, at, types.uint16, 16)
 
 
 @jit(inline="always")
-def _swapped(word: int) -> int:
+def _swap_bytes(word: int) -> int:
     """Return a uint32 with its bytes in reverse order."""
     return (
         (word >> np.uint32(24))
@@ -89,9 +89,13 @@ def cloud_points(
     for row in range(height):
         at = np.uintp(begin + row * row_step)
         for _ in range(width):
-            x, y, z = _word(data, at + x_at), _word(data, at + y_at), _word(data, at + z_at)
+            x, y, z = (
+                _load_uint32(data, at + x_at),
+                _load_uint32(data, at + y_at),
+                _load_uint32(data, at + z_at),
+            )
             if big_endian:
-                x, y, z = _swapped(x), _swapped(y), _swapped(z)
+                x, y, z = _swap_bytes(x), _swap_bytes(y), _swap_bytes(z)
             out[kept, U0] = x
             out[kept, U1] = y
             out[kept, U2] = z
@@ -167,11 +171,11 @@ def depth_of_integers(
     for v in range(out_m.shape[0]):
         at = np.uintp(begin + v * row_step)
         for u in range(out_m.shape[1]):
-            steps = _half(data, at + U2 * np.uintp(u))
+            units = _load_uint16(data, at + U2 * np.uintp(u))
             if big_endian:
-                steps = np.uint16((steps >> np.uint16(8)) | (steps << np.uint16(8)))
-            metres = np.float32(steps) * unit_m
-            out_m[v, u] = metres if steps < least_invalid else np.float32(0.0)
+                units = np.uint16((units >> np.uint16(8)) | (units << np.uint16(8)))
+            metres = np.float32(units) * unit_m
+            out_m[v, u] = metres if units < least_invalid else np.float32(0.0)
 
 
 @jit
@@ -182,7 +186,7 @@ def exact_millimetres(depth_m: np.ndarray, out_mm: np.ndarray) -> bool:
         depth_m: (n,) float32.
         out_mm: (n,) uint16, written: millimetres. If exact, depth_m is out_mm * float32(0.001).
     """
-    others = 0
+    others = 0  # values that are no multiple
     for i in range(len(depth_m)):  # without a branch, so that it is vectorized by eight
         mm = np.int32(depth_m[i] * np.float32(1000.0) + np.float32(0.5)) & np.int32(0xFFFF)
         others += np.float32(mm) * np.float32(0.001) != depth_m[i]

@@ -64,6 +64,7 @@ def encode_markers(stamp_ns: int, frame_id: str, markers: Sequence[Marker]) -> b
 
 
 def _write(writer: CdrWriter, stamp_ns: int, frame_id: str, marker: Marker, action: int) -> None:
+    """Append one visualization_msgs/Marker."""
     T = marker.pose.matrix(marker.z_m)
     writer.header(stamp_ns, frame_id).string(marker.group)
     writer.write(_IDS, 4, marker.id, marker.kind, action)

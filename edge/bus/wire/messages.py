@@ -129,8 +129,13 @@ def read_pose(reader: CdrReader) -> np.ndarray:
 class OdometryMessage:
     """nav_msgs/Odometry: pose of the base in `map`, and twist in the base frame.
 
-    `frame_id` and `child_frame_id` are the message's own names and may differ: see
-    `edge.sources.ros2`.
+    Attributes:
+        stamp_ns: stamp of the message.
+        T_map_base: (4, 4) float64 pose.
+        v_mps: forward speed.
+        w_radps: turn rate, left positive.
+        frame_id: the message's own name of the first frame, which may not be `map`.
+        child_frame_id: the message's own name of the second frame, which may not be the base.
     """
 
     stamp_ns: int

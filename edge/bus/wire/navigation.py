@@ -21,7 +21,7 @@ _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MAX_GOALS = 1024
 _KEEPOUT_FILTER = 0
-_STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # defaults of DockRobot and UndockRobot
+_STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # time limits: the defaults of DockRobot, UndockRobot
 
 # Statuses of action_msgs/GoalStatus.
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
@@ -44,8 +44,10 @@ def encode_dock_goal(
 
     The server drives to the staging pose of the dock itself.
     """
+    # use_dock_id, dock_id; so the server ignores the pose
     writer = CdrWriter().write(_UUID, 1, goal_id).write(U8, 1, 1).string(dock_id)
     write_pose(writer.header(stamp_ns, frame_id), SE2(0.0, 0.0, 0.0).matrix())
+    # dock_type, max_staging_time, navigate_to_staging_pose
     return writer.string("").write(_F32, 4, _STAGING_S).write(U8, 1, 1).bytes()
 
 
@@ -139,6 +141,7 @@ def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
 
 
 def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
+    """Read action_msgs/GoalInfo, or GoalStatus with `status`, as (goal_id, status or 0)."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_GOALS:
         raise DecodeError(f"message of {count} goals, at most {_MAX_GOALS} are read")
@@ -153,6 +156,7 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
 def encode_keepout_info(stamp_ns: int, frame_id: str, mask_topic: str) -> bytes:
     """Encode the nav2_msgs/CostmapFilterInfo with the topic of the mask for a KeepoutFilter."""
     writer = CdrWriter().header(stamp_ns, frame_id).write(U8, 1, _KEEPOUT_FILTER)
+    # base and multiplier: the cost is that of the mask
     return writer.string(mask_topic).floats((0.0, 1.0), "f").bytes()
 
 

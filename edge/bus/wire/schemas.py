@@ -1,4 +1,4 @@
-"""Message definitions as text (`ros2msg`), for recordings.
+"""Definitions of the ROS 2 message types as text (`ros2msg`), which recordings contain.
 
 Fields and their order are complete; constants and comments of the originals are left out.
 """
@@ -89,7 +89,7 @@ def schema_text(type_name: str) -> str:
     'builtin_interfaces/Time stamp'
     """
     order = [type_name]
-    for name in order:
+    for name in order:  # grows in the loop
         for line in DEFINITIONS[name].splitlines():
             part = line.split()[0].split("[")[0]
             if part in DEFINITIONS and part not in order:

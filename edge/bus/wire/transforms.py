@@ -20,7 +20,14 @@ MOST_TRANSFORMS = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transform:
-    """geometry_msgs/TransformStamped: `T` (4, 4) maps points of `child` into `parent`."""
+    """geometry_msgs/TransformStamped.
+
+    Attributes:
+        stamp_ns: stamp of the transform.
+        parent: name of the parent frame.
+        child: name of the child frame.
+        T: (4, 4) float64, takes points of `child` to `parent`.
+    """
 
     stamp_ns: int
     parent: str
@@ -50,6 +57,7 @@ def encode_transforms(transforms: Sequence[Transform]) -> bytes:
 
 
 def _read_transform(reader: CdrReader) -> Transform:
+    """Read one geometry_msgs/TransformStamped."""
     stamp_ns, parent = reader.header()
     child = reader.string()
     values = reader.read(_TRANSFORM, 8)

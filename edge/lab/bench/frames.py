@@ -15,7 +15,7 @@ from edge import names
 from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import SE2, invert
-from edge.host.c_stderr import silenced
+from edge.host.c_stderr import silence_c_stderr
 from edge.lab.bench.boxes import KIND, NAMED, NO, GroundTruthBoxes
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
@@ -142,7 +142,7 @@ def from_folder(folder: Path, count: int) -> BenchFrames:
         raise UserError(f"--images {folder}: no images ({', '.join(_IMAGES)}); give another folder")
     rgb = []
     for path in paths:  # OpenCV would wait forever on a pipe
-        with silenced():
+        with silence_c_stderr():
             image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
         if image is None:
             raise UserError(f"{path}: not a readable image; remove the file from the folder")

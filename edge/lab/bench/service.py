@@ -115,8 +115,8 @@ def run_bench(
         playback = stack.enter_context(Playback(recording, config, 1.0, stop))
         began += playback.read_s
         playback.check()
-        has_topics = playback.as_on_the_bus
-        for line in () if has_topics else playback.opening():
+        has_topics = playback.has_bus_topics
+        for line in () if has_topics else playback.describe_contents():
             log.info("%s", line)
         make_source = None if has_topics else playback.open
         running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
@@ -139,7 +139,7 @@ def run_bench(
         memory_mb = resident_mb()
         failing = "; ".join(check.message for check in running.service.plausibility.failed)
         if not has_topics:
-            for line in playback.outcome():
+            for line in playback.describe_outcome():
                 log.info("%s", line)
     tick = report.tick
     slowdown = 1.0 if report.calibration is None else report.calibration.slowdown

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from edge.errors import UserError
 from edge.geometry import FARTHEST_M, CameraModel, invert
-from edge.host.c_stderr import silenced
+from edge.host.c_stderr import silence_c_stderr
 from edge.host.files import read_regular
 from edge.tasks.objects import clusters, downsample, overlap_share
 from edge.tasks.pipeline import PerceptionPipeline
@@ -133,7 +133,7 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         )
     path = folder / "image_2" / f"{number:06d}.png"
     png = np.frombuffer(_bytes(path), np.uint8)
-    with silenced():
+    with silence_c_stderr():
         bgr = cv2.imdecode(png, cv2.IMREAD_COLOR) if len(png) else None
     if bgr is None:
         raise KittiError(f"{path}: not a readable image; fetch the file again")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from edge.lab.report.automaton_graph import CURRENT, STYLES
-from edge.live.automaton_graph import in_words, transitions_from
+from edge.live.automaton_graph import format_letters, transitions_from
 from edge.mission.logic.automaton import Automaton
 
 
@@ -37,7 +37,7 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
         lines.append(f"  {s} [{_attribute_text(attributes)}];")
     for s in range(automaton.n_states):
         for to, letters in transitions_from(automaton, s).items():
-            attributes = {"label": in_words(letters, automaton.propositions)}
+            attributes = {"label": format_letters(letters, automaton.propositions)}
             if automaton.is_dead(to):
                 attributes.update(color="gray60", fontcolor="gray60", style="dashed")
             if (s, to) in planned:

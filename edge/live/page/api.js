@@ -13,7 +13,7 @@ export class Refused extends Error {
 
 export const token = {
   get: () => sessionStorage.getItem(TOKEN),
-  set: (said) => sessionStorage.setItem(TOKEN, said),
+  set: (value) => sessionStorage.setItem(TOKEN, value),
   forget: () => sessionStorage.removeItem(TOKEN),
 };
 
@@ -26,13 +26,13 @@ async function ask(path, options, limit_ms) {
   });
   if (answer.status === 304) return answer;
   if (!answer.ok) {
-    const said = (await answer.text()).trim();
-    let why = said;
+    const text = (await answer.text()).trim();
+    let why = text;
     let readings = [];
     try {
-      const told = JSON.parse(said);
-      why = told.error ?? said;
-      readings = told.readings ?? [];
+      const content = JSON.parse(text);
+      why = content.error ?? text;
+      readings = content.readings ?? [];
     } catch {
       // It is plain text.
     }
@@ -54,9 +54,9 @@ export async function get(path) {
 
 export const forget = (path) => tags.delete(path);
 
-export async function post(path, said) {
+export async function post(path, request) {
   const options = {
-    method: "POST", body: JSON.stringify(said), headers: { "Content-Type": "application/json" },
+    method: "POST", body: JSON.stringify(request), headers: { "Content-Type": "application/json" },
   };
   return (await ask(path, options, 130000)).json();
 }

@@ -18,7 +18,7 @@ export const show = once(({ nodes, arrows, note }) => {
   drawing.style.maxWidth = `${1.35 * (wide + 34)}px`;
   drawing.append(heads());
   drawing.append(make("svg:path", { class: "edge", d: `M -32 0 H ${-RADIUS - 6}`, "marker-end": "url(#head-other)" }));
-  const labels = arrows.map((arrow) => way(drawing, arrow, places, arrows));
+  const labels = arrows.map((arrow) => drawArrow(drawing, arrow, places, arrows));
   nodes.forEach((node, i) => drawing.append(state(node, places[i])));
   drawing.append(...labels);
   $("automaton").replaceChildren(drawing);
@@ -76,7 +76,7 @@ const mean = (values, otherwise) =>
   values.length ? values.reduce((a, b) => a + b) / values.length : otherwise;
 
 // Draws an arrow and returns its label, which is drawn on top.
-function way(drawing, arrow, places, arrows) {
+function drawArrow(drawing, arrow, places, arrows) {
   const [x0, y0] = places[arrow.source];
   const [x1, y1] = places[arrow.target];
   const paired = arrows.some((a) => a.source === arrow.target && a.target === arrow.source);
@@ -93,7 +93,7 @@ function way(drawing, arrow, places, arrows) {
   path.append(make("svg:title", { text: arrow.title }));
   drawing.append(path);
   const [lx, ly] = [(x0 + 2 * mx + x1) / 4, (y0 + 2 * my + y1) / 4];
-  return words(arrow.lines, lx, ly - 7 * (arrow.lines.length - 1) - (bend ? 0 : 9), `label ${arrow.role}`, 13);
+  return drawLines(arrow.lines, lx, ly - 7 * (arrow.lines.length - 1) - (bend ? 0 : 9), `label ${arrow.role}`, 13);
 }
 
 function towards([x, y], [tx, ty], by) {
@@ -101,9 +101,9 @@ function towards([x, y], [tx, ty], by) {
   return [x + ((tx - x) / away) * by, y + ((ty - y) / away) * by];
 }
 
-function words(lines, x, y, kind, leading) {
+function drawLines(lines, x, y, kind, leading) {
   const text = make("svg:text", { class: kind });
-  lines.forEach((said, k) => text.append(make("svg:tspan", { x, y: y + k * leading, text: said })));
+  lines.forEach((line, k) => text.append(make("svg:tspan", { x, y: y + k * leading, text: line })));
   return text;
 }
 
@@ -114,6 +114,6 @@ function state(node, [x, y]) {
   if (node.accepting) group.append(make("svg:circle", { class: "inner", cx: x, cy: y, r: RADIUS - 3.5 }));
   group.append(make("svg:text", { class: "name", x, y, text: String(node.state) }));
   const lines = [...node.forbidden, ...(node.hidden ? [`+ ${node.hidden}`] : [])];
-  group.append(words(lines, x, y + RADIUS + 8, "label forbidden", 11));
+  group.append(drawLines(lines, x, y + RADIUS + 8, "label forbidden", 11));
   return group;
 }

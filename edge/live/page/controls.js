@@ -4,7 +4,7 @@ import { post, token } from "./api.js";
 import { $, make, say } from "./dom.js";
 import { isDone } from "./panels.js";
 
-const SURE_MS = 3000;
+const CONFIRM_MS = 3000;
 let resumes = false; // the button resumes a paused mission, or ends a wait
 
 export function show({ controls, moment, service }) {
@@ -25,9 +25,9 @@ export function toast(text) {
   hide = setTimeout(() => ($("toast").hidden = true), 5000);
 }
 
-async function ask(key, said, done) {
+async function ask(key, request, done) {
   try {
-    await post(key, said);
+    await post(key, request);
     if (done) toast(done);
   } catch (error) {
     toast(error.message);
@@ -39,13 +39,13 @@ const mission = (verb) => ask("mission/request", { do: verb });
 $("pause").addEventListener("click", () => mission(resumes ? "resume" : "pause"));
 
 // Needs two clicks, so that one by mistake does not end a mission.
-let sure = 0;
+let timer = 0;
 $("cancel").addEventListener("click", () => {
-  clearTimeout(sure);
+  clearTimeout(timer);
   const again = $("cancel").textContent !== "Cancel";
   say("cancel", again ? "Cancel" : "Really cancel?");
   if (again) mission("cancel");
-  else sure = setTimeout(() => say("cancel", "Cancel"), SURE_MS);
+  else timer = setTimeout(() => say("cancel", "Cancel"), CONFIRM_MS);
 });
 
 $("lock").addEventListener("click", () => {
@@ -71,7 +71,7 @@ const example = () => ($("words").placeholder = EXAMPLES[chosen()]);
 dialog.querySelector(".choice").addEventListener("change", example);
 example();
 $("new").addEventListener("click", () => {
-  settle();
+  clearError();
   dialog.showModal();
 });
 $("new-close").addEventListener("click", () => dialog.close());
@@ -80,13 +80,13 @@ dialog.querySelector("form").addEventListener("submit", (event) => {
   begin({ [chosen()]: $("words").value });
 });
 
-function settle() {
+function clearError() {
   $("new-error").hidden = true;
   $("readings").replaceChildren();
 }
 
 // If an instruction is ambiguous or its meaning uncertain, the user chooses.
-function offer(said, readings) {
+function offer(request, readings) {
   say("new-error", readings.length > 1
     ? "This can be read in several ways. Which one do you mean?"
     : "Is this what you mean?");
@@ -97,19 +97,19 @@ function offer(said, readings) {
   }));
 }
 
-$("words").addEventListener("input", settle);
+$("words").addEventListener("input", clearError);
 
-async function begin(said) {
+async function begin(request) {
   $("new-ok").disabled = true;
   say("new-ok", "Understanding…");
-  settle();
+  clearError();
   try {
     const answer = await post("mission/request", { do: "new", ...said });
     $("words").value = "";
     dialog.close();
     toast(textOf(answer));
   } catch (error) {
-    if (error.readings?.length) offer(said, error.readings);
+    if (error.readings?.length) offer(request, error.readings);
     else say("new-error", error.message);
     $("new-error").hidden = false;
   } finally {
@@ -123,7 +123,7 @@ const textOf = (answer) => answer.text || `Started: ${answer.english ?? answer.i
 
 $("ask").addEventListener("submit", async (event) => {
   event.preventDefault();
-  const said = { instruction: $("sentence").value };
+  const request = { instruction: $("sentence").value };
   $("answer").className = "";
   say("answer", "…");
   try {
@@ -132,13 +132,13 @@ $("ask").addEventListener("submit", async (event) => {
   } catch (error) {
     say("answer", error.message);
     $("answer").className = "error";
-    if (error.readings?.length) choose(said, error.readings);
+    if (error.readings?.length) choose(request, error.readings);
   }
 });
 
-function choose(said, readings) {
-  $("words").value = said.instruction;
-  offer(said, readings);
+function choose(request, readings) {
+  $("words").value = request.instruction;
+  offer(request, readings);
   $("new-error").hidden = false;
   say("answer", "");
   dialog.showModal();

@@ -20,11 +20,11 @@ export function say(id, text) {
 // Calls `show` only when its argument has changed.
 export function once(show) {
   let before;
-  return (said) => {
-    const now = JSON.stringify(said);
+  return (value) => {
+    const now = JSON.stringify(value);
     if (now !== before) {
       before = now;
-      show(said);
+      show(value);
     }
   };
 }

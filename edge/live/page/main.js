@@ -24,7 +24,7 @@ function every(period_ms, round) {
         await round();
         failed.delete(round);
       } catch (error) {
-        lost(error, round);
+        handleError(error, round);
         rest = GONE_MS;
       }
     }
@@ -33,7 +33,7 @@ function every(period_ms, round) {
   again();
 }
 
-function lost(error, round) {
+function handleError(error, round) {
   if (error instanceof Refused && error.status === 401) {
     // An answer to a previous token must not ask for a new one.
     if (error.bearer === token.get()) controls.askForToken(error.bearer !== null);
@@ -49,16 +49,16 @@ function lost(error, round) {
 }
 
 async function now() {
-  const told = await get("live/now");
-  state.now = told;
+  const data = await get("live/now");
+  state.now = data;
   state.seen_ms = Date.now();
-  panels.header(told);
+  panels.header(data);
   failed.delete(now);
-  panels.tellState(told, [...failed.values()][0]);
-  controls.show(told);
-  site.allow(told.controls);
-  task.show(told.moment?.task ?? null);
-  map.update({ now: told.moment, radius_m: told.radius_m });
+  panels.showState(data, [...failed.values()][0]);
+  controls.show(data);
+  site.allow(data.controls);
+  task.show(data.moment?.task ?? null);
+  map.update({ now: data.moment, radius_m: data.radius_m });
 }
 
 // The script is long: get it only when it has changed.
@@ -72,13 +72,13 @@ async function scripts() {
 // Places change seldom: get them only when they have changed.
 async function sites() {
   if (!site.isOld(state.now?.moment?.site)) return;
-  const told = await get("live/site");
-  if (told) site.show(told);
+  const data = await get("live/site");
+  if (data) site.show(data);
 }
 
 async function memory() {
-  const told = await get("live/memory");
-  if (told) site.showMemory(told);
+  const data = await get("live/memory");
+  if (data) site.showMemory(data);
 }
 
 async function shots() {
@@ -91,19 +91,19 @@ async function shots() {
 }
 
 async function story() {
-  const told = await get("live/story");
-  if (!told || !state.now) return;
+  const data = await get("live/story");
+  if (!data || !state.now) return;
   const { now } = state;
   const idle = now.moment?.phase === "idle";
   const driven = Boolean(now.moment?.task);
-  panels.mission({ mission: told.mission, steps: told.steps, done: panels.isDone(now.moment), idle, driven });
-  automaton.show(idle || driven ? automaton.NONE : told.automaton);
-  panels.latency(told.latency);
-  panels.log({ events: told.events, n_events: told.n_events });
-  panels.health({ service: now.service, health: told.health, controlled: now.moment?.controlled ?? false });
-  camera.name(told.targets);
-  map.update({ trail: told.trail, targets: told.targets });
-  offer(told.layers);
+  panels.mission({ mission: data.mission, steps: data.steps, done: panels.isDone(now.moment), idle, driven });
+  automaton.show(idle || driven ? automaton.NONE : data.automaton);
+  panels.latency(data.latency);
+  panels.log({ events: data.events, n_events: data.n_events });
+  panels.health({ service: now.service, health: data.health, controlled: now.moment?.controlled ?? false });
+  camera.name(data.targets);
+  map.update({ trail: data.trail, targets: data.targets });
+  offer(data.layers);
 }
 
 const offer = once((layers) => {

@@ -7,7 +7,7 @@ const MARGIN_M = 0.6;
 const NEAR_PX = 16;
 const NAMED_PX = 45; // px per metre from which objects have names
 const SAME_PX = 6;
-const TOLD = 6; // number of best frontiers that are shown with scores
+const N_SCORES = 6; // number of best frontiers that are shown with scores
 const [LEAST, MOST] = [4, 400]; // px per metre
 // Viridis, from low to high.
 const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -156,21 +156,21 @@ function paint() {
   const open = now.candidates.filter((c) => c.kind !== "instance");
   open.sort((a, b) => (a.score ?? -1) - (b.score ?? -1)); // the best on top
   const best = Math.max(open.at(-1)?.score ?? 0, 1e-9);
-  open.forEach((c, i) => frontier(context, c, best, i >= open.length - TOLD));
+  open.forEach((c, i) => frontier(context, c, best, i >= open.length - N_SCORES));
   for (const thing of now.instances) instance(context, thing);
   if (now.goal) goal(context, now.goal);
   if (now.pose) robot(context, now.pose);
 }
 
-function sheet(context, of, smooth) {
-  if (!of) return;
-  const [x, y] = toScreen(of.origin_xy_m);
-  const px = of.resolution_m * view.scale;
+function sheet(context, grid, smooth) {
+  if (!grid) return;
+  const [x, y] = toScreen(grid.origin_xy_m);
+  const px = grid.resolution_m * view.scale;
   context.save();
   context.translate(x, y);
   context.scale(px, -px); // row 0 is the lowest y
   context.imageSmoothingEnabled = smooth || px < 1;
-  context.drawImage(of.sheet, 0, 0);
+  context.drawImage(grid.sheet, 0, 0);
   context.restore();
 }
 
@@ -210,7 +210,7 @@ function line(context, places, ink, width, dash = []) {
   context.setLineDash([]);
 }
 
-function frontier(context, c, best, told) {
+function frontier(context, c, best, showScore) {
   const [x, y] = toScreen(c.xy_m);
   const share = Math.max(c.score ?? 0, 0) / best;
   context.globalAlpha = c.blocked ? 0.35 : 0.45 + 0.55 * share;
@@ -220,7 +220,7 @@ function frontier(context, c, best, told) {
   context.fill();
   context.globalAlpha = 1;
   if (c.letter) disc(context, c.letter, x, y - 15, 9);
-  else if (told && c.score > 0) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
+  else if (showScore && c.score > 0) label(context, c.score.toPrecision(2), x + 10, y, colour("frontier"));
 }
 
 function instance(context, thing) {
@@ -379,7 +379,7 @@ canvas.addEventListener("pointerdown", (event) => {
 canvas.addEventListener("pointermove", (event) => {
   const at = [event.offsetX, event.offsetY];
   const before = fingers.get(event.pointerId);
-  if (!before) return tell(...at);
+  if (!before) return showTip(...at);
   const others = [...fingers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
   if (others.length) {
     const apart = (p) => Math.hypot(p[0] - others[0][0], p[1] - others[0][1]) || 1;
@@ -421,7 +421,7 @@ new ResizeObserver(() => (view.fitted ? fit() : draw())).observe(canvas);
 const tip = once((text) => say("tip", text));
 
 // Describes what is under the pointer.
-function tell(px, py) {
+function showTip(px, py) {
   const now = shown.now;
   const things = now ? [...now.instances, ...now.candidates.filter((c) => c.kind !== "instance")] : [];
   things.push(...remembered().map((one) => ({ ...one, xy_m: one.xyz })));
@@ -432,15 +432,15 @@ function tell(px, py) {
   const [nearest] = things.filter((t) => away(t) < NEAR_PX).sort((a, b) => away(a) - away(b));
   $("tip").hidden = !nearest;
   if (!nearest) return;
-  tip(nearest.name ? ofObject(nearest) : nearest.label === undefined ? ofCandidate(nearest) : ofThing(nearest));
+  tip(nearest.name ? objectText(nearest) : nearest.label === undefined ? candidateText(nearest) : instanceText(nearest));
   $("tip").style.left = `${Math.min(px + 14, canvas.clientWidth - 190)}px`;
   $("tip").style.top = `${Math.min(py + 14, canvas.clientHeight - 90)}px`;
 }
 
-const ofObject = (o) => `${o.name} #${o.id}\nconfidence ${o.confidence.toFixed(2)}, seen ${o.age_s.toFixed(0)} s ago`;
-const ofThing = (t) => `${t.label} #${t.id}: ${t.state}\nconfidence ${t.score?.toFixed(2)}, ${t.hits} hits`;
+const objectText = (o) => `${o.name} #${o.id}\nconfidence ${o.confidence.toFixed(2)}, seen ${o.age_s.toFixed(0)} s ago`;
+const instanceText = (t) => `${t.label} #${t.id}: ${t.state}\nconfidence ${t.score?.toFixed(2)}, ${t.hits} hits`;
 
-function ofCandidate(c) {
+function candidateText(c) {
   const score = c.score === null ? "no score" : `score ${c.score.toPrecision(3)}`;
   const way = c.path_m === null ? "no path" : `${c.path_m.toFixed(1)} m away`;
   const letter = c.letter ? `\n${c.letter}: probability ${c.p.toFixed(2)}` : "";

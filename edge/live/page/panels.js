@@ -38,7 +38,7 @@ function duration(s) {
 }
 
 // Shows the most important problem.
-export function tellState({ service, silent_s, moment }, fault) {
+export function showState({ service, silent_s, moment }, fault) {
   const why = service.why.join("; ");
   if (service.state === "starting") return banner("info", `Starting: ${why.replace(/^starting:? ?/, "") || "…"}`);
   if (fault) return faulty(fault, false);
@@ -147,7 +147,7 @@ export const health = once(({ service, health: h, controlled }) => {
 
 // Describes an input, or why it has no data.
 function inputOf({ name, where, needed, state, why, hz, age_s, dropped }) {
-  const said = {
+  const description = {
     ok: hz ? `${hz.toFixed(hz < 10 ? 1 : 0)} Hz` : `${age_s?.toFixed(0)} s ago`,
     missing: where.endsWith(name) ? "no message yet" : `no message yet on ${where}`,
     silent: `silent for ${age_s?.toFixed(0)} s`,
@@ -156,8 +156,8 @@ function inputOf({ name, where, needed, state, why, hz, age_s, dropped }) {
   }[state];
   const drops = Object.entries(dropped).filter(([reason]) => reason !== "superseded" && state !== "dropped");
   const lost = drops.map(([reason, n]) => `, ${n} ${reason}`).join("");
-  const doubt = state === "ok" && why ? `, ${why}` : "";
-  return [said + lost + doubt, state === "ok" && !why ? "ok" : needed && state !== "unused" ? "warn" : ""];
+  const warning = state === "ok" && why ? `, ${why}` : "";
+  return [description + lost + warning, state === "ok" && !why ? "ok" : needed && state !== "unused" ? "warn" : ""];
 }
 
 const level = (state) => (state === "ok" ? "ok" : "warn");

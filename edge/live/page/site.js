@@ -5,7 +5,7 @@ import { toast } from "./controls.js";
 import { $, make, once, say } from "./dom.js";
 import * as map from "./map.js";
 
-const SURE_MS = 3000;
+const CONFIRM_MS = 3000;
 const HINTS = {
   place: "On the map, drag from the place to a point that the robot shall look at. Esc cancels.",
   room: "On the map, click into the room. Esc cancels.",
@@ -86,7 +86,7 @@ function removeButton(name) {
   button.addEventListener("click", () => {
     if (button.textContent !== "×") return change({ do: "remove", name });
     button.textContent = "Remove?";
-    setTimeout(() => (button.textContent = "×"), SURE_MS);
+    setTimeout(() => (button.textContent = "×"), CONFIRM_MS);
   });
   return button;
 }

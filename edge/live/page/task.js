@@ -8,18 +8,18 @@ let script = null;
 
 export const number = () => script?.number;
 
-// `at`: data that change all the time; null: no task.
-export function show(at) {
-  $("task").hidden = !at;
+// `progress`: data that change all the time; null: no task.
+export function show(progress) {
+  $("task").hidden = !progress;
   for (const kind of ["coarse", "refined"]) {
-    document.querySelector(`.legend .${kind}`).hidden = !at || !script?.[kind].length;
+    document.querySelector(`.legend .${kind}`).hidden = !progress || !script?.[kind].length;
   }
-  if (!at) drop();
-  else if (script) facts(rowsOf(at, script));
+  if (!progress) drop();
+  else if (script) facts(rowsOf(progress, script));
 }
 
-export function showScript(told) {
-  script = told;
+export function showScript(data) {
+  script = data;
   map.update({ script });
   say("asked", script.instruction);
   say("understood", script.understood);
@@ -36,11 +36,11 @@ function drop() {
 
 const facts = once((rows) => pairs("task-facts", rows));
 
-function rowsOf(at, s) {
+function rowsOf(progress, s) {
   const rows = [["written by", s.writer]];
   if (s.steps.length > 1) rows.push(...s.steps.map((step) => [step.state, step.said]));
   if (s.missing.length) rows.push(["not seen yet", s.missing.join(", ")]);
-  if (s.refined.length) rows.push(["driven", `${at.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
+  if (s.refined.length) rows.push(["driven", `${progress.driven_m.toFixed(1)} of ${s.length_m.toFixed(1)} m, ${s.time_s.toFixed(0)} s in total`]);
   if (s.refinements > 1) rows.push(["refined again", `${s.refinements - 1} times, because the map changed`]);
   return [...rows, ...s.notes.map((note) => ["note", note, "warn"])];
 }

@@ -15,11 +15,11 @@ MESSAGES = [name for name in names.HASHES if "/msg/" in name]
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_hashes_of_messages_are_those_of_their_definitions(name):
-    assert names.known_hash(name) == STORE.hash_rihs01(name)
+    assert names.hash_from_table(name) == STORE.hash_rihs01(name)
 
 
 def test_a_type_of_which_distributions_disagree_has_none():
-    assert names.known_hash("nav2_msgs/action/NavigateToPose_GetResult") is None
+    assert names.hash_from_table("nav2_msgs/action/NavigateToPose_GetResult") is None
 
 
 @pytest.mark.parametrize("name", names.HASHES)

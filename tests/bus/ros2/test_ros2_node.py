@@ -56,7 +56,7 @@ def looked(node: Ros2Node, what):
     """Return the graph's answer once the node has been discovered."""
 
     def ask():
-        node._looked_s = 0.0
+        node._polled_s = 0.0
         node.update()
         return what()
 
@@ -112,7 +112,7 @@ def test_a_service_of_a_peer_answers(port, node):
 
     server = sdk.ROS2ServiceServer(
         "/nav/cancel", name, answer, dependencies(request), "int8 return_code", router_port=port,
-        type_hash=names.known_hash(name),
+        type_hash=names.hash_from_table(name),
     )  # fmt: skip
     store = server.session_mgr.store
     client = node.client("/nav/cancel", name, PATIENCE_S)
@@ -124,7 +124,7 @@ def test_a_service_of_a_peer_answers(port, node):
     server.close()
 
 
-@pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain("edge/ros2/")])
+@pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain_dialect("edge/ros2/")])
 def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
     node = Ros2Node(session, 0, "edge_test", dialect)
     mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
@@ -139,7 +139,7 @@ def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
     node.close()
 
 
-def test_a_flood_of_tokens_is_bounded_and_told(session, port, monkeypatch, caplog):
+def test_a_flood_of_tokens_is_bounded_and_logs_a_warning(session, port, monkeypatch, caplog):
     monkeypatch.setattr(graph, "_MAX_TOKENS", 4)
     seen = graph.Graph(session, 0)
     with ours(port) as other:

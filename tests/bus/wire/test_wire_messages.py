@@ -243,7 +243,7 @@ def test_points_that_are_not_finite_are_left_out():
     payload = messages.encode_point_cloud(1, "l", points)
     assert messages.decode_point_cloud_into(payload, out) == 3
     np.testing.assert_array_equal(out[:3], points[[1, 2, 4]])
-    assert messages.decode_point_cloud_into(payload, out, whole=True) == 6
+    assert messages.decode_point_cloud_into(payload, out, keep_invalid=True) == 6
     np.testing.assert_array_equal(out, points)
 
 
