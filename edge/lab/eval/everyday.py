@@ -80,7 +80,7 @@ class EverydayScore:
     Attributes:
         case: the line of the file.
         outcome: one of `OUTCOMES`.
-        got: what was made of it, in one line.
+        got: the formula, question or order that the sentence became, or the reason to refuse it.
     """
 
     case: dict[str, Any]
@@ -134,6 +134,7 @@ def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
 
 
 def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
+    """Return True if a question, an order or a control has the name and meaning of the case."""
     meaning, about = case.get("meaning", ""), _normalise(case.get("about", ""))
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
@@ -150,7 +151,7 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
         name = _normalise(said.name or "this room")
         return said.do in orders and name in (about, _normalise(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
-    return _normalise(named) == about if named else about not in ("",) and said.topic != "where"
+    return _normalise(named) == about if named else about != "" and said.topic != "where"
 
 
 def _normalise(name: str) -> str:
@@ -165,6 +166,7 @@ def _normalise(name: str) -> str:
 
 
 def _seconds(case: dict[str, Any]) -> float:
+    """Return the expected time of a case [s]; 0.0 if it has none."""
     return float(60 * case.get("minutes", 0) + case.get("seconds", 0))
 
 
@@ -189,6 +191,7 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
         timeless = _without_waits(timeless)
     plain, _ = recurrence(plain, patrol_s != 0.0)
     stops = propositions(plain)
+    # Also right: no stop may be reached before the one that comes first.
     strict = conj(plain, *(weak_until(neg(ap(b)), ap(a)) for a, b in pairwise(stops) if a != b))
     return any(distinguishing_trace(timeless, right) is None for right in (plain, strict))
 

@@ -37,7 +37,7 @@ def write_tasks(path: Path, tasks: Sequence[BenchmarkTask]) -> None:
         json.dumps(
             {
                 "id": task.id,
-                "template": task.template,
+                "template": task.family,
                 "objects": list(task.objects),
                 "sentence": task.sentence,
                 "formula": to_text(task.formula),

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 SIZE_IN = (7.2, 4.2)
 DPI = 150
-
-
 STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
 
 
@@ -85,7 +83,7 @@ def _curves(
     rows: Sequence[Row], figure_of: Callable[[Row], Interval]
 ) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
     """Return (p_obs, figure) pairs by planner. Planners without any difference share a line."""
-    alike: dict[str, list[str]] = {}
+    alike: dict[str, list[str]] = {}  # by the text of their figures: the planners that have them
     figures: dict[str, list[tuple[float, Interval]]] = {}
     for planner in dict.fromkeys(row.planner for row in rows):
         own = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]

@@ -1,4 +1,4 @@
-"""Reference trajectories of instructions (OpenNav IV).
+"""Makes instructions and their reference trajectories (OpenNav IV).
 
 The paper draws them by hand; here a rule makes them.
 
@@ -43,21 +43,23 @@ from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 
 KINDS = ("to", "past", "around", "then")
+"""Kinds of instructions: the rows of the first table above, from the top."""
 CATEGORIES = ("specific", "ambiguous", "high-level")
 ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35  # see above
-FARTHEST_STOP_M = 4.0
+MAX_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
-"""A robot on a closed cell begins at the nearest open cell within this distance."""
+"""A robot on a closed cell (one too near to an obstacle) begins at an open cell this near."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
-_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)  # points of an arc
-_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
+_ARC_FROM_RAD = math.radians(60.0)  # angle of the first point of an arc; `_abeam` defines angles
+_ARC_STEP_RAD = math.radians(30.0)  # between two points of an arc
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # smallest and largest angle of B
 _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
-_TURN = {"left": -1.0, "right": 1.0}
-_LEAST_LEG_M = 3.0  # least distance between the two parts of an instruction
+_TURN_SIGN = {"left": -1.0, "right": 1.0}
+_MIN_LEG_M = 3.0  # least distance between the two parts of an instruction
 _OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
 
 
@@ -90,7 +92,7 @@ class ReferenceScene:
         things: the objects.
         occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
-        robot_m: the robot's radius.
+        robot_m: radius of the robot.
         reach_m: smallest and largest distance of a task's objects from the robot.
     """
 
@@ -120,7 +122,7 @@ class ReferenceScene:
 
     @cached_property
     def stops_m(self) -> dict[int, np.ndarray]:
-        """By id of an object, (n, 2) candidates for a stop; a cache."""
+        """Cache of `_stop`: by id of an object, (n, 2) candidates for a stop."""
         return {}
 
     def gets_to(self, at_m: np.ndarray) -> bool:
@@ -164,7 +166,7 @@ class TrajectoryTask:
     reference_m: np.ndarray
 
 
-def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask]:
+def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterator[TrajectoryTask]:
     """Yield every task of a kind in a place, in random order."""
     named = {}
     for thing in place.things:
@@ -174,11 +176,11 @@ def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[Traje
         if within and ahead and (words := referring_expression(place, thing)):
             named[thing.id] = words
     by_id = {thing.id: thing for thing in place.things}
-    for first in dice.shuffled(sorted(named)):
-        for last in dice.shuffled(sorted(named)):
-            if (kind == "to") != (first == last):
+    for first in rng.shuffled(sorted(named)):
+        for last in rng.shuffled(sorted(named)):
+            if (kind == "to") != (first == last):  # only "to" names a single object
                 continue
-            for side in dice.shuffled(("left", "right")):
+            for side in rng.shuffled(("left", "right")):
                 segments = _segments(place, kind, by_id[first], by_id[last], side)
                 reference_m = _cheapest_path(place, segments) if segments else None
                 if reference_m is None:
@@ -187,7 +189,7 @@ def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[Traje
                 category = _category(kind, named[first])
                 things = (first,) if kind == "to" else (first, last)
                 yield TrajectoryTask(kind, category, words, things, segments, reference_m)
-                break
+                break  # one side is enough
 
 
 def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
@@ -200,7 +202,7 @@ def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
     bearing, away_m = _bearing_and_distance(place, thing)
     if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
         return None
-    before = 0
+    before = 0  # number of such objects on the same side that are nearer
     for other in like:
         at_rad, at_m = _bearing_and_distance(place, other)
         if other is thing or at_m >= away_m + _APART_M:
@@ -253,7 +255,7 @@ def _segments(
     elif kind == "past":
         if (
             _bearing_and_distance(place, last)[1]
-            < _bearing_and_distance(place, first)[1] + _LEAST_LEG_M
+            < _bearing_and_distance(place, first)[1] + _MIN_LEG_M
         ):
             return ()
         parts = [_abeam(place, first, side, math.pi / 2)[None]]
@@ -267,7 +269,7 @@ def _segments(
         parts.append(_stop(place, last, parts[0][-1]))
     if any(points is None for points in parts):
         return ()
-    if kind == "then" and math.dist(parts[0][-1], parts[1][-1]) <= _LEAST_LEG_M:
+    if kind == "then" and math.dist(parts[0][-1], parts[1][-1]) <= _MIN_LEG_M:
         return ()
     return tuple(parts)
 
@@ -277,7 +279,7 @@ def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) 
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
     """
-    toward = _direction_to_robot(place, thing) + _TURN[side] * angle_rad
+    toward = _direction_to_robot(place, thing) + _TURN_SIGN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
     reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
     return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
@@ -286,7 +288,7 @@ def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) 
 def _turn_rad(place: ReferenceScene, thing: Landmark, side: str, at_m: np.ndarray) -> float:
     """Return the angle of a point around an object, as `_abeam` counts it, in [0, 2 pi)."""
     toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
-    return (_TURN[side] * (toward - _direction_to_robot(place, thing))) % math.tau
+    return (_TURN_SIGN[side] * (toward - _direction_to_robot(place, thing))) % math.tau
 
 
 def _direction_to_robot(place: ReferenceScene, thing: Landmark) -> float:
@@ -308,7 +310,7 @@ def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
     They have a free line to it, and are about as near to it as the nearest such point.
     """
     centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
-    within = FARTHEST_STOP_M + ABOUT_M
+    within = MAX_STOP_M + ABOUT_M
     low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
     centres = centres[((centres > low) & (centres < high)).all(axis=1)]
     gaps_m, nearest = cKDTree(thing.outline_m).query(centres.reshape(-1, 2))
@@ -317,10 +319,10 @@ def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
     def has_clear_view_of(k: int) -> bool:
         return smoothing.line_is_free(others, centres[k], thing.outline_m[nearest[k]])
 
-    least = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
-    if least is None or gaps_m[least] > FARTHEST_STOP_M:
+    nearest_k = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
+    if nearest_k is None or gaps_m[nearest_k] > MAX_STOP_M:
         return np.empty((0, 2))
-    near = np.flatnonzero(gaps_m <= gaps_m[least] + ABOUT_M)
+    near = np.flatnonzero(gaps_m <= gaps_m[nearest_k] + ABOUT_M)
     return centres[[k for k in near if has_clear_view_of(k)]]
 
 

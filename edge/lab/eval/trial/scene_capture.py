@@ -25,8 +25,8 @@ from edge.tasks.scene_builder import SceneBuilder
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
-LEAST_PX, LEAST_SIDE_PX = 60, 4
-"""An object with fewer pixels or a smaller side in the picture is not seen."""
+MIN_PX, MIN_SIDE_PX = 60, 4
+"""An object of the built-in street with fewer pixels or a smaller side is not seen."""
 ON_GROUND_M = 0.05
 """A return of the built-in street that is not higher is on the ground."""
 
@@ -40,8 +40,8 @@ class SceneCapture:
     """A scene and its sensor data.
 
     Attributes:
-        name: of the place.
-        by: source of the objects.
+        name: name of the place.
+        by: source of the objects, such as "the labels".
         scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
@@ -88,7 +88,8 @@ def capture_kitti(
             scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
-    name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
+    frame_word = "frames" if len(numbers) > 1 else "frame"
+    name = f"{folder.resolve().name}, {frame_word} {', '.join(map(str, numbers))}"
     return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]))
 
 
@@ -133,7 +134,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
         return builder.scene()
 
     if words is None:
-        scene, by = build_scene(_oracle(truth)), "the simulator"
+        scene, by = build_scene(_truth_pipeline(truth)), "the simulator"
     else:
         with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
             pipeline,
@@ -190,10 +191,11 @@ def _plugin_pipeline(
     make = component_factory(
         "pipeline", own.kind, own.options, {}, where, needs, tuple(given), functions=True
     )
-    made = make(**given)
+    pipeline = make(**given)
 
     def guarded(name: str) -> Callable[..., Any] | None:
-        part = getattr(made, name)
+        """Return a part of the pipeline that raises only `UserError`; None if it lacks the part."""
+        part = getattr(pipeline, name)
 
         def called(*args: Any) -> Any:
             try:
@@ -209,7 +211,7 @@ def _plugin_pipeline(
     return PerceptionPipeline(*map(guarded, needs))
 
 
-def _oracle(truth: Segmentation) -> PerceptionPipeline:
+def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:
     """Return a detection pipeline with boxes and masks from the picture of ids."""
     words = tuple(dict.fromkeys(truth.labels))
 
@@ -218,11 +220,11 @@ def _oracle(truth: Segmentation) -> PerceptionPipeline:
         for i, label in enumerate(truth.labels, start=1):
             shown = (truth.ids == i).astype(np.uint8)
             x, y, w, h = cv2.boundingRect(shown)
-            if min(w, h) < LEAST_SIDE_PX or np.count_nonzero(shown) < LEAST_PX:
+            if min(w, h) < MIN_SIDE_PX or np.count_nonzero(shown) < MIN_PX:
                 continue
             part = cv2.resize(
                 255 * shown[y : y + h, x : x + w], (MASK_SIDE, MASK_SIDE),
-                interpolation=cv2.INTER_AREA if w > MASK_SIDE < h else cv2.INTER_NEAREST,
+                interpolation=cv2.INTER_AREA if min(w, h) > MASK_SIDE else cv2.INTER_NEAREST,
             )  # fmt: skip
             xyxy.append((x, y, x + w, y + h))
             class_id.append(words.index(label))

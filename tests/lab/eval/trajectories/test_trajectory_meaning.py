@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from made_episodes import ROBOT_M, place, thing
 
-from edge.lab.eval.trajectories.references import ABOUT_M, KINDS, referring_expression, tasks
+from edge.lab.eval.trajectories.references import (
+    ABOUT_M,
+    KINDS,
+    possible_tasks,
+    referring_expression,
+)
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.lab.sim.generator.rng import PortableRng
 
@@ -16,7 +21,7 @@ CAR, VAN = thing(1, "car", 10.0, 0.0), thing(2, "van", 16.0, 3.0)
 
 
 def all_of(kind, *things, walls=()):
-    return list(tasks(place(*things, walls=walls), kind, PortableRng(1)))
+    return list(possible_tasks(place(*things, walls=walls), kind, PortableRng(1)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -81,6 +86,6 @@ def test_one_passes_on_the_side_that_is_said(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_reference_runs_into_nothing(kind):
     here = place(CAR, VAN, walls=[(12.0, 13.0, -4.0, -1.0)])
-    for task in tasks(here, kind, PortableRng(2)):
+    for task in possible_tasks(here, kind, PortableRng(2)):
         assert contacts(task.reference_m, here.occupancy, ROBOT_M) == 0
         assert math.dist(task.reference_m[-1], task.segments[-1][-1]) < 1e-6
