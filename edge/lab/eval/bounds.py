@@ -61,9 +61,9 @@ class KnownPlace:
             (rows, columns) float64 on the plan's raster.
         """
         plan, near = self._world.plan, None
-        for thing in objects_meant_by(self._world, target):
-            close = geodesic.near(plan, [thing], self._radius_m, REACHED_M)
-            room = room_of(self._world, thing)
+        for item in objects_meant_by(self._world, target):
+            close = geodesic.near(plan, [item], self._radius_m, REACHED_M)
+            room = room_of(self._world, item)
             if room is not None:
                 close &= inside(self._world, [room])
             near = close if near is None else near | close
@@ -155,9 +155,9 @@ def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float)
     return distance_by_label[nearest] * plan.grid.resolution_m
 
 
-def room_of(world: World, thing: WorldObject) -> Room | None:
+def room_of(world: World, item: WorldObject) -> Room | None:
     """Return the room that an object stands in or is nearest to; None without room data."""
-    x, y = thing.center_m[:2]
+    x, y = item.center_m[:2]
     return min(world.rooms, key=lambda room: _away_m(room, x, y), default=None)
 
 
@@ -196,9 +196,9 @@ def _values_at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.n
 def _score_instances(world: World, context: PolicyInput, score: np.ndarray) -> np.ndarray:
     """Set the scores of instance candidates, in place: 1 / (1 + path) for a true target, else 0."""
     candidates, path_m = context.candidates, _path_m(context.candidates)
-    things = objects_meant_by(world, context.target)
+    objects = objects_meant_by(world, context.target)
     for k in np.flatnonzero(candidates.kind[: candidates.n] == INSTANCE).tolist():
         x, y = candidates.xy_m[k].tolist()
-        right = any(thing.distance_m(x, y) <= SAME_M for thing in things)
+        right = any(item.distance_m(x, y) <= SAME_M for item in objects)
         score[k] = right / (1.0 + path_m[k])
     return score

@@ -9,7 +9,8 @@ Each line of the file is a JSON object. `said` is the sentence, and `expect` is 
 - "ask": the service should ask what is meant;
 - "refuse".
 
-`also` lists other correct kinds. "ask" and "refuse" count as equal, because the robot does not move
+`meaning` has the meaning of a "learn" or "control" sentence in other words. `also` lists other
+correct kinds. "ask" and "refuse" count as equal, because the robot does not move
 in either case.
 """
 

@@ -1,4 +1,4 @@
-"""Shortest driving distances on a simulated world's floor plan: the reference of SPL."""
+"""Computes shortest driving distances on a simulated world's floor plan, which SPL needs."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class GroundTruthLogger:
         fault: the first error in this sink. The service ignores errors of its sinks.
         now: the latest ground truth; None before the first.
         seconds: time of `now` since the first observation [s].
-        things: by target, the objects of the world.
+        objects: by target, the objects of the world.
         trail: [x, y] of the robot [m], `TRAIL_M` apart.
         goals: goals that the service sent.
         status: the newest status of the mission.
@@ -108,7 +108,7 @@ class GroundTruthLogger:
         self.fault: Exception | None = None
         self.now: GroundTruth | None = None
         self.seconds = 0.0
-        self.things: dict[str, list[WorldObject]] = {}
+        self.objects: dict[str, list[WorldObject]] = {}
         self._target_masks: dict[str, np.ndarray] = {}
         self.trail: list[list[float]] = []
         self.goals: list[Goal] = []
@@ -154,10 +154,10 @@ class GroundTruthLogger:
             self._add_revisits(result.status.target, instances, truth)
 
     def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
-        self.things = {target: objects_meant_by(self._world, target) for target in targets}
+        self.objects = {target: objects_meant_by(self._world, target) for target in targets}
         max_id = max((item.id for item in self._world.objects), default=0)
         self._target_masks = {
-            target: object_mask(things, max_id) for target, things in self.things.items()
+            target: object_mask(objects, max_id) for target, objects in self.objects.items()
         }
         self.confirmed = {target: set() for target in targets}
         self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
@@ -174,7 +174,7 @@ class GroundTruthLogger:
 
     def _record_sights(self, truth: GroundTruth, depth_m: np.ndarray | None) -> None:
         for target, mask in self._target_masks.items():
-            if target in self.first_sights or depth_m is None or not len(self.things[target]):
+            if target in self.first_sights or depth_m is None or not len(self.objects[target]):
                 continue
             if count_visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
                 self.first_sights[target] = FirstSight(self.seconds, truth.path_m)
@@ -182,7 +182,7 @@ class GroundTruthLogger:
     def _judge_reports(self, result: TickResult, truth: GroundTruth) -> None:
         """Add to `stops` each object that the mission log newly reports as reached."""
         events = result.mission().log
-        reached = [e.label for e in events if e.kind == "reached" and _is_thing(e.label)]
+        reached = [e.label for e in events if e.kind == "reached" and _is_object_name(e.label)]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
 
@@ -212,8 +212,8 @@ class GroundTruthLogger:
 
     def distance_to_target_m(self, target: str, x_m: float, y_m: float) -> float:
         """Return the distance to the nearest footprint of a target; inf if there is none."""
-        things = self.things.get(target, [])
-        return min((thing.distance_m(x_m, y_m) for thing in things), default=math.inf)
+        objects = self.objects.get(target, [])
+        return min((item.distance_m(x_m, y_m) for item in objects), default=math.inf)
 
     @property
     def wrong_stops(self) -> list[tuple[str, float]]:
@@ -265,8 +265,8 @@ class GroundTruthLogger:
         return "never seen" if pursued not in self.first_sights else "stuck"
 
 
-def _is_thing(label: str) -> bool:
-    """Return True if the label is a thing to search for, not a destination such as `explored`."""
+def _is_object_name(label: str) -> bool:
+    """Return True if the label is an object to search for, not a destination such as `explored`."""
     return destination_of(label, Site()) is None
 
 
@@ -282,10 +282,10 @@ def _noun(target: str) -> str:
     return next(known, target)
 
 
-def object_mask(things: Sequence[WorldObject], max_id: int) -> np.ndarray:
+def object_mask(objects: Sequence[WorldObject], max_id: int) -> np.ndarray:
     """Return (max_id + 1,) bool by object id: True for these objects."""
     mask = np.zeros(max_id + 1, np.bool_)
-    mask[[thing.id for thing in things]] = True
+    mask[[item.id for item in objects]] = True
     return mask
 
 

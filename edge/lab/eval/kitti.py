@@ -34,7 +34,7 @@ CAR_RADIUS_M = 1.0
 GROUND = {40: "road", 60: "road", 44: "parking", 48: "sidewalk", 49: "ground", 72: "terrain"}
 """Label → kind of ground. 49 is "other-ground", 60 lane markings; terrain may be grass."""
 GROUND_LABELS = tuple(dict.fromkeys(GROUND.values()))
-THINGS = {
+OBJECT_NAMES = {
     10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "train", 18: "truck",
     20: "vehicle", 30: "person", 31: "cyclist", 32: "motorcyclist", 50: "building", 51: "fence",
     52: "structure", 70: "bush", 71: "tree trunk", 80: "pole", 81: "traffic sign", 99: "object",
@@ -54,7 +54,7 @@ Other labels have `REACH_ELSE_M`.
 REACH_ELSE_M = 0.6
 MIN_POINTS = 12
 MIN_PX = 6
-"""An object with fewer points, or a smaller side in the picture, is ignored."""
+"""An object with fewer points, or with a smaller side in the picture, is ignored."""
 _SKEW = 0.01
 """Tolerance for rounded numbers of a rotation."""
 _GAP_PX = 5, 9
@@ -183,12 +183,12 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     )
 
 
-def things_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
+def objects_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
     """Return each labelled object: its name and its points, as indices into the cloud."""
     cloud = frame.observation.cloud_m
     trunks = cloud[frame.semantic == TRUNK]
     found = []
-    for label, name in THINGS.items():
+    for label, name in OBJECT_NAMES.items():
         for instance in np.unique(frame.instance[frame.semantic == label]):
             labelled = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
             reach_m = REACH_M.get(label, REACH_ELSE_M)
@@ -217,7 +217,7 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     Their height over the nearest ground is within the obstacle limits of `OUTDOORS`. Moving objects
     are skipped: another frame shows them elsewhere.
     """
-    is_solid = np.isin(np.arange(1 << 16), [label for label in THINGS if label < MOVING])
+    is_solid = np.isin(np.arange(1 << 16), [label for label in OBJECT_NAMES if label < MOVING])
     ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
     for frame in frames:
         seen = frame.observation
@@ -244,12 +244,12 @@ def label_pipeline(frames: Sequence[KittiFrame]) -> PerceptionPipeline:
         return true_boxes(by_seq[observation.seq])
 
     # The boxes come with masks, so the last step changes nothing.
-    words = tuple(dict.fromkeys((*THINGS.values(), "tree")))
+    words = tuple(dict.fromkeys((*OBJECT_NAMES.values(), "tree")))
     return PerceptionPipeline(lambda observation: words, boxes, lambda found: found)
 
 
-def things_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
-    """Return the objects of `things_in` that are in the picture."""
+def objects_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
+    """Return the objects of `objects_in` that are in the picture."""
     return [(name, points) for name, points, _, _ in _in_picture(frame)]
 
 
@@ -258,7 +258,7 @@ def _in_picture(frame: KittiFrame) -> Iterator[tuple[str, np.ndarray, np.ndarray
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     at_px, shown = in_picture(seen.cloud_m, T, seen.camera)  # pixel of each point; bool
-    for name, points in things_in(frame):
+    for name, points in objects_in(frame):
         pixels = at_px[points[shown[points]]]
         if len(pixels) < MIN_POINTS:
             continue
@@ -347,6 +347,7 @@ def _mask(pixels: np.ndarray, box: np.ndarray) -> np.ndarray:
     closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones(_GAP_PX[::-1], np.uint8))
     small = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_AREA)
     enlarged = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_NEAREST)
+    # At least 38 % (96 of 255) of a cell must be covered.
     return (small if width * height > MASK_SIDE**2 else enlarged) >= 96
 
 

@@ -1,4 +1,4 @@
-"""Navigation metrics of an episode. The figure of an arm is their mean."""
+"""Navigation metrics SPL and soft SPL of an episode. An arm's figure is the mean over episodes."""
 
 from __future__ import annotations
 

@@ -66,8 +66,8 @@ class RevisitCounter:
 
     def _is_target_at(self, target: str, known_xy_m: np.ndarray) -> bool:
         """Return True if an object with this name stands at one of the known places."""
-        things = [o for o in self._world.objects if names.same_name(o.label, target)]
-        return any(o.distance_m(*xy) <= SAME_M for o in things for xy in known_xy_m.tolist())
+        objects = [o for o in self._world.objects if names.same_name(o.label, target)]
+        return any(o.distance_m(*xy) <= SAME_M for o in objects for xy in known_xy_m.tolist())
 
 
 class SeenFloor:

@@ -1,4 +1,6 @@
-"""Sessions: several goals one after another in one house (as in GOAT-Bench, Khanna et al. 2024).
+"""Plans and runs sessions: several goals one after another in one house.
+
+GOAT-Bench (Khanna et al. 2024) has such sessions.
 
 The robot searches for each goal from the place where it found, or gave up, the last one. The
 service runs all the time, so it remembers what it saw. An arm that forgets drops map and objects

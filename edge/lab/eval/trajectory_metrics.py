@@ -1,4 +1,4 @@
-"""Similarity of a trajectory to its reference (OpenNav IV): end, shape and collisions."""
+"""Scores of a trajectory against its reference (OpenNav IV): end, shape and collisions."""
 
 from __future__ import annotations
 

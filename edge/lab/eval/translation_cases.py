@@ -120,7 +120,7 @@ def clean_up_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
         for line in file:
             row = json.loads(line)
             prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
-            # X and Z are an object or another room: no sentence can name them.
+            # X and Z mean a room to which a chair is brought: no name matches, so it is left out.
             rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
             named = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
             part = " ".join("r" if word in rooms else word for word in prefix)

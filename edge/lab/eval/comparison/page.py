@@ -1,4 +1,4 @@
-"""One self-contained page of a comparison: tables, plots, and every trail on its map.
+"""Builds the self-contained page of a comparison: tables, plots, and every trail on its map.
 
 The maps are static. A short script sorts and filters them.
 """

@@ -184,11 +184,11 @@ def _draw_forest(
         digits: number of decimals.
         sign: "+" writes the sign of positive values, too.
     """
-    for row, (interval, k) in enumerate(zip(found, arms, strict=True)):
+    for row, (interval, arm) in enumerate(zip(found, arms, strict=True)):
         value, low, high = (scale * x for x in interval)
         if math.isnan(value):
             continue
-        look = style_of(k)
+        look = style_of(arm)
         if not math.isnan(low):
             axes.plot([low, high], [row, row], color=look.colour, linewidth=2.2, alpha=0.55)
         axes.plot(value, row, marker=look.mark, markersize=7, color=look.colour)
@@ -208,16 +208,17 @@ def _set_names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
 
 
 def _draw_curve(
-    axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: Outcomes
+    axes: Axes, x: list[float], found: list[Interval], arm: int, outcomes: Outcomes
 ) -> None:
-    look = style_of(k)
+    """Draw an arm's values over x, with their intervals as bars."""
+    look = style_of(arm)
     y = np.array([interval.value for interval in found])
     below = y - np.array([interval.low for interval in found])
     above = np.array([interval.high for interval in found]) - y
     bars = np.nan_to_num(np.maximum([below, above], 0.0))
     axes.errorbar(
         x, y, bars, color=look.colour, linestyle=look.dash, marker=look.mark, markersize=5.5,
-        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.arms[k], MAX_NAME),
+        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.arms[arm], MAX_NAME),
     )  # fmt: skip
 
 

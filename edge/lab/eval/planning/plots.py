@@ -1,4 +1,4 @@
-"""Two plots like ViTL's figure 4: completion rate and exploration attempts over p_obs."""
+"""Plots of `edge eval planning`, like ViTL's figure 4: completion and explorations over p_obs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Report of a comparison of task planners: figures with intervals, as a table and as JSON.
+"""Report of `edge eval planning`: figures of the planners with intervals, as a table and as JSON.
 
 - complete: share of runs that end in an accepting state, with Wilson's interval.
 - explorations: mean of the completed runs (the paper's attempts, figure 4b).

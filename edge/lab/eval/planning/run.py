@@ -1,4 +1,4 @@
-"""The task-level benchmark (ViTL V-C, figure 4), with a probabilistic executor.
+"""`edge eval planning`: the task-level benchmark (ViTL V-C, figure 4).
 
 It measures which planner completes tasks in natural language with the fewest explorations. The
 correct formulas are given: `edge eval translate` measures translation.

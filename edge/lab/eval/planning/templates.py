@@ -1,4 +1,4 @@
-"""Tasks of the task-level benchmark: English sentences with their formulas (ViTL V-C).
+"""Makes the tasks of `edge eval planning`: English sentences with their formulas (ViTL V-C).
 
 A task is a template, an abstract temporal structure over placeholders, filled with objects of
 HM3D's six categories. `FAMILIES` is the distribution of the templates. The paper gives its kinds

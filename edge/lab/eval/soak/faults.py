@@ -1,4 +1,4 @@
-"""The table of a soak's faults: how to inject each, how long it lasts, what must hold."""
+"""The table of the faults of `edge soak`: how to inject each, how long it lasts, what must hold."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CLOCK_ERROR_S = 3 * 3600.0
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault that a soak injects: a row of `FAULTS`.
+    """A fault to inject: a row of `FAULTS`.
 
     Attributes:
         name: its name for `--faults`.

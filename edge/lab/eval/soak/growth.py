@@ -1,4 +1,4 @@
-"""Growth of a value over time: a slope that is robust to outliers, with its confidence interval."""
+"""Growth of a value in `edge soak`: a slope that is robust to outliers, with its interval."""
 
 from __future__ import annotations
 

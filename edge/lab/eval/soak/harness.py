@@ -1,4 +1,4 @@
-"""Harness of a soak: the processes of service, robot, controller and router, and the relay."""
+"""Harness of `edge soak`: processes of service, robot, controller and router, and the relay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fault injectors of a soak, as generators; `faults` has the table that uses them.
+"""Fault injectors of `edge soak`, as generators; `faults` has the table that uses them.
 
 The code before the first `yield` starts the fault. The code after each `yield` runs a few times a
 second during the fault. The `finally` block ends it.

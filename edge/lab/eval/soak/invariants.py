@@ -1,4 +1,4 @@
-"""Conditions on the service that a soak checks from outside, during a fault and after it."""
+"""Conditions that `edge soak` checks on the service from outside, during a fault and after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Missions of a soak, one after another: sentences about the objects of the house."""
+"""Missions of `edge soak`, one after another: sentences about the objects of the house."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Monitor of a soak: observes the service from outside, by its topics, pages and processes."""
+"""Monitor of `edge soak`: observes the service from outside, by its topics, pages and processes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ class SoakMonitor:
         checkpoint_problem: why the mission's checkpoint cannot be read; "" if it can.
         map_problem: why the map file (the map's checkpoint) cannot be read; "" if it can.
         recordings: check of the recordings.
-        calm: True while no fault is active or recovered from. The caller sets it.
+        calm: True while no fault is active and the service has recovered from the last one. The
+            caller sets it.
         bus_is_muted: True while a fault stops all published messages. The caller sets it.
         muted_s: time of the last sample with `bus_is_muted`.
     """
@@ -149,7 +150,10 @@ class SoakMonitor:
             return self.beats[-1][0] if self.beats else self.began_s
 
     def take_sample(self) -> dict[str, Any]:
-        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
+        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready.
+
+        `places_age_s` is the age of the map file, and `missed` the number of late ticks.
+        """
         harness, now_s = self._harness, time.monotonic()
         codes = {path: harness.page(path) for path in PROBES}
         health, ready = (codes[path] for path in PROBES)

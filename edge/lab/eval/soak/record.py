@@ -1,4 +1,4 @@
-"""Record of a soak run, as JSON lines (`record.jsonl`)."""
+"""Record of a run of `edge soak`, as JSON lines (`record.jsonl`)."""
 
 from __future__ import annotations
 

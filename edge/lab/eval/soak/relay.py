@@ -1,4 +1,4 @@
-"""Relay of a soak, between robot and service: passes on sensor messages or altered ones.
+"""Relay of `edge soak`: passes on the robot's sensor messages to the service, or alters them.
 
 The robot's simulator connects only to this process. A `MessageFilter` turns each message into its
 replacements, and passes on all other messages unchanged. At most one filter is set at a time.

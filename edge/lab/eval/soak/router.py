@@ -1,4 +1,4 @@
-"""Process with the Zenoh router of a soak.
+"""Process with the Zenoh router of `edge soak`.
 
 Run `python -m edge.lab.eval.soak.router ENDPOINT PARENT`; PARENT is a process id.
 """

@@ -1,4 +1,6 @@
-"""Rules of a soak: `RULES` hold at every sample, `GROWTHS` limit the growth over the whole run.
+"""Rules of `edge soak`, the endurance test: what the service must keep to under faults.
+
+`RULES` must hold at every sample. `GROWTHS` limit the growth of values over the whole run.
 
 The functions named `…_problem` return the reason why a rule does not hold, or "" if it holds. A
 sample is calm if no fault is active.

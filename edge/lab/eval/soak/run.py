@@ -89,6 +89,13 @@ class SoakRun:
     """Drives one soak run: faults, missions, samples, then the verdict.
 
     Call `run`, then `conclude`.
+
+    Args:
+        harness: the started processes.
+        record: gets all that happens.
+        faults: the faults to inject.
+        seed: of the order of the faults, their durations, and the missions.
+        lasts_s: length of the run.
     """
 
     def __init__(
@@ -166,6 +173,7 @@ class SoakRun:
         return ""
 
     def _pause(self, lasts_s: float) -> Steps:
+        """Do nothing for a time."""
         until_s = time.monotonic() + lasts_s
         while time.monotonic() < until_s:
             yield

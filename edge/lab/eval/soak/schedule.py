@@ -1,4 +1,4 @@
-"""Schedule of a soak's faults: draws the next fault and its duration, and injects it."""
+"""Schedule of `edge soak`: draws the next fault and its duration, and injects it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables that a soak prints at its end: broken rules, growth, faults and missions."""
+"""Tables that `edge soak` prints at its end: broken rules, growth, faults and missions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Process that subscribes to all topics, which a soak stops as a fault.
+"""Process that subscribes to all topics; `edge soak` stops it as a fault.
 
 Run `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`; PARENT is a process id.
 """

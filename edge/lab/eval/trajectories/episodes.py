@@ -78,7 +78,7 @@ class TrajectoryEpisode:
         scene: all that methods get in addition to the instruction.
         truth: int8 cells, 100 for occupied, even if the scene does not show it.
         robot_m: the robot's radius.
-        things: objects of the place, for pictures.
+        landmarks: objects of the place, for pictures.
         solid_m: (n, 2) float64, true obstacle points, finer than `truth`; None: `truth` is exact.
     """
 
@@ -89,7 +89,7 @@ class TrajectoryEpisode:
     scene: Scene
     truth: Grid
     robot_m: float
-    things: tuple[Landmark, ...]
+    landmarks: tuple[Landmark, ...]
     solid_m: np.ndarray | None = None
 
 
@@ -146,7 +146,7 @@ def _episode(
     words = one_line(task.instruction, 60).replace(" ", "-").replace(",", "")
     return TrajectoryEpisode(
         f"{world}/{words}/{digest}", source, world, task, scene, place.occupancy, place.robot_m,
-        place.things, solid_m,
+        place.landmarks, solid_m,
     )  # fmt: skip
 
 
@@ -205,15 +205,15 @@ def kitti_place(frame: kitti.KittiFrame, all_frames: Scene) -> ReferenceScene:
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
     points_m = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
-    things = []
-    for label, indices in kitti.things_shown(frame):
+    landmarks = []
+    for label, indices in kitti.objects_shown(frame):
         if label not in _NO_NAMES:
             middle, _, _ = box_around(points_m[indices])
             outline_m = np.unique(np.round(points_m[indices, :2].astype(float), 1), axis=0)
-            things.append(Landmark(len(things) + 1, label, "", middle[:2], outline_m))
+            landmarks.append(Landmark(len(landmarks) + 1, label, "", middle[:2], outline_m))
     drivable = all_frames.regions_grid.cells > 0
     return ReferenceScene(
-        seen.pose, tuple(things), all_frames.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
+        seen.pose, tuple(landmarks), all_frames.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
     )
 
 
@@ -224,14 +224,14 @@ def _house(config: Config) -> Iterator[TrajectoryEpisode]:
     world, radius_m = world_list.load(config), config.robot.radius_m
     for number, pose in enumerate(free_poses(world, STARTS, _KEY, radius_m)):
         scene = house_scene(world, pose, radius_m)
-        things = tuple(
+        landmarks = tuple(
             Landmark(
                 item.id, item.label, "", item.position_m[:2], item.points_m[:, :2].astype(float)
             )
             for item in scene.objects.values()
         )
         drivable = scene.regions_grid.cells > 0
-        place = ReferenceScene(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
+        place = ReferenceScene(pose, landmarks, scene.occupancy, drivable, radius_m, _HOUSE_M)
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("house", f"{world.name}-{number}", place, task, scene)
 

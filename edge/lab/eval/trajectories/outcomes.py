@@ -111,10 +111,10 @@ class TrajectoryOutcome:
 def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
     """Return the data of an episode to save."""
     task = episode.task
-    things = {thing.id: thing for thing in episode.things}
+    landmarks = {landmark.id: landmark for landmark in episode.landmarks}
     hulls = [
-        cv2.convexHull(things[k].outline_m.astype(np.float32))[:, 0].astype(float)
-        for k in task.things
+        cv2.convexHull(landmarks[k].outline_m.astype(np.float32))[:, 0].astype(float)
+        for k in task.landmarks
     ]
     return EpisodeFacts(
         episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,

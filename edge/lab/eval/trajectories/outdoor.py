@@ -96,15 +96,17 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
     here = SE2(0.0, 0.0, 0.0)
     reachable = _reachable(occupancy, here)
     objects = {}
-    seen = [(thing, _points_on(solid, cloud_m)) for thing, solid in standing]
+    seen = [(street_object, _points_on(solid, cloud_m)) for street_object, solid in standing]
     seen.sort(
         key=lambda item: math.dist((item[0].x_m, item[0].y_m), (drawn.start.x_m, drawn.start.y_m))
     )
-    for thing, points_m in seen:
-        pose = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
+    for street_object, points_m in seen:
+        pose = drawn.to_map(street_object.x_m, street_object.y_m, street_object.yaw_rad)
         if len(points_m) >= MIN_POINTS and occupancy.cell_of(pose.x_m, pose.y_m) is not None:
             number = len(objects) + 1
-            objects[number] = _object(number, thing, pose, points_m, regions_grid, reachable)
+            objects[number] = _object(
+                number, street_object, pose, points_m, regions_grid, reachable
+            )
     regions = {}
     for ground in drawn.grounds:
         cells = int((regions_grid.cells == ground.id).sum())
@@ -116,7 +118,7 @@ def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
 
 def place_of(scene: Scene) -> ReferenceScene:
     """Return the place from which a street's tasks are drawn."""
-    things = tuple(
+    landmarks = tuple(
         Landmark(
             item.id, item.label, item.caption.partition(item.label)[0].strip(),
             item.position_m[:2],
@@ -125,7 +127,7 @@ def place_of(scene: Scene) -> ReferenceScene:
         for item in scene.objects.values()
     )  # fmt: skip
     drivable = scene.regions_grid.cells > 0
-    return ReferenceScene(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
+    return ReferenceScene(scene.pose, landmarks, scene.occupancy, drivable, ROBOT_M, TASK_M)
 
 
 def _gaps_m(
@@ -195,14 +197,17 @@ def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
 
 def _object(
     number: int,
-    thing: StreetObject,
+    street_object: StreetObject,
     pose: SE2,
     points_m: np.ndarray,
     regions: Grid,
     reachable: np.ndarray,
 ) -> SceneObject:
-    length, width, height = thing.size_m
-    position_m, size_m = np.array([pose.x_m, pose.y_m, 0.5 * height]), np.array(thing.size_m)
+    length, width, height = street_object.size_m
+    position_m, size_m = (
+        np.array([pose.x_m, pose.y_m, 0.5 * height]),
+        np.array(street_object.size_m),
+    )
     nearest = {}
     for region in np.unique(regions.cells[reachable & (regions.cells > 0)]).tolist():
         centres = regions.centres_m(*np.nonzero((regions.cells == region) & reachable))
@@ -211,8 +216,8 @@ def _object(
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
     return SceneObject(
         id=number,
-        label=thing.label,
-        caption=f"{thing.colour} {thing.label}, {size}".strip(),
+        label=street_object.label,
+        caption=f"{street_object.colour} {street_object.label}, {size}".strip(),
         position_m=position_m,
         size_m=size_m,
         heading_rad=pose.yaw_rad,

@@ -1,4 +1,4 @@
-"""Pictures of a few episodes from above: the reference, and the methods' trajectories."""
+"""Pictures for `edge eval trajectories`: references and the methods' trajectories from above."""
 
 from __future__ import annotations
 

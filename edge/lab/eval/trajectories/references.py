@@ -89,7 +89,7 @@ class ReferenceScene:
 
     Attributes:
         pose: of the robot.
-        things: the objects.
+        landmarks: the objects.
         occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
         robot_m: radius of the robot.
@@ -97,7 +97,7 @@ class ReferenceScene:
     """
 
     pose: SE2
-    things: tuple[Landmark, ...]
+    landmarks: tuple[Landmark, ...]
     occupancy: Grid
     drivable: np.ndarray
     robot_m: float
@@ -152,7 +152,7 @@ class TrajectoryTask:
         kind: one of `KINDS`.
         category: one of `CATEGORIES`.
         instruction: the text.
-        things: ids of the objects that it names, in order.
+        landmarks: ids of the objects that it names, in order.
         segments: (n, 2) float64 each, the points of the rule. Without a map, they are joined by
             straight lines.
         reference_m: (n, 2) float64, from the robot's place.
@@ -161,7 +161,7 @@ class TrajectoryTask:
     kind: str
     category: str
     instruction: str
-    things: tuple[int, ...]
+    landmarks: tuple[int, ...]
     segments: tuple[np.ndarray, ...]
     reference_m: np.ndarray
 
@@ -169,13 +169,13 @@ class TrajectoryTask:
 def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterator[TrajectoryTask]:
     """Yield every task of a kind in a place, in random order."""
     named = {}
-    for thing in place.things:
-        away_m = place.pose.distance_to(*thing.at_m)
+    for landmark in place.landmarks:
+        away_m = place.pose.distance_to(*landmark.at_m)
         within = place.reach_m[0] < away_m < place.reach_m[1]
-        ahead = abs(place.pose.bearing_to(*thing.at_m)) < _AHEAD_RAD
-        if within and ahead and (words := referring_expression(place, thing)):
-            named[thing.id] = words
-    by_id = {thing.id: thing for thing in place.things}
+        ahead = abs(place.pose.bearing_to(*landmark.at_m)) < _AHEAD_RAD
+        if within and ahead and (words := referring_expression(place, landmark)):
+            named[landmark.id] = words
+    by_id = {landmark.id: landmark for landmark in place.landmarks}
     for first in rng.shuffled(sorted(named)):
         for last in rng.shuffled(sorted(named)):
             if (kind == "to") != (first == last):  # only "to" names a single object
@@ -187,25 +187,25 @@ def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterat
                     continue
                 words = _instruction(kind, side, named[first], named[last])
                 category = _category(kind, named[first])
-                things = (first,) if kind == "to" else (first, last)
-                yield TrajectoryTask(kind, category, words, things, segments, reference_m)
+                landmarks = (first,) if kind == "to" else (first, last)
+                yield TrajectoryTask(kind, category, words, landmarks, segments, reference_m)
                 break  # one side is enough
 
 
-def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
+def referring_expression(place: ReferenceScene, landmark: Landmark) -> str | None:
     """Return an unambiguous name of an object; None if too many are like it."""
-    like = [other for other in place.things if names.is_kind_of(other.label, thing.label)]
+    like = [other for other in place.landmarks if names.is_kind_of(other.label, landmark.label)]
     if len(like) == 1:
-        return f"the {thing.label}"
-    if thing.look and [other.look for other in like].count(thing.look) == 1:
-        return f"the {thing.look} {thing.label}"
-    bearing, away_m = _bearing_and_distance(place, thing)
+        return f"the {landmark.label}"
+    if landmark.look and [other.look for other in like].count(landmark.look) == 1:
+        return f"the {landmark.look} {landmark.label}"
+    bearing, away_m = _bearing_and_distance(place, landmark)
     if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
         return None
     before = 0  # number of such objects on the same side that are nearer
     for other in like:
         at_rad, at_m = _bearing_and_distance(place, other)
-        if other is thing or at_m >= away_m + _APART_M:
+        if other is landmark or at_m >= away_m + _APART_M:
             continue
         unclear = abs(at_rad) <= _ASIDE_RAD or (at_rad * bearing > 0 and abs(at_rad) >= math.pi / 2)
         if unclear or (at_rad * bearing > 0 and at_m > away_m - _APART_M):
@@ -213,7 +213,7 @@ def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
         before += at_rad * bearing > 0
     if before >= len(_ORDER):
         return None
-    return f"the {_ORDER[before]} {thing.label} on the {'left' if bearing > 0 else 'right'}"
+    return f"the {_ORDER[before]} {landmark.label} on the {'left' if bearing > 0 else 'right'}"
 
 
 def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> np.ndarray:
@@ -223,9 +223,9 @@ def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> n
     return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
 
 
-def _bearing_and_distance(place: ReferenceScene, thing: Landmark) -> tuple[float, float]:
+def _bearing_and_distance(place: ReferenceScene, landmark: Landmark) -> tuple[float, float]:
     """Return bearing [rad] and distance [m] from the robot."""
-    return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
+    return place.pose.bearing_to(*landmark.at_m), place.pose.distance_to(*landmark.at_m)
 
 
 def _category(kind: str, name: str) -> str:
@@ -274,50 +274,50 @@ def _segments(
     return tuple(parts)
 
 
-def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
+def _abeam(place: ReferenceScene, landmark: Landmark, side: str, angle_rad: float) -> np.ndarray:
     """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
     """
-    toward = _direction_to_robot(place, thing) + _TURN_SIGN[side] * angle_rad
+    toward = _direction_to_robot(place, landmark) + _TURN_SIGN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
-    reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
-    return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
+    reach_m = float(((landmark.outline_m - landmark.at_m) @ ray).max())
+    return landmark.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
 
 
-def _turn_rad(place: ReferenceScene, thing: Landmark, side: str, at_m: np.ndarray) -> float:
+def _turn_rad(place: ReferenceScene, landmark: Landmark, side: str, at_m: np.ndarray) -> float:
     """Return the angle of a point around an object, as `_abeam` counts it, in [0, 2 pi)."""
-    toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
-    return (_TURN_SIGN[side] * (toward - _direction_to_robot(place, thing))) % math.tau
+    toward = math.atan2(at_m[1] - landmark.at_m[1], at_m[0] - landmark.at_m[0])
+    return (_TURN_SIGN[side] * (toward - _direction_to_robot(place, landmark))) % math.tau
 
 
-def _direction_to_robot(place: ReferenceScene, thing: Landmark) -> float:
+def _direction_to_robot(place: ReferenceScene, landmark: Landmark) -> float:
     """Return the direction from an object to the robot's start."""
-    return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
+    return math.atan2(place.pose.y_m - landmark.at_m[1], place.pose.x_m - landmark.at_m[0])
 
 
-def _stop(place: ReferenceScene, thing: Landmark, from_m: np.ndarray) -> np.ndarray | None:
+def _stop(place: ReferenceScene, landmark: Landmark, from_m: np.ndarray) -> np.ndarray | None:
     """Return the (1, 2) stop at an object, for a robot that comes from a point; None: no stop."""
-    if thing.id not in place.stops_m:
-        place.stops_m[thing.id] = _stops(place, thing)
-    near = place.stops_m[thing.id]
+    if landmark.id not in place.stops_m:
+        place.stops_m[landmark.id] = _stops(place, landmark)
+    near = place.stops_m[landmark.id]
     return near[np.argmin(np.hypot(*(near - from_m).T))][None] if len(near) else None
 
 
-def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
+def _stops(place: ReferenceScene, landmark: Landmark) -> np.ndarray:
     """Return the (n, 2) candidates for a stop at an object.
 
     They have a free line to it, and are about as near to it as the nearest such point.
     """
     centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
     within = MAX_STOP_M + ABOUT_M
-    low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
+    low, high = landmark.outline_m.min(axis=0) - within, landmark.outline_m.max(axis=0) + within
     centres = centres[((centres > low) & (centres < high)).all(axis=1)]
-    gaps_m, nearest = cKDTree(thing.outline_m).query(centres.reshape(-1, 2))
-    others = _others(place, thing)
+    gaps_m, nearest = cKDTree(landmark.outline_m).query(centres.reshape(-1, 2))
+    others = _others(place, landmark)
 
     def has_clear_view_of(k: int) -> bool:
-        return smoothing.line_is_free(others, centres[k], thing.outline_m[nearest[k]])
+        return smoothing.line_is_free(others, centres[k], landmark.outline_m[nearest[k]])
 
     nearest_k = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
     if nearest_k is None or gaps_m[nearest_k] > MAX_STOP_M:
@@ -326,11 +326,11 @@ def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
     return centres[[k for k in near if has_clear_view_of(k)]]
 
 
-def _others(place: ReferenceScene, thing: Landmark) -> CostMap:
+def _others(place: ReferenceScene, landmark: Landmark) -> CostMap:
     """Return a cost map that is closed at obstacles other than the object."""
     grid = place.occupancy
     outside = np.ones(grid.cells.shape, np.uint8)
-    cells = np.floor(grid.to_cells(thing.outline_m)).astype(np.int64)
+    cells = np.floor(grid.to_cells(landmark.outline_m)).astype(np.int64)
     h, w = outside.shape
     column, row = cells[((cells >= 0) & (cells < (w, h))).all(axis=1)].T
     outside[row, column] = 0

@@ -228,7 +228,7 @@ def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:
             )  # fmt: skip
             xyxy.append((x, y, x + w, y + h))
             class_id.append(words.index(label))
-            masks.append(part >= 128)
+            masks.append(part >= 128)  # at least half covered
         n = len(xyxy)
         return Detections(
             observation, np.array(xyxy, np.float32).reshape(n, 4), np.ones(n, np.float32),

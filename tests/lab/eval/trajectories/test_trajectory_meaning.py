@@ -62,7 +62,7 @@ def test_what_is_aside_or_at_hand_is_not_gone_to(at, label):
 
 def test_one_stops_before_a_thing_where_one_comes_from():
     (task,) = all_of("to", CAR)
-    assert (task.instruction, task.category, task.things) == ("go to the car", "specific", (1,))
+    assert (task.instruction, task.category, task.landmarks) == ("go to the car", "specific", (1,))
     x_m, y_m = task.reference_m[-1]
     assert 9.0 - x_m == pytest.approx(ROBOT_M + ABOUT_M, abs=0.3)
     assert abs(y_m) < 0.2
@@ -74,7 +74,7 @@ def test_one_passes_on_the_side_that_is_said(kind):
     found = all_of(kind, CAR, VAN)
     assert found
     for task in found:
-        k = task.things[0] - 1
+        k = task.landmarks[0] - 1
         sign = 1.0 if f"the left of the {('car', 'van')[k]}" in task.instruction else -1.0
         first = (CAR, VAN)[k].at_m
         beside = task.segments[0][-1 if kind == "past" else 1]
