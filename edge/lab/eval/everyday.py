@@ -67,11 +67,15 @@ _LEARN = (
     (r"zone", ("stay_inside",)),
     (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room|is)\b", ("place", "room")),
 )  # fmt: skip
-"""Words of `meaning`, else of `said`, and the orders that they mean; the first match counts."""
+"""(pattern, orders `SiteOrder.do` that it means): `meaning` is searched first, then `said`.
+
+The first match counts.
+"""
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
     "cancel": "cancel|abort|give up",
 }  # fmt: skip
+"""`Control.do` → pattern that `meaning` must match."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +115,7 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
 def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:
     """Understand one sentence as the running service does, and judge it."""
     accepted = {case["expect"], *case.get("also", ())}
+    # The outcome if the service asks or refuses.
     unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
     try:
         found = translate(MissionConfig(translator=translator), case["said"], SITE)

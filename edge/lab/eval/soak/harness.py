@@ -45,8 +45,9 @@ ANSWER_S = 5.0  # longest wait for an answer to a request
 STOP_S = 30.0  # longest wait for the end of a process
 START_S = 900.0  # the first start compiles kernels, on a machine that may be busy
 _HTTP_S = 2.0  # longest wait for a page
-_LOOK_S = 0.1  # time between two checks of a condition
+_CHECK_PERIOD_S = 0.1  # time between two checks of a condition
 _HOUSE_DISTANCE_M = 60.0  # between two houses: too far for a robot to have driven
+# In the command line of the process of the service's model.
 _MODEL_COMMAND = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
@@ -79,7 +80,7 @@ def _endpoint() -> str:
 
 
 class SoakHarness:
-    """Runs the processes until it is closed.
+    """Runs the service and all processes around it until it is closed.
 
     Args:
         config: as `soak_config` returns it.
@@ -93,10 +94,6 @@ class SoakHarness:
         relay: passes on the messages between robot and service.
         log: output of the service.
         family: all processes that the service and its children have ever started.
-
-    Raises:
-        Stopped: `stop` was set before all had started.
-        UserError: a process ended before that, or took too long.
     """
 
     def __init__(self, config: Config, out: Path, stop: threading.Event) -> None:
@@ -116,7 +113,12 @@ class SoakHarness:
     # -- start and end --------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the service first, then the processes that connect to it."""
+        """Start the service first, then the processes that connect to it.
+
+        Raises:
+            Stopped: `stop` was set before all had started.
+            UserError: a process ended before that, or took too long.
+        """
         self.start_router()
         with os.fdopen(self.log.writer(), "wb") as output:
             self.service = self._start("service", "run", str(self.config_file), out=output)
@@ -143,7 +145,7 @@ class SoakHarness:
                 last_line = self.log.lines[-1][1] if self.log.lines else "no output"
                 ended = [f"{name} has ended" for name in self.ended_children()]
                 raise UserError(f"{problem}: {'; '.join([*ended, last_line])}")
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_PERIOD_S)
 
     def close(self) -> None:
         """End all processes; the service last, as it should have ended before.
@@ -169,7 +171,7 @@ class SoakHarness:
         deadline_s = time.monotonic() + STOP_S
         while self.service.poll() is None and time.monotonic() < deadline_s:
             self.log.poll()
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_PERIOD_S)
         return self.service.poll()
 
     # -- processes ------------------------------------------------------------------------------

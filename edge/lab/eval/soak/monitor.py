@@ -36,7 +36,7 @@ _LINE_START = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a log record
 
 
 class SoakMonitor:
-    """Observes the service: Zenoh's threads keep its newest messages, `take_sample` asks the rest.
+    """Observes the service: Zenoh's threads keep its newest messages, `take_sample` gets the rest.
 
     The soak's own thread reads the attributes. Times are `time.monotonic` in seconds.
 
@@ -44,7 +44,7 @@ class SoakMonitor:
         status: the newest status message.
         status_s: time at which it arrived.
         latency: the newest latency message.
-        beats: the newest messages of `edge.lab.eval.soak.jitter` with their times, oldest first.
+        beats: (time, message) of the newest messages of `edge.lab.eval.soak.jitter`, oldest first.
         began_s: time at which the monitor began.
         ready_problems: problems that `/readyz` reported in the last sample.
         is_ready: `/readyz` was 200 in the last sample.

@@ -168,7 +168,7 @@ class TrajectoryTask:
 
 def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterator[TrajectoryTask]:
     """Yield every task of a kind in a place, in random order."""
-    named = {}
+    named = {}  # by id of an object: its unambiguous name
     for landmark in place.landmarks:
         away_m = place.pose.distance_to(*landmark.at_m)
         within = place.reach_m[0] < away_m < place.reach_m[1]
@@ -207,10 +207,11 @@ def referring_expression(place: ReferenceScene, landmark: Landmark) -> str | Non
         at_rad, at_m = _bearing_and_distance(place, other)
         if other is landmark or at_m >= away_m + _APART_M:
             continue
-        unclear = abs(at_rad) <= _ASIDE_RAD or (at_rad * bearing > 0 and abs(at_rad) >= math.pi / 2)
-        if unclear or (at_rad * bearing > 0 and at_m > away_m - _APART_M):
+        same_side = at_rad * bearing > 0
+        unclear = abs(at_rad) <= _ASIDE_RAD or (same_side and abs(at_rad) >= math.pi / 2)
+        if unclear or (same_side and at_m > away_m - _APART_M):
             return None
-        before += at_rad * bearing > 0
+        before += same_side
     if before >= len(_ORDER):
         return None
     return f"the {_ORDER[before]} {landmark.label} on the {'left' if bearing > 0 else 'right'}"
@@ -229,6 +230,7 @@ def _bearing_and_distance(place: ReferenceScene, landmark: Landmark) -> tuple[fl
 
 
 def _category(kind: str, name: str) -> str:
+    """Return the category of an instruction; `name` is that of its first object."""
     if kind != "to":
         return "high-level"
     return "ambiguous" if name.startswith(tuple(f"the {word} " for word in _ORDER)) else "specific"
