@@ -272,8 +272,8 @@ def _plan_in_world(
     world, section, sensing, radius_m = setup
     episodes: list[Episode] = []
     for k, target in enumerate(with_progress("targets", targets) if strict else targets):
-        wanted = objects_of(world, target)
-        field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
+        objects = objects_of(world, target)
+        field = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
         # Many poses are too near to the target. Each target has its own seed.
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []

@@ -118,17 +118,17 @@ def _choose_goals(
     names = [name for name in names if fields.has(name) and not fields.has_kinds(name)]
     distances_m = {name: fields.distance_m(name) for name in names}
     cell = fields.plan.grid.cell_of(*start[:2])
-    here = np.zeros(fields.plan.grid.cells.shape, bool)
-    here[cell] = True
+    at_last_goal = np.zeros(fields.plan.grid.cells.shape, bool)  # at first: at the start
+    at_last_goal[cell] = True
     goals: list[str] = []
     while len(goals) < count:
-        far = (n for n in names if min_distance_m <= distances_m[n][here].min() < math.inf)
+        far = (n for n in names if min_distance_m <= distances_m[n][at_last_goal].min() < math.inf)
         name = next(far, None)
         if name is None:
             break
         goals.append(name)
         names.remove(name)
-        here = fields.near(name)
+        at_last_goal = fields.near(name)
     return tuple(goals)
 
 

@@ -305,5 +305,5 @@ def _config(name: str, args: argparse.Namespace) -> TranslatorConfig:
         return {"grammar": TranslatorGrammar, "model": TranslatorModel, "auto": TranslatorAuto}[
             name
         ]()
-    given = {"url": args.url, "model": args.model, "constrain": args.constrain}
-    return TranslatorLlm(**{key: value for key, value in given.items() if value is not None})
+    settings = {"url": args.url, "model": args.model, "constrain": args.constrain}
+    return TranslatorLlm(**{key: value for key, value in settings.items() if value is not None})

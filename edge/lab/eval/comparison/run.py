@@ -107,8 +107,11 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
     for episode in episodes.read(path):
         e = next((index[part] for part in episode.parts if part in index), None)
         if e is not None and str(outcomes.world[e]) not in configs:
-            own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
-            data = merged(episode.sensing, own)
+            world_section = {
+                "perception": {"detector": {"kind": "sim"}},
+                "sim": {"world": episode.world},
+            }
+            data = merged(episode.sensing, world_section)
             configs[str(outcomes.world[e])] = parse(data, f"{path}: {one_line(episode.id)}")
     return configs
 

@@ -157,9 +157,9 @@ def group(comparison: Comparison, by: str) -> ReportTable:
     arms = comparison.outcomes.arms
     rows = []
     for label, figures in comparison.groups[by].items():
-        most = max(figures[name]["sr"].n for name in arms)
+        n = max(figures[name]["sr"].n for name in arms)
         cells = [_spl_sr(figures[name]) for name in arms]
-        rows.append([one_line(label), str(most), *cells])
+        rows.append([one_line(label), str(n), *cells])
     note = "SPL with its interval, and SR in %."
     return ReportTable(f"by {by}", f"By {by}", (by, "n", *map(one_line, arms)), rows, note)
 

@@ -86,11 +86,11 @@ def _curves(
     alike: dict[str, list[str]] = {}  # by the text of their figures: the planners that have them
     figures: dict[str, list[tuple[float, Interval]]] = {}
     for planner in dict.fromkeys(row.planner for row in rows):
-        own = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
-        own = [(p, figure) for p, figure in own if not math.isnan(figure.value)]
-        alike.setdefault(repr(own), []).append(planner)
-        figures[repr(own)] = own
-    return {tuple(alike[key]): own for key, own in figures.items() if own}
+        pairs = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
+        pairs = [(p, figure) for p, figure in pairs if not math.isnan(figure.value)]
+        alike.setdefault(repr(pairs), []).append(planner)
+        figures[repr(pairs)] = pairs
+    return {tuple(alike[key]): pairs for key, pairs in figures.items() if pairs}
 
 
 def _draw_curve(

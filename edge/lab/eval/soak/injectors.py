@@ -153,10 +153,14 @@ def reload_bad_config(harness: SoakHarness, rng: np.random.Generator) -> Injecti
 def swap_model(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Switch to the copy of the model, or back, with `force` as the computer may be slow."""
     running = harness.request_models(do="status")
-    own = harness.config.perception.detector.model  # type: ignore[union-attr]
+    configured = harness.config.perception.detector.model  # type: ignore[union-attr]
     # A swap that is still on probation or has failed reports the old model as `previous`.
-    at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
-    harness.request_models(do="use", model=own if at_work == TWIN else TWIN, force=True)
+    present_model = (
+        running["model"] if running["state"] in ("kept", "idle") else running["previous"]
+    )
+    harness.request_models(
+        do="use", model=configured if present_model == TWIN else TWIN, force=True
+    )
     yield from hold_until_end()
 
 

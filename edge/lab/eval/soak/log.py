@@ -72,8 +72,8 @@ class PipeLog:
             if not content:  # no writer
                 break
             self._file.write(content)
-            *whole, self._rest = (self._rest + content).split(b"\n")
-            self.lines += [(now_s, line.decode("utf-8", "replace")) for line in whole]
+            *complete_lines, self._rest = (self._rest + content).split(b"\n")
+            self.lines += [(now_s, line.decode("utf-8", "replace")) for line in complete_lines]
         self._file.flush()
 
     def since(self, since_s: float) -> list[str]:

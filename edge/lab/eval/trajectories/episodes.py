@@ -169,8 +169,8 @@ def _draw_tasks(
 
 def _streets(numbers: range) -> Iterator[TrajectoryEpisode]:
     for number in numbers:
-        drawn = outdoor.outdoor_episode(number)
-        yield _episode("streets", f"street-{number}", drawn.place, drawn.task, drawn.scene)
+        episode = outdoor.outdoor_episode(number)
+        yield _episode("streets", f"street-{number}", episode.place, episode.task, episode.scene)
 
 
 # -- SemanticKITTI ------------------------------------------------------------------------------

@@ -107,9 +107,9 @@ class MaplessFunctions(ScriptFunctions):
 
 
 def _refine(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
-    coarse, body = written.coarse, PathMargins(episode.robot_m)
-    made = refine(episode.scene, coarse.segments, coarse.regions, body, LIMITS)
-    return made.poses[:, :2]
+    coarse, margins = written.coarse, PathMargins(episode.robot_m)
+    refined = refine(episode.scene, coarse.segments, coarse.regions, margins, LIMITS)
+    return refined.poses[:, :2]
 
 
 def _as_written(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
@@ -153,7 +153,7 @@ def run_methods(
         UnavailableError: the interpreter of the scripts is missing.
     """
     written: dict[str, tuple[WrittenTrajectory | Exception, float]] = {}
-    made = {}
+    results = {}
     for name in names:
         method = METHODS[name]
         if method.writing not in written:
@@ -168,8 +168,10 @@ def run_methods(
             pose = episode.scene.pose
             path_m = np.array([(pose.x_m, pose.y_m)])
             refused, reason = _cause(error), one_line(error if str(error) else repr(error))
-        made[name] = MethodResult(path_m, refused, reason, seconds + time.perf_counter() - begin_s)
-    return made
+        results[name] = MethodResult(
+            path_m, refused, reason, seconds + time.perf_counter() - begin_s
+        )
+    return results
 
 
 def _write(

@@ -124,10 +124,10 @@ def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
 
 
 def outcome_of(
-    episode: TrajectoryEpisode, method: str, writer: str, made: MethodResult
+    episode: TrajectoryEpisode, method: str, writer: str, result: MethodResult
 ) -> TrajectoryOutcome:
     """Compare a method's result with the reference and the true place."""
-    path_m = made.path_m
+    path_m = result.path_m
     occupancy, robot_m = episode.scene.occupancy, episode.robot_m
     scores = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
@@ -137,9 +137,9 @@ def outcome_of(
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     numbers = (scores.error_m, scores.frechet_m, scores.ndtw)
     return TrajectoryOutcome(
-        episode.id, method, writer, scores.success and not made.refused,
+        episode.id, method, writer, scores.success and not result.refused,
         *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
-        round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
+        round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
     )  # fmt: skip
 

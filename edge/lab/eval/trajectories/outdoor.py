@@ -75,44 +75,46 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
     """
     kind = KINDS[number % len(KINDS)]
     for attempt in range(_TRIES):
-        drawn = street(number, attempt)
-        scene, cloud_m = outdoor_scene(drawn)
+        this_street = street(number, attempt)
+        scene, cloud_m = outdoor_scene(this_street)
         place = place_of(scene)
         task = next(possible_tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
         if task is not None:
-            return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
+            return OutdoorEpisode(this_street.name, scene, cloud_m, place, task)
     raise AssertionError(f"episode {number}: none of {_TRIES} drawn streets has a task")
 
 
-def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
+def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
     """Return the scene of a street, and the scan (n, 3) float32 in `map`."""
-    floor, standing = solids(drawn)
+    floor, standing = solids(this_street)
     parts = floor + [part for _, solid in standing for part in solid]
     shape = np.array([part.shape for part in parts], np.uint8)
     boxes = np.array([_box_row(part) for part in parts])
     cloud_m = _scan(shape, boxes)
     occupancy = _occupancy(shape, boxes)
-    regions_grid = _regions_grid(drawn, occupancy)
-    here = SE2(0.0, 0.0, 0.0)
-    reachable = _reachable(occupancy, here)
+    regions_grid = _regions_grid(this_street, occupancy)
+    robot_pose = SE2(0.0, 0.0, 0.0)
+    reachable = _reachable(occupancy, robot_pose)
     objects = {}
     seen = [(street_object, _points_on(solid, cloud_m)) for street_object, solid in standing]
     seen.sort(
-        key=lambda item: math.dist((item[0].x_m, item[0].y_m), (drawn.start.x_m, drawn.start.y_m))
+        key=lambda item: math.dist(
+            (item[0].x_m, item[0].y_m), (this_street.start.x_m, this_street.start.y_m)
+        )
     )
     for street_object, points_m in seen:
-        pose = drawn.to_map(street_object.x_m, street_object.y_m, street_object.yaw_rad)
+        pose = this_street.to_map(street_object.x_m, street_object.y_m, street_object.yaw_rad)
         if len(points_m) >= MIN_POINTS and occupancy.cell_of(pose.x_m, pose.y_m) is not None:
             number = len(objects) + 1
             objects[number] = _object(
                 number, street_object, pose, points_m, regions_grid, reachable
             )
     regions = {}
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         cells = int((regions_grid.cells == ground.id).sum())
         if cells:
             regions[ground.id] = Region(ground.id, ground.label, cells * CELL_M**2)
-    scene = Scene(0, here, objects, regions, occupancy, regions_grid, None, None, None, {})
+    scene = Scene(0, robot_pose, objects, regions, occupancy, regions_grid, None, None, None, {})
     return scene, cloud_m
 
 
@@ -177,22 +179,22 @@ def _occupancy(shape: np.ndarray, boxes: np.ndarray) -> Grid:
     return Grid((solid * 100).astype(np.int8), (_X_M[0], _Y_M[0]), CELL_M)
 
 
-def _regions_grid(drawn: Street, occupancy: Grid) -> Grid:
+def _regions_grid(this_street: Street, occupancy: Grid) -> Grid:
     """Return the ground's id in each cell, uint8; 0: no ground."""
     rows, columns = np.indices(occupancy.cells.shape)
-    x_m, y_m = np.moveaxis(drawn.to_road(occupancy.centres_m(rows, columns)), -1, 0)
+    x_m, y_m = np.moveaxis(this_street.to_road(occupancy.centres_m(rows, columns)), -1, 0)
     cells = np.zeros(occupancy.cells.shape, np.uint8)
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         r = ground.rect
         cells[(x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)] = ground.id
     return replace(occupancy, cells=cells)
 
 
-def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
+def _reachable(occupancy: Grid, robot_pose: SE2) -> np.ndarray:
     """Return (h, w) bool: True for cells that a robot of radius `ROBOT_M` can get to."""
     is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
-    return part == part[occupancy.cell_of(here.x_m, here.y_m)]
+    return part == part[occupancy.cell_of(robot_pose.x_m, robot_pose.y_m)]
 
 
 def _object(

@@ -35,7 +35,7 @@ RERUN = "crashed"
 
 
 def run_all(
-    found: Iterable[TrajectoryEpisode],
+    planned: Iterable[TrajectoryEpisode],
     names: Sequence[str],
     config: TasksConfig,
     folder: ResultsFolder,
@@ -46,7 +46,7 @@ def run_all(
     """Run methods on episodes. Outcomes on file are not run again; new ones are appended.
 
     Args:
-        found: the episodes.
+        planned: the episodes.
         names: of the methods.
         config: names the writer.
         folder: keeps the outcomes.
@@ -63,7 +63,7 @@ def run_all(
     writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
     keys: list[tuple[str, str, str]] = []
     is_first_question = isinstance(config.planner, WriterModel)
-    for episode in found:
+    for episode in planned:
         if stop is not None and stop.is_set():
             break
         possible = methods_of(config, episode.scene)
@@ -75,14 +75,14 @@ def run_all(
             if key not in known or known[key].refused == RERUN
         ]
         if missing:
-            made = run_methods(episode, missing, config)
+            results = run_methods(episode, missing, config)
             # A server that gives no answer at all ends the run before anything is saved.
-            if is_first_question and all(r.refused == "no answer" for r in made.values()):
-                raise UnavailableError(next(iter(made.values())).reason)
+            if is_first_question and all(r.refused == "no answer" for r in results.values()):
+                raise UnavailableError(next(iter(results.values())).reason)
             is_first_question = False
             folder.add(facts_of(episode))
             for name in missing:
-                outcome = outcome_of(episode, name, writer, made[name])
+                outcome = outcome_of(episode, name, writer, results[name])
                 folder.append(outcome)
                 on_outcome(episode, outcome)
         keys += episode_keys

@@ -97,10 +97,10 @@ def _config(args: argparse.Namespace) -> Config:
     """Return the configuration with `--url` and `--model` applied."""
     config = load(args.config)
     planner = config.tasks.planner
-    given = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
-    if given:
+    changes = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
+    if changes:
         model = planner if isinstance(planner, WriterModel) else WriterModel()
-        planner = model.model_copy(update=given)
+        planner = model.model_copy(update=changes)
         tasks = config.tasks.model_copy(update={"planner": planner})
         config = config.model_copy(update={"tasks": tasks})
     if isinstance(planner, WriterModel):

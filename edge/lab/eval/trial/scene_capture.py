@@ -123,14 +123,14 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
         T_base_lidar=lidar.T_base_lidar,
     )  # fmt: skip
     labels = tuple(thing.label for thing in world.objects)
-    cloud_m, drawn = _in_map(seen), street(seed)
-    kinds = tuple(dict.fromkeys(ground.label for ground in drawn.grounds))
+    cloud_m, this_street = _in_map(seen), street(seed)
+    kinds = tuple(dict.fromkeys(ground.label for ground in this_street.grounds))
     truth = Segmentation(camera.ids, labels)
 
     def build_scene(pipeline: PerceptionPipeline) -> Scene:
         clearance_m = config.tasks.trajectory.clearance_m
         builder = SceneBuilder(pipeline, config.mapping, clearance_m, kinds)
-        builder.add(seen, _ground_kind(drawn, kinds, cloud_m))
+        builder.add(seen, _ground_kind(this_street, kinds, cloud_m))
         return builder.scene()
 
     if words is None:
@@ -141,7 +141,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
             by,
         ):
             scene = build_scene(pipeline)
-    return SceneCapture(drawn.name, by, scene, cloud_m, 0.0)
+    return SceneCapture(this_street.name, by, scene, cloud_m, 0.0)
 
 
 @contextmanager
@@ -182,16 +182,16 @@ def detector_pipeline(
 
 
 def _plugin_pipeline(
-    config: Config, own: PipelinePlugin, words: tuple[str, ...]
+    config: Config, plugin: PipelinePlugin, words: tuple[str, ...]
 ) -> PerceptionPipeline:
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
     where = config.locate("tasks.pipeline")
-    given: dict[str, Any] = {"perception": config.perception, "words": words}
+    arguments: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
     make = component_factory(
-        "pipeline", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+        "pipeline", plugin.kind, plugin.options, {}, where, needs, tuple(arguments), functions=True
     )
-    pipeline = make(**given)
+    pipeline = make(**arguments)
 
     def guarded(name: str) -> Callable[..., Any] | None:
         """Return a part of the pipeline that raises only `UserError`; None if it lacks the part."""
@@ -204,7 +204,9 @@ def _plugin_pipeline(
                 raise
             except Exception as error:  # a plugin may raise anything
                 reason = one_line(f"{type(error).__name__}: {error}")
-                raise SceneCaptureError(f"{where}: {own.kind}: {name}() raised {reason}") from None
+                raise SceneCaptureError(
+                    f"{where}: {plugin.kind}: {name}() raised {reason}"
+                ) from None
 
         return None if part is None else called
 
@@ -239,11 +241,11 @@ def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:
     return PerceptionPipeline(lambda observation: words, boxes, boxes_as_masks)
 
 
-def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
+def _ground_kind(this_street: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
     """Return (n,) uint8 by return: index of its ground in `kinds` plus 1; 0: no ground."""
-    x_m, y_m = drawn.to_road(cloud_m[:, :2].astype(np.float64)).T
+    x_m, y_m = this_street.to_road(cloud_m[:, :2].astype(np.float64)).T
     out = np.zeros(len(cloud_m), np.uint8)
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         r = ground.rect
         inside = (x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)
         out[inside] = 1 + kinds.index(ground.label)
