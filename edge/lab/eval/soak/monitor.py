@@ -132,13 +132,16 @@ class SoakMonitor:
         return float(np.median(rates_hz)) if rates_hz else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
-        """Return the tick rate [1/s] of the newest two jitter messages; 0 if one is too old.
+        """Return the tick rate [1/s] of the newest two jitter messages.
 
-        Both must describe the time after `since_s`.
+        It is 0 if there are not two that describe only the time after `since_s`.
         """
         with self._lock:
             newest = list(self.beats)[-2:]
-        if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
+        if len(newest) < 2:
+            return 0.0
+        first_s, first = newest[0]
+        if first_s < since_s + first["seconds"]:
             return 0.0
         seconds = sum(message["seconds"] for _, message in newest)
         return float(sum(message["ticks"] for _, message in newest) / seconds)
@@ -155,12 +158,11 @@ class SoakMonitor:
         `places_age_s` is the age of the map file, and `missed` the number of late ticks.
         """
         harness, now_s = self._harness, time.monotonic()
-        codes = {path: harness.page(path) for path in PROBES}
-        health, ready = (codes[path] for path in PROBES)
-        if health[0] == 200:
+        (health_code, _), (ready_code, ready_page) = (harness.page(path) for path in PROBES)
+        if health_code == 200:
             self.healthy_s = now_s
-        self.is_ready = ready[0] == 200
-        self.ready_problems = tuple(ready[1].get("why", ("no answer",)))
+        self.is_ready = ready_code == 200
+        self.ready_problems = tuple(ready_page.get("why", ("no answer",)))
         self.sampled_s = now_s
         if self.bus_is_muted:
             self.muted_s = now_s
@@ -172,13 +174,13 @@ class SoakMonitor:
         harness.update_descendants()
         with self._lock:
             status, latency = self.status, self.latency
-            newest = self.beats[-1] if self.beats else (now_s, {})
+            beat_s, beat = self.beats[-1] if self.beats else (now_s, {})
         sample: dict[str, Any] = {
-            "healthz": health[0],
-            "readyz": ready[0],
+            "healthz": health_code,
+            "readyz": ready_code,
             "why": list(self.ready_problems) if not self.is_ready else [],
-            "beat_age_s": round(now_s - newest[0], 2),
-            **{key: value for key, value in newest[1].items() if key != "seconds"},
+            "beat_age_s": round(now_s - beat_s, 2),
+            **{key: value for key, value in beat.items() if key != "seconds"},
             "dropped": dropped(harness.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
