@@ -62,7 +62,7 @@ def test_looks_count_each_place_once(cells, x, y, yaw):
     floor = floor_of(np.kron(np.array(cells).reshape(8, 8), np.ones((10, 10))))
     total = sum(floor.add_view(x, y, yaw + turn)[0] for turn in (0.0, 0.5, 0.0))
     assert total == pytest.approx((floor._seen > 0).sum() * CELL_M**2)
-    assert not (floor._seen[floor._closed] > 0).any()
+    assert not (floor._seen[floor._blocked] > 0).any()
 
 
 def test_floor_counts_as_seen_again_only_until_the_target_is_known():

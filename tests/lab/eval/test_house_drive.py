@@ -7,7 +7,7 @@ from simulated import simulated
 from edge.bus import topics
 from edge.lab.eval import house_drive as drives
 
-SENSORS = {"camera": {"width_px": 16, "height_px": 12, "rate_hz": 1.0}, "odometry_hz": 10.0}
+SENSORS = {"camera": {"width_px": 32, "height_px": 24, "rate_hz": 1.0}, "odometry_hz": 10.0}
 
 
 def stamps_ns(seconds: float) -> list[int]:
