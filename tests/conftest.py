@@ -66,7 +66,7 @@ import tempfile
 from pathlib import Path
 import numpy as np
 from small_house import small_house
-from edge.lab.eval.columns import make_arms
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import make_episode, sensing_settings
 from edge.lab.eval.trajectory_metrics import trajectory_scores

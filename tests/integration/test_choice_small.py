@@ -8,8 +8,8 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `
 
 from edge.cli import main as cli
 from edge.config import parse
+from edge.lab.eval.arms import data_of, merged
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.lab.eval.columns import data_of, merged
 from edge.lab.report import choices
 from edge.lab.report.recorder import ReportRecorder
 

@@ -15,7 +15,7 @@ import pytest
 from simulated import simulated
 
 from edge.errors import Stopped
-from edge.lab.eval.columns import make_arms
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import over_zenoh, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.eval.outcome import TIMINGS

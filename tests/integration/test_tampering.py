@@ -14,7 +14,7 @@ from edge.bus.topics import ODOMETRY, Topic
 from edge.bus.wire import messages
 from edge.config import ZenohConfig
 from edge.host.ports import free_port
-from edge.lab.eval.soak.relay import MessageFilter, Relay, frozen, restamped
+from edge.lab.eval.soak.relay import MessageFilter, Relay, freeze, restamped
 
 STAMPED = ("camera/rgb", "camera/depth", "camera/info", "odom", "sim/segmentation")
 FARTHEST_M = 1.2  # a computer that is busy needs longer than one that is not
@@ -84,7 +84,7 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
 @pytest.mark.parametrize(
     ("alter", "why"),
     [
-        (lambda: frozen(True), "no pixel has changed"),
+        (lambda: freeze(True), "no pixel has changed"),
         pytest.param(backward, "no usable observations", marks=pytest.mark.slow),
     ],
     ids=["frozen", "backward"],

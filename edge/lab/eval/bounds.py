@@ -1,4 +1,4 @@
-"""Oracle policies: upper bounds that use the simulator's ground truth.
+"""Oracle policies for evaluations: upper bounds that use the simulator's ground truth.
 
 An evaluation passes them the simulator's `world`. A robot refuses a configuration that names one.
 They spin (`policy.spin`) if a spin shows anything: SPL counts only the path, and a spin
@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.config import PolicySearch
 from edge.lab.eval import geodesic
-from edge.lab.eval.ground_truth import SAME_M, named
+from edge.lab.eval.ground_truth import SAME_M, objects_meant_by
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import Room, World, WorldObject
 from edge.policies.base import INSTANCE, SPIN, Candidates, PolicyInput, Why
@@ -22,7 +22,7 @@ from edge.policies.search import SearchPolicy
 
 FAR_M = 1e3
 """Distance if there is no path."""
-ELSEWHERE = 1e-6
+OUTSIDE_FACTOR = 1e-6
 """Factor on scores outside the target's rooms. They are then below all scores inside."""
 
 
@@ -40,16 +40,16 @@ class KnownPlace:
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world, self._radius_m = world, robot_radius_m
-        self._left_m: dict[str, np.ndarray] = {}
+        self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)
-        way_m = _path_m(candidates) + _values_at(self._world, self._left_m[target], candidates)
-        way_m[candidates.kind[: candidates.n] == SPIN] = 0.0  # a spin adds no path
-        return _instances_first(self._world, context, 1.0 / (1.0 + way_m))
+        total_m = _path_m(candidates) + _values_at(self._world, self._left_m[target], candidates)
+        total_m[candidates.kind[: candidates.n] == SPIN] = 0.0  # a spin adds no path
+        return _score_instances(self._world, context, 1.0 / (1.0 + total_m))
 
     def reset(self, why: Why) -> None:
         """Do nothing: the policy has no state."""
@@ -61,9 +61,9 @@ class KnownPlace:
             (rows, columns) float64 on the plan's raster.
         """
         plan, near = self._world.plan, None
-        for thing in named(self._world, target):
-            close = geodesic.near(plan, [thing], self._radius_m, REACHED_M)
-            room = room_of(self._world, thing)
+        for item in objects_meant_by(self._world, target):
+            close = geodesic.near(plan, [item], self._radius_m, REACHED_M)
+            room = room_of(self._world, item)
             if room is not None:
                 close &= inside(self._world, [room])
             near = close if near is None else near | close
@@ -89,7 +89,7 @@ class KnownRoom:
             )
         self._world, self._radius_m = world, robot_radius_m
         self._search = SearchPolicy(PolicySearch())
-        self._left_m: dict[str, np.ndarray] = {}
+        self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
@@ -97,13 +97,13 @@ class KnownRoom:
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)
         left_m = _values_at(self._world, self._left_m[target], candidates)
-        outside_score = ELSEWHERE / (1.0 + _path_m(candidates) + left_m)
+        outside_score = OUTSIDE_FACTOR / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
-        outside_score[kind == SPIN] = ELSEWHERE  # a spin adds no path
+        outside_score[kind == SPIN] = OUTSIDE_FACTOR  # a spin adds no path
         score = np.where(
             left_m == 0.0, self._search.score(replace(context, prior=None)), outside_score
         )
-        return _instances_first(self._world, context, score)
+        return _score_instances(self._world, context, score)
 
     def reset(self, why: Why) -> None:
         """Do nothing: the policy has no state."""
@@ -114,9 +114,8 @@ class KnownRoom:
         Returns:
             (rows, columns) float64 in metres on the plan's raster.
         """
-        target_rooms = {room_of(self._world, thing) for thing in named(self._world, target)} - {
-            None
-        }
+        targets = objects_meant_by(self._world, target)
+        target_rooms = {room_of(self._world, item) for item in targets} - {None}
         free = self._world.plan.clearance_m > self._radius_m
         return cost_to_goal_m(
             self._world, inside(self._world, sorted(target_rooms)) & free, self._radius_m
@@ -142,7 +141,7 @@ def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float)
     cells = np.full(free.shape, np.inf)
     if goal is not None:
         cells[goal] = 0.0
-    while geodesic.relax(free, cells):
+    while geodesic.relax(free, cells):  # until nothing changes
         pass
     known = np.isfinite(cells)
     if not known.any():
@@ -150,18 +149,20 @@ def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float)
     _, nearest = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    of_label = np.zeros(nearest.max() + 1)
-    of_label[nearest[known]] = cells[known]
-    return of_label[nearest] * plan.grid.resolution_m
+    # `nearest` has the label of the nearest known cell; each known cell has a label of its own.
+    distance_by_label = np.zeros(nearest.max() + 1)
+    distance_by_label[nearest[known]] = cells[known]
+    return distance_by_label[nearest] * plan.grid.resolution_m
 
 
-def room_of(world: World, thing: WorldObject) -> Room | None:
+def room_of(world: World, item: WorldObject) -> Room | None:
     """Return the room that an object stands in or is nearest to; None without room data."""
-    x, y = thing.center_m[:2]
+    x, y = item.center_m[:2]
     return min(world.rooms, key=lambda room: _away_m(room, x, y), default=None)
 
 
 def _away_m(room: Room, x_m: float, y_m: float) -> float:
+    """Return the distance of a point from a room, a union of rectangles (x0, y0, x1, y1)."""
     return min(
         np.hypot(max(x0 - x_m, 0.0, x_m - x1), max(y0 - y_m, 0.0, y_m - y1))
         for x0, y0, x1, y1 in room
@@ -180,6 +181,7 @@ def inside(world: World, rooms: list[Room]) -> np.ndarray:
 
 
 def _path_m(candidates: Candidates) -> np.ndarray:
+    """Return the path to each candidate, (n,) float64; `FAR_M` if there is none."""
     path_m = candidates.path_m[: candidates.n].astype(np.float64)
     return np.where(np.isfinite(path_m), path_m, FAR_M)
 
@@ -191,12 +193,12 @@ def _values_at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.n
     return left_m[np.clip(row, 0, len(left_m) - 1), np.clip(col, 0, left_m.shape[1] - 1)]
 
 
-def _instances_first(world: World, context: PolicyInput, score: np.ndarray) -> np.ndarray:
+def _score_instances(world: World, context: PolicyInput, score: np.ndarray) -> np.ndarray:
     """Set the scores of instance candidates, in place: 1 / (1 + path) for a true target, else 0."""
     candidates, path_m = context.candidates, _path_m(context.candidates)
-    things = named(world, context.target)
+    objects = objects_meant_by(world, context.target)
     for k in np.flatnonzero(candidates.kind[: candidates.n] == INSTANCE).tolist():
         x, y = candidates.xy_m[k].tolist()
-        right = any(thing.distance_m(x, y) <= SAME_M for thing in things)
+        right = any(item.distance_m(x, y) <= SAME_M for item in objects)
         score[k] = right / (1.0 + path_m[k])
     return score

@@ -1,4 +1,7 @@
-"""Robot, controller and service in one process and one thread: exact, fast, without Zenoh."""
+"""Robot, controller and service in one process and one thread, without Zenoh.
+
+Evaluations and tests use it: it is fast, and its result depends only on the configuration.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
 from edge.types import Goal, GoalStatus, Observation
 
-START_NS = 1_000_000_000
+START_NS = 1_000_000_000  # stamp of the first observation
 
 
 class RunLog:
@@ -58,6 +61,7 @@ class ClosedLoop:
     plugin may ask for the simulator's `world` and `robot_radius_m` (`edge.lab.eval.bounds`).
 
     Attributes:
+        config: of the service, the robot and the simulator.
         notes: collects the goals, events and goal statuses.
         sinks: more sinks; each gets the result of each tick, as in a service.
         world: the world, already loaded with `config`; None: load `sim.world`.
@@ -65,6 +69,14 @@ class ClosedLoop:
             scorers that need no colour (see `wants_colour`).
         task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
+        service: the service.
+        controller: the motion controller.
+        drive: the robot's motion; it knows its true pose.
+        rig: the robot's camera.
+        lidar: the robot's LiDAR; None: it has none.
+        labels: names of the world's objects; `labels[i - 1]` is the name of the object with id i.
+        worker: runs the detector.
+        scorers: run the scoring models; None: there are none.
 
     Raises:
         edge.errors.UserError: the world, the mission, a model or the start cannot be used.
@@ -130,7 +142,7 @@ class ClosedLoop:
     def step(self) -> None:
         """Observe, run one tick, and drive for `sim.step_s`."""
         motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
-        before, observation = len(self.notes.goals), self.observe()
+        n_goals, observation = len(self.notes.goals), self.observe()
         self.service.latency.begin_tick(perf_counter_ns())
         self.service.tick(observation, now_ns)
         if self.service.refused:
@@ -140,7 +152,7 @@ class ClosedLoop:
             self._map_due_ns = now_ns + self._map_period_ns
             self.controller.on_map(self.service.map.grid.snapshot())
         answers: list[GoalStatus] = []
-        for goal in self.notes.goals[before:]:
+        for goal in self.notes.goals[n_goals:]:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
         command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
         for answer in answers + more:

@@ -1,4 +1,7 @@
-"""One episode, run in this process or with simulator and controller as processes."""
+"""Runs one episode with one arm, and judges it.
+
+It runs in this process, or with simulator and controller as processes of their own.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,10 @@ import numpy as np
 from edge.config import Config, parse
 from edge.errors import Stopped, UserError
 from edge.lab.eval import geodesic, world_list
+from edge.lab.eval.arms import Data, ExperimentArm, merged
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
-from edge.lab.eval.columns import Data, ExperimentArm, merged
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named
+from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, objects_meant_by
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
 from edge.lab.eval.questions import answers_of
@@ -35,7 +38,7 @@ if TYPE_CHECKING:
 TIME_LIMIT_FACTOR = 1.1  # factor on the mission's time limit after which every episode ends
 _LATE_S = 5.0  # longest wait for the simulator's ground truth, over Zenoh
 _POLL_S = 0.001
-_KEPT = 64  # newest ground truths to keep
+_MAX_WAITING = 64  # ground truths that may wait to be read
 
 EpisodeDriver = Callable[
     [Config, World, Episode, Path | None, threading.Event],
@@ -49,7 +52,7 @@ Raises:
 
 
 def run_episode(
-    column: ExperimentArm,
+    arm: ExperimentArm,
     episode: Episode,
     drive: EpisodeDriver,
     page: Path | None = None,
@@ -58,7 +61,7 @@ def run_episode(
     """Run one episode with one arm. An error during the run gives a "crashed" outcome.
 
     Args:
-        column: the arm.
+        arm: the arm.
         episode: the episode.
         drive: `in_process` or `over_zenoh`.
         page: folder for a report of the run; None: no report.
@@ -69,22 +72,22 @@ def run_episode(
     """
     began_s = time.monotonic()
     try:
-        config = config_of(column, episode)
+        config = config_of(arm, episode)
         world = world_list.load(config)
         logger, latency = drive(config, world, episode, page, stop or threading.Event())
-        return outcome_of(column, episode, config, world, logger, latency, began_s)
+        return outcome_of(arm, episode, config, world, logger, latency, began_s)
     except Stopped:
         raise
     except Exception as error:
-        return crashed_outcome(column, episode, reason_of(error), time.monotonic() - began_s)
+        return crashed_outcome(arm, episode, reason_of(error), time.monotonic() - began_s)
 
 
 def reason_of(error: Exception) -> str:
-    """Return the text of an error for an outcome."""
+    """Return the text of an error for `EpisodeOutcome.reason`."""
     return str(error) if isinstance(error, UserError) else repr(error)
 
 
-def config_of(column: ExperimentArm, episode: Episode) -> Config:
+def config_of(arm: ExperimentArm, episode: Episode) -> Config:
     """Return the configuration of an episode with an arm.
 
     It runs in lockstep, with every model in the service's process and on one thread, so that the
@@ -93,11 +96,11 @@ def config_of(column: ExperimentArm, episode: Episode) -> Config:
     Raises:
         ConfigError: the episode's world or sensors are not valid in a configuration.
     """
-    data = merged(column.base, episode.sensing, column.settings, _LOCKSTEP, episode.settings)
+    data = merged(arm.base, episode.sensing, arm.settings, _LOCKSTEP, episode.settings)
     data["sim"]["world"] = episode.world
     if data["perception"]["detector"].get("kind") == "onnx":
         data["perception"]["detector"]["threads"] = 1
-    return parse(data, f"{column.path}: arm {column.name}")
+    return parse(data, f"{arm.path}: arm {arm.name}")
 
 
 _LOCKSTEP: Data = {
@@ -117,6 +120,7 @@ def in_process(
     warm_up_once(config)
     site = site_of(episode.site) if episode.site else Site()
     keep_out_m = site.polygons_m("keep_out")
+    # The logger is called only later, once `loop` exists.
     logger = GroundTruthLogger(config, world, lambda stamp_ns: truth_of(loop), keep_out_m)
     recorder = None if page is None else ReportRecorder(config)
     sinks = [logger] if recorder is None else [logger, recorder]
@@ -183,11 +187,12 @@ def over_zenoh(
             "omit --processes"
         )
     config = with_free_port(config)
+    # The logger is called only later, once `truth` exists.
     logger = GroundTruthLogger(config, world, lambda stamp_ns: truth.at(stamp_ns))
     recorder = ReportRecorder(config)
     with open_service(config, [logger, recorder], stop=stop) as running:
         truth = GroundTruthReader(running.session, config)
-        over = threading.Event()  # also set if a child ends by itself
+        over = threading.Event()  # `child_processes` sets it, too, if a child ends by itself
 
         def check_stop() -> None:
             if stop.is_set():
@@ -211,9 +216,9 @@ class GroundTruthReader:
         from edge.bus.session import Ring
         from edge.sources.truth import SegmentationInbox
 
-        self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _KEPT)
+        self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _MAX_WAITING)
         self._pictures = SegmentationInbox(config, session)
-        self._heard: dict[int, dict[str, Any]] = {}
+        self._heard: dict[int, dict[str, Any]] = {}  # by stamp
 
     def at(self, stamp_ns: int) -> GroundTruth:
         """Wait for the ground truth of a stamp and return it.
@@ -244,7 +249,7 @@ class GroundTruthReader:
 
 
 def outcome_of(
-    column: ExperimentArm,
+    arm: ExperimentArm,
     episode: Episode,
     config: Config,
     world: World,
@@ -270,7 +275,7 @@ def outcome_of(
         left_m = remaining_m(config, world, episode.target, now.x_m, now.y_m)
     score = latency.stage("score")
     return EpisodeOutcome(
-        episode.id, column.name, column.id, world.name, str(episode.world["kind"]),
+        episode.id, arm.name, arm.id, world.name, str(episode.world["kind"]),
         episode.target, episode.instruction, episode.start, episode.shortest_m,
         failure is None, _reason(logger, config), failure,
         path_m=now.path_m,
@@ -318,7 +323,7 @@ def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: floa
 
 @lru_cache(maxsize=8)
 def _distance_field(world: World, target: str, radius_m: float) -> np.ndarray:
-    return geodesic.distance_field(world.plan, named(world, target), radius_m, REACHED_M)
+    return geodesic.distance_field(world.plan, objects_meant_by(world, target), radius_m, REACHED_M)
 
 
 def forget_distances() -> None:

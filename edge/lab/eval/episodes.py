@@ -1,4 +1,6 @@
-"""Episodes: a task in a world, from a start. Planned once, then run with any arm.
+"""Episodes of an evaluation: a target or a mission in a world, from a start.
+
+Episodes are planned once, then run with any arm.
 
 A file of episodes (JSON lines) holds all that a rerun needs: the world's section, the start, the
 task, the shortest path, and the sensors.
@@ -23,7 +25,7 @@ from edge.errors import FileError, UserError
 from edge.host.files import read_regular, save
 from edge.host.progress import with_progress
 from edge.lab.eval import geodesic, missions, world_list
-from edge.lab.eval.columns import data_of, merged
+from edge.lab.eval.arms import data_of, merged
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
 from edge.lab.sim.worlds import load_world
@@ -46,7 +48,7 @@ The six of ObjectNav, and the ten large objects (at least 0.5 m, 0.09 m³) that 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One task: a target, an instruction, or a session of several goals.
+    """One episode: a start in a world, and a target, an instruction or a session of several goals.
 
     Attributes:
         id: unique; changes with any other field.
@@ -88,8 +90,8 @@ class Episode:
     def settings(self) -> dict[str, Any]:
         """Settings that the episode adds to a configuration, without `sensing`."""
         target = self.goals[0] if self.goals else self.target
-        asked = {"target": target} if self.instruction is None else {}
-        mission = {**asked, "instruction": self.instruction, "checkpoint": None}
+        target_section = {"target": target} if self.instruction is None else {}
+        mission = {**target_section, "instruction": self.instruction, "checkpoint": None}
         return {"mission": mission, "sim": {"start": list(self.start)}}
 
 
@@ -115,10 +117,11 @@ def make_episode(
         instruction: see `Episode`.
         **more: other fields of `Episode`.
     """
+    # An empty `more` is left out, so that the ids of plain episodes stay as they were.
     content = [world, start, target, instruction, sensing, *([more] if more else [])]
-    code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
     what = one_line(target or instruction or "session", 40).replace(" ", "-")
-    id = f"{name}/{what}/{code}"
+    id = f"{name}/{what}/{digest}"
     return Episode(id, world, start, target, instruction, shortest_m, sensing, **more)
 
 
@@ -169,17 +172,17 @@ def plan(
         UserError: a world cannot be loaded, or no episode is possible.
     """
     episodes: list[Episode] = []
-    for where in world_setups(config, worlds):
+    for setup in world_setups(config, worlds):
         if not worlds:
-            return _in_world(where, targets, starts, seed, min_distance_m, strict=True)
-        labels = [o.label for o in where.world.objects]
+            return _plan_in_world(setup, targets, starts, seed, min_distance_m, strict=True)
+        labels = [o.label for o in setup.world.objects]
         present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
         try:
-            found = _in_world(where, present, starts, seed, min_distance_m, strict=False)
+            found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
         except WorldError as error:
             log.warning("evaluation goes on without this world: %s", error)
             continue
-        episodes += _draw(found, per_world, seed, where.world.name)
+        episodes += _draw(found, per_world, seed, setup.world.name)
     if targets and not episodes:
         raise UserError(
             f"no world has a start {min_distance_m:g} m or more of driving from one of the "
@@ -211,8 +214,8 @@ def plan_missions(
     """
     episodes: list[Episode] = []
     for place, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
-        own = seed + 1_000_000 * place  # other missions in each world
-        found = missions.plan_missions(world, targets, count, own, radius_m, min_distance_m)
+        world_seed = seed + 1_000_000 * place  # other missions in each world
+        found = missions.plan_missions(world, targets, count, world_seed, radius_m, min_distance_m)
         episodes += [
             make_episode(
                 section, world.name, item.start, item.shortest_m, sensing,
@@ -229,7 +232,14 @@ def plan_missions(
 
 
 class WorldSetup(NamedTuple):
-    """A loaded world, its section of the configuration, the sensing settings, the robot radius."""
+    """A loaded world, and settings for its episodes.
+
+    Attributes:
+        world: the world.
+        section: `sim.world` of the configuration.
+        sensing: see `Episode`.
+        radius_m: radius of the robot's footprint.
+    """
 
     world: World
     section: dict[str, Any]
@@ -243,14 +253,15 @@ def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[W
     if not worlds:
         section = config.sim.world.model_dump(mode="json")
         yield WorldSetup(load_world(config), section, sensing, radius_m)
-    for section in with_progress("worlds", worlds) if worlds else ():
+        return
+    for section in with_progress("worlds", worlds):
         data = merged(data_of(config), {"sim": {"world": section, "start": None}})
         world = world_list.load(parse(data, f"{config.path} with --worlds"))
         yield WorldSetup(world, section, sensing, radius_m)
 
 
-def _in_world(
-    where: WorldSetup,
+def _plan_in_world(
+    setup: WorldSetup,
     targets: Sequence[str],
     starts: int,
     seed: int,
@@ -258,11 +269,12 @@ def _in_world(
     strict: bool,
 ) -> list[Episode]:
     """Plan episodes in one world. With `strict`, every target must have `starts` starts."""
-    world, section, sensing, radius_m = where
+    world, section, sensing, radius_m = setup
     episodes: list[Episode] = []
     for k, target in enumerate(with_progress("targets", targets) if strict else targets):
-        wanted = objects_of(world, target)
-        field = geodesic.distance_field(world.plan, wanted, radius_m, REACHED_M)
+        objects = objects_of(world, target)
+        field = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
+        # Many poses are too near to the target. Each target has its own seed.
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []
         for pose in poses:

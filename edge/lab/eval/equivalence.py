@@ -1,4 +1,4 @@
-"""Language equivalence of two formulas, with a distinguishing trace if they differ."""
+"""Compares the languages of two formulas, and finds a trace on which they differ."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from edge.mission.logic.automaton import Automaton, compile_formula, shortest_tr
 from edge.mission.logic.ltl import Formula, postorder, weak_until
 
 Trace = tuple[str, ...]
+"""Propositions in the order in which they become true."""
 
 _compiled = lru_cache(maxsize=8192)(compile_formula)
 
@@ -50,8 +51,9 @@ def with_weak_untils(formula: Formula) -> Formula:
     return done[id(formula)]
 
 
-def _is_ban(f: Formula) -> bool:
-    return f.op == "!" and f.args[0].op == "ap"
+def _is_ban(formula: Formula) -> bool:
+    """Return True for `!x` of a proposition x."""
+    return formula.op == "!" and formula.args[0].op == "ap"
 
 
 def _accepting(automaton: Automaton, silent_end: bool) -> np.ndarray:
@@ -64,7 +66,7 @@ def _accepting(automaton: Automaton, silent_end: bool) -> np.ndarray:
         return automaton.accepting
     ends = np.arange(automaton.n_states)
     for _ in range(automaton.n_states):
-        after = automaton.delta[ends, -1]
+        after = automaton.delta[ends, -1]  # last column: nothing is reached
         if np.array_equal(after, ends):
             break
         ends = after

@@ -9,7 +9,8 @@ Each line of the file is a JSON object. `said` is the sentence, and `expect` is 
 - "ask": the service should ask what is meant;
 - "refuse".
 
-`also` lists other correct kinds. "ask" and "refuse" count as equal, because the robot does not move
+`meaning` has the meaning of a "learn" or "control" sentence in other words. `also` lists other
+correct kinds. "ask" and "refuse" count as equal, because the robot does not move
 in either case.
 """
 
@@ -66,11 +67,15 @@ _LEARN = (
     (r"zone", ("stay_inside",)),
     (r"remember|\b(?:name|call|mark|save|store|label|learn|place|room|is)\b", ("place", "room")),
 )  # fmt: skip
-"""Words of `meaning`, else of `said`, and the orders that they mean; the first match counts."""
+"""(pattern, orders `SiteOrder.do` that it means): `meaning` is searched first, then `said`.
+
+The first match counts.
+"""
 _CONTROL = {
     "pause": "stop|wait|pause|halt|hold", "resume": "go on|continue|resume",
     "cancel": "cancel|abort|give up",
 }  # fmt: skip
+"""`Control.do` → pattern that `meaning` must match."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +85,7 @@ class EverydayScore:
     Attributes:
         case: the line of the file.
         outcome: one of `OUTCOMES`.
-        got: what was made of it, in one line.
+        got: the formula, question or order that the sentence became, or the reason to refuse it.
     """
 
     case: dict[str, Any]
@@ -110,6 +115,7 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
 def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:
     """Understand one sentence as the running service does, and judge it."""
     accepted = {case["expect"], *case.get("also", ())}
+    # The outcome if the service asks or refuses.
     unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
     try:
         found = translate(MissionConfig(translator=translator), case["said"], SITE)
@@ -134,6 +140,7 @@ def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
 
 
 def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
+    """Return True if a question, an order or a control has the name and meaning of the case."""
     meaning, about = case.get("meaning", ""), _normalise(case.get("about", ""))
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
@@ -150,7 +157,7 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
         name = _normalise(said.name or "this room")
         return said.do in orders and name in (about, _normalise(f"{about} room"))
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
-    return _normalise(named) == about if named else about not in ("",) and said.topic != "where"
+    return _normalise(named) == about if named else about != "" and said.topic != "where"
 
 
 def _normalise(name: str) -> str:
@@ -165,6 +172,7 @@ def _normalise(name: str) -> str:
 
 
 def _seconds(case: dict[str, Any]) -> float:
+    """Return the expected time of a case [s]; 0.0 if it has none."""
     return float(60 * case.get("minutes", 0) + case.get("seconds", 0))
 
 
@@ -189,6 +197,7 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
         timeless = _without_waits(timeless)
     plain, _ = recurrence(plain, patrol_s != 0.0)
     stops = propositions(plain)
+    # Also right: no stop may be reached before the one that comes first.
     strict = conj(plain, *(weak_until(neg(ap(b)), ap(a)) for a, b in pairwise(stops) if a != b))
     return any(distinguishing_trace(timeless, right) is None for right in (plain, strict))
 

@@ -1,4 +1,4 @@
-"""Shortest driving distances on a simulated world's floor plan: the reference of SPL."""
+"""Computes shortest driving distances on a simulated world's floor plan, which SPL needs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def distance_field(
     """
     free = plan.clearance_m > robot_radius_m
     distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
-    while relax(free, distance):
+    while relax(free, distance):  # until nothing changes
         pass
     return distance * plan.grid.resolution_m
 
@@ -99,6 +99,7 @@ def relax(free, distance):
     """
     rows, cols = free.shape
     changed = False
+    # One sweep from the first cell to the last, then one back.
     for k in range(2 * rows):
         row = k if k < rows else 2 * rows - 1 - k
         for c in range(cols):

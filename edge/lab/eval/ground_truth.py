@@ -25,7 +25,8 @@ TRAIL_M = 0.25  # least distance between two points of the saved trail
 MIN_PX = 40  # pixels of an object from which it counts as seen
 CONFIRMED_STATES = ("confirmed", "reached")
 SAME_M = 0.5  # an instance within this distance of an object is that object
-STANDING_M, STANDING_S = 1.0, 60.0  # a robot that stays within this radius for this time is stuck
+STUCK_RADIUS_M = 1.0  # a robot that stays within this radius …
+STUCK_AFTER_S = 60.0  # … for this time is stuck
 
 
 class GroundTruth(NamedTuple):
@@ -35,8 +36,8 @@ class GroundTruth(NamedTuple):
         x_m: x of the robot in `map`.
         y_m: y of the robot in `map`.
         yaw_rad: its heading.
-        path_m: driven so far.
-        collisions: so far.
+        path_m: length of the path driven so far.
+        collisions: number of collisions so far.
         ids: (h, w) uint16 object ids of the picture, 0 = none.
     """
 
@@ -74,11 +75,11 @@ class GroundTruthLogger:
         fault: the first error in this sink. The service ignores errors of its sinks.
         now: the latest ground truth; None before the first.
         seconds: time of `now` since the first observation [s].
-        things: by target, the objects of the world.
+        objects: by target, the objects of the world.
         trail: [x, y] of the robot [m], `TRAIL_M` apart.
         goals: goals that the service sent.
         status: the newest status of the mission.
-        first_sights: by target, the first time that it was seen; without targets never seen.
+        first_sights: by target, the first time that it was seen; no entry if it never was.
         stops: for each `reached` report, the label and the true distance [m].
         confirmed: by target, the ids of instances that were confirmed correctly.
         false_confirmed: ids of instances that were confirmed but are not the target.
@@ -95,7 +96,8 @@ class GroundTruthLogger:
         keep_out_m: Sequence[np.ndarray] = (),
     ) -> None:
         self._world, self._truth = world, truth
-        visible_px(
+        # Compile now, not in a timed tick.
+        count_visible_px(
             np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), np.zeros(1, bool), 0.0
         )
         detector = config.perception.detector
@@ -106,7 +108,7 @@ class GroundTruthLogger:
         self.fault: Exception | None = None
         self.now: GroundTruth | None = None
         self.seconds = 0.0
-        self.things: dict[str, list[WorldObject]] = {}
+        self.objects: dict[str, list[WorldObject]] = {}
         self._target_masks: dict[str, np.ndarray] = {}
         self.trail: list[list[float]] = []
         self.goals: list[Goal] = []
@@ -117,10 +119,11 @@ class GroundTruthLogger:
         self.false_confirmed: set[int] = set()
         self.revisited_m2: float | None = None
         self.answers: dict[str, str] = {}
-        self._legs = RevisitCounter(config, world, self._range_m)
+        self._revisits = RevisitCounter(config, world, self._range_m)
         radius_m = config.robot.radius_m
         self._zones = ZoneEntryCounter(keep_out_m, radius_m) if len(keep_out_m) else None
         self._began_ns = 0
+        # Time [s] and place [m] at which the robot began to stay within STUCK_RADIUS_M.
         self._anchor = (0.0, 0.0, 0.0)
 
     def tick(self, result: TickResult) -> None:
@@ -144,17 +147,17 @@ class GroundTruthLogger:
             self._zones.update(truth.x_m, truth.y_m)
         self._record_sights(truth, observation.depth_m)
         if result.events:
-            self._judge_steps(result, truth)
+            self._judge_reports(result, truth)
         instances = result.instances()
         self._judge_instances(instances)
         if len(result.targets) > 1:
             self._add_revisits(result.status.target, instances, truth)
 
     def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
-        self.things = {target: named(self._world, target) for target in targets}
-        most = max((thing.id for thing in self._world.objects), default=0)
+        self.objects = {target: objects_meant_by(self._world, target) for target in targets}
+        max_id = max((item.id for item in self._world.objects), default=0)
         self._target_masks = {
-            target: mask_of(things, most) for target, things in self.things.items()
+            target: object_mask(objects, max_id) for target, objects in self.objects.items()
         }
         self.confirmed = {target: set() for target in targets}
         self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
@@ -166,19 +169,20 @@ class GroundTruthLogger:
         place = [round(truth.x_m, 3), round(truth.y_m, 3)]
         if not self.trail or math.dist(self.trail[-1], place) >= TRAIL_M:
             self.trail.append(place)
-        if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STANDING_M:
+        if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STUCK_RADIUS_M:
             self._anchor = (self.seconds, truth.x_m, truth.y_m)
 
     def _record_sights(self, truth: GroundTruth, depth_m: np.ndarray | None) -> None:
         for target, mask in self._target_masks.items():
-            if target in self.first_sights or depth_m is None or not len(self.things[target]):
+            if target in self.first_sights or depth_m is None or not len(self.objects[target]):
                 continue
-            if visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
+            if count_visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
                 self.first_sights[target] = FirstSight(self.seconds, truth.path_m)
 
-    def _judge_steps(self, result: TickResult, truth: GroundTruth) -> None:
-        steps = result.mission().log
-        reached = [s.label for s in steps if s.kind == "reached" and _is_thing(s.label)]
+    def _judge_reports(self, result: TickResult, truth: GroundTruth) -> None:
+        """Add to `stops` each object that the mission log newly reports as reached."""
+        events = result.mission().log
+        reached = [e.label for e in events if e.kind == "reached" and _is_object_name(e.label)]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
 
@@ -186,12 +190,12 @@ class GroundTruthLogger:
         for instance in instances:
             if instance.state not in CONFIRMED_STATES:
                 continue
-            known = self.confirmed.get(instance.label)
-            if known is None or instance.id in known or instance.id in self.false_confirmed:
+            right_ids = self.confirmed.get(instance.label)
+            if right_ids is None or instance.id in right_ids | self.false_confirmed:
                 continue
             x, y = instance.center_m[:2].tolist()
-            right = self.distance_to_target_m(instance.label, x, y) <= SAME_M
-            (known if right else self.false_confirmed).add(instance.id)
+            is_right = self.distance_to_target_m(instance.label, x, y) <= SAME_M
+            (right_ids if is_right else self.false_confirmed).add(instance.id)
 
     def _add_revisits(self, target: str, instances: Sequence[Instance], truth: GroundTruth) -> None:
         """Count revisited floor. A leg ends if the target changes or is reached."""
@@ -200,16 +204,16 @@ class GroundTruthLogger:
         ]
         where = truth.x_m, truth.y_m, truth.yaw_rad
         # The number of stops tells two legs with the same target apart.
-        turn, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
-        self._legs.update(turn, target, known_xy_m, *where)
-        self.revisited_m2 = self._legs.revisited_m2
+        leg, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
+        self._revisits.update(leg, target, known_xy_m, *where)
+        self.revisited_m2 = self._revisits.revisited_m2
 
     # -- the outcome ------------------------------------------------------------------------------
 
     def distance_to_target_m(self, target: str, x_m: float, y_m: float) -> float:
         """Return the distance to the nearest footprint of a target; inf if there is none."""
-        things = self.things.get(target, [])
-        return min((thing.distance_m(x_m, y_m) for thing in things), default=math.inf)
+        objects = self.objects.get(target, [])
+        return min((item.distance_m(x_m, y_m) for item in objects), default=math.inf)
 
     @property
     def wrong_stops(self) -> list[tuple[str, float]]:
@@ -223,7 +227,7 @@ class GroundTruthLogger:
 
     @property
     def stuck_s(self) -> float:
-        """Time for which the robot has stayed within `STANDING_M` [s]."""
+        """Time for which the robot has stayed within `STUCK_RADIUS_M` [s]."""
         return self.seconds - self._anchor[0]
 
     def first_sight(self) -> FirstSight | None:
@@ -252,7 +256,7 @@ class GroundTruthLogger:
         over_budget = (
             self.status is None or not self.status.done or "limit of" in self.status.reason
         )
-        if self.stuck_s >= STANDING_S:
+        if self.stuck_s >= STUCK_AFTER_S:
             return "stuck"
         if pursued in self.first_sights and not self.confirmed.get(pursued):
             return "seen, not confirmed"
@@ -261,31 +265,32 @@ class GroundTruthLogger:
         return "never seen" if pursued not in self.first_sights else "stuck"
 
 
-def _is_thing(label: str) -> bool:
-    """Return True if the label is a thing to search for, not a destination such as `explored`."""
+def _is_object_name(label: str) -> bool:
+    """Return True if the label is an object to search for, not a destination such as `explored`."""
     return destination_of(label, Site()) is None
 
 
-def named(world: World, target: str) -> list[WorldObject]:
+def objects_meant_by(world: World, target: str) -> list[WorldObject]:
     """Return the world's objects that a target means: those of its name, else of its noun."""
     exact = [item for item in world.objects if names.same_name(item.label, target)]
     return exact or [item for item in world.objects if names.same_name(item.label, _noun(target))]
 
 
 def _noun(target: str) -> str:
+    """Return the first known head noun of a target's name, else the name itself."""
     known = (noun for noun in names.head_nouns(target) if names.is_known(noun))
     return next(known, target)
 
 
-def mask_of(things: Sequence[WorldObject], most: int) -> np.ndarray:
-    """Return (most + 1,) bool by object id: True for these objects."""
-    mask = np.zeros(most + 1, np.bool_)
-    mask[[thing.id for thing in things]] = True
+def object_mask(objects: Sequence[WorldObject], max_id: int) -> np.ndarray:
+    """Return (max_id + 1,) bool by object id: True for these objects."""
+    mask = np.zeros(max_id + 1, np.bool_)
+    mask[[item.id for item in objects]] = True
     return mask
 
 
 @jit
-def visible_px(ids: np.ndarray, depth_m: np.ndarray, mask: np.ndarray, range_m: float) -> int:
+def count_visible_px(ids: np.ndarray, depth_m: np.ndarray, mask: np.ndarray, range_m: float) -> int:
     """Count the pixels that show one of the objects within a range.
 
     Args:

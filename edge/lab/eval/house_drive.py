@@ -1,9 +1,13 @@
-"""A seeded drive through the built-in house, as the messages of the robot's sensors."""
+"""A seeded drive through the built-in house, as the messages of the robot's sensors.
+
+`edge bench` records one and replays it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 
@@ -15,8 +19,9 @@ from edge.lab.sim.robot import DriveTrain, MotionState
 from edge.lab.sim.sensors import CameraRig, odometry_message
 from edge.lab.sim.worlds import load_world
 
-_START_NS = 1_000_000_000
-_STOPS = 40  # random poses to drive to
+_START_NS = 1_000_000_000  # stamp of the first message
+_MARGIN_M = 0.3  # free space around the robot at a pose to drive to
+_STOPS = 40  # number of random poses to drive to
 
 
 def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
@@ -46,16 +51,19 @@ def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, by
 
 
 def _drive(config: Config, world: World, seconds: float) -> Iterator[MotionState]:
-    """Yield the robot's motion at the odometry's rate, from stop to stop on the true map."""
+    """Yield the robot's motion at the odometry's rate.
+
+    It drives from one random pose to the next, on the true map. A long drive repeats the poses.
+    """
     train = DriveTrain(config.robot, config.sim, world, world.start, _START_NS)
     controller = Controller(config)
     plan = world.plan
     inflated = plan.clearance_m <= config.robot.radius_m
     controller.on_map(replace(plan.grid, cells=np.where(inflated, np.int8(100), np.int8(0))))
-    stops = iter(free_poses(world, _STOPS, config.sim.seed, config.robot.radius_m, 0.3))
+    stops = cycle(free_poses(world, _STOPS, config.sim.seed, config.robot.radius_m, _MARGIN_M))
     dt_s = 1.0 / config.sensors.odometry_hz
     goal_id = 0
-    arrived = True
+    arrived = True  # or gave up: drive to the next pose
     while train.motion.stamp_ns < _START_NS + int(seconds * 1e9):
         now_ns = train.motion.stamp_ns
         if arrived:

@@ -1,4 +1,4 @@
-"""Confidence intervals at 95 %.
+"""Confidence intervals at 95 % of the figures of an evaluation.
 
 Wilson's interval and Student's quantiles come from SciPy. SciPy's bootstrap cannot resample
 clusters of ratios, so the bootstrap is here.
@@ -43,7 +43,7 @@ def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     """Return a ratio of sums over independent pairs, with its interval by the delta method.
 
     Args:
-        numerators: (n,), one a task.
+        numerators: (n,), one value per task.
         denominators: (n,), of the same tasks. Pairing matters: the effect of a task's difficulty on
             both cancels out.
     """
@@ -73,7 +73,7 @@ def bootstrap(
     a few clusters. All rows use the same resamples.
 
     Args:
-        numerators: (k, n) float64, one row a ratio.
+        numerators: (k, n) float64, one row per ratio.
         denominators: (k, n) float64. An entry that does not count is 0 in both arrays.
         cluster: (n,) int from 0; entries that are not independent have the same number.
         resamples: number of resamples.
@@ -113,6 +113,7 @@ def _resampled_ratios(sums: np.ndarray, k: int, resamples: int, seed: int) -> np
 
 
 def _expanded_percentiles(value: float, draws: np.ndarray, clusters: int) -> Interval:
+    """Return a value with the bounds from its resampled values, widened for few clusters."""
     value = float(value)
     draws = draws[np.isfinite(draws)] if clusters > 1 else draws[:0]
     if not math.isfinite(value) or not len(draws):

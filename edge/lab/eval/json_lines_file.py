@@ -1,4 +1,4 @@
-"""A file of JSON lines that grows during a run, by whole lines."""
+"""A file of JSON lines to which an evaluation appends its results as they come."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ T = TypeVar("T")
 
 
 class JsonLinesFile(Generic[T]):
-    """JSON lines file: reads what is there, then appends. A last line without its end is removed.
+    """JSON lines file: reads the lines that are there, then appends.
+
+    A last line without its end is removed.
 
     Args:
         path: the file; its folder is made if it is missing.
-        parse: makes an item of a line's object; raises KeyError, TypeError or ValueError if it
-            cannot.
+        parse: makes an item from a line's JSON object; raises KeyError, TypeError or ValueError if
+            it cannot.
         what: name of an item with its article, for messages.
         max_bytes: size limit of the file.
 
@@ -38,15 +40,15 @@ class JsonLinesFile(Generic[T]):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             content = read_regular(path, max_bytes) if path.exists() else b""
-            whole = content[: content.rfind(b"\n") + 1]
-            if len(whole) < len(content):  # a run was interrupted during a write
-                path.write_bytes(whole)
+            complete = content[: content.rfind(b"\n") + 1]
+            if len(complete) < len(content):  # a run was interrupted during a write
+                path.write_bytes(complete)
         except OSError as error:
             raise FileError(
                 f"{path}: cannot be used: {error.strerror or error}; choose another --out"
             ) from None
         self.found: list[T] = []
-        for number, text in enumerate(whole.splitlines(), start=1):
+        for number, text in enumerate(complete.splitlines(), start=1):
             try:
                 self.found.append(parse(read_json_object(text)))
             except (KeyError, TypeError, ValueError) as error:

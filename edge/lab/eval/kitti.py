@@ -1,4 +1,4 @@
-"""Frames of SemanticKITTI (Behley et al., ICCV 2019), the paper's outdoor scenes (OpenNav IV).
+"""Reads frames of SemanticKITTI (Behley et al., ICCV 2019), OpenNav's outdoor scenes (section IV).
 
 A folder is one sequence in the layout of KITTI's odometry benchmark: `image_2/`, `velodyne/`,
 `labels/`, `calib.txt`, `poses.txt`, `times.txt`, and `Tr_velo_to_cam0.txt` if `calib.txt` has no
@@ -34,13 +34,14 @@ CAR_RADIUS_M = 1.0
 GROUND = {40: "road", 60: "road", 44: "parking", 48: "sidewalk", 49: "ground", 72: "terrain"}
 """Label → kind of ground. 49 is "other-ground", 60 lane markings; terrain may be grass."""
 GROUND_LABELS = tuple(dict.fromkeys(GROUND.values()))
-THINGS = {
+OBJECT_NAMES = {
     10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "train", 18: "truck",
     20: "vehicle", 30: "person", 31: "cyclist", 32: "motorcyclist", 50: "building", 51: "fence",
     52: "structure", 70: "bush", 71: "tree trunk", 80: "pole", 81: "traffic sign", 99: "object",
     252: "car", 253: "cyclist", 254: "person", 255: "motorcyclist", 256: "train", 257: "bus",
     258: "truck", 259: "vehicle",
 }  # fmt: skip
+"""Label → name of its objects."""
 MOVING = 250
 """First label of moving objects."""
 PLANT, TRUNK, TREE_M = 70, 71, 3.0
@@ -51,12 +52,12 @@ REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
 Other labels have `REACH_ELSE_M`.
 """
 REACH_ELSE_M = 0.6
-LEAST_POINTS = 12
-LEAST_PX = 6
-"""An object with fewer points, or a smaller side in the picture, is ignored."""
+MIN_POINTS = 12
+MIN_PX = 6
+"""An object with fewer points, or with a smaller side in the picture, is ignored."""
 _SKEW = 0.01
 """Tolerance for rounded numbers of a rotation."""
-_DOTS_PX = 5, 9
+_GAP_PX = 5, 9
 """Width and height of the gaps between returns of one surface in the picture, across scan lines."""
 
 
@@ -93,7 +94,9 @@ def frames_in(folder: Path, labelled: bool = True) -> list[int]:
     Raises:
         KittiError: there are none.
     """
-    kinds = (("image_2", "png"), ("velodyne", "bin"), ("labels", "label"))[: 2 + labelled]
+    kinds = [("image_2", "png"), ("velodyne", "bin")]
+    if labelled:
+        kinds.append(("labels", "label"))
     found = [
         {int(path.stem) for path in (folder / kind).glob(f"*.{ext}") if path.stem.isdigit()}
         for kind, ext in kinds
@@ -146,8 +149,8 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
             f"{folder}: frame {number}: {len(scan)} points but {len(label)} labels; fetch both "
             "files again"
         )
-    fine = plausible_points(scan[:, :3])
-    scan, label = scan[fine], label[fine]
+    plausible = plausible_points(scan[:, :3])
+    scan, label = scan[plausible], label[plausible]
     P2 = calibration["P2"]
     height, width = bgr.shape[:2]
     try:
@@ -174,17 +177,18 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         cloud_m=np.ascontiguousarray(scan[:, :3]),
         T_base_lidar=T_base_velo,
     )
+    # The lower half of a label is the class, the upper half the instance.
     return KittiFrame(
         observation, (label & 0xFFFF).astype(np.uint16), (label >> 16).astype(np.uint16)
     )
 
 
-def things_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
+def objects_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
     """Return each labelled object: its name and its points, as indices into the cloud."""
     cloud = frame.observation.cloud_m
     trunks = cloud[frame.semantic == TRUNK]
     found = []
-    for label, name in THINGS.items():
+    for label, name in OBJECT_NAMES.items():
         for instance in np.unique(frame.instance[frame.semantic == label]):
             labelled = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
             reach_m = REACH_M.get(label, REACH_ELSE_M)
@@ -193,17 +197,18 @@ def things_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
             )
             for group in groups:
                 points = labelled[group]
-                if len(points) < LEAST_POINTS:
+                if len(points) < MIN_POINTS:
                     continue
-                tree = label == PLANT and _is_tree(cloud[points], trunks)
-                found.append(("tree" if tree else name, points))
+                is_tree = label == PLANT and _is_tree(cloud[points], trunks)
+                found.append(("tree" if is_tree else name, points))
     return found
 
 
 def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
-    high = float(np.ptp(plant_m[:, 2])) >= TREE_M
+    """Return True if vegetation is high, or over a trunk."""
+    is_high = float(np.ptp(plant_m[:, 2])) >= TREE_M
     flat = np.array([1.0, 1.0, 0.0], np.float32)
-    return high or overlap_share(downsample(trunks_m) * flat, downsample(plant_m) * flat) > 0.0
+    return is_high or overlap_share(downsample(trunks_m) * flat, downsample(plant_m) * flat) > 0.0
 
 
 def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
@@ -212,7 +217,7 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     Their height over the nearest ground is within the obstacle limits of `OUTDOORS`. Moving objects
     are skipped: another frame shows them elsewhere.
     """
-    things = np.isin(np.arange(1 << 16), [label for label in THINGS if label < MOVING])
+    is_solid = np.isin(np.arange(1 << 16), [label for label in OBJECT_NAMES if label < MOVING])
     ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
     for frame in frames:
         seen = frame.observation
@@ -221,7 +226,7 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
         ground.append(
             downsample(points_m[frame.ground_kind > 0].astype(np.float32)).astype(np.float64)
         )
-        solid.append(points_m[things[frame.semantic]])
+        solid.append(points_m[is_solid[frame.semantic]])
     floor_m, found_m = np.concatenate(ground), np.concatenate(solid)
     if not len(floor_m):
         return found_m[:, :2]
@@ -238,12 +243,13 @@ def label_pipeline(frames: Sequence[KittiFrame]) -> PerceptionPipeline:
     def boxes(observation: Observation, tags: Sequence[str]) -> Detections:
         return true_boxes(by_seq[observation.seq])
 
-    words = tuple(dict.fromkeys((*THINGS.values(), "tree")))
+    # The boxes come with masks, so the last step changes nothing.
+    words = tuple(dict.fromkeys((*OBJECT_NAMES.values(), "tree")))
     return PerceptionPipeline(lambda observation: words, boxes, lambda found: found)
 
 
-def things_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
-    """Return the objects of `things_in` that are in the picture."""
+def objects_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
+    """Return the objects of `objects_in` that are in the picture."""
     return [(name, points) for name, points, _, _ in _in_picture(frame)]
 
 
@@ -251,24 +257,24 @@ def _in_picture(frame: KittiFrame) -> Iterator[tuple[str, np.ndarray, np.ndarray
     """Yield (name, points, (k, 2) pixels of the points in the picture, their bounding box)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
-    at_px, shown = in_picture(seen.cloud_m, T, seen.camera)
-    for name, points in things_in(frame):
-        dots = at_px[points[shown[points]]]
-        if len(dots) < LEAST_POINTS:
+    at_px, shown = in_picture(seen.cloud_m, T, seen.camera)  # pixel of each point; bool
+    for name, points in objects_in(frame):
+        pixels = at_px[points[shown[points]]]
+        if len(pixels) < MIN_POINTS:
             continue
-        box = np.concatenate((np.floor(dots.min(axis=0)), np.ceil(dots.max(axis=0) + 1e-3)))
-        if min(box[2:] - box[:2]) >= LEAST_PX:
-            yield name, points, dots, box
+        box = np.concatenate((np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0) + 1e-3)))
+        if min(box[2:] - box[:2]) >= MIN_PX:
+            yield name, points, pixels, box
 
 
 def true_boxes(frame: KittiFrame) -> Detections:
     """Return the labelled objects in the picture as detections, with masks from their returns."""
     seen = frame.observation
     boxes, names, masks = [], [], []
-    for name, _, dots, box in _in_picture(frame):
+    for name, _, pixels, box in _in_picture(frame):
         boxes.append(box)
         names.append(name)
-        masks.append(_mask(dots, box))
+        masks.append(_mask(pixels, box))
     prompts = tuple(dict.fromkeys(names))
     n = len(boxes)
     return Detections(
@@ -281,7 +287,7 @@ def true_boxes(frame: KittiFrame) -> Detections:
 def kitti_scene(
     folder: Path,
     numbers: Sequence[int],
-    chain: PerceptionPipeline | None = None,
+    pipeline: PerceptionPipeline | None = None,
     by_labels: bool = True,
 ) -> Scene:
     """Build the scene of some frames of a sequence, at the time of the last.
@@ -289,7 +295,7 @@ def kitti_scene(
     Args:
         folder: of the sequence.
         numbers: of the frames.
-        chain: finds the objects; None: take them from the labels (`label_pipeline`).
+        pipeline: finds the objects; None: take them from the labels (`label_pipeline`).
         by_labels: True: regions by the labels' kinds of ground; False: regions that are flat and
             connected.
 
@@ -297,7 +303,7 @@ def kitti_scene(
         KittiError: see `read_frame`; or `numbers` is empty.
     """
     frames = read_frames(folder, numbers)
-    return scene_of(frames, chain or label_pipeline(frames), CAR_RADIUS_M, by_labels)
+    return scene_of(frames, pipeline or label_pipeline(frames), CAR_RADIUS_M, by_labels)
 
 
 def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
@@ -313,31 +319,35 @@ def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> 
 
 
 def scene_of(
-    frames: Sequence[KittiFrame], chain: PerceptionPipeline, radius_m: float, by_labels: bool = True
+    frames: Sequence[KittiFrame],
+    pipeline: PerceptionPipeline,
+    radius_m: float,
+    by_labels: bool = True,
 ) -> Scene:
     """Build the scene of some frames, at the time of the last.
 
     Args:
         frames: the frames.
-        chain: finds the objects.
+        pipeline: finds the objects.
         radius_m: radius of the robot that drives there; see `SceneBuilder`.
         by_labels: see `kitti_scene`.
     """
-    builder = SceneBuilder(chain, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
+    builder = SceneBuilder(pipeline, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         builder.add(frame.observation, frame.ground_kind if by_labels else None)
     return builder.scene()
 
 
-def _mask(dots: np.ndarray, box: np.ndarray) -> np.ndarray:
+def _mask(pixels: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return (MASK_SIDE, MASK_SIDE) bool: the area between an object's returns in its box."""
     width, height = (box[2:] - box[:2]).astype(int)
     picture = np.zeros((height, width), np.uint8)
-    x, y = (dots - box[:2]).astype(int).T
+    x, y = (pixels - box[:2]).astype(int).T
     picture[y, x] = 255
-    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones(_DOTS_PX[::-1], np.uint8))
+    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones(_GAP_PX[::-1], np.uint8))
     small = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_AREA)
     enlarged = cv2.resize(closed, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_NEAREST)
+    # At least 38 % (96 of 255) of a cell must be covered.
     return (small if width * height > MASK_SIDE**2 else enlarged) >= 96
 
 
@@ -360,6 +370,7 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
 
 
 def _bytes(path: Path) -> bytes:
+    """Read a file of the sequence."""
     try:
         return read_regular(path)
     except OSError as error:
@@ -370,6 +381,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _array(path: Path, dtype: type, columns: int) -> np.ndarray:
+    """Read a binary file of rows with `columns` values each; return all values, flat."""
     data = _bytes(path)
     if len(data) % (columns * np.dtype(dtype).itemsize):
         raise KittiError(

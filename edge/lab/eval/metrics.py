@@ -1,4 +1,4 @@
-"""Navigation metrics of an episode. The figure of an arm is their mean."""
+"""Navigation metrics SPL and soft SPL of an episode. An arm's figure is the mean over episodes."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def efficiency(shortest_m: np.ndarray, path_m: np.ndarray) -> np.ndarray:
     return _share(shortest_m, np.maximum(path_m, shortest_m), 1.0)
 
 
-def _share(part: np.ndarray, whole: np.ndarray, of_nothing: float) -> np.ndarray:
-    """Return part / whole. 0 / 0 gives `of_nothing`, any other division by 0 gives inf."""
+def _share(part: np.ndarray, whole: np.ndarray, if_both_0: float) -> np.ndarray:
+    """Return part / whole. 0 / 0 gives `if_both_0`, any other division by 0 gives inf."""
     part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
     with np.errstate(all="ignore"):
-        return np.where((whole == 0.0) & (part == 0.0), of_nothing, part / whole)
+        return np.where((whole == 0.0) & (part == 0.0), if_both_0, part / whole)

@@ -1,4 +1,4 @@
-"""Missions with several targets in a world, and the shortest path of each (ViTL V-D).
+"""Plans missions with several targets in a world, and the shortest path of each (ViTL V-D).
 
 Sentences and formulas are those of the task-level benchmark, for the objects of the world. The
 shortest path is exact: over every order that satisfies the formula, and over every place where an
@@ -19,7 +19,7 @@ from edge import names
 from edge.lab.eval import geodesic
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.planning.delexicalised import compiled
-from edge.lab.eval.planning.templates import Family, draws, formula_of, sentence_of, worth_doing
+from edge.lab.eval.planning.templates import Family, draws, formula_of, is_open_task, sentence_of
 from edge.lab.sim.base import World, free_poses
 from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.logic.ltl import Formula
@@ -34,7 +34,7 @@ FAMILIES = (
     Family("branches", 0.15, branches=(2, 2), length=(1, 2)),
     Family("any-order-until", 0.1, any_order=True, untils=(1, 1)),
 )
-_MOST_DRAWS = 10_000  # templates to draw for the missions of a world
+_MAX_DRAWS = 10_000  # templates to draw for the missions of a world
 _POSES = 20  # starts to try for a mission
 
 
@@ -80,10 +80,11 @@ def plan_missions(
         different objects.
     """
     fields = MissionCostFields(world, robot_radius_m)
-    here = [target for target in targets if fields.has(target)]
+    present = [target for target in targets if fields.has(target)]
     found: list[PlannedMission] = []
-    for k, mission in enumerate(draw_missions(here, count, seed)):
+    for k, mission in enumerate(draw_missions(present, count, seed)):
         field = fields.cost_to_go_m(compiled(mission.formula))
+        # Each mission has its own seed.
         for pose in free_poses(world, _POSES, seed + 1000 * k, robot_radius_m):
             shortest_m = geodesic.value_at(world.plan, field, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf:
@@ -95,27 +96,35 @@ def plan_missions(
 
 def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[GeneratedMission]:
     """Draw satisfiable missions with different formulas for these targets, at most `count`."""
-    things = sorted({names.canonical(target) for target in targets})
-    if len(things) < TARGETS[0]:
+    objects_here = sorted({names.canonical(target) for target in targets})
+    if len(objects_here) < TARGETS[0]:
         return []
     missions: dict[Formula, GeneratedMission] = {}
     rng = random.Random(seed)
-    drawn = draws(rng, FAMILIES, things)
-    for (family, template, objects), _ in zip(drawn, range(_MOST_DRAWS), strict=False):
+    drawn = draws(rng, FAMILIES, objects_here)
+    for (family, template, objects), _ in zip(drawn, range(_MAX_DRAWS), strict=False):
         if len(missions) == count:
             break
         used = template.placeholders
         if not TARGETS[0] <= len(used) <= TARGETS[1] or max(used) >= len(objects):
-            continue
+            continue  # too few or too many objects, or a placeholder without an object
         formula = formula_of(template, objects)
-        if formula not in missions and worth_doing(formula):
+        if formula not in missions and is_open_task(formula):
             sentence = sentence_of(template, objects)
             missions[formula] = GeneratedMission(family.name, sentence, formula)
     return list(missions.values())
 
 
 class MissionCostFields:
-    """Cost-to-go fields of the missions in a world."""
+    """Cost-to-go fields of the missions in a world.
+
+    Args:
+        world: the world.
+        robot_radius_m: radius of the robot's footprint.
+
+    Attributes:
+        plan: floor plan of the world.
+    """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world = world
@@ -139,8 +148,8 @@ class MissionCostFields:
     def near(self, target: str) -> np.ndarray:
         """Return (rows, columns) bool: True where this object counts as reached."""
         if target not in self._near:
-            things = [o for o in self._world.objects if names.same_name(o.label, target)]
-            near = geodesic.near(self._world.plan, things, self._radius_m, REACHED_M)
+            objects = [o for o in self._world.objects if names.same_name(o.label, target)]
+            near = geodesic.near(self._world.plan, objects, self._radius_m, REACHED_M)
             self._near[target] = near & self._reachable
         return self._near[target]
 
@@ -178,6 +187,7 @@ def cost_to_go_cells(
     Returns:
         (rows, columns) float64 in cells; inf if there is no path.
     """
+    # By state: the distance that is left, and the edges into the state (state before, proposition).
     left = {s: np.full(free.shape, np.inf) for s in range(automaton.n_states)}
     before: dict[int, list[tuple[int, str]]] = {s: [] for s in left}
     for s in left:
@@ -187,6 +197,7 @@ def cost_to_go_cells(
     queue = deque(s for s in left if automaton.accepting[s])
     for s in queue:
         left[s][free] = 0.0
+    # Propagate backwards from the accepting states, until no distance becomes shorter.
     while queue:
         after = queue.popleft()
         for s, letter in before[after]:

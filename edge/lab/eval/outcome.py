@@ -1,4 +1,4 @@
-"""The outcome of an episode, as a line of `outcomes.jsonl`."""
+"""The outcome of an episode with one arm, and the file of outcomes, `outcomes.jsonl`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from edge.lab.eval.columns import ExperimentArm
+from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.json_lines_file import JsonLinesFile
 from edge.text import one_line
 
-NAME = "outcomes.jsonl"
+OUTCOMES_NAME = "outcomes.jsonl"
 MAX_BYTES = 1 << 30
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
 FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
+"""Kinds of failure; see `edge.lab.eval.ground_truth.GroundTruthLogger.failure`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +55,8 @@ class EpisodeOutcome:
         goals: number of goals sent.
         tick_ms: p50, p95 and max of the tick.
         score_ms: p95 of the stage that scores the candidates.
-        trail: [x, y] every 0.25 m.
-        goal_xy: [x, y, kind] of every goal.
+        trail: [x, y] of the robot every 0.25 m, in metres.
+        goal_xy: [x, y, kind of candidate] of every goal, in metres.
         goal: number of the goal in its session, from 1; None if the episode is no session.
         ways: see `Episode.ways`.
         zone_entries: number of times that the robot's footprint entered a keep-out zone; None
@@ -103,32 +104,32 @@ class EpisodeOutcome:
 
 
 def crashed_outcomes(
-    column: ExperimentArm, episode: Episode, why: str, done: int = 0
+    arm: ExperimentArm, episode: Episode, why: str, done: int = 0
 ) -> list[EpisodeOutcome]:
-    """Build the outcomes of an episode that could not be run to its end: one for each part.
+    """Build the outcomes of the parts of an episode that could not be run to their end.
 
     Args:
-        column: the arm.
+        arm: the arm.
         episode: the episode.
         why: the reason.
-        done: number of parts that were finished before.
+        done: number of parts that were finished before the error.
     """
-    whole = crashed_outcome(column, episode, why)
+    crashed = crashed_outcome(arm, episode, why)
     if not episode.goals:
-        return [whole]
+        return [crashed]
     parts = list(enumerate(zip(episode.parts, episode.goals, strict=True), start=1))
-    return [replace(whole, episode=id, target=goal, goal=k) for k, (id, goal) in parts[done:]]
+    return [replace(crashed, episode=id, target=goal, goal=k) for k, (id, goal) in parts[done:]]
 
 
 def crashed_outcome(
-    column: ExperimentArm, episode: Episode, why: str, wall_s: float = 0.0
+    arm: ExperimentArm, episode: Episode, why: str, wall_s: float = 0.0
 ) -> EpisodeOutcome:
     """Build the outcome of an episode that could not be run to its end."""
     world = str(
         episode.world.get("name") or episode.world.get("house") or episode.world.get("mesh")
     )
     return EpisodeOutcome(
-        episode.id, column.name, column.id, world, str(episode.world.get("kind")), episode.target,
+        episode.id, arm.name, arm.id, world, str(episode.world.get("kind")), episode.target,
         episode.instruction, episode.start, episode.shortest_m, False, f"crashed: {one_line(why)}",
         "crashed", wall_s=wall_s,
     )  # fmt: skip
@@ -140,6 +141,7 @@ def to_json_line(outcome: EpisodeOutcome) -> bytes:
 
 
 def _finite(value: Any) -> Any:
+    """Return JSON data with floats rounded to 4 digits, and null in place of inf and NaN."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -165,7 +167,10 @@ class OutcomeFile:
 
     def __init__(self, folder: Path) -> None:
         self._file = JsonLinesFile(
-            folder / NAME, lambda data: EpisodeOutcome(**_fields_of(data)), "an outcome", MAX_BYTES
+            folder / OUTCOMES_NAME,
+            lambda data: EpisodeOutcome(**_fields_of(data)),
+            "an outcome",
+            MAX_BYTES,
         )
         self.known = {outcome.key: outcome for outcome in self._file.found}
 

@@ -1,4 +1,4 @@
-"""Questions to the memory after exploring: "where is the …?" for what is really there."""
+"""Evaluates the answers to "where is the …?", for objects of a house that was just explored."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edge.bus.verbs import Request
 from edge.config import Config
 from edge.errors import UserError
 from edge.lab.eval.episodes import Episode, make_episode, world_setups
-from edge.lab.eval.ground_truth import named
+from edge.lab.eval.ground_truth import objects_meant_by
 from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.rooms import RoomVerdict, judge_rooms, true_room_at
 from edge.lab.sim.base import World, WorldError, free_poses
@@ -19,7 +19,7 @@ from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service
 
 log = logging.getLogger("edge.lab.eval.questions")
-PLACE_M = 1.0  # largest error of a right place
+MAX_ERROR_M = 1.0  # of the place in a right answer
 # Verdicts on an answer.
 RIGHT, NOT_SEEN = "right", "not seen"
 WRONG_PLACE, WRONG_ROOM = "wrong place", "wrong room"
@@ -65,13 +65,13 @@ def answers_of(service: Service, world: World, asks: Sequence[str], now_ns: int)
     """Ask a service for objects, and judge the first place of each answer, and its room.
 
     Returns:
-        By name: `RIGHT`; `WRONG_PLACE` if the place is over `PLACE_M` from the footprints of such
-        objects; `WRONG_ROOM` if the answer does not name the kind of the true room, or names
+        By name: `RIGHT`; `WRONG_PLACE` if the place is over `MAX_ERROR_M` from the footprints of
+        such objects; `WRONG_ROOM` if the answer does not name the kind of the true room, or names
         a kind that is not there; `NOT_SEEN` if the answer has no place. Rooms are judged in
         worlds that have their kinds.
     """
     rooms = judge_rooms(world, service.map.rooms) if asks and world.room_kinds else []
-    judged = {room.id: room for room in rooms}
+    judged = {room.id: room for room in rooms}  # by id of the mapped room
     return {name: _verdict(service, world, name, now_ns, judged) for name in asks}
 
 
@@ -82,8 +82,8 @@ def _verdict(
     if not objects:
         return NOT_SEEN
     x_m, y_m = objects[0]["xyz"][:2]
-    item = min(named(world, name), key=lambda obj: obj.distance_m(x_m, y_m))
-    if item.distance_m(x_m, y_m) > PLACE_M:
+    item = min(objects_meant_by(world, name), key=lambda obj: obj.distance_m(x_m, y_m))
+    if item.distance_m(x_m, y_m) > MAX_ERROR_M:
         return WRONG_PLACE
     at = int(true_room_at(world, np.array([item.center_m[:2]]))[0])
     if at < 0 or not world.room_kinds:

@@ -1,4 +1,4 @@
-"""Floor that a mission's searches see twice, by ground truth.
+"""Measures the floor that a mission's searches see twice, by ground truth.
 
 A leg is the pursuit of one target. The robot searches until it knows the target's place. Floor that
 it sees during a search counts as revisited if an earlier leg had seen it.
@@ -16,10 +16,10 @@ from edge.config import Config
 from edge.jit import jit
 from edge.lab.sim.base import FloorPlan, World
 
-PLACE_M = 0.1  # side of a cell
+CELL_M = 0.1  # side of a cell
 SAME_M = 0.5  # a known place within this distance of an object is that of the object
 NEW, BEFORE, NOW = 0, 1, 2
-"""Bits of a cell: never seen; seen before this leg; seen in this leg."""
+"""Bits of a cell: seen before this leg; seen in this leg. NEW has no bit set: never seen."""
 
 
 class RevisitCounter:
@@ -43,35 +43,35 @@ class RevisitCounter:
         self._is_place_known = False
 
     def update(
-        self, turn: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
+        self, leg: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
         yaw_rad: float,
     ) -> None:  # fmt: skip
         """Add one instant.
 
         Args:
-            turn: differs in every leg, such as `MissionRun.retargets`.
+            leg: differs in every leg, such as `MissionRun.retargets`.
             target: of the leg.
             known_xy_m: (n, 2) places of the target by the robot's map.
             x_m: x of the robot.
             y_m: y of the robot.
             yaw_rad: viewing direction of the camera.
         """
-        if turn != self._leg:
-            self._leg, self._is_place_known = turn, False
-            self._floor.begin()
-        _, again_m2 = self._floor.look(x_m, y_m, yaw_rad)
-        self._is_place_known = self._is_place_known or self._is_there(target, known_xy_m)
+        if leg != self._leg:
+            self._leg, self._is_place_known = leg, False
+            self._floor.begin_leg()
+        _, again_m2 = self._floor.add_view(x_m, y_m, yaw_rad)
+        self._is_place_known = self._is_place_known or self._is_target_at(target, known_xy_m)
         if not self._is_place_known:
             self.revisited_m2 += again_m2
 
-    def _is_there(self, target: str, known_xy_m: np.ndarray) -> bool:
+    def _is_target_at(self, target: str, known_xy_m: np.ndarray) -> bool:
         """Return True if an object with this name stands at one of the known places."""
-        things = [o for o in self._world.objects if names.same_name(o.label, target)]
-        return any(o.distance_m(*xy) <= SAME_M for o in things for xy in known_xy_m.tolist())
+        objects = [o for o in self._world.objects if names.same_name(o.label, target)]
+        return any(o.distance_m(*xy) <= SAME_M for o in objects for xy in known_xy_m.tolist())
 
 
 class SeenFloor:
-    """Floor that a camera has shown, as a raster with cells of 0.1 m.
+    """Floor that a camera has shown, as a raster with cells of about `CELL_M`.
 
     Args:
         plan: its occupied cells block the view.
@@ -81,42 +81,42 @@ class SeenFloor:
 
     def __init__(self, plan: FloorPlan, hfov_rad: float, range_m: float) -> None:
         grid = plan.grid
-        self._factor = max(1, round(PLACE_M / grid.resolution_m))
-        rows, cols = (-(-n // self._factor) for n in grid.cells.shape)
-        whole = np.zeros((rows * self._factor, cols * self._factor), np.uint8)
-        whole[: grid.cells.shape[0], : grid.cells.shape[1]] = grid.cells
-        blocks = whole.reshape(rows, self._factor, cols, self._factor)
-        self._closed = blocks.max(axis=(1, 3)).astype(np.bool_)
+        self._factor = max(1, round(CELL_M / grid.resolution_m))
+        rows, cols = (math.ceil(n / self._factor) for n in grid.cells.shape)
+        padded = np.zeros((rows * self._factor, cols * self._factor), np.uint8)
+        padded[: grid.cells.shape[0], : grid.cells.shape[1]] = grid.cells
+        blocks = padded.reshape(rows, self._factor, cols, self._factor)
+        self._blocked = blocks.max(axis=(1, 3)).astype(np.bool_)
         self._seen = np.zeros((rows, cols), np.uint8)
         self._grid = grid
-        self._place_m = self._factor * grid.resolution_m
-        self._hfov_rad, self._range = hfov_rad, range_m / self._place_m
+        self._cell_m = self._factor * grid.resolution_m
+        self._hfov_rad, self._range_cells = hfov_rad, range_m / self._cell_m
         nothing = np.zeros((0, 0), np.bool_), np.zeros((0, 0), np.uint8)
-        cast(*nothing, 0.0, 0.0, 0.0, 1.0, 1.0)  # compile now, not in a timed tick
+        mark_view(*nothing, 0.0, 0.0, 0.0, 1.0, 1.0)  # compile now, not in a timed tick
 
-    def begin(self) -> None:
+    def begin_leg(self) -> None:
         """Begin a leg: all floor that is seen now counts as seen before."""
         self._seen[self._seen != NEW] = BEFORE
 
-    def look(self, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+    def add_view(self, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
         """Add a view, and return the area that is new and the area that is revisited [m²].
 
-        New floor was never seen. Revisited floor was seen before `begin`, and now for the first
+        New floor was never seen. Revisited floor was seen before `begin_leg`, and now for the first
         time since.
         """
         col, row = self._grid.to_cells((x_m, y_m)) / self._factor
-        new, again = cast(
-            self._closed, self._seen, col, row, yaw_rad, 0.5 * self._hfov_rad, self._range
+        new, again = mark_view(
+            self._blocked, self._seen, col, row, yaw_rad, 0.5 * self._hfov_rad, self._range_cells
         )
-        return new * self._place_m**2, again * self._place_m**2
+        return new * self._cell_m**2, again * self._cell_m**2
 
 
 @jit
-def cast(closed, seen, x, y, yaw_rad, half_rad, reach):
+def mark_view(blocked, seen, x, y, yaw_rad, half_rad, reach):
     """Mark the cells in view, and count the new ones and those seen before but not since.
 
     Args:
-        closed: (h, w) bool; a closed cell stops a ray and is not floor.
+        blocked: (h, w) bool; a blocked cell stops a ray and is not floor.
         seen: (h, w) uint8, changed in place.
         x: of the camera, in cells.
         y: of the camera, in cells.
@@ -124,7 +124,7 @@ def cast(closed, seen, x, y, yaw_rad, half_rad, reach):
         half_rad: half the field of view.
         reach: range in cells.
     """
-    h, w = closed.shape
+    h, w = blocked.shape
     rays = int(2 * half_rad * reach) + 2
     new = again = 0
     for k in range(rays):
@@ -132,7 +132,7 @@ def cast(closed, seen, x, y, yaw_rad, half_rad, reach):
         dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
         for i in range(int(2 * reach)):
             col, row = math.floor(x + i * dx), math.floor(y + i * dy)
-            if not (0 <= row < h and 0 <= col < w) or closed[row, col]:
+            if not (0 <= row < h and 0 <= col < w) or blocked[row, col]:
                 break
             state = seen[row, col]
             if state & NOW:

@@ -15,8 +15,8 @@ import numpy as np
 from edge.config import Config, load, parse
 from edge.errors import UserError
 from edge.lab.eval import world_list
+from edge.lab.eval.arms import Data, data_of, merged
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.lab.eval.columns import Data, data_of, merged
 from edge.lab.eval.intervals import Interval, wilson
 from edge.lab.sim.base import World, free_poses
 from edge.memory import MappedRoom, RoomMemory
@@ -25,9 +25,9 @@ from edge.text import format_table
 
 EXPLORE_S = 180.0
 """Simulated time for exploring a house."""
-_SAME_ROOM = 0.5
+_SAME_ROOM_SHARE = 0.5
 """A mapped room is judged if at least this share of its floor lies in one true room."""
-_PART = 0.2
+_PART_SHARE = 0.2
 """The kind of a true room counts, too, if at least this share of the mapped floor lies in it."""
 _LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
 
@@ -41,9 +41,9 @@ class RoomVerdict:
         id: of the mapped room.
         truth: kind of the true room.
         share: share of the mapped floor that lies in it.
-        also: kinds of all true rooms with at least `_PART` of the mapped floor.
-        kinds: kinds by the robot; empty if none is certain.
-        best: most likely kind by the robot, certain or not.
+        also: kinds of all true rooms with at least `_PART_SHARE` of the mapped floor.
+        kinds: kinds that the robot reports; empty if none is certain.
+        best: kind that the robot finds most likely, certain or not.
         chance: probability of `best`.
         typical: number of typical things of the true kind that were seen in the mapped room.
     """
@@ -101,12 +101,15 @@ def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
     for shape in memory.survey.shapes:
         room = memory.room(shape.id)
         cells = np.argwhere(regions.label == shape.region)
-        at = true_room_at(world, regions.grid.centres_m(cells[:, 0], cells[:, 1]))
-        counts = np.bincount(at[at >= 0], minlength=len(world.rooms))
+        true_rooms = true_room_at(world, regions.grid.centres_m(cells[:, 0], cells[:, 1]))
+        counts = np.bincount(true_rooms[true_rooms >= 0], minlength=len(world.rooms))
         if room is None or not counts.any():
             continue
-        best, parts = int(counts.argmax()), np.flatnonzero(counts >= _PART * len(cells)).tolist()
-        also = frozenset(world.room_kinds[at] for at in parts)
+        best, parts = (
+            int(counts.argmax()),
+            np.flatnonzero(counts >= _PART_SHARE * len(cells)).tolist(),
+        )
+        also = frozenset(world.room_kinds[index] for index in parts)
         share = float(counts[best] / len(cells))
         verdicts.append(_verdict(world, room, world.room_kinds[best], share, also))
     return verdicts
@@ -151,13 +154,13 @@ def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]
     for section in world_list.world_sections(specs):
         data = data_of(config)
         data["sim"]["world"] = section
-        here = parse(data, config.path)
-        world = world_list.load(here)
+        house_config = parse(data, config.path)
+        world = world_list.load(house_config)
         if not world.room_kinds:
             raise UserError(
                 f"--worlds: {world.name}: the kinds of the rooms are not known; use ProcTHOR houses"
             )
-        yield here, world
+        yield house_config, world
 
 
 def run(args: argparse.Namespace) -> int:
@@ -171,16 +174,16 @@ def run(args: argparse.Namespace) -> int:
     config = parse(data, args.config)
     verdicts: list[RoomVerdict] = []
     outcomes: list[RoomGoalOutcome] = []
-    for here, world in worlds_of(config, args.worlds):
+    for house_config, world in worlds_of(config, args.worlds):
         if not args.goals_only:
-            loop = explore(here, world)
+            loop = explore(house_config, world)
             verdicts += judge_rooms(world, loop.service.map.rooms)
             loop.close()
         kinds, rng = sorted(set(world.room_kinds)), random.Random(f"{args.seed} {world.name}")
         for kind in rng.sample(kinds, k=min(args.goals, len(kinds))):
-            pose = _start_elsewhere(here, world, kind, args.seed)
+            pose = _start_elsewhere(house_config, world, kind, args.seed)
             if pose is not None:
-                outcomes.append(drive_to(here, world, kind, pose))
+                outcomes.append(drive_to(house_config, world, kind, pose))
                 print(outcomes[-1], flush=True)
     print(report(verdicts, outcomes))
     return 0
@@ -199,12 +202,12 @@ def _start_elsewhere(
 
 def report(verdicts: list[RoomVerdict], outcomes: list[RoomGoalOutcome]) -> str:
     """Return the tables of an evaluation, with intervals at 95 %."""
-    judged = [one for one in verdicts if one.share >= _SAME_ROOM]
-    clear = [one for one in judged if one.typical >= TYPICAL]
+    judged = [one for one in verdicts if one.share >= _SAME_ROOM_SHARE]
+    well_seen = [one for one in judged if one.typical >= TYPICAL]
     rows = [("measure", "value", "95 %", "n")]
     for name, among, right in (
-        ("kind is right, two or more typical things seen", clear, _is_right),
-        ("most likely kind is right, the same rooms", clear, lambda v: v.best == v.truth),
+        ("kind is right, two or more typical things seen", well_seen, _is_right),
+        ("most likely kind is right, the same rooms", well_seen, lambda v: v.best == v.truth),
         ("kind is right, of all rooms with a kind", [v for v in judged if v.kinds], _is_right),
     ):  # fmt: skip
         rows.append(_row(name, [right(one) for one in among]))
@@ -213,7 +216,7 @@ def report(verdicts: list[RoomVerdict], outcomes: list[RoomGoalOutcome]) -> str:
 
 
 def _is_right(verdict: RoomVerdict) -> bool:
-    """Return True if the true kind was found, and no kind that is not there."""
+    """Return True if the robot reports the true kind, and no kind that is not there."""
     return verdict.truth in verdict.kinds and verdict.also.issuperset(verdict.kinds)
 
 

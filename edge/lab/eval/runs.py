@@ -11,10 +11,10 @@ from pathlib import Path
 from edge.config import Config, load
 from edge.errors import UserError
 from edge.host.signals import stop_on_signals
-from edge.lab.eval import columns as cols
+from edge.lab.eval import arms as experiment_arms
 from edge.lab.eval import episodes as eps
 from edge.lab.eval import world_list
-from edge.lab.eval.columns import ExperimentArm
+from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.comparison.run import summary_text
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, OutcomeFile
@@ -25,34 +25,34 @@ from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
 
 EPISODES_NAME = "episodes.jsonl"
-TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
+DEFAULT_TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
 
 OnOutcome = Callable[[int, int, EpisodeOutcome], None]
 """Called with each outcome as it comes: its number, the total number to come, and the outcome."""
 
 
 def run_all(
-    columns: Sequence[ExperimentArm],
+    arms: Sequence[ExperimentArm],
     episodes: Sequence[Episode],
     out: Path | None = None,
     *,
     workers: int = 1,
     processes: bool = False,
     pages: Path | None = None,
-    tell: OnOutcome = lambda number, total, outcome: None,
+    on_outcome: OnOutcome = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
 ) -> list[EpisodeOutcome]:
     """Run every arm on every episode. Outcomes go to `out` as they come.
 
     Args:
-        columns: the arms.
+        arms: the arms.
         episodes: the episodes.
         out: a folder. Its outcomes are reused, except those of crashed episodes and of other
             configurations. None: no file is written.
         workers: number of processes; 1: only this one.
         processes: run over Zenoh, each episode with its own simulator and controller processes.
         pages: folder for a report of each episode.
-        tell: called with each new outcome.
+        on_outcome: called with each new outcome.
         stop: ends the run early.
 
     Returns:
@@ -65,27 +65,27 @@ def run_all(
     known = {} if file is None else file.known
     if out is not None:
         _save_new(out / EPISODES_NAME, episodes)
-    have = {key: o for key, o in known.items() if o.failure != "crashed"}
-    pairs = [(episode, column) for episode in episodes for column in columns]
-    keys = [(part, column.id) for episode, column in pairs for part in episode.parts]
-    tasks = [
-        EpisodeJob(column, episode, processes, pages and pages / _page_name(episode, column))
-        for episode, column in pairs
-        if any((part, column.id) not in have for part in episode.parts)
+    usable = {key: o for key, o in known.items() if o.failure != "crashed"}
+    pairs = [(episode, arm) for episode in episodes for arm in arms]
+    keys = [(part, arm.id) for episode, arm in pairs for part in episode.parts]
+    jobs = [
+        EpisodeJob(arm, episode, processes, pages and pages / _page_name(episode, arm))
+        for episode, arm in pairs
+        if any((part, arm.id) not in usable for part in episode.parts)
     ]
-    done = len(keys) - sum(len(task.episode.parts) for task in tasks)
-    outcomes = outcomes_of(tasks, workers, stop or threading.Event())
+    done = len(keys) - sum(len(job.episode.parts) for job in jobs)
+    outcomes = outcomes_of(jobs, workers, stop or threading.Event())
     for number, outcome in enumerate(outcomes, start=done + 1):
         if file is not None:
             file.append(outcome)
-        have[outcome.key] = outcome
-        tell(number, len(keys), outcome)
-    return [have[key] for key in keys if key in have]
+        usable[outcome.key] = outcome
+        on_outcome(number, len(keys), outcome)
+    return [usable[key] for key in keys if key in usable]
 
 
-def changed(columns: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
+def count_outdated(arms: Sequence[ExperimentArm], out: Path) -> dict[str, int]:
     """Count the outcomes in a folder whose arm has the same name but other settings, by name."""
-    ids = {column.name: column.id for column in columns}
+    ids = {arm.name: arm.id for arm in arms}
     counts: dict[str, int] = {}
     for outcome in OutcomeFile(out).known.values():
         if outcome.arm_id != ids.get(outcome.arm, outcome.arm_id):
@@ -102,8 +102,8 @@ def _save_new(path: Path, episodes: Sequence[Episode]) -> None:
         eps.write(path, [*known, *new])
 
 
-def _page_name(episode: Episode, column: ExperimentArm) -> str:
-    return f"{episode.id.replace('/', '-')}-{column.name}"
+def _page_name(episode: Episode, arm: ExperimentArm) -> str:
+    return f"{episode.id.replace('/', '-')}-{arm.name}"
 
 
 # -- the command ----------------------------------------------------------------------------------
@@ -114,52 +114,54 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         prepare(args.report)
     config = load(args.config)
-    columns = cols.make_arms(config, _columns(args))
+    arms = experiment_arms.make_arms(config, _arm_settings(args))
     episodes = _episodes(config, args)
     if any(episode.goals for episode in episodes):
         if args.processes or args.report:
             raise UserError(
                 "--processes, --report: not possible with sessions (--goals); omit both options"
             )
-        columns = cols.with_and_without_memory(columns)
+        arms = experiment_arms.with_and_without_memory(arms)
     if args.plan is not None:
         eps.write(args.plan, episodes)
         print(f"{args.plan}: {len(episodes)} episodes")
         return 0
     out = args.out or args.report
     if out is not None:
-        for name, count in changed(columns, out).items():
+        for name, count in count_outdated(arms, out).items():
             print(
                 f"arm {name}: its settings have changed, so {count} earlier outcomes are not used"
             )
     logging.getLogger("edge").setLevel(logging.WARNING)  # each episode logs its mission
     outcomes = run_all(
-        columns, episodes, out, workers=args.workers, processes=args.processes,
-        pages=args.report, tell=lambda *news: print(_line(*news), flush=True),
+        arms, episodes, out, workers=args.workers, processes=args.processes,
+        pages=args.report, on_outcome=lambda *news: print(_outcome_line(*news), flush=True),
         stop=stop_on_signals(),
     )  # fmt: skip
     print(f"\n{summary_text(outcomes)}")
     return 0
 
 
-def _columns(args: argparse.Namespace) -> dict[str, cols.Data]:
-    given = {} if args.arms is None else cols.read_arms(args.arms)
+def _arm_settings(args: argparse.Namespace) -> dict[str, experiment_arms.Data]:
+    """Return the settings of each arm of `--arms` and `--arm`, by name."""
+    by_name = {} if args.arms is None else experiment_arms.read_arms(args.arms)
     for words in args.arm or ():
-        name, settings = cols.parse_arm(words)
-        if name in given:
+        name, settings = experiment_arms.parse_arm(words)
+        if name in by_name:
             raise UserError(
                 f"--arm {name}: two arms have this name; choose another for one of them"
             )
-        given[name] = settings
-    return given
+        by_name[name] = settings
+    return by_name
 
 
 def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
+    """Read or plan the episodes that the options ask for."""
     if args.episodes is not None:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.world_sections(args.worlds or ())
-    asked = args.targets or ("common" if worlds else TARGETS)
-    targets = eps.COMMON_TARGETS if asked == "common" else [t.strip() for t in asked.split(",")]
+    names = args.targets or ("common" if worlds else DEFAULT_TARGETS)
+    targets = eps.COMMON_TARGETS if names == "common" else [t.strip() for t in names.split(",")]
     targets = [target for target in targets if target]
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
@@ -182,7 +184,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     return with_zones(config, planned, args.seed) if args.zones else planned
 
 
-def _line(number: int, total: int, o: EpisodeOutcome) -> str:
+def _outcome_line(number: int, total: int, o: EpisodeOutcome) -> str:
     verdict = "ok  " if o.success else "FAIL"
     return (
         f"{number:3}/{total} {verdict} {o.arm:12} {o.world:18} "

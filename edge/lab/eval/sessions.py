@@ -1,4 +1,6 @@
-"""Sessions: several goals one after another in one house (as in GOAT-Bench, Khanna et al. 2024).
+"""Plans and runs sessions: several goals one after another in one house.
+
+GOAT-Bench (Khanna et al. 2024) has such sessions.
 
 The robot searches for each goal from the place where it found, or gave up, the last one. The
 service runs all the time, so it remembers what it saw. An arm that forgets drops map and objects
@@ -19,8 +21,8 @@ import numpy as np
 from edge.config import Config
 from edge.errors import Stopped, UserError
 from edge.lab.eval import world_list
+from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
-from edge.lab.eval.columns import ExperimentArm
 from edge.lab.eval.drive import (
     config_of,
     forget_distances,
@@ -116,17 +118,17 @@ def _choose_goals(
     names = [name for name in names if fields.has(name) and not fields.has_kinds(name)]
     distances_m = {name: fields.distance_m(name) for name in names}
     cell = fields.plan.grid.cell_of(*start[:2])
-    here = np.zeros(fields.plan.grid.cells.shape, bool)
-    here[cell] = True
+    at_last_goal = np.zeros(fields.plan.grid.cells.shape, bool)  # at first: at the start
+    at_last_goal[cell] = True
     goals: list[str] = []
     while len(goals) < count:
-        far = (n for n in names if min_distance_m <= distances_m[n][here].min() < math.inf)
+        far = (n for n in names if min_distance_m <= distances_m[n][at_last_goal].min() < math.inf)
         name = next(far, None)
         if name is None:
             break
         goals.append(name)
         names.remove(name)
-        here = fields.near(name)
+        at_last_goal = fields.near(name)
     return tuple(goals)
 
 
@@ -145,7 +147,7 @@ class _CurrentLogger:
 
 
 def run_session(
-    column: ExperimentArm, episode: Episode, stop: threading.Event | None = None
+    arm: ExperimentArm, episode: Episode, stop: threading.Event | None = None
 ) -> list[EpisodeOutcome]:
     """Run a session with one arm. An error gives "crashed" outcomes for the goals that are left.
 
@@ -154,7 +156,7 @@ def run_session(
     """
     outcomes: list[EpisodeOutcome] = []
     try:
-        session = _Session(column, episode, stop or threading.Event())
+        session = _Session(arm, episode, stop or threading.Event())
         try:
             outcomes.extend(session.run_goal(k) for k in range(1, len(episode.goals) + 1))
         finally:
@@ -162,16 +164,16 @@ def run_session(
     except Stopped:
         raise
     except Exception as error:
-        outcomes += crashed_outcomes(column, episode, reason_of(error), len(outcomes))
+        outcomes += crashed_outcomes(arm, episode, reason_of(error), len(outcomes))
     return outcomes
 
 
 class _Session:
     """A running session: one robot and one service in one world."""
 
-    def __init__(self, column: ExperimentArm, episode: Episode, stop: threading.Event) -> None:
-        self._column, self._episode, self._stop = column, episode, stop
-        self._config = config = config_of(column, episode)
+    def __init__(self, arm: ExperimentArm, episode: Episode, stop: threading.Event) -> None:
+        self._arm, self._episode, self._stop = arm, episode, stop
+        self._config = config = config_of(arm, episode)
         # A world whose objects move must not be the cached one.
         self._world = load_world(config) if episode.moved else world_list.load(config)
         warm_up_once(config)
@@ -184,7 +186,7 @@ class _Session:
         began_s, loop, config = time.monotonic(), self.loop, self._config
         if number > 1:
             self._begin_goal(number)
-        goal, base = self._episode.goals[number - 1], truth_of(loop)
+        goal, base = self._episode.goals[number - 1], truth_of(loop)  # base: at the goal's begin
         start = base.x_m, base.y_m, base.yaw_rad
         shortest_m = self._shortest_m(goal, base.x_m, base.y_m)
         part = replace(
@@ -196,18 +198,18 @@ class _Session:
         )
         step_to_end(loop, self._stop)
         latency = loop.service.latency.report()
-        outcome = outcome_of(self._column, part, config, self._world, logger, latency, began_s)
-        if self._episode.moved:  # the distance left at first sight is not known later
+        outcome = outcome_of(self._arm, part, config, self._world, logger, latency, began_s)
+        if self._episode.moved:  # a comparison could not compute the distance left at first sight
             outcome = replace(outcome, first_sight_path_m=None)
         return replace(outcome, goal=number)
 
     def _begin_goal(self, number: int) -> None:
-        """Move things, forget if the arm forgets, and begin the mission of a goal."""
+        """Move objects, forget if the arm forgets, and begin the mission of a goal."""
         loop, goals = self.loop, self._episode.goals
         now_ns = loop.drive.motion.stamp_ns
         if self._episode.moved:
             self._move_objects(number)
-        if self._column.forgets:
+        if self._arm.forgets:
             loop.service.on_pose_jump(now_ns)
         mission = self._config.mission.model_copy(update={"target": goals[number - 1]})
         config = self._config.model_copy(update={"mission": mission})

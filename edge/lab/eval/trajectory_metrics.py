@@ -1,4 +1,4 @@
-"""Similarity of a trajectory to its reference (OpenNav IV): end, shape and collisions."""
+"""Scores of a trajectory against its reference (OpenNav IV): end, shape and collisions."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
         b_m: (m, 2) float64, m >= 1.
     """
     a, b = _points(a_m), _points(b_m)
-    low, high = max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1])), _by_points(a, b)
-    if low >= high or _fits(a, b, low):
+    low, high = max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1])), _discrete_frechet_m(a, b)
+    if low >= high or _is_long_enough(a, b, low):
         return low
     while high - low > 1e-4:
         middle = 0.5 * (low + high)
-        if _fits(a, b, middle):
+        if _is_long_enough(a, b, middle):
             high = middle
         else:
             low = middle
@@ -105,7 +105,7 @@ def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_
         1.0
     """
     path, reference = (resample_evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
-    return math.exp(-_warp(reference, path) / (len(reference) * within_m))
+    return math.exp(-_warping_cost_m(reference, path) / (len(reference) * within_m))
 
 
 def resample_evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:
@@ -130,6 +130,7 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
     inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
     touches = np.zeros(len(points) + 1, bool)
     columns, rows = cells[inside].T
+    # The entry before the first point is False, so that contact at the start counts as a stretch.
     touches[1:][inside] = closed_cells(occupancy, clearance_m)[rows, columns]
     return int((touches[1:] & ~touches[:-1]).sum())
 
@@ -142,13 +143,18 @@ def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) 
         solid_m: (m, 2) float64, the obstacle points.
         clearance_m: the distance.
     """
-    points = resample(_points(path_m), 0.05)
+    points = resample(_points(path_m), 0.05)  # 5 cm apart
     away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
     touches = np.append(False, away_m < clearance_m)
     return int((touches[1:] & ~touches[:-1]).sum())
 
 
 def _points(path_m: np.ndarray) -> np.ndarray:
+    """Return the points as float64, contiguous.
+
+    Raises:
+        ValueError: they are not (n, 2), n >= 1, or not finite.
+    """
     path = np.ascontiguousarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not np.isfinite(path).all():
         raise ValueError(
@@ -158,7 +164,7 @@ def _points(path_m: np.ndarray) -> np.ndarray:
 
 
 @jit
-def _by_points(a, b):
+def _discrete_frechet_m(a, b):
     """Return the discrete Fréchet distance (Eiter & Mannila 1994): jumps from point to point."""
     row = np.empty(len(b))
     for i in range(len(a)):
@@ -177,7 +183,7 @@ def _by_points(a, b):
 
 
 @jit
-def _warp(reference, path):
+def _warping_cost_m(reference, path):
     """Return the least sum of distances over all monotone matchings of the points."""
     row = np.full(len(path) + 1, math.inf)
     row[0] = 0.0
@@ -196,15 +202,16 @@ def _warp(reference, path):
 def _free(x, y, ax, ay, bx, by, leash):
     """Return the part (from, to) of segment a-b within `leash` of (x, y); from > to if empty."""
     dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
+    # Solve square t^2 + 2 half t + rest = 0 for the place t along the segment.
     square, half, rest = dx * dx + dy * dy, dx * ox + dy * oy, ox * ox + oy * oy - leash * leash
     # Rounding must not exclude a point at exactly the length of the leash.
     slack = 1e-12 * (1.0 + leash * leash)
     if square == 0.0:
         return (0.0, 1.0) if rest <= slack else (1.0, 0.0)
-    root = half * half - square * rest
-    if root < -slack * square:
+    discriminant = half * half - square * rest
+    if discriminant < -slack * square:
         return 1.0, 0.0
-    root = math.sqrt(max(root, 0.0))
+    root = math.sqrt(max(discriminant, 0.0))
     low, high = max((-half - root) / square, 0.0), min((-half + root) / square, 1.0)
     # A segment that only touches the circle counts as reached.
     if low > high and low - high < 1e-9:
@@ -213,7 +220,7 @@ def _free(x, y, ax, ay, bx, by, leash):
 
 
 @jit
-def _fits(a, b, leash):
+def _is_long_enough(a, b, leash):
     """Return True if a leash is long enough: a path through the free space, cell by cell.
 
     `below[i]` is the reachable part of the lower side of cell (i, j), `left_low` to `left_high`
@@ -230,7 +237,7 @@ def _fits(a, b, leash):
         if math.hypot(a[end, 0] - b[end, 0], a[end, 1] - b[end, 1]) > leash * (1.0 + 1e-12):
             return False
     below = np.empty((n - 1, 2))
-    joined = True
+    joined = True  # all of the lower border before cell i is free
     for i in range(n - 1):
         low, high = _free(b[0, 0], b[0, 1], a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
         joined = joined and low <= 0.0 and high >= 0.0
@@ -251,7 +258,7 @@ def _fits(a, b, leash):
             # Free space in a cell is convex. From the left side, all of the top is reachable. From
             # below, only the part to the right of the entry is. The right side is symmetric.
             if not from_left:
-                top_low = max(top_low, below[i, 0]) if from_below else 2.0
+                top_low = max(top_low, below[i, 0]) if from_below else 2.0  # 2: empty
             if not from_below:
                 right_low = max(right_low, left_low) if from_left else 2.0
             below[i, 0], below[i, 1] = top_low, top_high

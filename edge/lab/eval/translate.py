@@ -234,15 +234,16 @@ def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int
         not_seen: set → translator → outcomes of models that were not trained on the set.
     """
     rows = [["set", "translator", "cases", *OUTCOMES, ""]]
-    for title, by in result.items():
-        if isinstance(by, dict):
+    for title, by_translator in result.items():
+        if isinstance(by_translator, dict):
             rows += [
-                _shares(title, name, counts, SEEN.get(title, "")) for name, counts in by.items()
+                _shares(title, name, counts, SEEN.get(title, ""))
+                for name, counts in by_translator.items()
             ]
             rows += [
                 _shares(title, name, counts, NOT_SEEN)
                 for name, counts in not_seen.get(title, {}).items()
-                if name in by
+                if name in by_translator
             ]
     return format_table(rows)
 
@@ -304,5 +305,5 @@ def _config(name: str, args: argparse.Namespace) -> TranslatorConfig:
         return {"grammar": TranslatorGrammar, "model": TranslatorModel, "auto": TranslatorAuto}[
             name
         ]()
-    given = {"url": args.url, "model": args.model, "constrain": args.constrain}
-    return TranslatorLlm(**{key: value for key, value in given.items() if value is not None})
+    settings = {"url": args.url, "model": args.model, "constrain": args.constrain}
+    return TranslatorLlm(**{key: value for key, value in settings.items() if value is not None})

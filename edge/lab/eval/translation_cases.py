@@ -51,7 +51,7 @@ class TranslationCase:
     """An instruction with the formula that it should give.
 
     Attributes:
-        part: group of cases that the counts are by.
+        part: group of cases; the counts are by group.
         sentence: the instruction.
         formula: the correct formula.
         endless: the formula is about infinite traces.
@@ -67,9 +67,7 @@ class TranslationCase:
 
 def benchmark_cases(n: int, seed: int = 0) -> list[TranslationCase]:
     """Return the tasks of the benchmark."""
-    return [
-        TranslationCase(task.template, task.sentence, task.formula) for task in generate(n, seed)
-    ]
+    return [TranslationCase(task.family, task.sentence, task.formula) for task in generate(n, seed)]
 
 
 @contextmanager
@@ -122,6 +120,7 @@ def clean_up_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
         for line in file:
             row = json.loads(line)
             prefix = [_ROOMS.get(word, word) for word in row["raw_ltl"].split()]
+            # X and Z mean a room to which a chair is brought: no name matches, so it is left out.
             rooms = {word for word in prefix if word in _ROOMS.values() or word in "XZ"}
             named = {found[1].lower() for found in _ROOM.finditer(row["natural"])}
             part = " ".join("r" if word in rooms else word for word in prefix)
@@ -178,7 +177,7 @@ def from_prefix(text: str) -> Formula:
     done: list[Formula] = []
     for word in reversed(text.split()):
         op = {"i": "->", "e": "<->"}.get(word, word)
-        n = 1 if op in UNARY else 2 if op in STRENGTH else 0
+        n = 1 if op in UNARY else 2 if op in STRENGTH else 0  # number of operands
         if n > len(done):
             raise ValueError(f"formula {text!r}: an operator has too few operands")
         args = [done.pop() for _ in range(n)]

@@ -1,7 +1,7 @@
-"""Episodes in this process or in several; both give the same outcomes.
+"""Runs the jobs of an evaluation in this process or in several; both give the same outcomes.
 
-A task is an episode with an arm. It carries all that it needs, so that nothing depends on earlier
-tasks. An error in a task affects only its own outcome.
+A job is one episode with one arm. It carries all that it needs, so that nothing depends on earlier
+jobs. An error in a job affects only its own outcome.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import cv2
 
 from edge.errors import Stopped
-from edge.lab.eval.columns import ExperimentArm
+from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
@@ -29,45 +29,45 @@ from edge.lab.eval.sessions import run_session
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-_LOOK_S = 0.5  # time between two checks for a stop
+_STOP_CHECK_S = 0.5  # time between two checks for a stop
 _END_S = 5.0  # longest wait for the end of a worker process
 
 
 class EpisodeJob(NamedTuple):
-    """An episode with an arm.
+    """One episode to run with one arm.
 
     Attributes:
-        column: the arm.
+        arm: the arm.
         episode: the episode.
         processes: run over Zenoh, with simulator and controller as processes.
         page: folder for a report; None: no report.
     """
 
-    column: ExperimentArm
+    arm: ExperimentArm
     episode: Episode
     processes: bool = False
     page: Path | None = None
 
 
-def run_job(task: EpisodeJob, stop: threading.Event | None = None) -> list[EpisodeOutcome]:
-    """Run a task in this process. A session has an outcome for each goal.
+def run_job(job: EpisodeJob, stop: threading.Event | None = None) -> list[EpisodeOutcome]:
+    """Run a job in this process. A session has an outcome for each goal.
 
     Raises:
         Stopped: `stop` was set before its end.
     """
-    if task.episode.goals:
-        return run_session(task.column, task.episode, stop)
-    drive = over_zenoh if task.processes else in_process
-    return [run_episode(task.column, task.episode, drive, task.page, stop)]
+    if job.episode.goals:
+        return run_session(job.arm, job.episode, stop)
+    drive = over_zenoh if job.processes else in_process
+    return [run_episode(job.arm, job.episode, drive, job.page, stop)]
 
 
-def run_in_process(tasks: Iterable[EpisodeJob], stop: threading.Event) -> Iterator[EpisodeOutcome]:
-    """Run the tasks in this process, and yield their outcomes."""
-    for task in tasks:
+def run_in_process(jobs: Iterable[EpisodeJob], stop: threading.Event) -> Iterator[EpisodeOutcome]:
+    """Run the jobs in this process, and yield their outcomes."""
+    for job in jobs:
         if stop.is_set():
             return
         try:
-            yield from run_job(task, stop)
+            yield from run_job(job, stop)
         except Stopped:
             return
 
@@ -77,49 +77,51 @@ def run_in_process(tasks: Iterable[EpisodeJob], stop: threading.Event) -> Iterat
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process and its current task."""
+    """A worker process and its current job."""
 
     process: Any
     pipe: connection.Connection
-    task: EpisodeJob | None = None
+    job: EpisodeJob | None = None
 
-    def give(self, task: EpisodeJob) -> None:
-        self.task = task
-        self.pipe.send(task)
+    def give(self, job: EpisodeJob) -> None:
+        """Send a job to the process."""
+        self.job = job
+        self.pipe.send(job)
 
     def take(self) -> list[EpisodeOutcome]:
-        """Return the outcomes of its task; "crashed" if the process ended."""
-        task, self.task = self.task, None
-        assert task is not None
+        """Return the outcomes of its job; "crashed" if the process ended."""
+        job, self.job = self.job, None
+        assert job is not None
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
             self.process.join(_END_S)
             code = self.process.exitcode
             return crashed_outcomes(
-                task.column, task.episode, f"its worker process ended (exit code {code})"
+                job.arm, job.episode, f"its worker process ended (exit code {code})"
             )
 
 
 def run_in_workers(
-    tasks: Iterable[EpisodeJob], count: int, stop: threading.Event
+    jobs: Iterable[EpisodeJob], count: int, stop: threading.Event
 ) -> Iterator[EpisodeOutcome]:
-    """Run the tasks in `count` processes of one thread each; yield outcomes as they are done.
+    """Run the jobs in `count` processes of one thread each; yield outcomes as they are done.
 
-    If `stop` is set, unfinished tasks have no outcome.
+    If `stop` is set, unfinished jobs have no outcome.
     """
-    waiting = deque(tasks)
+    waiting = deque(jobs)
     workers: list[_Worker] = []
     try:
-        while waiting or any(worker.task for worker in workers):
-            workers = [worker for worker in workers if worker.task or worker.process.is_alive()]
+        while waiting or any(worker.job for worker in workers):
+            # A dead worker with a job stays, as `take` reports its crash.
+            workers = [worker for worker in workers if worker.job or worker.process.is_alive()]
             while waiting and len(workers) < count:
                 workers.append(_start())
             for worker in workers:
-                if worker.task is None and waiting:
+                if worker.job is None and waiting:
                     worker.give(waiting.popleft())
-            busy = {worker.pipe: worker for worker in workers if worker.task is not None}
-            ready = connection.wait(list(busy), _LOOK_S)
+            busy = {worker.pipe: worker for worker in workers if worker.job is not None}
+            ready = connection.wait(list(busy), _STOP_CHECK_S)
             if stop.is_set():
                 return
             for pipe in ready:
@@ -157,19 +159,19 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection) -> None:
-    """Run the tasks of a pipe until the parent closes it. Ctrl-C is for the parent only."""
+    """Run the jobs of a pipe until the parent closes it. Ctrl-C is for the parent only."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     while True:
         try:
-            task = pipe.recv()
+            job = pipe.recv()
         except EOFError:
             return
-        pipe.send(run_job(task))
+        pipe.send(run_job(job))
 
 
 def outcomes_of(
-    tasks: Sequence[EpisodeJob], workers: int, stop: threading.Event
+    jobs: Sequence[EpisodeJob], workers: int, stop: threading.Event
 ) -> Iterator[EpisodeOutcome]:
-    """Run tasks in several processes, or in this one."""
-    return run_in_workers(tasks, workers, stop) if workers > 1 else run_in_process(tasks, stop)
+    """Run jobs in several processes, or in this one."""
+    return run_in_workers(jobs, workers, stop) if workers > 1 else run_in_process(jobs, stop)

@@ -1,4 +1,4 @@
-"""Lists of worlds for an evaluation, and a cache of the worlds loaded last."""
+"""Parses the `--worlds` of an evaluation, and caches the worlds that were loaded last."""
 
 from __future__ import annotations
 

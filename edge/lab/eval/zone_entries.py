@@ -1,4 +1,4 @@
-"""Entries of the robot into keep-out zones, by ground truth."""
+"""Counts the entries of the robot into keep-out zones, by ground truth."""
 
 from __future__ import annotations
 
@@ -62,6 +62,7 @@ def distance_m(corners_m: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
         dx, dy = bx - ax, by - ay
         along = np.clip(((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
         np.minimum(nearest, np.hypot(x - ax - along * dx, y - ay - along * dy), out=nearest)
+        # Even-odd rule: each edge that a ray to the right crosses flips `inside`.
         if ay != by:
             inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * dx / dy)
     return np.where(inside, 0.0, nearest)

@@ -1,4 +1,4 @@
-"""Episodes with a keep-out zone on the shortest path."""
+"""Adds a keep-out zone on the shortest path to episodes of an evaluation."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) ->
     if episode.target is None:
         raise UserError("--zones: possible only for episodes with one target; omit --zones")
     plan, radius_m = setup.world.plan, setup.radius_m
-    things = objects_of(setup.world, episode.target)
-    field = geodesic.distance_field(plan, things, radius_m, REACHED_M)
+    objects = objects_of(setup.world, episode.target)
+    field = geodesic.distance_field(plan, objects, radius_m, REACHED_M)
     path_m = shortest_path(plan, field, *episode.start[:2])
     for _ in range(_DRAWS):
         middle_m = path_m[int(rng.uniform(*ALONG) * len(path_m))]
         corners_m = _polygon(middle_m, rng)
         if distance_m(corners_m, np.array([episode.start[:2]]))[0] < radius_m + START_M:
-            continue
+            continue  # too near to the robot
         around = geodesic.distance_field(
-            closed_plan(plan, corners_m, MARGIN_M), things, radius_m, REACHED_M
+            plan_with_zone(plan, corners_m, MARGIN_M), objects, radius_m, REACHED_M
         )
         left_m = geodesic.value_at(plan, around, *episode.start[:2])
         ways = "detour" if math.isfinite(left_m) else "closed"
@@ -81,7 +81,7 @@ def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) ->
 
 
 def _polygon(middle_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return (n, 2) corners around a point, at random angles and distances, in millimetres."""
+    """Return (n, 2) corners [m] around a point, at random angles and distances, in whole mm."""
     angles = np.sort(rng.uniform(0.0, 2 * math.pi, rng.integers(CORNERS[0], CORNERS[1] + 1)))
     away_m = rng.uniform(*SIZE_M, len(angles))
     return np.round(middle_m + away_m[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1), 3)
@@ -98,7 +98,7 @@ def shortest_path(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) ->
     return plan.grid.centres_m(*np.array(cells).T)
 
 
-def closed_plan(plan: FloorPlan, corners_m: np.ndarray, margin_m: float) -> FloorPlan:
+def plan_with_zone(plan: FloorPlan, corners_m: np.ndarray, margin_m: float) -> FloorPlan:
     """Return a floor plan in which a zone, grown by a margin, is occupied."""
     grid = plan.grid
     row, col = np.indices(grid.cells.shape).reshape(2, -1)

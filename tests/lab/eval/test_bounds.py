@@ -9,8 +9,8 @@ import pytest
 from small_house import small_house
 
 from edge.geometry import SE2
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.bounds import KnownPlace, KnownRoom
-from edge.lab.eval.columns import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan
 from edge.lab.sim.worlds import load_world
@@ -76,8 +76,8 @@ def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
 @pytest.mark.parametrize("kind", [PLACE, ROOM])
 def test_evaluations_drive_with_the_truth(tmp_path, kind):
     config = small_house(tmp_path, mission={"time_limit_s": 60.0})
-    (column,) = make_arms(config, {"bound": {"policy": {"kind": kind, "spin": True}}})
+    (arm,) = make_arms(config, {"bound": {"policy": {"kind": kind, "spin": True}}})
     (episode,) = plan(config, [], ["bed"], 1, 0, 4.0)
-    outcome = run_episode(column, episode, in_process)
+    outcome = run_episode(arm, episode, in_process)
     assert outcome.success, outcome.reason
     assert outcome.path_m < 1.3 * outcome.shortest_m

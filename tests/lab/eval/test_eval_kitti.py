@@ -14,9 +14,9 @@ from edge.lab.eval.kitti import (
     KittiError,
     frames_in,
     kitti_scene,
+    objects_in,
     read_frame,
     solid_m,
-    things_in,
     true_boxes,
 )
 from edge.tasks import terrain
@@ -38,7 +38,7 @@ def test_without_labels_there_are_the_camera_and_the_scan(tmp_path):
     frame = read_frame(folder, 0, labelled=False)
     assert len(frame.observation.cloud_m) == 230
     assert not frame.semantic.any()
-    assert things_in(frame) == []
+    assert objects_in(frame) == []
 
 
 def test_no_frame_chosen(tmp_path):
@@ -166,7 +166,9 @@ def test_masks_have_the_points_that_the_labels_give_them(sequence):
         pure = []
         for i, mine in enumerate(shown):
             codes = [
-                c for c, name in kitti.THINGS.items() if name == found.prompts[found.class_id[i]]
+                c
+                for c, name in kitti.OBJECT_NAMES.items()
+                if name == found.prompts[found.class_id[i]]
             ]
             if len(mine) and codes:
                 pure.append(np.isin(frame.semantic[mine], codes).mean())

@@ -13,7 +13,7 @@ from simulated import simulated
 
 from edge.geometry import Grid
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.lab.eval.revisits import PLACE_M, RevisitCounter, SeenFloor
+from edge.lab.eval.revisits import CELL_M, RevisitCounter, SeenFloor
 from edge.lab.sim.base import FloorPlan
 from edge.lab.sim.worlds import load_world
 
@@ -27,19 +27,19 @@ def floor_of(cells: np.ndarray, hfov_deg: float = 90.0, range_m: float = 3.0) ->
 
 def test_a_look_shows_the_sector_once():
     floor = floor_of(np.zeros((200, 200)))
-    new_m2, again_m2 = floor.look(5.0, 5.0, 0.3)
+    new_m2, again_m2 = floor.add_view(5.0, 5.0, 0.3)
     assert new_m2 == pytest.approx(0.25 * math.pi * 3.0**2, rel=0.06)
     assert again_m2 == 0.0
-    assert floor.look(5.0, 5.0, 0.3) == (0.0, 0.0)
+    assert floor.add_view(5.0, 5.0, 0.3) == (0.0, 0.0)
 
 
 def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
     floor = floor_of(np.zeros((200, 200)))
-    first, _ = floor.look(5.0, 5.0, 0.0)
-    floor.begin()
-    assert floor.look(5.0, 5.0, 0.0) == pytest.approx((0.0, first))
-    assert floor.look(5.0, 5.0, 0.0) == (0.0, 0.0)
-    new_m2, again_m2 = floor.look(5.0, 5.0, math.pi)
+    first, _ = floor.add_view(5.0, 5.0, 0.0)
+    floor.begin_leg()
+    assert floor.add_view(5.0, 5.0, 0.0) == pytest.approx((0.0, first))
+    assert floor.add_view(5.0, 5.0, 0.0) == (0.0, 0.0)
+    new_m2, again_m2 = floor.add_view(5.0, 5.0, math.pi)
     assert new_m2 == pytest.approx(first, rel=0.06)
     assert again_m2 == pytest.approx(0.0, abs=0.1)
 
@@ -47,7 +47,7 @@ def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
 def test_what_stands_there_hides_what_is_behind():
     cells = np.zeros((200, 200))
     cells[:, 120] = 1  # a wall at x = 6 m
-    new_m2, _ = floor_of(cells).look(5.0, 5.0, 0.0)
+    new_m2, _ = floor_of(cells).add_view(5.0, 5.0, 0.0)
     assert new_m2 == pytest.approx(1.0, abs=0.15)  # the triangle before it
 
 
@@ -60,9 +60,9 @@ def test_what_stands_there_hides_what_is_behind():
 def test_looks_count_each_place_once(cells, x, y, yaw):
     """Off the plan and inside things as well."""
     floor = floor_of(np.kron(np.array(cells).reshape(8, 8), np.ones((10, 10))))
-    total = sum(floor.look(x, y, yaw + turn)[0] for turn in (0.0, 0.5, 0.0))
-    assert total == pytest.approx((floor._seen > 0).sum() * PLACE_M**2)
-    assert not (floor._seen[floor._closed] > 0).any()
+    total = sum(floor.add_view(x, y, yaw + turn)[0] for turn in (0.0, 0.5, 0.0))
+    assert total == pytest.approx((floor._seen > 0).sum() * CELL_M**2)
+    assert not (floor._seen[floor._blocked] > 0).any()
 
 
 def test_floor_counts_as_seen_again_only_until_the_target_is_known():
@@ -104,10 +104,10 @@ def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
     hfov_rad = math.radians(config.sensors.camera.hfov_deg)
     floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
     for pose in before:
-        floor.look(*pose)
-    floor.begin()
+        floor.add_view(*pose)
+    floor.begin_leg()
     until_known = takewhile(lambda look: not look[1], search)
-    return sum(floor.look(*pose)[1] for _, _, pose in until_known)
+    return sum(floor.add_view(*pose)[1] for _, _, pose in until_known)
 
 
 def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import pytest
 from small_house import small_house
 
 from edge.errors import UserError
-from edge.lab.eval.columns import make_arms
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.outcome import to_json_line
@@ -35,8 +35,8 @@ def test_only_what_is_there_is_asked_for(tmp_path):
 def test_answers_are_judged_by_the_world(tmp_path, background, expected):
     config = config_of(tmp_path, background=background)
     (planned,) = plan_questions(config, [], ["bed", "sofa"], 0)
-    (column,) = make_arms(config, {"search": {"policy": {"kind": "search"}}})
-    outcome = run_episode(column, planned, in_process)
+    (arm,) = make_arms(config, {"search": {"policy": {"kind": "search"}}})
+    outcome = run_episode(arm, planned, in_process)
     assert outcome.success, outcome.reason
     assert outcome.answers == expected
     found = gather([read_json_object(to_json_line(outcome))])

@@ -8,7 +8,7 @@ import pytest
 from small_house import small_house
 
 from edge.errors import Stopped, UserError
-from edge.lab.eval.columns import make_arms, with_and_without_memory
+from edge.lab.eval.arms import make_arms, with_and_without_memory
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.episodes import make_episode, read, sensing_settings, write
 from edge.lab.eval.outcome import to_json_line
@@ -82,7 +82,7 @@ def test_the_first_goal_is_the_same_and_only_memory_helps_the_second(outcomes):
 def test_a_comparison_leaves_the_first_goal_out(outcomes):
     lines = [to_json_line(outcome) for arm in outcomes for outcome in arm]
     found = gather(read_json_object(line) for line in lines)
-    assert found.columns == ("search, no memory", "search")
+    assert found.arms == ("search, no memory", "search")
     assert found.target.tolist() == ["sofa"]
     assert found["shortest_m"][:, 0].tolist() == [
         pytest.approx(arm[1].shortest_m, abs=1e-3) for arm in outcomes
@@ -109,7 +109,7 @@ def test_a_finished_session_is_not_run_again(session, arms, outcomes, tmp_path, 
     ran = iter(outcomes)
     monkeypatch.setattr("edge.lab.eval.workers.run_session", lambda *_: next(ran))
     told = []
-    first = run_all(arms, [session], tmp_path, tell=lambda *news: told.append(news[:2]))
+    first = run_all(arms, [session], tmp_path, on_outcome=lambda *news: told.append(news[:2]))
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
     again = run_all(arms, [session], tmp_path)
     assert [outcome.key for outcome in first] == [outcome.key for outcome in again]

@@ -8,9 +8,15 @@ import math
 import pytest
 
 from edge.errors import FileError, UserError
-from edge.lab.eval.columns import ExperimentArm
+from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.outcome import NAME, EpisodeOutcome, OutcomeFile, crashed_outcome, to_json_line
+from edge.lab.eval.outcome import (
+    OUTCOMES_NAME,
+    EpisodeOutcome,
+    OutcomeFile,
+    crashed_outcome,
+    to_json_line,
+)
 
 COLUMN = ExperimentArm("hvl", {}, {}, "c0", "here")
 EPISODE = Episode("e0", {"kind": "house", "house": "demo"}, (0.0, 1.0, 2.0), "bed", None, 3.0)
@@ -38,7 +44,7 @@ def test_the_last_of_an_episode_and_column_counts(tmp_path):
 def test_half_a_line_is_cut_off_and_written_again(tmp_path):
     file = OutcomeFile(tmp_path)
     file.append(crashed_outcome(COLUMN, EPISODE, "whole"))
-    with (tmp_path / NAME).open("ab") as raw:
+    with (tmp_path / OUTCOMES_NAME).open("ab") as raw:
         raw.write(b'{"episode": "e1", "colu')
     again = OutcomeFile(tmp_path)
     assert len(again.known) == 1
@@ -48,7 +54,7 @@ def test_half_a_line_is_cut_off_and_written_again(tmp_path):
 
 @pytest.mark.parametrize("text", ["[]", "{", "{}", json.dumps({"episode": "a", "start": [0]})])
 def test_lines_that_are_no_outcomes_are_refused(tmp_path, text):
-    (tmp_path / NAME).write_text(text + "\n")
+    (tmp_path / OUTCOMES_NAME).write_text(text + "\n")
     with pytest.raises(UserError, match="line 1: not an outcome of this version"):
         OutcomeFile(tmp_path)
 

@@ -12,14 +12,14 @@ from small_house import small_house
 
 from edge.cli.main import main
 from edge.lab.eval import drive, workers
-from edge.lab.eval.columns import make_arms
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import plan, read, write
 from edge.lab.eval.outcome import TIMINGS, EpisodeOutcome, OutcomeFile
-from edge.lab.eval.runs import changed, run_all
+from edge.lab.eval.runs import count_outdated, run_all
 from edge.lab.eval.workers import EpisodeJob, run_in_process, run_in_workers
 
-COLUMNS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
+ARMS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 
 
 def exact(outcome: EpisodeOutcome) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def config(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tasks(config):
     episodes = plan(config, [], ["bed", "sofa"], 1, 0, 2.0)
-    return [EpisodeJob(column, e) for e in episodes for column in make_arms(config, COLUMNS)]
+    return [EpisodeJob(arm, e) for e in episodes for arm in make_arms(config, ARMS)]
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_no_tasks_have_no_outcomes():
 
 def test_an_episode_replays_the_same_and_tells_its_story(tasks, alone):
     task, first = tasks[0], alone[0]
-    assert exact(run_episode(task.column, task.episode, in_process)) == exact(first)
+    assert exact(run_episode(task.arm, task.episode, in_process)) == exact(first)
     assert first.success
     assert (first.failure, first.wrong_stops, first.left_m) == (None, 0, 0.0)
     assert first.path_m >= first.shortest_m > 0.0
@@ -76,7 +76,7 @@ def fallen(task: EpisodeJob) -> list[EpisodeOutcome]:
     """Stand-in for the worker's run: it crashes at the sofa."""
     if task.episode.target == "sofa":
         os._exit(7)
-    return [run_episode(task.column, task.episode, in_process)]
+    return [run_episode(task.arm, task.episode, in_process)]
 
 
 def serve_fallen(pipe):
@@ -123,8 +123,8 @@ def test_an_error_fails_its_episode_only(tasks, monkeypatch):
 def test_an_episode_ends_though_its_mission_does_not(tasks, monkeypatch):
     monkeypatch.setattr("edge.mission.run.MissionRun.check_limits", lambda *_: None)
     monkeypatch.setattr("edge.loop.service.Service._select", lambda *_: None)
-    column, episode = tasks[0].column, tasks[0].episode
-    outcome = run_episode(column, episode, in_process)
+    arm, episode = tasks[0].arm, tasks[0].episode
+    outcome = run_episode(arm, episode, in_process)
     assert outcome.reason == "no end after 66 s"
     assert (outcome.success, outcome.failure) == (False, "stuck")
     assert outcome.elapsed_s == pytest.approx(66.0, abs=0.21)  # a step
@@ -148,29 +148,29 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
         told.append((number, total, outcome.key))
         stop.set()
 
-    columns = make_arms(config, COLUMNS)
-    first = run_all(columns, episodes, out, tell=tell, stop=stop)
+    arms = make_arms(config, ARMS)
+    first = run_all(arms, episodes, out, on_outcome=tell, stop=stop)
     assert [(number, total) for number, total, _ in told] == [(1, 4)]
-    rest = run_all(columns, episodes, out, tell=lambda *news: told.append(news))
+    rest = run_all(arms, episodes, out, on_outcome=lambda *news: told.append(news))
     assert len({news[2] if i == 0 else news[2].key for i, news in enumerate(told)}) == 4
     assert len(first) == 1
-    assert [(o.episode, o.arm) for o in rest] == [(e.id, c.name) for e in episodes for c in columns]
+    assert [(o.episode, o.arm) for o in rest] == [(e.id, c.name) for e in episodes for c in arms]
     assert read(out / "episodes.jsonl") == episodes
-    run_all(columns, episodes, out, tell=lambda *news: pytest.fail("run again"))
+    run_all(arms, episodes, out, on_outcome=lambda *news: pytest.fail("run again"))
 
 
 def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_path, monkeypatch):
     episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
-    (column,) = make_arms(config, {"it": {}})
+    (arm,) = make_arms(config, {"it": {}})
     with monkeypatch.context() as patched:
         patched.setattr(drive, "ClosedLoop", lambda *_, **__: 1 / 0)
-        (crash,) = run_all([column], episodes, out)
+        (crash,) = run_all([arm], episodes, out)
     assert crash.failure == "crashed"
-    (good,) = run_all([column], episodes, out)
+    (good,) = run_all([arm], episodes, out)
     assert good.success
     (other,) = make_arms(config, {"it": {"policy": {"kind": "nearest_frontier"}}})
-    assert changed([column], out) == {}
-    assert changed([other], out) == {"it": 1}
+    assert count_outdated([arm], out) == {}
+    assert count_outdated([other], out) == {"it": 1}
     (other_run,) = run_all([other], episodes, out)
     assert other_run.arm_id == other.id != good.arm_id
 
@@ -180,8 +180,8 @@ def test_a_mission_of_several_things_is_judged_at_each(config):
     told = dataclasses.replace(
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
     )
-    (column,) = make_arms(config, {})
-    outcome = run_episode(column, told, in_process)
+    (arm,) = make_arms(config, {})
+    outcome = run_episode(arm, told, in_process)
     assert outcome.success, outcome.reason
     assert (outcome.target, outcome.distance_m) == (None, None)
     assert outcome.reason == "sofa, then bed"
@@ -208,7 +208,7 @@ def test_the_simple_use_prints_a_table(yaml_path, capsys):
     assert main([*COMMAND, yaml_path, *asked]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("  1/2 ok   hvl")
-    assert lines[3:5] == ["Columns", lines[4]]
+    assert lines[3:5] == ["Arms", lines[4]]
     assert lines[4].split()[:4] == ["arm", "n", "SR,", "%"]
     assert lines[5].split()[:3] == ["hvl", "2", "100.0"]
     assert {"By target", "Failures", "On the way"} <= set(lines)
@@ -220,8 +220,8 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     assert main([*COMMAND, yaml_path, *asked]) == 0
     assert capsys.readouterr().out == f"{file}: 2 episodes\n"
     run = [*COMMAND, yaml_path, "--episodes", str(file), "--limit", "1", "--out", str(out)]
-    columns = ["--arm", "hvl", "--arm", "near", "policy.kind=nearest_frontier"]
-    assert main([*run, *columns]) == 0
+    arms = ["--arm", "hvl", "--arm", "near", "policy.kind=nearest_frontier"]
+    assert main([*run, *arms]) == 0
     assert [o.arm for o in OutcomeFile(out).known.values()] == ["hvl", "near"]
     capsys.readouterr()
     assert main([*run, "--arm", "hvl", "policy.w_dist=1.5"]) == 0

@@ -50,9 +50,9 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
 def test_a_trajectory_leads_to_what_the_sentence_names():
     outcome, failed = run_task("go to the red car", seen(), load("street"))
     assert failed is None
-    (car,) = outcome.named()
-    assert outcome.ends_at()[0] is car
-    assert outcome.ends_at()[1] < 1.5
+    (car,) = outcome.mentioned_objects()
+    assert outcome.object_at_end()[0] is car
+    assert outcome.object_at_end()[1] < 1.5
     scene, poses = outcome.view.scene, outcome.refined.poses
     closed = closed_cells(scene.occupancy, load("street").tasks.trajectory.clearance_m)
     assert not any(closed[scene.occupancy.cell_of(x, y)] for x, y in poses[:, :2])

@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_house import small_house
 
-from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, named, visible_px
+from edge.lab.eval.ground_truth import (
+    GroundTruth,
+    GroundTruthLogger,
+    count_visible_px,
+    objects_meant_by,
+)
 from edge.lab.sim.worlds import load_world
 from edge.types import Goal, Instance, MissionEvent, MissionStatus, Observation
 
@@ -128,8 +133,8 @@ def test_an_error_of_its_own_is_kept(stage):
 def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
     world = load_world(small_house(tmp_path))
     for target in ("bed", "double bed", "soft red bed"):
-        assert [o.label for o in named(world, target)] == ["bed"]
-    assert named(world, "unicorn") == []
+        assert [o.label for o in objects_meant_by(world, target)] == ["bed"]
+    assert objects_meant_by(world, "unicorn") == []
 
 
 @given(seed=st.integers(0, 2**32), range_m=st.floats(0.5, 9.0))
@@ -140,7 +145,7 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     depth[rng.random(ids.shape) < 0.2] = np.nan
     mine = rng.random(5) < 0.5
     expected = int((mine[ids] & (depth <= range_m)).sum())
-    assert visible_px(ids, depth, mine, range_m) == expected
+    assert count_visible_px(ids, depth, mine, range_m) == expected
 
 
 def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):

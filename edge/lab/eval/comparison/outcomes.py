@@ -1,4 +1,4 @@
-"""Records of outcomes as arrays: one row for each arm, one entry for each episode."""
+"""Outcomes of episodes as arrays: one row for each arm, one column for each episode."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from edge.lab.eval.outcome import FAILURES, MAX_BYTES, present_names
 from edge.text import bounded_repr, one_line, read_json_object
 
 OTHER = "other"
+"""Kind of a failure that is none of `FAILURES`."""
 RIGHT = "right"
-"""Verdict of an answer (`edge.lab.eval.questions`)."""
+"""Verdict on a right answer (`edge.lab.eval.questions`)."""
 
 Record = dict[str, Any]
 """A line of `outcomes.jsonl`: one episode with one arm."""
@@ -33,7 +34,8 @@ def _share_right(answers: dict[str, str]) -> float | None:
     return sum(verdict == RIGHT for verdict in answers.values()) / len(answers) if answers else None
 
 
-# By name, the reader of a record's number. A missing number or null becomes NaN.
+# By name, the reader of a record's number; `edge.lab.eval.outcome.EpisodeOutcome` has the fields. A
+# missing number or null becomes NaN.
 NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "success": lambda r: r["success"],
     "shortest_m": lambda r: r["shortest_m"],
@@ -56,28 +58,28 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Outcomes of C arms on E episodes.
+    """Outcomes of A arms on E episodes. A goal of a session is an episode of its own here.
 
     Attributes:
-        columns: names of the arms, in the order of the records.
+        arms: names of the arms, in the order of the records.
         episodes: ids, sorted, so that the order of the runs does not matter.
-        world: (E,) str.
+        world: (E,) str, name of the world.
         kind: (E,) str, kind of world.
         target: (E,) str; "" for a mission with several targets.
         ways: (E,) str; see `edge.lab.eval.episodes.Episode`.
         rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
-        shortest_m: (E,) float64. A goal of a session begins where each arm's last goal ended, so
-            its shortest path depends on the arm. Here it is that of one arm; `numbers` has that of
-            each arm.
-        ran: (C, E) bool, True if there is a record.
-        numbers: by name of `NUMERIC_FIELDS`, (C, E) float64, NaN if there is none.
-        failure: (C, E) str, one of FAILURES or OTHER; "" for a success or without a record.
-        records: by indices (arm, episode).
-        passed_over: number of ignored records. A record is ignored if there is a newer one of the
+        shortest_m: (E,) float64, shortest path of the episode. In a session (several goals one
+            after another) each arm starts a goal elsewhere, so its length differs by arm: this is
+            the value of one arm; `numbers["shortest_m"]` has all.
+        ran: (A, E) bool, True if there is a record.
+        numbers: by name of `NUMERIC_FIELDS`, (A, E) float64, NaN if there is none.
+        failure: (A, E) str, one of FAILURES or OTHER; "" for a success or without a record.
+        records: by indices (arm, episode); no entry without a record.
+        n_ignored: number of ignored records. A record is ignored if there is a newer one of the
             same arm and episode, or if it is of earlier settings of its arm.
     """
 
-    columns: tuple[str, ...]
+    arms: tuple[str, ...]
     episodes: tuple[str, ...]
     world: np.ndarray
     kind: np.ndarray
@@ -89,19 +91,19 @@ class Outcomes:
     numbers: dict[str, np.ndarray]
     failure: np.ndarray
     records: dict[tuple[int, int], Record]
-    passed_over: int = 0
+    n_ignored: int = 0
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return (C, E) float64 of a number, by its name."""
+        """Return (A, E) float64 of a number, by its name."""
         return self.numbers[name]
 
     @property
     def success(self) -> np.ndarray:
-        """(C, E) bool; False without a record."""
+        """(A, E) bool; False without a record."""
         return self.numbers["success"] == 1.0
 
 
-def read(path: Path) -> list[Record]:
+def read_records(path: Path) -> list[Record]:
     """Read the records of a file. A last line without its end, from an interrupted run, is ignored.
 
     Raises:
@@ -155,49 +157,52 @@ def _check(record: Record) -> Record:
 def gather(records: Iterable[Record]) -> Outcomes:
     """Return records as arrays.
 
-    The last record of an arm and episode counts, and only the newest settings of an arm. The first
-    goal of a session does not count: nothing can be remembered yet.
+    The last record of an arm and episode counts, and only the newest settings of an arm
+    (`arm_id` is a hash of them). The first goal of a session does not count: nothing can be
+    remembered yet.
 
     Raises:
         UserError: two arms have different targets or shortest paths for one episode.
     """
     records = [record for record in records if record.get("goal") != 1]
-    settings = {r["arm"]: r.get("arm_id") for r in records}
-    kept = [r for r in records if r.get("arm_id") == settings[r["arm"]]]
+    newest_id = {r["arm"]: r.get("arm_id") for r in records}
+    kept = [r for r in records if r.get("arm_id") == newest_id[r["arm"]]]
     newest = {(r["arm"], r["episode"]): r for r in kept}
-    columns = tuple(dict.fromkeys(column for column, _ in newest))
-    episodes = tuple(sorted({episode for _, episode in newest}, key=natural))
-    at = {(columns.index(c), episodes.index(e)): r for (c, e), r in newest.items()}
-    tasks: list[Record] = [{} for _ in episodes]
+    arms = tuple(dict.fromkeys(arm for arm, _ in newest))
+    episodes = tuple(sorted({episode for _, episode in newest}, key=natural_key))
+    at = {(arms.index(arm), episodes.index(e)): r for (arm, e), r in newest.items()}
+    episode_records: list[Record] = [{} for _ in episodes]  # a record of any arm
     for (_, e), record in at.items():
-        _check_same_task(tasks[e], record)
+        _check_same_episode(episode_records[e], record)
         # The record of a crash may lack the name of the world.
-        tasks[e] = tasks[e] if record.get("failure") == "crashed" and tasks[e] else record
-    shape = len(columns), len(episodes)
+        if not episode_records[e] or record.get("failure") != "crashed":
+            episode_records[e] = record
+    shape = len(arms), len(episodes)
     numbers = {name: np.full(shape, np.nan) for name in NUMERIC_FIELDS}
     ran, failure = np.zeros(shape, bool), np.full(shape, "", dtype="<U32")
-    for (c, e), record in at.items():
-        ran[c, e] = True
+    for (a, e), record in at.items():
+        ran[a, e] = True
         for name, read_number in NUMERIC_FIELDS.items():
             value = read_number(record)
-            numbers[name][c, e] = math.nan if value is None else float(value)
+            numbers[name][a, e] = math.nan if value is None else float(value)
         if not record["success"]:
-            named = record.get("failure")
-            failure[c, e] = named if named in FAILURES else OTHER
+            kind = record.get("failure")
+            failure[a, e] = kind if kind in FAILURES else OTHER
     return Outcomes(
-        columns, episodes,
-        np.array([r["world"] for r in tasks], dtype=str),
-        np.array([r["kind"] for r in tasks], dtype=str),
-        np.array([r.get("target") or "" for r in tasks], dtype=str),
-        np.array([r.get("ways") or "" for r in tasks], dtype=str),
-        np.full(len(tasks), np.nan),
-        np.array([r["shortest_m"] for r in tasks], np.float64),
+        arms, episodes,
+        np.array([r["world"] for r in episode_records], dtype=str),
+        np.array([r["kind"] for r in episode_records], dtype=str),
+        np.array([r.get("target") or "" for r in episode_records], dtype=str),
+        np.array([r.get("ways") or "" for r in episode_records], dtype=str),
+        np.full(len(episode_records), np.nan),
+        np.array([r["shortest_m"] for r in episode_records], np.float64),
         ran, numbers, failure, at, len(records) - len(at),
     )  # fmt: skip
 
 
-def _check_same_task(one: Record, other: Record) -> None:
-    """Raise UserError if two arms have different tasks for an episode."""
+def _check_same_episode(one: Record, other: Record) -> None:
+    """Raise UserError if two arms ran different episodes under the same id."""
+    # In a session the shortest path differs by arm.
     for key in ("target",) if other.get("goal") else ("target", "shortest_m"):
         if one and one.get(key) != other.get(key):
             raise UserError(
@@ -214,10 +219,10 @@ def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
     return replace(outcomes, rooms=known)
 
 
-def natural(text: str) -> list[tuple[int, Any]]:
+def natural_key(text: str) -> list[tuple[int, Any]]:
     """Return a sort key that compares numbers within texts as numbers.
 
-    >>> sorted(["val-10", "val-9"], key=natural)
+    >>> sorted(["val-10", "val-9"], key=natural_key)
     ['val-9', 'val-10']
     """
     parts = re.findall(r"\d+|\D+", text)
@@ -225,7 +230,7 @@ def natural(text: str) -> list[tuple[int, Any]]:
 
 
 def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
-    """Return the clusters that the bootstrap resamples.
+    """Return the clusters of episodes that the bootstrap resamples.
 
     They are the worlds, as the episodes of one world are not independent.
 
@@ -247,9 +252,9 @@ def baseline_of(outcomes: Outcomes, name: str | None) -> int:
     Raises:
         UserError: there is no such arm.
     """
-    columns: Sequence[str] = outcomes.columns
+    arms: Sequence[str] = outcomes.arms
     if name is None:
         return 0
-    if name not in columns:
-        raise UserError(f"--baseline: no arm {name!r} (choices: {', '.join(columns)})")
-    return columns.index(name)
+    if name not in arms:
+        raise UserError(f"--baseline: no arm {name!r} (choices: {', '.join(arms)})")
+    return arms.index(name)

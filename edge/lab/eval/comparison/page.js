@@ -18,7 +18,8 @@ const keys = {
   shortest: (r) => r.shortest,
 };
 
-// Kinds of failure are empty for what succeeded, or did not run: then there is no SPL.
+// r is a row of numbers; a, b, c are indices of arms. The kind of failure is empty if the arm
+// succeeded, or did not run: then there is no SPL.
 const failed = (r, c) => r.kinds[c] !== "";
 const reached = (r, c) => !failed(r, c) && !Number.isNaN(r.spl[c]);
 const outcomes = {
@@ -48,12 +49,12 @@ function show() {
   }
   list.append(...[...rows].sort(order).map((r) => r.row));
   $("count").value = `${shown} of ${rows.length} episodes`;
-  let columns = 0;
+  let shownArms = 0;
   for (const box of document.querySelectorAll("[data-hide]")) {
     list.classList.toggle(`hide${box.dataset.hide}`, !box.checked);
-    columns += box.checked ? 1 : 0;
+    shownArms += box.checked ? 1 : 0;
   }
-  list.style.setProperty("--n", Math.max(columns, 1));
+  list.style.setProperty("--n", Math.max(shownArms, 1));
 }
 
 $("controls").addEventListener("input", show);

@@ -1,4 +1,4 @@
-"""One self-contained page of a comparison: tables, plots, and every trail on its map.
+"""Builds the self-contained page of a comparison: tables, plots, and every trail on its map.
 
 The maps are static. A short script sorts and filters them.
 """
@@ -35,7 +35,7 @@ def html(
     """
     outcomes = comparison.outcomes
     n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
-    words = f"{n} episodes in {worlds} worlds, {len(outcomes.columns)} arms"
+    words = f"{n} episodes in {worlds} worlds, {len(outcomes.arms)} arms"
     body = (
         f'<header><h1>{escape(title)}</h1><p class="reason">{words}</p></header>',
         *(tables.html(table) for table in tables.tables(comparison)),
@@ -45,9 +45,7 @@ def html(
     script = files(__package__).joinpath("page.js").read_text(encoding="utf-8")
     style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     style += "".join(f".t{k}{{stroke:{colour}}}" for k, colour in enumerate(trails.RAMP))
-    style += "".join(
-        f'.hide{c} [data-c="{c}"]{{display:none}}' for c in range(len(outcomes.columns))
-    )
+    style += "".join(f'.hide{a} [data-c="{a}"]{{display:none}}' for a in range(len(outcomes.arms)))
     return document(title, "".join(body), machine, style, script)
 
 
@@ -65,32 +63,39 @@ def _trails(comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing]) ->
     spl = spl_of(outcomes)
     grounds = trails.backgrounds_of(drawings)
     rows = "".join(
-        _episode(comparison, e, spl[:, e], grounds) for e in range(len(outcomes.episodes))
+        _episode_row(comparison, e, spl[:, e], grounds) for e in range(len(outcomes.episodes))
     )
-    listed = f'<div id="episodes" style="--n:{len(outcomes.columns)}">{rows}</div>'
+    listed = f'<div id="episodes" style="--n:{len(outcomes.arms)}">{rows}</div>'
     return (
         f'{trails.symbols(grounds)}<section id="trails"><h2>Every trail</h2>{_legend()}'
         f"{_controls(comparison)}{listed}</section>"
     )
 
 
-def _episode(
+def _episode_row(
     comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, TrailBackground]
 ) -> str:
-    """Build the row of an episode: its task, and a map for each arm."""
+    """Build the row of an episode: its target, and a map for each arm.
+
+    Args:
+        comparison: the figures.
+        e: index of the episode.
+        spl: (A,) SPL of each arm.
+        grounds: backgrounds by world.
+    """
     outcomes = comparison.outcomes
-    columns = range(len(outcomes.columns))
-    records = {c: outcomes.records[c, e] for c in columns if outcomes.ran[c, e]}
+    arms = range(len(outcomes.arms))
+    records = {a: outcomes.records[a, e] for a in arms if outcomes.ran[a, e]}
     target, world = str(outcomes.target[e]), str(outcomes.world[e])
     rooms = [] if math.isnan(outcomes.rooms[e]) else [f"{outcomes.rooms[e]:g} rooms"]
     facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", *rooms, outcomes.episodes[e]]
     ground = grounds.get(world) or trails.empty_background(list(records.values()))
     maps = "".join(
-        trails.figure(ground, target, outcomes.columns[c], c, records.get(c), float(spl[c]))
-        for c in columns
+        trails.figure(ground, target, outcomes.arms[a], a, records.get(a), float(spl[a]))
+        for a in arms
     )
     instruction = next(iter(records.values())).get("instruction")
-    paths = [outcomes["path_m"][c, e] for c in columns]
+    paths = [outcomes["path_m"][a, e] for a in arms]
     return (
         f'<article data-i="{e}" data-target="{escape(target)}" '
         f'data-kinds="{escape("|".join(outcomes.failure[:, e].tolist()))}" '
@@ -122,7 +127,7 @@ def _legend() -> str:
 
 def _controls(comparison: Comparison) -> str:
     outcomes = comparison.outcomes
-    names = [one_line(name, 40) for name in outcomes.columns]
+    names = [one_line(name, 40) for name in outcomes.arms]
     targets = sorted({t for t in outcomes.target.tolist() if t})
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
     orders = (
@@ -134,13 +139,13 @@ def _controls(comparison: Comparison) -> str:
         ("lost", "A failed, B succeeded"), ("some", "some failed"), ("all", "all failed"),
         *((f"kind:{kind}", f"A: {kind}") for kind in kinds),
     )  # fmt: skip
-    numbered = [(str(c), name) for c, name in enumerate(names)]
+    numbered = [(str(a), name) for a, name in enumerate(names)]
     base = comparison.baseline
-    other = next((c for c in range(len(names)) if c != base), base)
+    other = next((a for a in range(len(names)) if a != base), base)
     shown = "".join(
-        f'<label class="column"><input type="checkbox" data-hide="{c}" checked>{escape(name)}'
+        f'<label class="column"><input type="checkbox" data-hide="{a}" checked>{escape(name)}'
         "</label>"
-        for c, name in enumerate(names)
+        for a, name in enumerate(names)
     )
     return (
         '<form id="controls">'

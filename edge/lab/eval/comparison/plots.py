@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.host.files import write_atomically
 from edge.lab.eval.comparison.outcomes import Outcomes, clusters
-from edge.lab.eval.comparison.statistics import Comparison, mean, spl_of
+from edge.lab.eval.comparison.statistics import Comparison, arm_means, spl_of
 from edge.lab.eval.intervals import Interval
 from edge.lab.report import canvas, palette
 from edge.lab.report.canvas import style_of
@@ -31,7 +31,7 @@ BUDGETS = 8.0  # end of the axis, in lengths of the shortest path
 
 def rates(comparison: Comparison) -> Figure:
     """Plot SPL and success rate of each arm."""
-    names = comparison.outcomes.columns
+    names = comparison.outcomes.arms
     figure, (left, right) = canvas.plots((WIDTH_IN, 0.9 + 0.34 * len(names)), DPI, 2)
     for axes, key, title, scale in ((left, "spl", "SPL", 1.0), (right, "sr", "SR, %", 100.0)):
         found = [comparison.figures[name][key].interval for name in names]
@@ -47,11 +47,11 @@ def differences(comparison: Comparison) -> Figure:
     """Plot the paired differences of SPL against the baseline."""
     outcomes, pairs = comparison.outcomes, comparison.pairs
     figure, (axes,) = canvas.plots((WIDTH_IN, 1.1 + 0.34 * len(pairs)), DPI, 1)
-    rows = [outcomes.columns.index(pair.arm) for pair in pairs]
+    rows = [outcomes.arms.index(pair.arm) for pair in pairs]
     axes.axvline(0.0, color=palette.INFLATED, linewidth=1.2, zorder=1)
     _draw_forest(axes, [pair.spl for pair in pairs], rows, 1.0, 3, "+")
     _set_names(axes, [f"{shorten(p.arm, MAX_NAME)} (n {p.n})" for p in pairs])
-    base = shorten(outcomes.columns[comparison.baseline], MAX_NAME)
+    base = shorten(outcomes.arms[comparison.baseline], MAX_NAME)
     _set_title(axes, f"SPL minus that of {base}, same episodes")
     return figure
 
@@ -65,13 +65,13 @@ def distances(comparison: Comparison) -> Figure:
     spl = spl_of(outcomes)
     middles = [float(np.median(outcomes.shortest_m[inside])) for inside in bins]
     found = [
-        mean([spl[:, inside]], np.unique(cluster[inside], return_inverse=True)[1].ravel())[0]
+        arm_means([spl[:, inside]], np.unique(cluster[inside], return_inverse=True)[1].ravel())[0]
         for inside in bins
     ]
-    for c in range(len(outcomes.columns)):
+    for a in range(len(outcomes.arms)):
         # Shift each arm, so that whiskers do not overlap.
-        shift = 1.0 + 0.012 * (c - (len(outcomes.columns) - 1) / 2)
-        _draw_curve(axes, [shift * m for m in middles], [row[c] for row in found], c, outcomes)
+        shift = 1.0 + 0.012 * (a - (len(outcomes.arms) - 1) / 2)
+        _draw_curve(axes, [shift * m for m in middles], [row[a] for row in found], a, outcomes)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("shortest path, m (median of each fifth of the episodes)"
                     if len(bins) == BINS else "shortest path, m (medians)")  # fmt: skip
@@ -87,9 +87,9 @@ def budget(comparison: Comparison) -> Figure:
     outcomes = comparison.outcomes
     figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
     at = np.geomspace(1.0, BUDGETS, 200)
-    for c, name in enumerate(outcomes.columns):
-        look = style_of(c)
-        share = 100 * within_budget(outcomes, c, at)
+    for a, name in enumerate(outcomes.arms):
+        look = style_of(a)
+        share = 100 * within_budget(outcomes, a, at)
         axes.plot(at, share, color=look.colour, linestyle=look.dash, linewidth=1.8,
                   label=shorten(name, MAX_NAME), drawstyle="steps-post")  # fmt: skip
     axes.set_xscale("log", base=2)
@@ -104,15 +104,15 @@ def budget(comparison: Comparison) -> Figure:
     return figure
 
 
-def within_budget(outcomes: Outcomes, column: int, budgets: np.ndarray) -> np.ndarray:
+def within_budget(outcomes: Outcomes, arm: int, budgets: np.ndarray) -> np.ndarray:
     """Return (n,) share of an arm's episodes that succeed within each path budget.
 
     A budget is a factor on the length of the shortest path.
     """
-    ran = outcomes.ran[column]
-    shortest = np.maximum(outcomes["shortest_m"][column][ran], 1e-9)
+    ran = outcomes.ran[arm]
+    shortest = np.maximum(outcomes["shortest_m"][arm][ran], 1e-9)
     needed = np.where(
-        outcomes.success[column][ran], np.maximum(outcomes["path_m"][column][ran] / shortest, 1.0),
+        outcomes.success[arm][ran], np.maximum(outcomes["path_m"][arm][ran] / shortest, 1.0),
         math.inf,
     )  # fmt: skip
     return np.searchsorted(np.sort(needed), budgets, side="right") / max(len(needed), 1)
@@ -172,14 +172,23 @@ def _set_title(axes: Axes, title: str) -> None:
 
 
 def _draw_forest(
-    axes: Axes, found: list[Interval], looks: list[int], scale: float, digits: int, sign: str = ""
+    axes: Axes, found: list[Interval], arms: list[int], scale: float, digits: int, sign: str = ""
 ) -> None:
-    """Draw a dot with a whisker in each row, and write its value above it."""
-    for row, (interval, k) in enumerate(zip(found, looks, strict=True)):
+    """Draw a dot with a whisker in each row, and write its value above it.
+
+    Args:
+        axes: where to draw.
+        found: the interval of each row.
+        arms: index of the arm of each row, which gives its colour.
+        scale: factor on the values.
+        digits: number of decimals.
+        sign: "+" writes the sign of positive values, too.
+    """
+    for row, (interval, arm) in enumerate(zip(found, arms, strict=True)):
         value, low, high = (scale * x for x in interval)
         if math.isnan(value):
             continue
-        look = style_of(k)
+        look = style_of(arm)
         if not math.isnan(low):
             axes.plot([low, high], [row, row], color=look.colour, linewidth=2.2, alpha=0.55)
         axes.plot(value, row, marker=look.mark, markersize=7, color=look.colour)
@@ -199,16 +208,17 @@ def _set_names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
 
 
 def _draw_curve(
-    axes: Axes, x: list[float], found: list[Interval], k: int, outcomes: Outcomes
+    axes: Axes, x: list[float], found: list[Interval], arm: int, outcomes: Outcomes
 ) -> None:
-    look = style_of(k)
+    """Draw an arm's values over x, with their intervals as bars."""
+    look = style_of(arm)
     y = np.array([interval.value for interval in found])
     below = y - np.array([interval.low for interval in found])
     above = np.array([interval.high for interval in found]) - y
     bars = np.nan_to_num(np.maximum([below, above], 0.0))
     axes.errorbar(
         x, y, bars, color=look.colour, linestyle=look.dash, marker=look.mark, markersize=5.5,
-        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.columns[k], MAX_NAME),
+        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.arms[arm], MAX_NAME),
     )  # fmt: skip
 
 

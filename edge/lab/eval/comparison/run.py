@@ -13,13 +13,17 @@ from edge.errors import FileError, UserError
 from edge.host.files import write_atomically
 from edge.host.progress import with_progress
 from edge.lab.eval import episodes, world_list
-from edge.lab.eval.columns import merged
-from edge.lab.eval.comparison import outcomes as records
+from edge.lab.eval.arms import merged
 from edge.lab.eval.comparison import page, plots, tables, worlds
-from edge.lab.eval.comparison.outcomes import Outcomes
+from edge.lab.eval.comparison.outcomes import (
+    Outcomes,
+    baseline_of,
+    gather,
+    read_records,
+    with_rooms,
+)
 from edge.lab.eval.comparison.statistics import Comparison, compare
-from edge.lab.eval.outcome import NAME as OUTCOMES_NAME
-from edge.lab.eval.outcome import EpisodeOutcome, to_json_line
+from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, to_json_line
 from edge.lab.report.recorder import machine
 from edge.text import one_line, read_json_object
 
@@ -61,11 +65,11 @@ def compare_folder(
         UserError: there are no outcomes, or no such arm; or a file cannot be read.
     """
     path = folder / OUTCOMES_NAME
-    found = records.read(path)
+    found = read_records(path)
     if not found:
         raise UserError(f"{path}: has no outcomes; `edge eval episodes --out {folder}` writes them")
-    outcomes = records.gather(found)
-    records.baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
+    outcomes = gather(found)
+    baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
     outcomes, left_m, drawings = add_world_data(
         outcomes, configs_of(folder / EPISODES_NAME, outcomes)
     )
@@ -74,13 +78,13 @@ def compare_folder(
 
 def text(comparison: Comparison) -> str:
     """Return all tables for a terminal, with notes on intervals and on ignored records."""
-    if not comparison.outcomes.columns:
+    if not comparison.outcomes.arms:
         return "no outcomes"
     parts = [tables.text(table) for table in tables.tables(comparison)]
     parts.append(tables.unit_words(comparison))
-    if comparison.outcomes.passed_over:
+    if comparison.outcomes.n_ignored:
         parts.append(
-            f"{comparison.outcomes.passed_over} older outcomes are ignored: earlier settings of an "
+            f"{comparison.outcomes.n_ignored} older outcomes are ignored: earlier settings of an "
             "arm, or run again since"
         )
     return "\n\n".join(parts)
@@ -88,7 +92,7 @@ def text(comparison: Comparison) -> str:
 
 def summary_text(outcomes: Iterable[EpisodeOutcome]) -> str:
     """Return the text that is printed at the end of a run of episodes."""
-    found = records.gather(read_json_object(to_json_line(outcome)) for outcome in outcomes)
+    found = gather(read_json_object(to_json_line(outcome)) for outcome in outcomes)
     return text(compare(found))
 
 
@@ -99,12 +103,15 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
         UserError: the episodes cannot be read, or a world's section is invalid.
     """
     configs: dict[str, Config] = {}
-    at = {name: e for e, name in enumerate(outcomes.episodes)}
+    index = {name: e for e, name in enumerate(outcomes.episodes)}
     for episode in episodes.read(path):
-        e = next((at[part] for part in episode.parts if part in at), None)
+        e = next((index[part] for part in episode.parts if part in index), None)
         if e is not None and str(outcomes.world[e]) not in configs:
-            own = {"perception": {"detector": {"kind": "sim"}}, "sim": {"world": episode.world}}
-            data = merged(episode.sensing, own)
+            world_section = {
+                "perception": {"detector": {"kind": "sim"}},
+                "sim": {"world": episode.world},
+            }
+            data = merged(episode.sensing, world_section)
             configs[str(outcomes.world[e])] = parse(data, f"{path}: {one_line(episode.id)}")
     return configs
 
@@ -119,7 +126,7 @@ def add_world_data(
         configs: by world, a configuration with its `sim.world`.
 
     Returns:
-        The outcomes with the number of rooms; (C, E) metres left to drive when the target was first
+        The outcomes with the number of rooms; (A, E) metres left to drive when the target was first
         seen, NaN if unknown; and drawings by world.
 
     Raises:
@@ -131,7 +138,7 @@ def add_world_data(
         world, radius_m = world_list.load(configs[name]), configs[name].robot.radius_m
         inside = np.flatnonzero(outcomes.world == name).tolist()
         targets = sorted({str(outcomes.target[e]) for e in inside} - {""})
-        rooms[name] = len(world.rooms) or None
+        rooms[name] = len(world.rooms) or None  # 0: the world has no room data
         drawings[name] = worlds.draw(world, targets, radius_m)
         worlds.fill_left_at_sight_m(world, inside, outcomes, radius_m, left_m)
-    return records.with_rooms(outcomes, rooms), left_m, drawings
+    return with_rooms(outcomes, rooms), left_m, drawings

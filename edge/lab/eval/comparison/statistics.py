@@ -1,4 +1,4 @@
-"""The figures of a comparison: means with intervals, paired differences, failures, lost SPL.
+"""Computes the figures of a comparison: means, paired differences, failures, lost SPL.
 
 Every interval is a bootstrap over worlds (`outcomes.clusters`), except those of shares, which are
 Wilson's: the bootstrap interval of a share of 0 has no width.
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural
+from edge.lab.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural_key
 from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
 from edge.lab.eval.metrics import episode_soft_spl, episode_spl
 from edge.lab.eval.outcome import FAILURES
@@ -22,13 +22,13 @@ NAN = Interval(math.nan, math.nan, math.nan)
 
 
 class ComparisonMetric(NamedTuple):
-    """A metric of an arm.
+    """A metric that a comparison reports for each arm.
 
     Attributes:
         title: head of its column in a table.
         digits: number of decimals.
         words: description.
-        values: returns (C, E) float64 of outcomes, NaN if an episode does not count.
+        values: returns (A, E) float64 of outcomes, NaN if an episode does not count.
         scale: factor for display.
         how: "mean"; "share" of yes and no; or "median", without an interval, for times, which have
             outliers on a busy computer.
@@ -43,22 +43,23 @@ class ComparisonMetric(NamedTuple):
 
 
 def _raw(name: str) -> Callable[[Outcomes], np.ndarray]:
-    """Return a reader of a number of `NUMERIC_FIELDS`, as it is."""
+    """Return a function that reads a number of `NUMERIC_FIELDS` as it is."""
     return lambda outcomes: outcomes[name]
 
 
-def _number_of_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
+def _in_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
+    """Return a function that reads a number of successful episodes; NaN for the others."""
     return lambda outcomes: np.where(outcomes.success, outcomes[name], np.nan)
 
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
-    """Return (C, E) SPL of each episode, NaN without a record."""
+    """Return (A, E) SPL of each episode, NaN without a record."""
     each = episode_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
 
 def _soft_spl(outcomes: Outcomes) -> np.ndarray:
-    """Return (C, E) soft SPL of each episode.
+    """Return (A, E) soft SPL of each episode.
 
     It is NaN for a mission with several targets. A crash, or an end without a path to the target,
     counts as no progress.
@@ -69,11 +70,12 @@ def _soft_spl(outcomes: Outcomes) -> np.ndarray:
 
 
 def _above_0(name: str) -> Callable[[Outcomes], np.ndarray]:
-    """Return a reader that gives 1 if the number is above 0, and NaN without one."""
+    """Return a function that gives 1.0 if a number is above 0, else 0.0; NaN without a number."""
     return lambda outcomes: np.where(np.isnan(outcomes[name]), np.nan, outcomes[name] > 0)
 
 
 def _was_seen(outcomes: Outcomes) -> np.ndarray:
+    """Return (A, E) 1.0 if the target was seen, else 0.0; NaN for a mission."""
     known = outcomes.ran & (outcomes.target != "")
     return np.where(known, ~np.isnan(outcomes["first_sight_s"]), np.nan)
 
@@ -84,7 +86,7 @@ METRICS: dict[str, ComparisonMetric] = {
     "soft_spl": ComparisonMetric("soft SPL", 3, "progress in place of success", _soft_spl),
     "path_m": ComparisonMetric("path, m", 1, "driven, all episodes", _raw("path_m")),
     "success_path_m": ComparisonMetric("in success", 1, "driven, successes",
-    _number_of_successes("path_m")),
+    _in_successes("path_m")),
     "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes", _raw("elapsed_s")),
     "collisions": ComparisonMetric("collisions", 2, "per episode", _raw("collisions")),
     "seen": ComparisonMetric("seen, %", 1, "target seen at all", _was_seen, 100.0, "share"),
@@ -132,11 +134,11 @@ class PairedDifference(NamedTuple):
         sr: mean difference of success, arm minus baseline.
         spl: mean difference of SPL.
         soft_spl: mean difference of soft SPL.
-        spl_ratio: mean SPL over mean SPL.
+        spl_ratio: mean SPL of the arm over that of the baseline.
         both: number of episodes in which both succeeded.
-        path_ratio: sum of paths over sum of paths, of these.
-        time_ratio: sum of times over sum of times, of these.
-        won: number of episodes with higher SPL.
+        path_ratio: sum of paths of the arm over that of the baseline, of `both`.
+        time_ratio: sum of times of the arm over that of the baseline, of `both`.
+        won: number of episodes with higher SPL than the baseline.
         lost: number of episodes with lower SPL.
     """
 
@@ -213,7 +215,7 @@ def compare(
     Args:
         outcomes: the outcomes.
         baseline: name of an arm; None: the first.
-        left_m: (C, E) metres left to drive when the target was first seen, NaN if unknown or never
+        left_m: (A, E) metres left to drive when the target was first seen, NaN if unknown or never
             (`worlds.fill_left_at_sight_m`).
         resamples: number of bootstrap resamples.
 
@@ -223,15 +225,15 @@ def compare(
     base = baseline_of(outcomes, baseline)
     cluster, unit = clusters(outcomes)
     figures = _figures(outcomes, tuple(METRICS), cluster, resamples)
-    others = [c for c in range(len(outcomes.columns)) if c != base]
+    others = [a for a in range(len(outcomes.arms)) if a != base]
     return Comparison(
         outcomes,
         base,
         unit,
         figures,
-        tuple(pair(outcomes, c, base, resamples) for c in others),
+        tuple(pair(outcomes, a, base, resamples) for a in others),
         _groups(outcomes, resamples),
-        {name: _failures(outcomes, c) for c, name in enumerate(outcomes.columns)},
+        {name: _failures(outcomes, a) for a, name in enumerate(outcomes.arms)},
         {} if left_m is None else _losses(outcomes, left_m, cluster, resamples),
     )
 
@@ -239,19 +241,20 @@ def compare(
 def _figures(
     outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Estimate]]:
+    """Return the metrics of these keys, by arm, by metric."""
     values = {key: METRICS[key].values(outcomes) for key in keys}
     means = [key for key in keys if METRICS[key].how == "mean"]
-    intervals = mean([values[key] for key in means], cluster, resamples)
-    figures: dict[str, dict[str, Estimate]] = {name: {} for name in outcomes.columns}
-    for c, name in enumerate(outcomes.columns):
+    intervals = arm_means([values[key] for key in means], cluster, resamples)
+    figures: dict[str, dict[str, Estimate]] = {name: {} for name in outcomes.arms}
+    for a, name in enumerate(outcomes.arms):
         for key in keys:
-            counted = values[key][c][~np.isnan(values[key][c])]
+            counted = values[key][a][~np.isnan(values[key][a])]
             if METRICS[key].how == "median":
                 interval = _median(counted)
             elif METRICS[key].how == "share":
                 interval = wilson(int(counted.sum()), len(counted))
             else:
-                interval = intervals[means.index(key)][c]
+                interval = intervals[means.index(key)][a]
             figures[name][key] = Estimate(len(counted), interval)
     return figures
 
@@ -260,54 +263,54 @@ def _median(values: np.ndarray) -> Interval:
     return Interval(float(np.median(values)), math.nan, math.nan) if len(values) else NAN
 
 
-def mean(
+def arm_means(
     values: Sequence[np.ndarray], cluster: np.ndarray, resamples: int = RESAMPLES
 ) -> list[list[Interval]]:
-    """Return means of (C, E) arrays over the entries that are not NaN: by array, by arm."""
+    """Return means of (A, E) arrays over the entries that are not NaN: by array, by arm."""
     if not values:
         return []
     stacked = np.concatenate(values)
     counted = ~np.isnan(stacked)
     flat = bootstrap(np.where(counted, stacked, 0.0), counted.astype(float), cluster, resamples)
-    columns = len(values[0])
-    return [flat[k * columns : (k + 1) * columns] for k in range(len(values))]
+    n_arms = len(values[0])
+    return [flat[k * n_arms : (k + 1) * n_arms] for k in range(len(values))]
 
 
 def pair(
-    outcomes: Outcomes, column: int, baseline: int, resamples: int = RESAMPLES
+    outcomes: Outcomes, arm: int, baseline: int, resamples: int = RESAMPLES
 ) -> PairedDifference:
     """Compare an arm with the baseline on the same episodes: their difficulty cancels out."""
-    both_ran = outcomes.ran[column] & outcomes.ran[baseline]
-    missing = int((outcomes.ran[column] ^ outcomes.ran[baseline]).sum())
+    both_ran = outcomes.ran[arm] & outcomes.ran[baseline]
+    missing = int((outcomes.ran[arm] ^ outcomes.ran[baseline]).sum())
     cluster, _ = clusters(outcomes)
     cluster = np.unique(cluster[both_ran], return_inverse=True)[1].ravel()
-    rows = np.array([column, baseline])
+    rows = np.array([arm, baseline])
 
-    def of_both(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def on_same_episodes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of the arm and of the baseline, on the episodes that both ran."""
         return tuple(values[rows][:, both_ran])  # type: ignore[return-value]
 
     ones = np.ones(int(both_ran.sum()))
-    spl, base_spl = of_both(spl_of(outcomes))
-    success, base_success = of_both(outcomes.success.astype(float))
-    soft, base_soft = of_both(_soft_spl(outcomes))
+    spl, base_spl = on_same_episodes(spl_of(outcomes))
+    success, base_success = on_same_episodes(outcomes.success.astype(float))
+    soft, base_soft = on_same_episodes(_soft_spl(outcomes))
     soft_known = ~np.isnan(soft) & ~np.isnan(base_soft)
-    path, base_path = of_both(outcomes["path_m"])
-    time, base_time = of_both(outcomes["elapsed_s"])
+    path, base_path = on_same_episodes(outcomes["path_m"])
+    time, base_time = on_same_episodes(outcomes["elapsed_s"])
     both = (success * base_success).astype(bool)
-    above = (
+    numerators = (
         success - base_success, spl - base_spl, np.where(soft_known, soft - base_soft, 0.0), spl,
         np.where(both, path, 0.0), np.where(both, time, 0.0),
     )  # fmt: skip
-    below = (
+    denominators = (
         ones, ones, soft_known.astype(float), base_spl,
         np.where(both, base_path, 0.0), np.where(both, base_time, 0.0),
     )  # fmt: skip
     sr, spl_d, soft_d, spl_r, path_r, time_r = bootstrap(
-        np.stack(above), np.stack(below), cluster, resamples
+        np.stack(numerators), np.stack(denominators), cluster, resamples
     )
     return PairedDifference(
-        outcomes.columns[column], len(ones), missing, sr, spl_d, soft_d, spl_r,
+        outcomes.arms[arm], len(ones), missing, sr, spl_d, soft_d, spl_r,
         int(both.sum()), path_r, time_r,
         int((spl > base_spl + 1e-9).sum()), int((spl < base_spl - 1e-9).sum()),
     )  # fmt: skip
@@ -316,6 +319,7 @@ def pair(
 def _groups(
     outcomes: Outcomes, resamples: int
 ) -> dict[str, dict[str, dict[str, dict[str, Estimate]]]]:
+    """Return SR and SPL by criterion, by group, by arm, by metric."""
     rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
     by = {
         "target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms),
@@ -323,7 +327,7 @@ def _groups(
     }  # fmt: skip
     all_groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
     for name, labels in by.items():
-        present = sorted({label for label in labels.tolist() if label}, key=natural)
+        present = sorted({label for label in labels.tolist() if label}, key=natural_key)
         if len(present) > 1:
             all_groups[name] = {
                 label: _group(outcomes, labels == label, resamples) for label in present
@@ -334,40 +338,43 @@ def _groups(
 def _group(
     outcomes: Outcomes, inside: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Estimate]]:
+    """Return SR and SPL of the episodes inside a group, (E,) bool, by arm."""
     cluster, _ = clusters(outcomes)
     values = {key: np.where(inside, METRICS[key].values(outcomes), np.nan) for key in ("sr", "spl")}
     used = np.unique(cluster[inside], return_inverse=True)[1].ravel()
-    intervals = mean([values["spl"][:, inside]], used, resamples)[0]
+    intervals = arm_means([values["spl"][:, inside]], used, resamples)[0]
     groups = {}
-    for c, name in enumerate(outcomes.columns):
-        n = int(outcomes.ran[c, inside].sum())
-        share = wilson(int(np.nansum(values["sr"][c])), n)
-        groups[name] = {"sr": Estimate(n, share), "spl": Estimate(n, intervals[c])}
+    for a, name in enumerate(outcomes.arms):
+        n = int(outcomes.ran[a, inside].sum())
+        share = wilson(int(np.nansum(values["sr"][a])), n)
+        groups[name] = {"sr": Estimate(n, share), "spl": Estimate(n, intervals[a])}
     return groups
 
 
-def _failures(outcomes: Outcomes, column: int) -> dict[str, int]:
-    kinds = outcomes.failure[column]
+def _failures(outcomes: Outcomes, arm: int) -> dict[str, int]:
+    """Count an arm's failed episodes by kind of failure."""
+    kinds = outcomes.failure[arm]
     return {kind: int((kinds == kind).sum()) for kind in (*FAILURES, OTHER)}
 
 
 def _losses(
     outcomes: Outcomes, left_m: np.ndarray, cluster: np.ndarray, resamples: int
 ) -> dict[str, SplLoss]:
+    """Return the decomposition of the lost SPL, by arm."""
     search, approach = excess_m(outcomes, left_m)
     spl, path_m = spl_of(outcomes), outcomes["path_m"]
     counted = outcomes.ran & (outcomes.target != "")
-    metres = mean([search, approach], cluster, resamples)
+    metres = arm_means([search, approach], cluster, resamples)
     losses = {}
-    for c, name in enumerate(outcomes.columns):
-        kept, n = counted[c], int(counted[c].sum())
+    for a, name in enumerate(outcomes.arms):
+        kept, n = counted[a], int(counted[a].sum())
         if not n:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
-            lost = [np.nansum((part[c] / path_m[c])[kept]) / n for part in (search, approach)]
-        failed = float((~outcomes.success[c])[kept].mean())
-        found = float(np.nansum(spl[c][kept]) / n)
-        losses[name] = SplLoss(n, found, failed, *map(float, lost), metres[0][c], metres[1][c])
+            lost = [np.nansum((part[a] / path_m[a])[kept]) / n for part in (search, approach)]
+        failed = float((~outcomes.success[a])[kept].mean())
+        found = float(np.nansum(spl[a][kept]) / n)
+        losses[name] = SplLoss(n, found, failed, *map(float, lost), metres[0][a], metres[1][a])
     return losses
 
 
@@ -379,7 +386,7 @@ def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.nda
     target (by ground truth), all is the search's.
 
     Returns:
-        (C, E) float64 each, at least 0, NaN for a failure or a mission with several targets. Their
+        (A, E) float64 each, at least 0, NaN for a failure or a mission with several targets. Their
         sum is the path minus the shortest path, or 0 if that is negative because of the raster.
     """
     counted = outcomes.success & (outcomes.target != "")

@@ -24,11 +24,12 @@ from edge.lab.eval.intervals import Interval
 from edge.lab.eval.outcome import FAILURES
 from edge.text import format_table, one_line
 
-DASH = "–"
+DASH = "–"  # for a figure without a value
 # Metrics whose intervals are in the tables. All intervals are in the CSV.
 BOUNDED = ("sr", "spl", "soft_spl", "wrong_stops", "zone_entries", "answers_right")
+# Tables of metrics by name: title, and keys of METRICS.
 SUMMARIES = {
-    "summary": ("Columns", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
+    "summary": ("Arms", ("sr", "spl", "soft_spl", "path_m", "success_path_m", "elapsed_s")),
     "conduct": (
         "On the way",
         ("seen", "first_sight_s", "wrong_stops", "false_confirmations", "collisions",
@@ -68,17 +69,18 @@ def summary(comparison: Comparison, name: str) -> ReportTable:
     keys = [key for key in wanted if _has_values(comparison, key)]
     head = ["arm", "n", *(METRICS[key].title for key in keys)]
     rows = []
-    for column, figures in comparison.figures.items():
+    for arm, figures in comparison.figures.items():
         cells = [_figure(METRICS[key], figures[key], key in BOUNDED) for key in keys]
-        rows.append([one_line(column), str(figures["sr"].n), *cells])
+        rows.append([one_line(arm), str(figures["sr"].n), *cells])
     return ReportTable(name, title, head, rows if keys else [], _words(comparison, keys))
 
 
 def _words(comparison: Comparison, keys: Sequence[str]) -> str:
+    """Return the note below a summary: its metrics, and how to read them."""
     words = "; ".join(f"{METRICS[key].title}: {METRICS[key].words}" for key in keys)
     words = f"{words[:1].upper()}{words[1:]}."
     if len(set(comparison.outcomes.ran.sum(axis=1).tolist())) > 1:
-        words += " Columns with different n ran different episodes: compare them by pairs."
+        words += " Arms with different n ran different episodes: compare them by pairs."
     return f"{words} {unit_words(comparison)}" if "spl" in keys else words
 
 
@@ -100,7 +102,7 @@ def paired(comparison: Comparison) -> ReportTable:
             "worse", "both", "path ratio", "time ratio")  # fmt: skip
     rows = [_pair_row(pair) for pair in comparison.pairs]
     left_out = [f"{p.arm} {p.missing}" for p in comparison.pairs if p.missing]
-    base = _column(comparison, comparison.baseline)
+    base = _arm_name(comparison, comparison.baseline)
     note = (
         "Differences of means (arm minus baseline), and ratios of means, on the n episodes that "
         "both ran. Better, worse: episodes with higher and lower SPL. Both: episodes in which both "
@@ -125,8 +127,8 @@ def failures(comparison: Comparison) -> ReportTable:
     """Return a table of failed episodes by kind of failure, one row for each arm."""
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
     rows = []
-    for c, (name, counts) in enumerate(comparison.failures.items()):
-        ran = int(comparison.outcomes.ran[c].sum())
+    for a, (name, counts) in enumerate(comparison.failures.items()):
+        ran = int(comparison.outcomes.ran[a].sum())
         failed = sum(counts.values())
         rows.append([one_line(name), str(ran), str(failed), *(str(counts[k]) for k in kinds)])
     return ReportTable("failures", "Failures", ("arm", "n", "failed", *kinds), rows)
@@ -152,14 +154,14 @@ def losses(comparison: Comparison) -> ReportTable:
 
 def group(comparison: Comparison, by: str) -> ReportTable:
     """Return a table of SPL and SR of each arm, one row for each group."""
-    columns = comparison.outcomes.columns
+    arms = comparison.outcomes.arms
     rows = []
     for label, figures in comparison.groups[by].items():
-        most = max(figures[name]["sr"].n for name in columns)
-        cells = [_spl_sr(figures[name]) for name in columns]
-        rows.append([one_line(label), str(most), *cells])
+        n = max(figures[name]["sr"].n for name in arms)
+        cells = [_spl_sr(figures[name]) for name in arms]
+        rows.append([one_line(label), str(n), *cells])
     note = "SPL with its interval, and SR in %."
-    return ReportTable(f"by {by}", f"By {by}", (by, "n", *map(one_line, columns)), rows, note)
+    return ReportTable(f"by {by}", f"By {by}", (by, "n", *map(one_line, arms)), rows, note)
 
 
 def _spl_sr(figures: dict[str, Estimate]) -> str:
@@ -173,9 +175,9 @@ def _has_values(comparison: Comparison, key: str) -> bool:
     return any(figures[key].n for figures in comparison.figures.values())
 
 
-def _column(comparison: Comparison, index: int) -> str:
-    columns = comparison.outcomes.columns
-    return one_line(columns[index]) if columns else DASH
+def _arm_name(comparison: Comparison, index: int) -> str:
+    arms = comparison.outcomes.arms
+    return one_line(arms[index]) if arms else DASH
 
 
 def _figure(metric: ComparisonMetric, figure: Estimate, bounds: bool) -> str:
@@ -226,12 +228,13 @@ def to_csv(comparison: Comparison) -> bytes:
 
 
 def _all_figures(comparison: Comparison):  # type: ignore[no-untyped-def]
+    """Yield (group, arm), metric, and estimate of every figure."""
     for name, figures in comparison.figures.items():
         for key, figure in figures.items():
             yield ("all", name), key, figure
     for by, groups in comparison.groups.items():
-        for label, columns in groups.items():
-            for name, figures in columns.items():
+        for label, figures_of_arm in groups.items():
+            for name, figures in figures_of_arm.items():
                 for key, figure in figures.items():
                     yield (f"{by}: {label}", name), key, figure
 
@@ -240,11 +243,11 @@ def to_json(comparison: Comparison) -> bytes:
     """Return everything as JSON; NaN, which JSON lacks, becomes null."""
     outcomes = comparison.outcomes
     data = {
-        "baseline": outcomes.columns[comparison.baseline] if outcomes.columns else None,
+        "baseline": outcomes.arms[comparison.baseline] if outcomes.arms else None,
         "resampled": comparison.unit,
         "episodes": len(outcomes.episodes),
         "worlds": len(set(outcomes.world.tolist())),
-        "passed_over": outcomes.passed_over,
+        "passed_over": outcomes.n_ignored,
         "arms": comparison.figures,
         "paired": {pair.arm: pair for pair in comparison.pairs},
         "failures": comparison.failures,

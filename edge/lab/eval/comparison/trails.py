@@ -1,4 +1,7 @@
-"""Trails on maps, as SVG. The page has every floor plan once, and the maps refer to it."""
+"""Maps with trails, as SVG. A trail is the path that the robot drove in an episode.
+
+The page has every floor plan once, and the maps refer to it.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from edge.lab.eval.comparison.worlds import FloorPlanDrawing, point_along
 from edge.lab.report.document import data_url
 from edge.text import one_line
 
-UNIT_M = 0.05  # length of one unit of the SVG coordinates
+UNIT_M = 0.05  # metres per unit of the SVG coordinates
 # Colours of a trail from start to end: matplotlib's plasma, without the yellow, too pale on white.
 RAMP = (
     "#0d0887", "#3e049c", "#6300a7", "#8606a6", "#a62098", "#c03a83", "#d5546e", "#e76f5a",
@@ -23,7 +26,7 @@ RAMP = (
 )  # fmt: skip
 MAX_REASON = 120  # characters
 HEADING_M = 0.45  # length of the line that shows the heading at the start
-_GOALS = {"frontier": "f", "instance": "i"}  # other goals are spins
+_GOALS = {"frontier": "f", "instance": "i"}  # CSS class by kind of goal; spins have "l"
 _MARGIN_M = 1.0
 
 
@@ -74,21 +77,20 @@ def symbols(grounds: Mapping[str, TrailBackground]) -> str:
             f'<image id="{ground.key}" width="{width}" height="{height}" '
             f'preserveAspectRatio="none" href="{data_url("png", drawing.png)}"/>'
         )
-        for k, things in enumerate(drawing.footprints.values()):
-            boxes = "".join(f"{_path(ground.units(corners))}z" for corners in things)
+        for k, footprints in enumerate(drawing.footprints.values()):
+            boxes = "".join(f"{_path(ground.units(corners))}z" for corners in footprints)
             inner.append(f'<path id="{ground.key}t{k}" class="thing" d="{boxes}"/>')
     return f'<svg class="hidden" width="0" height="0"><defs>{"".join(inner)}</defs></svg>'
 
 
 def figure(
-    ground: TrailBackground, target: str, name: str, column: int, record: Record | None, spl: float
+    ground: TrailBackground, target: str, name: str, arm: int, record: Record | None, spl: float
 ) -> str:
     """Return the map of one episode with one arm, and its outcome below."""
     words = f"<b>{escape(one_line(name, 40))}</b>"
     if record is None:
         return (
-            f'<figure data-c="{column}" class="none"><figcaption>{words} not run</figcaption>'
-            "</figure>"
+            f'<figure data-c="{arm}" class="none"><figcaption>{words} not run</figcaption></figure>'
         )
     ok = bool(record["success"])
     facts = f"SPL {spl:.2f} · {record['path_m']:.1f} m · {record['elapsed_s']:.0f} s"
@@ -96,7 +98,7 @@ def figure(
     reason += f"{': ' if reason else ''}{one_line(record.get('reason') or '', MAX_REASON)}"
     width, height = ground.size
     return (
-        f'<figure data-c="{column}" class="{"ok" if ok else "bad"}">'
+        f'<figure data-c="{arm}" class="{"ok" if ok else "bad"}">'
         f'<svg viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(one_line(f"{name}: {facts}, {reason}"))}">'
         f"{_ground(ground, target)}{_marks_of(ground, record)}</svg>"

@@ -1,4 +1,4 @@
-"""Drawings of the worlds of episodes, and the distances that were left at first sight."""
+"""Data that a comparison takes from the worlds: floor plans, and distances left at first sight."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FloorPlanDrawing:
     """A world from above, cut to the area around the reachable floor.
 
     Attributes:
-        png: north (larger y) at the top.
+        png: content of the picture; north (larger y) is at the top.
         left_m: smallest x, in `map`.
         top_m: largest y, in `map`.
         width_m: extent in x.
@@ -55,11 +55,11 @@ def draw(world: World, targets: list[str], robot_radius_m: float) -> FloorPlanDr
     rows, columns = grid.cells.shape
     left, bottom = grid.origin_xy_m
     width, height = columns * grid.resolution_m, rows * grid.resolution_m
-    footprints = {t: [corners_m(o) for o in named(world, t)] for t in targets if t}
+    footprints = {t: [corners_m(o) for o in objects_named(world, t)] for t in targets if t}
     return FloorPlanDrawing(png.tobytes(), left, bottom + height, width, height, footprints)
 
 
-def named(world: World, target: str) -> list[WorldObject]:
+def objects_named(world: World, target: str) -> list[WorldObject]:
     """Return the world's objects with this name; [] if there are none."""
     return [item for item in world.objects if names.same_name(item.label, target)]
 
@@ -112,20 +112,20 @@ def fill_left_at_sight_m(
         episodes: indices of the episodes in this world.
         outcomes: the outcomes.
         radius_m: radius of the robot.
-        out_m: (C, E) float64; entries of these episodes are set if the target was seen.
+        out_m: (A, E) float64; entries of these episodes are set if the target was seen.
     """
     for target in sorted({str(outcomes.target[e]) for e in episodes} - {""}):
-        things = named(world, target)
-        if not things:
+        objects = objects_named(world, target)
+        if not objects:
             continue
-        field = geodesic.distance_field(world.plan, things, radius_m, REACHED_M)
-        for (c, e), record in outcomes.records.items():
-            seen_m = outcomes["first_sight_path_m"][c, e]
+        field = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
+        for (a, e), record in outcomes.records.items():
+            seen_m = outcomes["first_sight_path_m"][a, e]
             if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
                 place = point_along(
                     np.asarray(record.get("trail") or [record["start"][:2]]), seen_m
                 )
-                out_m[c, e] = nearest(world, field, place)
+                out_m[a, e] = nearest_value(world, field, place)
 
 
 def point_along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
@@ -135,10 +135,12 @@ def point_along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
     return np.array([np.interp(path_m, driven, trail_m[:, k]) for k in (0, 1)])
 
 
-def nearest(world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float = 0.5) -> float:
-    """Return the smallest value of a field around a place; NaN if there is none.
+def nearest_value(
+    world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float = 0.5
+) -> float:
+    """Return the field's value at a place, else the smallest one around it; NaN if there is none.
 
-    The robot's place itself may be outside the free cells, as it may be nearer to a wall.
+    The place of a robot that stands close to a wall has no value.
     """
     grid = world.plan.grid
     reach = int(within_m / grid.resolution_m)

@@ -1,4 +1,7 @@
-"""Delexicalised tasks: without object names, many share a formula, and so one automaton."""
+"""Delexicalised tasks of the planning benchmark: formulas with letters in place of object names.
+
+Many tasks then share a formula, and so one automaton.
+"""
 
 from __future__ import annotations
 

@@ -33,7 +33,10 @@ import numpy as np
 from edge.mission.logic.automaton import Automaton
 
 NOTHING, DONE, INVALID = -1, -2, -3
-"""A planner's answers other than an object: let a step pass, stop, no usable answer."""
+"""A planner's answers other than an object: let a step pass, stop, no usable answer.
+
+`NOTHING` is also an index: -1 is the last column of `PlanningProblem.moves`.
+"""
 
 MAX_DECISIONS = 500
 
@@ -98,7 +101,7 @@ ChooseTarget = Callable[[PlannerInput], int]
 
 
 class EpisodeResult(NamedTuple):
-    """The result of a run.
+    """The result of one run of a planner on a task.
 
     Attributes:
         outcome: index into `OUTCOMES`.
@@ -146,16 +149,16 @@ def run_episode(
         if problem.steps_left[state] < 0:
             return EpisodeResult(VIOLATED, explorations, steps)
         target = choose(PlannerInput(state, seen, reached, order, current, chance))
-        if target < NOTHING:
+        if target < NOTHING:  # DONE or INVALID
             return EpisodeResult(GAVE_UP if target == DONE else NO_ANSWER, explorations, steps)
         if target != NOTHING:
             steps += 1
-            if not seen >> target & 1:
+            if not seen >> target & 1:  # its place is not known
                 explorations += 1
                 if luck >= p_obs:
                     seen |= _encountered(seen | 1 << target, problem.n_objects, meeting)
                     current = target
-                    continue
+                    continue  # the attempt has failed: ask again in the same state
             seen |= 1 << target
             reached |= 1 << target
             order = (*order, target)

@@ -1,4 +1,4 @@
-"""Benchmark tasks as JSON lines: id, template, objects, sentence, formula."""
+"""File with the tasks of `edge eval planning`, one JSON line each (`FIELDS`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edge.lab.eval.planning.templates import BenchmarkTask
 from edge.mission.logic.ltl import parse, propositions, to_text
 from edge.text import bounded_repr, read_json_object
 
-# Fields of a line, with their types.
+# Fields of a line, with their types. `template` is the name of the template's family.
 FIELDS = {"id": int, "template": str, "objects": list, "sentence": str, "formula": str}
 
 
@@ -37,7 +37,7 @@ def write_tasks(path: Path, tasks: Sequence[BenchmarkTask]) -> None:
         json.dumps(
             {
                 "id": task.id,
-                "template": task.template,
+                "template": task.family,
                 "objects": list(task.objects),
                 "sentence": task.sentence,
                 "formula": to_text(task.formula),

@@ -31,15 +31,13 @@ from edge.mission.logic.automaton import Automaton
 from edge.mission.planning.plan import ACCEPTED, DEAD
 from edge.mission.planning.planner import MissionKnowledge, TargetPlan
 
-NAME = LLM
-
 MAX_QUESTIONS = 50
 """Most different questions in a run; after that the answer is `INVALID`.
 
 A run that sees all six objects and reaches twice as many as any task needs takes fewer than 30.
 """
 
-OPTIONS = {"temperature": 0, "max_tokens": 512}
+OPTIONS = {"temperature": 0, "max_tokens": 512}  # of each request to the model
 
 # The paper's prompt box, word for word.
 PROMPT = """\
@@ -55,6 +53,7 @@ Current State:
 
 _TARGET = re.compile(r"TARGET\s*:\s*[^\w\n]*([^\n.,;:()<>\"'*`]+)", re.IGNORECASE)
 _DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
+# Reasoning before the answer, perhaps cut off.
 _THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
 
 
@@ -123,10 +122,10 @@ class LlmPlanner:
         self, state: int, knowledge: MissionKnowledge, current: str | None = None
     ) -> TargetPlan:
         """Return the model's next target. See `Planner.plan`; costs are steps."""
-        a = self._automaton
-        if a.accepting[state]:
+        automaton = self._automaton
+        if automaton.accepting[state]:
             return ACCEPTED
-        if a.steps_left[state] < 0:
+        if automaton.steps_left[state] < 0:
             return DEAD
         self._reached += sorted(knowledge.reached - set(self._reached))
         target = self._ask_model(knowledge)
@@ -134,7 +133,7 @@ class LlmPlanner:
             return _no_plan("the language model names no target")
         if target in knowledge.failed:
             return _no_plan(f"the language model asks for {target}, which failed")
-        if a.step(state, target) == state:
+        if automaton.step(state, target) == state:
             return _no_plan(f"the language model asks for {target}, which leads no further")
         reason = "chosen by the language model"
         return TargetPlan(target, (target,), 1.0, True, (), reason, ((target, 1.0),))
@@ -152,15 +151,16 @@ class LlmPlanner:
                 answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
             except TokenLimitError as error:
                 answer = error.answer
-            k = parse_answer(answer, self._automaton.propositions)
+            index = parse_answer(answer, self._automaton.propositions)
             self._answers[question] = (
-                None if k in (DONE, INVALID) else self._automaton.propositions[k]
+                None if index in (DONE, INVALID) else self._automaton.propositions[index]
             )
         return self._answers[question]
 
 
-def _spoken(letters: Sequence[str]) -> str:
-    return ", ".join(SPOKEN.get(target, target) for target in letters)
+def _spoken(objects: Sequence[str]) -> str:
+    """Join objects by the paper's words for them."""
+    return ", ".join(SPOKEN.get(name, name) for name in objects)
 
 
 def _no_plan(reason: str) -> TargetPlan:
@@ -213,11 +213,12 @@ def run_llm(
         error is raised, not even Ctrl-C, so that the caller can report the results first. If the
         server fails, which is not the planner's fault, the episode counts as not run.
     """
-    settings = settings._replace(planners=(NAME,))
+    settings = settings._replace(planners=(LLM,))
     results = empty_results(tasks, settings)
     stop = threading.Event()
 
     def run(row: int, j: int, e: int) -> EpisodeResult | None:
+        """Run episode `e` of a task at the j-th p_obs; None if it was stopped."""
         task, p_obs = tasks[row], settings.p_obs[j]
         delexicalised = delexicalise(task.formula)
 

@@ -37,17 +37,17 @@ class Optimum:
 
     def __init__(self, problem: PlanningProblem, p_obs: float) -> None:
         self._others = problem.n_objects - problem.n_propositions
-        self._own = (1 << problem.n_propositions) - 1
+        self._named_bits = (1 << problem.n_propositions) - 1  # of the formula's own objects
         automaton = problem.automaton
-        shape = (self._own + 1, self._others + 1, automaton.n_states)
+        shape = (self._named_bits + 1, self._others + 1, automaton.n_states)
         self.value, self.best = np.empty(shape), np.full(shape, DONE, np.int8)
         order = order_of_relaxation(automaton)
         least_costs(automaton.delta, problem.accepting, order, p_obs, self.value, self.best)
 
     def choose(self, situation: PlannerInput) -> int:
         """Return the next target. See `edge.lab.eval.planning.executor.ChooseTarget`."""
-        left = self._others - (situation.seen & ~self._own).bit_count()
-        return int(self.best[situation.seen & self._own, left, situation.state])
+        left = self._others - (situation.seen & ~self._named_bits).bit_count()
+        return int(self.best[situation.seen & self._named_bits, left, situation.state])
 
 
 def solvable(problem: PlanningProblem) -> bool:
@@ -76,12 +76,13 @@ def least_costs(delta, accepting, order, p_obs, value, best):
         best: see `Optimum`; written.
     """
     k = delta.shape[1] - 1
+    # By state: sum of the costs after an encounter of each unknown object.
     total = np.empty(delta.shape[0])
     for known in range(value.shape[0] - 1, -1, -1):
         for extra in range(value.shape[1]):
             cost_here, choice_here = value[known, extra], best[known, extra]
             cost_here[:] = np.where(accepting, 0.0, np.inf)
-            others = extra - 1
+            others = extra - 1  # number of unknown objects besides the target
             total[:] = 0.0
             if extra > 0:
                 total[:] = extra * value[known, extra - 1]
@@ -101,6 +102,7 @@ def least_costs(delta, accepting, order, p_obs, value, best):
                         cost = 1.0 + p_obs * after[delta[s, i]] + (1.0 - p_obs) * met_cost
                     if cost < cost_here[s]:  # False without a path: inf, or inf - inf
                         cost_here[s], choice_here[s] = cost, i
+            # Relax the steps that cost almost nothing, until no cost becomes lower.
             changed = True
             while changed:
                 changed = False

@@ -23,6 +23,7 @@ from edge.lab.eval.planning.optimum import Optimum
 from edge.mission.planning.planner import MissionKnowledge, Planner, make_planner
 
 MakeForProblem = Callable[[PlanningProblem], Callable[[float], ChooseTarget]]
+"""Returns, for a problem, the function that makes the planner for a p_obs."""
 
 
 class PlannerEntry(NamedTuple):
@@ -74,9 +75,9 @@ def clairvoyant(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     The bound holds only if every place is known.
     """
     left = problem.steps_left
-    after = left[problem.moves]
+    left_after = left[problem.moves]
     shortest = [
-        next((i for i in range(problem.n_propositions) if after[s, i] == left[s] - 1), NOTHING)
+        next((i for i in range(problem.n_propositions) if left_after[s, i] == left[s] - 1), NOTHING)
         for s in range(len(left))
     ]
     return lambda p_obs: lambda situation: shortest[situation.state]
@@ -109,7 +110,7 @@ def valid_targets(problem: PlanningProblem) -> list[list[int]]:
     targets = []
     for row in useful:
         letters = np.flatnonzero(row[: problem.n_propositions]).tolist()
-        targets.append(letters or ([NOTHING] if row[-1] else []))
+        targets.append(letters or ([NOTHING] if row[-1] else []))  # last column: nothing reached
     return targets
 
 
@@ -117,12 +118,12 @@ def _cached_chooser(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
     """Return a planner of the service as a `ChooseTarget` with a cache of its answers."""
     letters = problem.automaton.propositions
     index = {letter: i for i, letter in enumerate(letters)}
-    own = (1 << problem.n_propositions) - 1
+    named_bits = (1 << problem.n_propositions) - 1  # of the objects that the formula names
     answers: dict[tuple[int, int, int, int], int] = {}
 
     def choose(situation: PlannerInput) -> int:
         state, current = situation.state, situation.current
-        seen, reached = situation.seen & own, situation.reached & own
+        seen, reached = situation.seen & named_bits, situation.reached & named_bits
         key = (state, seen, reached, current)
         if key not in answers:
             detected = _names(seen & ~reached, letters)
@@ -136,4 +137,5 @@ def _cached_chooser(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
 
 
 def _names(mask: int, letters: tuple[str, ...]) -> frozenset[str]:
+    """Return the propositions of the bits that are set."""
     return frozenset(letter for i, letter in enumerate(letters) if mask >> i & 1)

@@ -1,4 +1,4 @@
-"""Two plots like ViTL's figure 4: completion rate and exploration attempts over p_obs."""
+"""Plots of `edge eval planning`, like ViTL's figure 4: completion and explorations over p_obs."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 SIZE_IN = (7.2, 4.2)
 DPI = 150
-
-
 STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
 
 
@@ -85,14 +83,14 @@ def _curves(
     rows: Sequence[Row], figure_of: Callable[[Row], Interval]
 ) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
     """Return (p_obs, figure) pairs by planner. Planners without any difference share a line."""
-    alike: dict[str, list[str]] = {}
+    alike: dict[str, list[str]] = {}  # by the text of their figures: the planners that have them
     figures: dict[str, list[tuple[float, Interval]]] = {}
     for planner in dict.fromkeys(row.planner for row in rows):
-        own = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
-        own = [(p, figure) for p, figure in own if not math.isnan(figure.value)]
-        alike.setdefault(repr(own), []).append(planner)
-        figures[repr(own)] = own
-    return {tuple(alike[key]): own for key, own in figures.items() if own}
+        pairs = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
+        pairs = [(p, figure) for p, figure in pairs if not math.isnan(figure.value)]
+        alike.setdefault(repr(pairs), []).append(planner)
+        figures[repr(pairs)] = pairs
+    return {tuple(alike[key]): pairs for key, pairs in figures.items() if pairs}
 
 
 def _draw_curve(

@@ -1,4 +1,4 @@
-"""Report of a comparison of task planners: figures with intervals, as a table and as JSON.
+"""Report of `edge eval planning`: figures of the planners with intervals, as a table and as JSON.
 
 - complete: share of runs that end in an accepting state, with Wilson's interval.
 - explorations: mean of the completed runs (the paper's attempts, figure 4b).
@@ -26,8 +26,8 @@ from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.sweep import NOT_RUN, Settings, SweepResults
 from edge.lab.eval.planning.templates import BenchmarkTask
 
-# Name of the planner, and its description.
-LLM, LLM_WORDS = "llm", "a language model, asked for every next target (the paper's prompt)"
+LLM = "llm"  # name of the planner that asks a language model
+LLM_WORDS = "a language model, asked for every next target (the paper's prompt)"  # description
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,10 @@ def _knows_all(planner: str) -> bool:
 
 
 def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
-    """Return a ratio of sums over runs (p_obs, tasks, episodes), with independent tasks."""
+    """Return the ratio of two sums over the runs in `where`; tasks are independent.
+
+    All arrays are (p_obs, tasks, episodes); `where` is bool.
+    """
     counted = where.any(axis=(0, 2))
     sums = [np.where(where, a, 0).sum(axis=(0, 2))[counted] for a in (numerators, denominators)]
     return ratio(sums[0].astype(float), sums[1].astype(float))
@@ -121,6 +124,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _pm(interval: Interval, digits: int) -> str:
+    """Format `1.23 ± 0.04`; without an interval, the value alone."""
     if math.isnan(interval.value):
         return "-"
     text = f"{interval.value:.{digits}f}"
@@ -131,13 +135,13 @@ def _pm(interval: Interval, digits: int) -> str:
 
 def legend(planners: Sequence[str]) -> str:
     """Return a line for each planner, with its description."""
-    words = {**{name: entrant.words for name, entrant in PLANNERS.items()}, **{LLM: LLM_WORDS}}
+    words = {**{name: entry.words for name, entry in PLANNERS.items()}, **{LLM: LLM_WORDS}}
     return "\n".join(f"{name:13}{words[name]}" for name in planners)
 
 
 def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
-    """Return the number of tasks, in total and by template."""
-    families = Counter(task.template for task in tasks)
+    """Return the number of tasks, in total and by family."""
+    families = Counter(task.family for task in tasks)
     structures = len({delexicalise(task.formula) for task in tasks})
     kinds = ", ".join(f"{n} {name}" for name, n in families.items())
     return f"{len(tasks)} tasks, {structures} lifted formulas: {kinds}"
@@ -170,7 +174,7 @@ def to_json(
     """Return the figures as JSON. NaN, which JSON lacks, is null, and so is the p_obs of "all"."""
     data = {
         "tasks": len(tasks),
-        "templates": Counter(task.template for task in tasks),
+        "templates": Counter(task.family for task in tasks),
         "lifted_formulas": len({delexicalise(task.formula) for task in tasks}),
         "seed": settings.seed,
         "episodes": settings.episodes,

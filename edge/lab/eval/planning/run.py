@@ -1,4 +1,4 @@
-"""The task-level benchmark (ViTL V-C, figure 4), with a probabilistic executor.
+"""`edge eval planning`: the task-level benchmark (ViTL V-C, figure 4).
 
 It measures which planner completes tasks in natural language with the fewest explorations. The
 correct formulas are given: `edge eval translate` measures translation.
@@ -120,8 +120,8 @@ def _run_llm(tasks, settings, args, client, results):  # type: ignore[no-untyped
     rows = np.linspace(0, len(tasks) - 1, n).round().astype(int).tolist()
     total = n * len(settings.p_obs) * settings.episodes
     with ProgressBar("runs of the language model", total) as bar:
-        own, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.set_done)
-    return merged(results, own), failure
+        llm_results, failure = run_llm(tasks, rows, settings, client, args.jobs, bar.set_done)
+    return merged(results, llm_results), failure
 
 
 def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]

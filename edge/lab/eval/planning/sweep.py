@@ -1,4 +1,4 @@
-"""All planners on all tasks at all p_obs, in parallel processes.
+"""Runs all planners on all tasks at all p_obs, in parallel processes.
 
 Tasks that share a delexicalised formula run together, so that automaton, plans and policies are
 made once for all of them.
@@ -31,7 +31,7 @@ NOT_RUN = -1
 
 
 class Settings(NamedTuple):
-    """The settings of all tasks.
+    """The settings of a sweep.
 
     Attributes:
         planners: names in `PLANNERS`.
@@ -51,8 +51,8 @@ class SweepResults:
     """Every episode of a comparison.
 
     Attributes:
-        planners: names.
-        p_obs: values.
+        planners: names of the planners.
+        p_obs: values of p_obs.
         outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
             `NOT_RUN` (the optimum of a task that is too large to solve).
         explorations: the same shape, int32.
@@ -77,9 +77,9 @@ class TaskBatch(NamedTuple):
     """Tasks with one delexicalised formula, for one process.
 
     Attributes:
-        problem: of the formula.
-        rows: of the tasks in the results.
-        ids: of the tasks.
+        problem: problem of the formula.
+        rows: index of each task in the results.
+        ids: id of each task.
     """
 
     problem: PlanningProblem
@@ -127,7 +127,7 @@ def empty_results(tasks: Sequence[BenchmarkTask], settings: Settings) -> SweepRe
 
 
 def _batches(tasks: Sequence[BenchmarkTask], size: int) -> Iterator[TaskBatch]:
-    rows: dict = {}
+    rows: dict = {}  # by delexicalised formula
     for row, task in enumerate(tasks):
         rows.setdefault(delexicalise(task.formula), []).append(row)
     for delexicalised, members in rows.items():
@@ -148,6 +148,7 @@ def run_batch(batch: TaskBatch, settings: Settings) -> np.ndarray:
     results = np.zeros((3, *shape), np.int32)
     results[0] = NOT_RUN
     everything = (1 << problem.n_objects) - 1
+    # (index, function that makes the planner for a p_obs, places known from the start)
     entrants = [
         (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all_places else 0)
         for k, name in enumerate(settings.planners)

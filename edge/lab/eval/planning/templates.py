@@ -1,4 +1,4 @@
-"""Tasks of the task-level benchmark: English sentences with their formulas (ViTL V-C).
+"""Makes the tasks of `edge eval planning`: English sentences with their formulas (ViTL V-C).
 
 A task is a template, an abstract temporal structure over placeholders, filled with objects of
 HM3D's six categories. `FAMILIES` is the distribution of the templates. The paper gives its kinds
@@ -29,15 +29,16 @@ from edge.mission.logic.ltl import (
 )
 
 SPOKEN = {"houseplant": "potted plant", "television": "tv", "sofa": "couch"}
-"""The paper's word for an object, if it is not the canonical name."""
+"""Canonical name of an object → the paper's word for it, if they differ."""
 
 JOINTS = (", then {}", " and then {}", ", then reach {}")
-"""Continuations of a sequence: the paper's example, its case studies, its running example."""
+"""Continuations of a sequence, as in the paper's example, case studies and running example."""
 
 PLACEHOLDERS = len(HM3D_OBJECTS)
+"""A placeholder is a number from 0 to here, exclusive: an index into a task's objects."""
 
 Step = tuple[int, ...]
-"""One placeholder, or several to choose from."""
+"""One target of a sequence: one placeholder, or several to choose from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +47,14 @@ class BenchmarkTask:
 
     Attributes:
         id: unique.
-        template: family of its template.
+        family: name of the template's family.
         objects: canonical names, in order of first appearance in the formula.
         sentence: the instruction.
         formula: over `objects`.
     """
 
     id: int
-    template: str
+    family: str
     objects: tuple[str, ...]
     sentence: str
     formula: Formula
@@ -64,7 +65,7 @@ class Family:
     """A family of similar templates. Pairs are inclusive ranges of a uniform distribution.
 
     Attributes:
-        name: of the family.
+        name: name of the family.
         share: relative frequency among the draws.
         branches: number of alternatives of the task ("…; or reach …").
         length: number of steps of each branch.
@@ -137,7 +138,7 @@ def generate(n: int = 2000, seed: int = 0) -> list[BenchmarkTask]:
         if len(tasks) == n:
             break
         formula = formula_of(template, objects)
-        if formula in seen or not worth_doing(formula):
+        if formula in seen or not is_open_task(formula):
             continue
         seen.add(formula)
         sentence = sentence_of(template, objects)
@@ -171,7 +172,7 @@ def formula_of(template: Template, objects: Sequence[str]) -> Formula:
 def sentence_of(template: Template, objects: Sequence[str]) -> str:
     """Return the sentence of a template with its objects, in the paper's wording."""
 
-    # "either a bed or a tv and then a couch" is ambiguous.
+    # "either a bed or a tv and then a couch" is ambiguous: join with a comma.
     choice_inside = any(len(choices) > 1 for steps in template.branches for choices in steps[:-1])
     joint = JOINTS[0] if choice_inside and template.joint == JOINTS[1] else template.joint
 
@@ -222,7 +223,7 @@ def _draw_family(families: Sequence[Family], u: float) -> Family:
 
 
 def _draw_template(family: Family, rng: random.Random) -> Template:
-    """Draw a template of the family and its placeholders."""
+    """Draw a template of the family, filled with placeholders."""
     branches: list[tuple[Step, ...]] = []
     for _ in range(_draw_between(family.branches, rng)):
         branch = _draw_branch(family, rng)
@@ -231,8 +232,8 @@ def _draw_template(family: Family, rng: random.Random) -> Template:
         branches.append(branch)
     targets = sorted({i for branch in branches for step in branch for i in step})
     everything = range(PLACEHOLDERS)
-    held_back = _draw_sample(targets, _draw_between(family.untils, rng), rng)
-    untils = [(x, _draw_sample([y for y in everything if y != x], 1, rng)[0]) for x in held_back]
+    constrained = _draw_sample(targets, _draw_between(family.untils, rng), rng)
+    untils = [(x, _draw_sample([y for y in everything if y != x], 1, rng)[0]) for x in constrained]
     return Template(
         tuple(branches),
         family.any_order,
@@ -251,17 +252,19 @@ def _draw_branch(family: Family, rng: random.Random) -> tuple[Step, ...]:
         choices[int(rng.random() * length)] = True
     steps: list[Step] = []
     for i, choice in enumerate(choices):
-        enough = len(free) - 2 >= length - i - 1
-        steps.append(tuple(free.pop() for _ in range(2 if choice and enough else 1)))
+        # A choice takes two placeholders; each later step needs at least one.
+        can_take_two = len(free) - 2 >= length - i - 1
+        steps.append(tuple(free.pop() for _ in range(2 if choice and can_take_two else 1)))
     return tuple(steps)
 
 
-def worth_doing(formula: Formula) -> bool:
+def is_open_task(formula: Formula) -> bool:
     """Return True if the formula can be satisfied, and is not yet satisfied at the start."""
     return int(delexicalise(formula).automaton.steps_left[0]) > 0
 
 
-# Uses random() alone: the streams of the other methods have changed between Python versions.
+# The draws use random() alone: other methods of `Random` give different numbers in different
+# versions of Python.
 def _draw_between(limits: tuple[int, int], rng: random.Random) -> int:
     low, high = limits
     return low + int(rng.random() * (high - low + 1))

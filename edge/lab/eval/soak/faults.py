@@ -1,4 +1,4 @@
-"""The table of faults: how to inject each, how long it lasts, what must hold."""
+"""The table of the faults of `edge soak`: how to inject each, how long it lasts, what must hold."""
 
 from __future__ import annotations
 
@@ -14,51 +14,52 @@ from edge.lab.eval.soak import injectors, relay
 from edge.lab.eval.soak.harness import BROKEN
 from edge.lab.eval.soak.invariants import (
     Invariant,
-    answers_requests,
-    checkpoint_fails,
-    checkpoint_written,
-    log_has,
-    page_answers,
-    recording_fails,
-    recording_goes_on,
-    reports_no_view,
+    check_checkpoint_failure,
+    check_checkpoint_written,
+    check_no_view_reported,
+    check_page,
+    check_recording_continues,
+    check_recording_failure,
+    check_requests,
+    log_check,
 )
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION, topics.CAMERA_INFO)
-_JUMP_M, _JUMP_RAD = 15.0, 2.0
+_JUMP_M, _JUMP_RAD = 15.0, 2.0  # jump of the odometry: distance and turn
 _CLOCK_ERROR_S = 3 * 3600.0
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A row of the table.
+    """A fault to inject: a row of `FAULTS`.
 
     Attributes:
-        name: for `--faults`.
+        name: its name for `--faults`.
         part: the affected part. Two faults at the same time affect two parts.
         what: description for the log.
-        make: injects the fault.
-        lasts_s: shortest and longest duration.
-        within_s: time after the end within which `recovered` and all of `after` must hold together.
-        during: each must hold at some time during the fault.
-        after: must hold after the fault.
-        log_pattern: pattern that a line of the log must match by then; "" for none. For two faults
-            at the same time neither `during` nor `log_pattern` is checked, as one fault may hide
-            the other.
-        mutes: True if no published message can be received during the fault.
+        inject: injects the fault.
+        lasts_s: shortest and longest duration; a duration between them is drawn.
+        within_s: time after the end within which `check_recovered` and all of `after` must hold
+            together.
+        during: conditions; each must hold at some time during the fault.
+        after: conditions that must hold after the fault.
+        log_pattern: pattern that a line of the log must match after the fault; "" for none. For
+            two faults at the same time neither `during` nor `log_pattern` is checked, as one fault
+            may hide the other.
+        mutes_bus: True if no published message can be received during the fault.
         needs: returns True if the fault is possible with a configuration.
     """
 
     name: str
     part: str
     what: str
-    make: injectors.Injector
+    inject: injectors.Injector
     lasts_s: tuple[float, float] = (5.0, 10.0)
     within_s: float = 15.0
     during: tuple[Invariant, ...] = ()
     after: tuple[Invariant, ...] = ()
     log_pattern: str = ""
-    mutes: bool = False
+    mutes_bus: bool = False
     needs: Callable[[Config], bool] = lambda config: True
 
 
@@ -76,84 +77,88 @@ def _has_onnx_model(config: Config) -> bool:
 
 FAULTS: tuple[Fault, ...] = (
     Fault("camera-gone", "sensors", "the relay drops images",
-          injectors.relay_alters(lambda rng: relay.nothing(_IMAGES)), during=(reports_no_view,)),
+          injectors.alter_messages(lambda rng: relay.drop(_IMAGES)),
+          during=(check_no_view_reported,)),
     Fault("odometry-gone", "sensors", "the relay drops odometry",
-          injectors.relay_alters(lambda rng: relay.nothing((topics.ODOMETRY,))),
-          during=(reports_no_view,)),
-    Fault("simulator-stopped", "robot", "SIGSTOP to the simulator", injectors.simulator_stopped,
-          during=(reports_no_view,)),
+          injectors.alter_messages(lambda rng: relay.drop((topics.ODOMETRY,))),
+          during=(check_no_view_reported,)),
+    Fault("simulator-stopped", "robot", "SIGSTOP to the simulator", injectors.stop_simulator,
+          during=(check_no_view_reported,)),
     Fault("session-cut", "bus", "the relay's session with the bus is closed and opened again",
-          injectors.cut, during=(reports_no_view,)),
+          injectors.cut_session, during=(check_no_view_reported,)),
     Fault("next-house", "robot", "the simulator starts again in another house",
-    injectors.next_house,
+          injectors.enter_next_house,
           within_s=40.0, log_pattern="pose jumped"),
     Fault("image-frozen", "sensors", "the same image again and again, with new stamps",
-          injectors.relay_alters(lambda rng: relay.frozen(True))),
+          injectors.alter_messages(lambda rng: relay.freeze(True))),
     Fault("driver-frozen", "sensors", "the same image again and again, with its old stamp",
-          injectors.relay_alters(lambda rng: relay.frozen(False)), during=(reports_no_view,)),
+          injectors.alter_messages(lambda rng: relay.freeze(False)),
+          during=(check_no_view_reported,)),
     Fault("messages-late", "sensors", f"all sensor messages {injectors.LATE_S:g} s late",
-    injectors.late),
+          injectors.delay_messages),
     Fault("sensor-garbage", "sensors", "a malformed message before each sensor message",
-          injectors.relay_alters(relay.garbage)),
+          injectors.alter_messages(relay.add_garbage)),
     Fault("clock-ahead", "sensors", "sensor stamps three hours ahead",
-          injectors.relay_alters(lambda rng: relay.other_clock(_CLOCK_ERROR_S))),
+          injectors.alter_messages(lambda rng: relay.shift_stamps(_CLOCK_ERROR_S))),
     Fault("clock-behind", "sensors", "sensor stamps three hours behind",
-          injectors.relay_alters(lambda rng: relay.other_clock(-_CLOCK_ERROR_S))),
+          injectors.alter_messages(lambda rng: relay.shift_stamps(-_CLOCK_ERROR_S))),
     Fault("pose-jump", "sensors",
           f"odometry jumps {_JUMP_M:g} m and {math.degrees(_JUMP_RAD):.0f}°, and back",
-          injectors.relay_alters(lambda rng: relay.elsewhere(_JUMP_M, _JUMP_RAD)),
-          during=(log_has("pose jumped"),)),
+          injectors.alter_messages(lambda rng: relay.move_odometry(_JUMP_M, _JUMP_RAD)),
+          during=(log_check("pose jumped"),)),
     Fault("router-killed", "bus", "kill -9 to the Zenoh router, then a restart",
-          injectors.router_killed, (2.0, 5.0), 25.0, mutes=True, needs=_uses_router),
+          injectors.kill_router, (2.0, 5.0), 25.0, mutes_bus=True, needs=_uses_router),
     Fault("controller-killed", "controller",
-          "kill -9 to the motion controller, then a restart", injectors.controller_killed),
+          "kill -9 to the motion controller, then a restart", injectors.kill_controller),
     Fault("model-killed", "model", "kill -9 to the model's process",
-          injectors.model_signalled(signal.SIGKILL),
-          (4.0, 6.0), 40.0, needs=_has_model_process, during=(log_has("ended by SIGKILL"),)),
+          injectors.signal_model(signal.SIGKILL),
+          (4.0, 6.0), 40.0, needs=_has_model_process, during=(log_check("ended by SIGKILL"),)),
     Fault("model-stopped", "model", "SIGSTOP to the model's process",
-          injectors.model_signalled(signal.SIGSTOP),
-          (8.0, 10.0), 40.0, needs=_has_model_process, during=(log_has("no answer within"),)),
+          injectors.signal_model(signal.SIGSTOP),
+          (8.0, 10.0), 40.0, needs=_has_model_process, during=(log_check("no answer within"),)),
     Fault("model-swapped", "model", "`edge models use --force` of a copy of the model",
-          injectors.swapped, (1.0, 2.0), 90.0, log_pattern="model .*: kept", needs=_has_onnx_model),
-    Fault("bad-model", "model", "`edge models use` of a damaged model", injectors.badly_swapped,
+          injectors.swap_model, (1.0, 2.0), 90.0, log_pattern="model .*: kept",
+          needs=_has_onnx_model),
+    Fault("bad-model", "model", "`edge models use` of a damaged model", injectors.swap_to_bad_model,
           (1.0, 2.0), 40.0, log_pattern=f"model {BROKEN}: refused", needs=_has_onnx_model),
     Fault("reload", "configuration", "SIGHUP with another `mission.verify_s`",
-          injectors.reloaded({"mission": {"verify_s": 2.5}}, {}), (1.0, 2.0), 30.0,
+          injectors.reload_changed_config({"mission": {"verify_s": 2.5}}, {}), (1.0, 2.0), 30.0,
           log_pattern="reload: switched"),
     Fault("policy-reload", "configuration", "SIGHUP with another policy",
-          injectors.reloaded({"policy": {"kind": "nearest_frontier"}}, {}), (1.0, 2.0), 60.0,
+          injectors.reload_changed_config({"policy": {"kind": "nearest_frontier"}}, {}),
+          (1.0, 2.0), 60.0,
           log_pattern="reload: switched"),
     Fault("bad-reload", "configuration", "SIGHUP with an invalid configuration",
-          injectors.badly_reloaded, (3.0, 5.0), log_pattern="reload: refused"),
+          injectors.reload_bad_config, (3.0, 5.0), log_pattern="reload: refused"),
     Fault("disk-full", "disk", "no file of the service can grow (RLIMIT_FSIZE)",
-    injectors.disk_full,
-          during=(checkpoint_fails, recording_fails),
-          after=(checkpoint_written, recording_goes_on)),
-    Fault("log-reader-gone", "log", "the reader of the log exits", injectors.log_reader_gone,
+          injectors.fill_disk,
+          during=(check_checkpoint_failure, check_recording_failure),
+          after=(check_checkpoint_written, check_recording_continues)),
+    Fault("log-reader-gone", "log", "the reader of the log exits", injectors.close_log_reader,
           log_pattern="thread MainThread"),
     Fault("log-reader-stuck", "log", "the reader of the log stops reading, and the pipe is full",
-          injectors.log_reader_stuck, (12.0, 15.0), log_pattern=r"m2 \| tick"),
+          injectors.block_log_reader, (12.0, 15.0), log_pattern=r"m2 \| tick"),
     Fault("viewer-stopped", "viewer", "SIGSTOP to a subscriber of all topics",
-          injectors.viewer_stopped, (10.0, 20.0)),
+          injectors.stop_viewer, (10.0, 20.0)),
     Fault("page-open", "pages", "a browser has the live page open, with all its data",
-          injectors.page_open, (10.0, 20.0), during=(page_answers,)),
+          injectors.read_live_page, (10.0, 20.0), during=(check_page,)),
     Fault("visitors-stuck", "pages",
           "dozens of HTTP connections a second that send incomplete requests",
-          injectors.visitors_stuck, after=(page_answers,)),
+          injectors.send_incomplete_requests, after=(check_page,)),
     Fault("request-flood", "requests", "hundreds of requests a second",
-          injectors.request_flood(
+          injectors.flood_requests(
               lambda rng: injectors.REQUESTS[rng.integers(len(injectors.REQUESTS))]),
-          after=(answers_requests,)),
+          after=(check_requests,)),
     Fault("request-garbage", "requests", "hundreds of malformed requests a second",
-          injectors.request_flood(injectors.nonsense), after=(answers_requests,)),
+          injectors.flood_requests(injectors.malformed_request), after=(check_requests,)),
     Fault("answer-flood", "controller",
           "hundreds of goal statuses a second, valid and malformed",
-          injectors.message_flood(lambda rng: (topics.GOAL_STATUS.key, injectors.ANSWER),
-                lambda rng: (topics.GOAL_STATUS.key, relay.broken(injectors.ANSWER, rng)))),
+          injectors.flood_messages(lambda rng: (topics.GOAL_STATUS.key, injectors.ANSWER),
+                lambda rng: (topics.GOAL_STATUS.key, relay.malformed(injectors.ANSWER, rng)))),
 )  # fmt: skip
 
 
-def chosen(config: Config, names: Sequence[str] | None) -> list[Fault]:
+def choose_faults(config: Config, names: Sequence[str] | None) -> list[Fault]:
     """Return the faults that are possible with a configuration, or the named ones of them.
 
     Raises:

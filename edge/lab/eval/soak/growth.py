@@ -1,4 +1,4 @@
-"""Growth of a value over time: a slope that is robust to outliers, with its confidence interval."""
+"""Growth of a value in `edge soak`: a slope that is robust to outliers, with its interval."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 _BINS = 240  # most values to compare
-_MIN_VALUES = 8  # with fewer there is no slope
+_MIN_VALUES = 8  # with fewer values there is no slope
 _Z95 = 1.96  # quantile of the normal distribution for 95 %
 
 
@@ -46,14 +46,14 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
         slopes.append((values[j] - values[i]) / (t_s[j] - t_s[i]) * 3600.0)
         n = len(t_s)
         variance += n * (n - 1) * (2 * n + 5) / 18.0
-    every = np.sort(np.concatenate(slopes))
+    sorted_slopes = np.sort(np.concatenate(slopes))
     if sum(len(t_s) for t_s, _ in thinned) < _MIN_VALUES:
         return None
-    half = _Z95 * math.sqrt(variance)
-    n = len(every)
+    half = _Z95 * math.sqrt(variance)  # half the width of the interval, in ranks of slopes
+    n = len(sorted_slopes)
     low, high = (n - half) / 2.0 - 1.0, (n + half) / 2.0
     bounds = np.clip([math.floor(low), math.ceil(high)], 0, n - 1)
-    return Slope(float(np.median(every)), *(float(every[k]) for k in bounds))
+    return Slope(float(np.median(sorted_slopes)), *(float(sorted_slopes[k]) for k in bounds))
 
 
 def _with_bin_length(
@@ -61,8 +61,8 @@ def _with_bin_length(
 ) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Return each life of at least two samples, with the bin length, which is the same for all."""
     kept = [(t_s, values) for t_s, values in lives if len(t_s) > 1]
-    whole_s = sum(float(t_s[-1] - t_s[0]) for t_s, _ in kept)
-    return [(t_s, values, max(whole_s / _BINS, 1e-9)) for t_s, values in kept]
+    total_s = sum(float(t_s[-1] - t_s[0]) for t_s, _ in kept)
+    return [(t_s, values, max(total_s / _BINS, 1e-9)) for t_s, values in kept]
 
 
 def _bin_medians(

@@ -1,4 +1,4 @@
-"""Harness of a soak: the processes of service, robot, controller and router, and the relay."""
+"""Harness of `edge soak`: processes of service, robot, controller and router, and the relay."""
 
 from __future__ import annotations
 
@@ -38,16 +38,17 @@ from edge.lab.eval.soak.log import PipeLog
 from edge.lab.eval.soak.relay import Relay
 from edge.perception.runtime.cards import card_path, load_detector_card
 
-BEAT = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
+JITTER_SINK = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
-"""Models: a copy of the configured one under another name, and one that cannot be loaded."""
+"""Names of models: a copy of the configured one, and one that cannot be loaded."""
 ANSWER_S = 5.0  # longest wait for an answer to a request
 STOP_S = 30.0  # longest wait for the end of a process
 START_S = 900.0  # the first start compiles kernels, on a machine that may be busy
 _HTTP_S = 2.0  # longest wait for a page
-_LOOK_S = 0.1  # time between two checks of a condition
-_ELSEWHERE_M = 60.0  # between two houses: too far for a robot to have driven
-_MODEL = re.compile(r"\bedge\.perception\.serve_detector\b")
+_CHECK_PERIOD_S = 0.1  # time between two checks of a condition
+_HOUSE_DISTANCE_M = 60.0  # between two houses: too far for a robot to have driven
+# In the command line of the process of the service's model.
+_MODEL_COMMAND = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
 def soak_config(config: Config, out: Path) -> Config:
@@ -69,7 +70,7 @@ def soak_config(config: Config, out: Path) -> Config:
             "zenoh": config.zenoh.model_copy(update=zenoh),
             "http": config.http.model_copy(update=http),
             "mission": config.mission.model_copy(update=checkpoint),
-            "sinks": (*recordings.below(config.sinks, out), BEAT),
+            "sinks": (*recordings.move_folders(config.sinks, out), JITTER_SINK),
         }
     )
 
@@ -79,7 +80,7 @@ def _endpoint() -> str:
 
 
 class SoakHarness:
-    """Runs the processes until it is closed.
+    """Runs the service and all processes around it until it is closed.
 
     Args:
         config: as `soak_config` returns it.
@@ -87,14 +88,12 @@ class SoakHarness:
         stop: ends a wait.
 
     Attributes:
-        service: its process; it is never started again.
-        house: number of the robot's house.
-        session: for requests and subscriptions.
+        service: process of the service; it is never started again.
+        house: number of the robot's house, from 0.
+        session: Zenoh session for requests and subscriptions.
+        relay: passes on the messages between robot and service.
+        log: output of the service.
         family: all processes that the service and its children have ever started.
-
-    Raises:
-        Stopped: `stop` was set before all had started.
-        UserError: a process ended before that, or took too long.
     """
 
     def __init__(self, config: Config, out: Path, stop: threading.Event) -> None:
@@ -104,8 +103,8 @@ class SoakHarness:
         self._stop = stop
         self._children: dict[str, subprocess.Popen[bytes]] = {}
         self._environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
-        self._environ["EDGE_CACHE_DIR"] = str(_cache(config, out / "cache"))
-        self._robot = ZenohConfig(endpoint=_endpoint(), prefix=config.zenoh.prefix)
+        self._environ["EDGE_CACHE_DIR"] = str(_make_cache(config, out / "cache"))
+        self._robot_zenoh = ZenohConfig(endpoint=_endpoint(), prefix=config.zenoh.prefix)
         self.log = PipeLog(out / "service.pipe", out / "service.log")
         self._output = (out / "others.log").open("wb")
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{config.http.port}", timeout=_HTTP_S)
@@ -114,7 +113,12 @@ class SoakHarness:
     # -- start and end --------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the service first, then the processes that connect to it."""
+        """Start the service first, then the processes that connect to it.
+
+        Raises:
+            Stopped: `stop` was set before all had started.
+            UserError: a process ended before that, or took too long.
+        """
         self.start_router()
         with os.fdopen(self.log.writer(), "wb") as output:
             self.service = self._start("service", "run", str(self.config_file), out=output)
@@ -124,7 +128,7 @@ class SoakHarness:
         )
         self._session = zenoh_session(self.config.zenoh, "connect", self._stop)
         self.session = self._session.__enter__()
-        self.relay = Relay(self._robot, self.config.zenoh, self._stop)
+        self.relay = Relay(self._robot_zenoh, self.config.zenoh, self._stop)
         self.start_simulator()
         self.start_controller()
         self._wait_until(
@@ -137,14 +141,17 @@ class SoakHarness:
         while not is_true():
             raise_if_stopped(self._stop)
             self.log.poll()
-            if self.gone() or time.monotonic() > deadline_s:
+            if self.ended_children() or time.monotonic() > deadline_s:
                 last_line = self.log.lines[-1][1] if self.log.lines else "no output"
-                ended = [f"{name} has ended" for name in self.gone()]
+                ended = [f"{name} has ended" for name in self.ended_children()]
                 raise UserError(f"{problem}: {'; '.join([*ended, last_line])}")
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_PERIOD_S)
 
     def close(self) -> None:
-        """End all processes; the service last, as it should have ended before."""
+        """End all processes; the service last, as it should have ended before.
+
+        `relay` and the session are missing if `start` has failed.
+        """
         for name in reversed(list(self._children)):
             if name != "service":
                 self.kill(name)
@@ -164,7 +171,7 @@ class SoakHarness:
         deadline_s = time.monotonic() + STOP_S
         while self.service.poll() is None and time.monotonic() < deadline_s:
             self.log.poll()
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_PERIOD_S)
         return self.service.poll()
 
     # -- processes ------------------------------------------------------------------------------
@@ -188,7 +195,7 @@ class SoakHarness:
     def start_simulator(self) -> None:
         """Start the robot, at the start of the present house."""
         config = self.config.model_copy(
-            update={"zenoh": self._robot, "sim": self.config.sim.model_copy(
+            update={"zenoh": self._robot_zenoh, "sim": self.config.sim.model_copy(
                 update={"world": self.world})}
         )  # fmt: skip
         path = self.out / "robot.yaml"
@@ -198,44 +205,45 @@ class SoakHarness:
     @property
     def world(self) -> Any:
         """`sim.world` of the present house: the configured one, then generated ones."""
-        own = self.config.sim.world
+        configured = self.config.sim.world
         if self.house == 0:
-            return own
-        first = own.seed if isinstance(own, WorldGenerated) else 0
+            return configured
+        first = configured.seed if isinstance(configured, WorldGenerated) else 0
         return WorldGenerated(kind="generated", seed=first + self.house)
 
     def start_next_house(self) -> None:
         """Restart the simulator in the next house; its place in `map` is far away."""
         self.kill("simulator", signal.SIGTERM)
         self.house += 1
-        self.relay.offset_m = _ELSEWHERE_M * (self.house % 2)
+        # Alternating: each house is far from the one before.
+        self.relay.offset_m = _HOUSE_DISTANCE_M * (self.house % 2)
         self.start_simulator()
 
-    def kill(self, name: str, number: int = signal.SIGKILL) -> None:
-        """End a child and wait for its end."""
+    def kill(self, name: str, signal_number: int = signal.SIGKILL) -> None:
+        """End a child with a signal and wait for its end."""
         child = self._children.pop(name, None)
         if child is None:
             return
         with suppress(ProcessLookupError):
-            child.send_signal(number)
+            child.send_signal(signal_number)
         try:
             child.wait(STOP_S)
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
 
-    def send(self, name: str, number: int) -> None:
+    def send_signal(self, name: str, signal_number: int) -> None:
         """Send a signal to a child."""
-        self._children[name].send_signal(number)
+        self._children[name].send_signal(signal_number)
 
-    def gone(self) -> list[str]:
+    def ended_children(self) -> list[str]:
         """Return the children that have ended by themselves."""
         return [name for name, child in self._children.items() if child.poll() is not None]
 
     def model_process(self) -> Process | None:
         """Return the process of the service's model; None if it has none now."""
         self.update_descendants()
-        alive = (process for process in self.family if _MODEL.search(process.command))
+        alive = (process for process in self.family if _MODEL_COMMAND.search(process.command))
         return next((process for process in alive if process.is_running()), None)
 
     def update_descendants(self) -> None:
@@ -281,18 +289,18 @@ class SoakHarness:
             return 0, {}
 
     def text(self, path: str) -> str:
-        """Return the text of one of the service's pages; "" if there was no answer in time."""
+        """Return the text of one of the service's pages; "" without an answer in time."""
         try:
             return self._http.get(path).raise_for_status().text
         except httpx.HTTPError:
             return ""
 
-    def mission(self, **request: str) -> dict[str, Any]:
+    def request_mission(self, **request: str) -> dict[str, Any]:
         """Send a mission request; return the answer (see `edge.bus.client.send_request`)."""
         key = self.config.zenoh.key(topics.MISSION_REQUEST)
         return send_request(self.session, key, request, ANSWER_S, "mission")
 
-    def models(self, **request: object) -> dict[str, Any]:
+    def request_models(self, **request: object) -> dict[str, Any]:
         """Send a request about the model and return the answer."""
         key = self.config.zenoh.key(topics.MODELS_REQUEST)
         return send_request(self.session, key, request, ANSWER_S, "models")
@@ -318,7 +326,7 @@ class SoakHarness:
         write_atomically(self.config_file, json.dumps(data, indent=1).encode())
 
 
-def _cache(config: Config, folder: Path) -> Path:
+def _make_cache(config: Config, folder: Path) -> Path:
     """Make a cache with links to the user's own and two more models (`TWIN`, `BROKEN`)."""
     models = folder / "models"
     models.mkdir(parents=True)
@@ -329,11 +337,11 @@ def _cache(config: Config, folder: Path) -> Path:
         card = load_detector_card(detector.model)
         card_data = read_yaml(card_path(detector.model))
         for name in (TWIN, BROKEN):
-            own = {"name": name, "file": f"{name}.onnx", "parity": None}
-            text = yaml.safe_dump({**card_data, **own}, sort_keys=False)
+            changes = {"name": name, "file": f"{name}.onnx", "parity": None}
+            text = yaml.safe_dump({**card_data, **changes}, sort_keys=False)
             (models / f"{name}.yaml").write_text(text, encoding="utf-8")
         shutil.copyfile(card.path, models / f"{TWIN}.onnx")
-        (models / f"{BROKEN}.onnx").write_bytes(card.path.read_bytes()[:-1])
+        (models / f"{BROKEN}.onnx").write_bytes(card.path.read_bytes()[:-1])  # cut off
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Fault injectors, as generators.
+"""Fault injectors of `edge soak`, as generators; `faults` has the table that uses them.
 
 The code before the first `yield` starts the fault. The code after each `yield` runs a few times a
 second during the fault. The `finally` block ends it.
@@ -29,7 +29,7 @@ from edge.live.view import PUBLIC
 Injection = Generator[None, None, None]
 Injector = Callable[[SoakHarness, np.random.Generator], Injection]
 
-LATE_S = 0.4
+LATE_S = 0.4  # delay of the messages by `delay_messages`
 _BATCH = 40  # messages of a flood in one step; there are several steps a second
 
 
@@ -42,7 +42,7 @@ def hold_until_end(end: Callable[[], object] = lambda: None) -> Injection:
         end()
 
 
-def relay_alters(make: Callable[[np.random.Generator], MessageFilter]) -> Injector:
+def alter_messages(make: Callable[[np.random.Generator], MessageFilter]) -> Injector:
     """Return an injector that makes the relay alter messages."""
 
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -55,7 +55,7 @@ def relay_alters(make: Callable[[np.random.Generator], MessageFilter]) -> Inject
     return fault
 
 
-def message_flood(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Injector:
+def flood_messages(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]) -> Injector:
     """Return an injector that publishes messages (key, payload) all the time, a batch at a time."""
 
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -68,37 +68,37 @@ def message_flood(*payloads: Callable[[np.random.Generator], tuple[str, bytes]])
     return fault
 
 
-def late(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def delay_messages(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.relay.delay(LATE_S)
     yield from hold_until_end(lambda: harness.relay.delay(0.0))
 
 
-def simulator_stopped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.send("simulator", signal.SIGSTOP)
-    yield from hold_until_end(lambda: harness.send("simulator", signal.SIGCONT))
+def stop_simulator(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.send_signal("simulator", signal.SIGSTOP)
+    yield from hold_until_end(lambda: harness.send_signal("simulator", signal.SIGCONT))
 
 
-def next_house(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def enter_next_house(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.start_next_house()
     yield from hold_until_end()
 
 
-def cut(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def cut_session(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.relay.cut()
     yield from hold_until_end(harness.relay.connect)
 
 
-def router_killed(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def kill_router(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.kill("router")
     yield from hold_until_end(harness.start_router)
 
 
-def controller_killed(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def kill_controller(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.kill("controller")
     yield from hold_until_end(harness.start_controller)
 
 
-def model_signalled(number: int) -> Injector:
+def signal_model(number: int) -> Injector:
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         process = harness.model_process()
         if process is None:
@@ -112,7 +112,7 @@ def model_signalled(number: int) -> Injector:
     return fault
 
 
-def disk_full(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def fill_disk(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Stop the growth of all files of the service, as on a full disk. Written data stays intact."""
     before = resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
@@ -127,7 +127,7 @@ def disk_full(harness: SoakHarness, rng: np.random.Generator) -> Injection:
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
 
-def reloaded(*choices: dict[str, dict[str, object]]) -> Injector:
+def reload_changed_config(*choices: dict[str, dict[str, object]]) -> Injector:
     """Return an injector that reloads the first of these changes that makes a difference."""
 
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -142,7 +142,7 @@ def reloaded(*choices: dict[str, dict[str, object]]) -> Injector:
     return fault
 
 
-def badly_reloaded(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def reload_bad_config(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     present = harness.config_file.read_bytes()
     bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
     harness.config_file.write_bytes(bad[rng.integers(len(bad))])
@@ -150,70 +150,75 @@ def badly_reloaded(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     yield from hold_until_end(lambda: harness.config_file.write_bytes(present))
 
 
-def swapped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def swap_model(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Switch to the copy of the model, or back, with `force` as the computer may be slow."""
-    running = harness.models(do="status")
-    own = harness.config.perception.detector.model  # type: ignore[union-attr]
-    at_work = running["model"] if running["state"] in ("kept", "idle") else running["previous"]
-    harness.models(do="use", model=own if at_work == TWIN else TWIN, force=True)
+    running = harness.request_models(do="status")
+    configured = harness.config.perception.detector.model  # type: ignore[union-attr]
+    # A swap that is still on probation or has failed reports the old model as `previous`.
+    present_model = (
+        running["model"] if running["state"] in ("kept", "idle") else running["previous"]
+    )
+    harness.request_models(
+        do="use", model=configured if present_model == TWIN else TWIN, force=True
+    )
     yield from hold_until_end()
 
 
-def badly_swapped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.models(do="use", model=BROKEN)
+def swap_to_bad_model(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.request_models(do="use", model=BROKEN)
     yield from hold_until_end()
 
 
-def log_reader_gone(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def close_log_reader(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Close the reader of the log, then make the service write.
 
     SIGUSR1 prints all threads now, and again once the reader is back.
     """
-    harness.log.leave()
+    harness.log.close_reader()
     harness.service.send_signal(signal.SIGUSR1)
     try:
         yield from hold_until_end()
     finally:
-        harness.log.open()
+        harness.log.open_reader()
         harness.service.send_signal(signal.SIGUSR1)
 
 
-def log_reader_stuck(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.log.stick()
-    yield from hold_until_end(harness.log.open)
+def block_log_reader(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    harness.log.block()
+    yield from hold_until_end(harness.log.open_reader)
 
 
-def viewer_stopped(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def stop_viewer(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     harness.start_viewer()
     stops_s = time.monotonic() + 3.0  # after it has started
     try:
         while time.monotonic() < stops_s:
             yield
-        harness.send("viewer", signal.SIGSTOP)
+        harness.send_signal("viewer", signal.SIGSTOP)
         yield from hold_until_end()
     finally:
         harness.kill("viewer")
 
 
-def page_open(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def read_live_page(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     for path in cycle((*PUBLIC, *LIVE_PAGES)):
         harness.text(path)
         yield
 
 
-def visitors_stuck(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def send_incomplete_requests(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Open more connections than the service keeps; none sends a complete request."""
     address = harness.config.http.host, harness.config.http.port
     with ExitStack() as opened:
         while True:
-            for request in _HALVES:
-                with suppress(OSError):  # at times there are too many
+            for request in _INCOMPLETE:
+                with suppress(OSError):  # the service refuses when there are too many
                     visitor = socket.create_connection(address, ANSWER_S)
                     opened.enter_context(visitor).sendall(request)
             yield
 
 
-def request_flood(make: Callable[[np.random.Generator], bytes]) -> Injector:
+def flood_requests(make: Callable[[np.random.Generator], bytes]) -> Injector:
     """Return an injector that sends requests without waiting for answers."""
 
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -229,10 +234,11 @@ def request_flood(make: Callable[[np.random.Generator], bytes]) -> Injector:
     return fault
 
 
-_HALVES = (b"", b"GET /live/map HT", b"GET /live/map HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+# Beginnings of requests, which never get an end.
+_INCOMPLETE = (b"", b"GET /live/map HT", b"GET /live/map HTTP/1.1\r\nHost: 127.0.0.1\r\n")
 REQUESTS = (b'{"do": "status"}', b'{"do": "resume"}')
 ANSWER = b'{"stamp": 1, "state": "accepted"}'
 
 
-def nonsense(rng: np.random.Generator) -> bytes:
-    return relay.broken(b'{"do": "new", "instruction": "go to the bed"}', rng)
+def malformed_request(rng: np.random.Generator) -> bytes:
+    return relay.malformed(b'{"do": "new", "instruction": "go to the bed"}', rng)

@@ -1,4 +1,4 @@
-"""Conditions that a soak checks on the service from outside."""
+"""Conditions that `edge soak` checks on the service from outside, during a fault and after it."""
 
 from __future__ import annotations
 
@@ -25,43 +25,46 @@ Invariant = Callable[["SoakHarness", "SoakMonitor", FaultWindow], str]
 
 LIVE_PAGES = ("/live/now", "/live/story", "/live/map", "/live/camera", "/live/layers/0")
 """Requests of an open live page."""
-_MIN_RATE = 0.5  # least share of the usual tick rate; the machine may have other work
+# Smallest allowed share of the usual tick rate; the machine may have other work.
+_MIN_RATE_SHARE = 0.5
 
 
-def recovered(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_recovered(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that `/readyz` is 200 and that ticks come at least half as often as before."""
-    if monitor.seen_s <= window.ended_s or not monitor.is_ready:
-        return (
-            f"the service is not ready: {'; '.join(monitor.ready) or '/readyz was not asked yet'}"
-        )
+    if monitor.sampled_s <= window.ended_s or not monitor.is_ready:
+        problems = "; ".join(monitor.ready_problems) or "/readyz was not asked yet"
+        return f"the service is not ready: {problems}"
     ticks_hz, usual_hz = monitor.ticks_hz(window.ended_s), monitor.usual_hz
-    if ticks_hz < _MIN_RATE * usual_hz:
+    if ticks_hz < _MIN_RATE_SHARE * usual_hz:
         return f"only {ticks_hz:.1f} ticks per second, {usual_hz:.1f} before the fault"
     return ""
 
 
-def reports_no_view(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_no_view_reported(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that `/readyz` reports that the service sees nothing."""
-    if monitor.seen_s > window.began_s and any(
-        "no usable observations" in why for why in monitor.ready
+    if monitor.sampled_s > window.began_s and any(
+        "no usable observations" in why for why in monitor.ready_problems
     ):
         return ""
-    return f"/readyz reports no lack of sensor data, only: {'; '.join(monitor.ready) or 'ready'}"
+    problems = "; ".join(monitor.ready_problems) or "ready"
+    return f"/readyz reports no lack of sensor data, only: {problems}"
 
 
-def log_has(pattern: str) -> Invariant:
-    """Return a check that the log has a line that matches the pattern."""
+def log_check(pattern: str) -> Invariant:
+    """Return a check that a line of the log matches the pattern."""
 
-    def hold(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+    def check(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
         if any(re.search(pattern, line) for line in harness.log.since(window.began_s)):
             return ""
         return f"no line of the log matches {pattern!r}"
 
-    hold.__doc__ = f"Check that a line of the log matches `{pattern}`."
-    return hold
+    check.__doc__ = f"Check that a line of the log matches `{pattern}`."
+    return check
 
 
-def checkpoint_fails(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_checkpoint_failure(
+    harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow
+) -> str:
     """Check that the status reports that the checkpoint cannot be written."""
     checkpoint = monitor.status.get("checkpoint") or {}
     if monitor.status_s > window.began_s and checkpoint.get("problem"):
@@ -69,7 +72,9 @@ def checkpoint_fails(harness: SoakHarness, monitor: SoakMonitor, window: FaultWi
     return "the status does not report that the checkpoint cannot be written"
 
 
-def checkpoint_written(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_checkpoint_written(
+    harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow
+) -> str:
     """Check that the checkpoint is written again."""
     checkpoint = monitor.status.get("checkpoint") or {}
     if monitor.status_s > window.ended_s and not checkpoint.get("problem"):
@@ -77,14 +82,16 @@ def checkpoint_written(harness: SoakHarness, monitor: SoakMonitor, window: Fault
     return f"the checkpoint is not written: {checkpoint.get('problem')}"
 
 
-def recording_fails(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_recording_failure(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the status reports that the recording cannot be written."""
     if all(sink["problem"] for sink in _recorders(monitor)) and monitor.status_s > window.began_s:
         return ""
     return "the status does not report that the recording cannot be written"
 
 
-def recording_goes_on(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_recording_continues(
+    harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow
+) -> str:
     """Check that the recording continues."""
     if monitor.status_s <= window.ended_s:
         return "no status message since the end of the fault"
@@ -97,16 +104,16 @@ def _recorders(monitor: SoakMonitor) -> list[dict[str, Any]]:
     return [sink for sink in (monitor.status.get("sinks") or {}).values() if "file" in sink]
 
 
-def page_answers(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_page(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that the live page is served."""
     silent = [path for path in LIVE_PAGES if not harness.text(path)]
     return f"{silent[0]}: no answer" if silent else ""
 
 
-def answers_requests(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
+def check_requests(harness: SoakHarness, monitor: SoakMonitor, window: FaultWindow) -> str:
     """Check that a request is answered."""
     try:
-        harness.mission(do="status")
+        harness.request_mission(do="status")
     except UserError as error:
         return str(error)
     return ""

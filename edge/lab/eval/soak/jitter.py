@@ -1,4 +1,7 @@
-"""Sink that publishes the jitter of the loop once a second."""
+"""Sink of a soaked service that publishes the jitter of its loop once a second.
+
+A beat is one result of the loop, with or without an observation. A tick has an observation.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,21 @@ from edge.host.worker import Worker
 from edge.loop.result import TickResult
 
 KEY = "soak/beat"
-PERIOD_S = 1.0
-_CLOSE_S = 1.0
+PERIOD_S = 1.0  # time between two messages
+_CLOSE_S = 1.0  # longest wait for the last message at the end
 
 
 class JitterSink:
     """Publishes JSON at `KEY`, below the prefix, about the last second.
 
-    `ticks` is the number of ticks with an observation and `beats` the number of all ticks.
-    `interval_ms` is the time between two ticks, `gap_ms` between two beats, and `tick_ms` the
-    duration of a tick: each as p50, p99 and maximum.
+    `ticks` is the number of ticks and `beats` the number of beats. `interval_ms` is the time
+    between two ticks, `gap_ms` between two beats, and `tick_ms` the duration of a tick: each as
+    p50, p99 and maximum.
+
+    Args:
+        config: gives the prefix.
+        session: publishes the messages.
+        clock: returns seconds.
     """
 
     def __init__(
@@ -51,11 +59,11 @@ class JitterSink:
             self._worker.submit(json.dumps(self._message(result, now_s - self._began_s)).encode())
             self._began_s, self._intervals_s, self._gaps_s = now_s, [], []
 
-    def _message(self, result: TickResult, passed_s: float) -> dict[str, object]:
+    def _message(self, result: TickResult, period_s: float) -> dict[str, object]:
         ticks = len(self._intervals_s)
         tick = result.latency(last=ticks).tick
         return {
-            "seconds": round(passed_s, 3),
+            "seconds": round(period_s, 3),
             "ticks": ticks,
             "beats": len(self._gaps_s),
             "interval_ms": _percentiles_ms(self._intervals_s),

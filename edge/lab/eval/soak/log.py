@@ -1,4 +1,4 @@
-"""Output of a process, read from a named pipe whose reader can exit and come back."""
+"""Output of the soaked service, read from a named pipe whose reader can exit and come back."""
 
 from __future__ import annotations
 
@@ -7,43 +7,48 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-_CHUNK = 1 << 16
+_CHUNK_BYTES = 1 << 16
 
 
 class PipeLog:
     """Reads the pipe without blocking, and copies it to a file.
 
+    Args:
+        pipe: path of the pipe, which is made.
+        copy: path of the file that gets all output.
+
     Attributes:
         lines: the lines with the time of reading (`time.monotonic`), oldest first.
     """
 
-    def __init__(self, pipe: Path, kept: Path) -> None:
+    def __init__(self, pipe: Path, copy: Path) -> None:
         self.lines: list[tuple[float, str]] = []
         self._pipe = pipe
-        self._rest = b""
+        self._rest = b""  # begin of a line whose end was not read yet
         os.mkfifo(pipe)
-        self._file = kept.open("wb")
+        self._file = copy.open("wb")
         self._reader: int | None = None
-        self.open()
+        self.open_reader()
 
-    def open(self) -> None:
+    def open_reader(self) -> None:
         """Open a reader, if there is none, and let it read."""
-        self._stuck = False
+        self._is_blocked = False
         if self._reader is None:
             self._reader = os.open(self._pipe, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
 
-    def leave(self) -> None:
+    def close_reader(self) -> None:
         """Close the reader: writers get a broken pipe."""
         if self._reader is not None:
             os.close(self._reader)
             self._reader, self._rest = None, b""
 
-    def stick(self) -> None:
+    def block(self) -> None:
         """Fill the pipe and stop reading: writers block."""
-        self._stuck = True
+        self._is_blocked = True
         filling = os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            for size in (_CHUNK, 1):  # a write of up to a page is atomic
+            # Single bytes fill what a chunk leaves: a small write that does not fit writes nothing.
+            for size in (_CHUNK_BYTES, 1):
                 with suppress(BlockingIOError):
                     while True:
                         os.write(filling, b"\n" * size)
@@ -56,19 +61,19 @@ class PipeLog:
 
     def poll(self) -> None:
         """Read what the pipe holds."""
-        if self._reader is None or self._stuck:
+        if self._reader is None or self._is_blocked:
             return
         now_s = time.monotonic()
         while True:
             try:
-                content = os.read(self._reader, _CHUNK)
+                content = os.read(self._reader, _CHUNK_BYTES)
             except BlockingIOError:
                 break
             if not content:  # no writer
                 break
             self._file.write(content)
-            *whole, self._rest = (self._rest + content).split(b"\n")
-            self.lines += [(now_s, line.decode("utf-8", "replace")) for line in whole]
+            *complete_lines, self._rest = (self._rest + content).split(b"\n")
+            self.lines += [(now_s, line.decode("utf-8", "replace")) for line in complete_lines]
         self._file.flush()
 
     def since(self, since_s: float) -> list[str]:
@@ -80,8 +85,8 @@ class PipeLog:
 
     def close(self) -> None:
         """Read the rest, and remove the pipe."""
-        self.open()
+        self.open_reader()
         self.poll()
-        self.leave()
+        self.close_reader()
         self._file.close()
         self._pipe.unlink()

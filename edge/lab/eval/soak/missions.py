@@ -1,4 +1,4 @@
-"""Missions one after another, in sentences about the objects of the house."""
+"""Missions of `edge soak`, one after another: sentences about the objects of the house."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edge.lab.sim.worlds import load_world
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-FORMS = (
+SENTENCES = (
     "go to the {0}",
     "find the {0}",
     "go to the {0}, then to the {1}",
@@ -43,8 +43,9 @@ class MissionFeeder:
         self._labels: dict[int, list[str]] = {}
 
     def step(self) -> dict[str, Any] | None:
-        """Give the next mission if the last has ended. Return that end, or None."""
+        """Give the next mission if the last has ended; return the end of the last one, or None."""
         status = self._monitor.status
+        # An older status may still be that of the mission before.
         fresh = self._monitor.status_s > self._asked_s + _RETRY_S
         if not fresh or status.get("phase") not in _OVER:
             return None
@@ -52,7 +53,7 @@ class MissionFeeder:
             key: status[key] for key in ("instruction", "phase", "reason", "elapsed_s", "path_m")
         }
         try:
-            self._harness.mission(do="new", instruction=self._next_instruction())
+            self._harness.request_mission(do="new", instruction=self._next_instruction())
         except RequestError as error:  # because of a fault: try again later
             log.debug("%s", error)
             return None
@@ -62,9 +63,9 @@ class MissionFeeder:
         return end
 
     def _next_instruction(self) -> str:
-        words = self._known_labels()
-        form = FORMS[self._rng.integers(len(FORMS))]
-        return form.format(*self._rng.permutation(words)[:2])
+        labels = self._known_labels()
+        sentence = SENTENCES[self._rng.integers(len(SENTENCES))]
+        return sentence.format(*self._rng.permutation(labels)[:2])
 
     def _known_labels(self) -> list[str]:
         """Return the labels of the house's objects that the detector knows, sorted."""

@@ -1,4 +1,4 @@
-"""Monitor of the service from outside: its topics, its pages, its processes."""
+"""Monitor of `edge soak`: observes the service from outside, by its topics, pages and processes."""
 
 from __future__ import annotations
 
@@ -29,33 +29,35 @@ from edge.text import read_json_object
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-_KEPT_BEATS = 4096
+_MAX_BEATS = 4096
 _MINUTE_S = 60.0
 _DROPPED = "edge_source_dropped_total"  # metric of `/metrics`
-_LOGGED = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a line of the log
+_LINE_START = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a log record
 
 
 class SoakMonitor:
-    """State of the service, for the soak's own thread. Zenoh's callbacks take a lock.
+    """Observes the service: Zenoh's threads keep its newest messages, `take_sample` gets the rest.
 
-    Times are `time.monotonic` in seconds.
+    The soak's own thread reads the attributes. Times are `time.monotonic` in seconds.
 
     Attributes:
         status: the newest status message.
-        status_s: its time.
+        status_s: time at which it arrived.
         latency: the newest latency message.
-        beats: the newest messages of `edge.lab.eval.soak.jitter` with their times, oldest first.
-        ready: problems that `/readyz` reports.
-        is_ready: `/readyz` was 200.
-        seen_s: time of the last sample.
-        alive_s: time at which `/healthz` was last 200.
+        beats: (time, message) of the newest messages of `edge.lab.eval.soak.jitter`, oldest first.
+        began_s: time at which the monitor began.
+        ready_problems: problems that `/readyz` reported in the last sample.
+        is_ready: `/readyz` was 200 in the last sample.
+        sampled_s: time of the last sample.
+        healthy_s: time at which `/healthz` was last 200.
         counts: number of goals, and of goals reached and failed.
-        checkpoint: why the mission's checkpoint cannot be read; "" if it can.
-        places: why the map's checkpoint cannot be read; "" if it can.
+        checkpoint_problem: why the mission's checkpoint cannot be read; "" if it can.
+        map_problem: why the map file (the map's checkpoint) cannot be read; "" if it can.
         recordings: check of the recordings.
-        calm: True without a fault. The caller sets it.
-        mutes: True while a fault stops all published messages. The caller sets it.
-        muted_s: time of the last sample with `mutes`.
+        calm: True while no fault is active and the service has recovered from the last one. The
+            caller sets it.
+        bus_is_muted: True while a fault stops all published messages. The caller sets it.
+        muted_s: time of the last sample with `bus_is_muted`.
     """
 
     def __init__(self, harness: SoakHarness) -> None:
@@ -63,28 +65,28 @@ class SoakMonitor:
         self._lock = threading.Lock()
         self.status: dict[str, Any] = {}
         self.latency: dict[str, Any] = {}
-        self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_KEPT_BEATS)
-        self.status_s = self.alive_s = self.seen_s = self.began_s = time.monotonic()
-        self.ready: tuple[str, ...] = ()
+        self.beats: deque[tuple[float, dict[str, Any]]] = deque(maxlen=_MAX_BEATS)
+        self.status_s = self.healthy_s = self.sampled_s = self.began_s = time.monotonic()
+        self.ready_problems: tuple[str, ...] = ()
         self.is_ready = False
         self.counts: Counter[str] = Counter()
-        self.checkpoint = self.places = ""
+        self.checkpoint_problem = self.map_problem = ""
         self.recordings = RecordingCheck(harness.config, harness.out)
         self.calm = True
-        self.mutes = False
+        self.bus_is_muted = False
         self.muted_s = self.began_s
-        self._calm_hz: deque[float] = deque(maxlen=600)
+        self._calm_hz: deque[float] = deque(maxlen=600)  # tick rates without a fault
         handlers: dict[str, Callable[[dict[str, Any]], None]] = {
             topics.STATUS.key: self._on_status,
             topics.LATENCY.key: self._on_latency,
-            topics.GOAL_STATUS.key: self._on_answer,
+            topics.GOAL_STATUS.key: self._on_goal_status,
             jitter.KEY: self._on_beat,
         }
         for key, handle in handlers.items():
             full_key = harness.config.zenoh.key(key)
             harness.session.declare_subscriber(full_key, partial(self._on_json, handle))
         goal = harness.config.zenoh.key(topics.GOAL.key)
-        self._goals: set[bytes] = set()
+        self._goals: set[bytes] = set()  # the newest goal message
         harness.session.declare_subscriber(goal, self._on_goal)
 
     # -- on Zenoh's threads -----------------------------------------------------------------------
@@ -108,7 +110,7 @@ class SoakMonitor:
         if self.calm and message["ticks"]:
             self._calm_hz.append(message["ticks"] / message["seconds"])
 
-    def _on_answer(self, message: dict[str, Any]) -> None:
+    def _on_goal_status(self, message: dict[str, Any]) -> None:
         if isinstance(state := message.get("state"), str) and state in ("reached", "failed"):
             self.counts[f"goals {state}"] += 1
 
@@ -126,57 +128,65 @@ class SoakMonitor:
     def usual_hz(self) -> float:
         """Median rate of ticks without a fault [1/s]."""
         with self._lock:
-            known = list(self._calm_hz)
-        return float(np.median(known)) if known else 0.0
+            rates_hz = list(self._calm_hz)
+        return float(np.median(rates_hz)) if rates_hz else 0.0
 
     def ticks_hz(self, since_s: float) -> float:
-        """Return the tick rate by the newest two beats after `since_s`; 0 if there are not two."""
+        """Return the tick rate [1/s] of the newest two jitter messages.
+
+        It is 0 if there are not two that describe only the time after `since_s`.
+        """
         with self._lock:
             newest = list(self.beats)[-2:]
-        if len(newest) < 2 or newest[0][0] < since_s + newest[0][1]["seconds"]:
+        if len(newest) < 2:
+            return 0.0
+        first_s, first = newest[0]
+        if first_s < since_s + first["seconds"]:
             return 0.0
         seconds = sum(message["seconds"] for _, message in newest)
         return float(sum(message["ticks"] for _, message in newest) / seconds)
 
     @property
     def beat_s(self) -> float:
-        """Time of the newest beat."""
+        """Time of the newest jitter message; of the begin if there is none yet."""
         with self._lock:
             return self.beats[-1][0] if self.beats else self.began_s
 
-    def look(self) -> dict[str, Any]:
-        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready."""
+    def take_sample(self) -> dict[str, Any]:
+        """Take a sample of pages, processes and checkpoints. Return it, JSON-ready.
+
+        `places_age_s` is the age of the map file, and `missed` the number of late ticks.
+        """
         harness, now_s = self._harness, time.monotonic()
-        codes = {path: harness.page(path) for path in PROBES}
-        health, ready = (codes[path] for path in PROBES)
-        if health[0] == 200:
-            self.alive_s = now_s
-        self.is_ready = ready[0] == 200
-        self.ready = tuple(ready[1].get("why", ("no answer",)))
-        self.seen_s = now_s
-        if self.mutes:
+        (health_code, _), (ready_code, ready_page) = (harness.page(path) for path in PROBES)
+        if health_code == 200:
+            self.healthy_s = now_s
+        self.is_ready = ready_code == 200
+        self.ready_problems = tuple(ready_page.get("why", ("no answer",)))
+        self.sampled_s = now_s
+        if self.bus_is_muted:
             self.muted_s = now_s
         mission = Path(harness.config.mission.checkpoint)
-        self.checkpoint = _unreadable(mission, MISSION)
-        places = mission.with_name(mission.name + SUFFIX)
-        self.places = _unreadable(places, MAP)
-        self.recordings.look()
+        self.checkpoint_problem = _read_problem(mission, MISSION)
+        map_file = mission.with_name(mission.name + SUFFIX)
+        self.map_problem = _read_problem(map_file, MAP)
+        self.recordings.check_next_file()
         harness.update_descendants()
         with self._lock:
             status, latency = self.status, self.latency
-            newest = self.beats[-1] if self.beats else (now_s, {})
+            beat_s, beat = self.beats[-1] if self.beats else (now_s, {})
         sample: dict[str, Any] = {
-            "healthz": health[0],
-            "readyz": ready[0],
-            "why": list(self.ready) if not self.is_ready else [],
-            "beat_age_s": round(now_s - newest[0], 2),
-            **{key: value for key, value in newest[1].items() if key != "seconds"},
+            "healthz": health_code,
+            "readyz": ready_code,
+            "why": list(self.ready_problems) if not self.is_ready else [],
+            "beat_age_s": round(now_s - beat_s, 2),
+            **{key: value for key, value in beat.items() if key != "seconds"},
             "dropped": dropped(harness.text("/metrics")),
             "phase": status.get("phase"),
             "instruction": status.get("instruction"),
             "checkpoint": status.get("checkpoint"),
             "sinks": status.get("sinks"),
-            "places_age_s": _age_s(places),
+            "places_age_s": _age_s(map_file),
             "recorded_mb": round(self.recordings.size_mb, 2),
             "loop": status.get("loop"),
             "detector": status.get("detector"),
@@ -207,8 +217,8 @@ def dropped(page: str) -> dict[str, int]:
 
 
 def _is_logged(line: str) -> bool:
-    """Return True for a line of the log; a list of threads after a signal is not one."""
-    return _LOGGED.match(line) is not None
+    """Return True if the line is a log record. A list of threads after a signal is not one."""
+    return _LINE_START.match(line) is not None
 
 
 def _age_s(path: Path) -> float | None:
@@ -218,7 +228,7 @@ def _age_s(path: Path) -> float | None:
         return None
 
 
-def _unreadable(path: Path, form: CheckpointFormat) -> str:
+def _read_problem(path: Path, form: CheckpointFormat) -> str:
     """Return why a checkpoint cannot be read; "" if it can, or if it is not there yet."""
     try:
         with path.open("rb") as file:

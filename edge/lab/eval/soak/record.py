@@ -1,4 +1,4 @@
-"""Log of a soak, as JSON lines."""
+"""Record of a run of `edge soak`, as JSON lines (`record.jsonl`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 Row = dict[str, Any]
 
 
-class SoakLog:
+class SoakRecord:
     """Writes rows to a file. The file is complete at any time.
 
     Each row has `t_s` since the begin, and its `kind`: `begin`, `sample` (once a second), `fault`,
@@ -19,7 +19,7 @@ class SoakLog:
 
     Attributes:
         rows: all rows so far.
-        began_s: `time.monotonic` of the begin; can be set.
+        began_s: `time.monotonic` of the begin; the run sets it when it begins.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,21 +39,21 @@ class SoakLog:
         self._file.close()
 
 
-def of(rows: Sequence[Row], kind: str) -> list[Row]:
+def rows_of_kind(rows: Sequence[Row], kind: str) -> list[Row]:
     """Return the rows of a kind."""
     return [row for row in rows if row["kind"] == kind]
 
 
 def verdict(rows: Sequence[Row]) -> str:
     """Return the result in one line: the first broken rule, or that all held."""
-    broken, minutes = of(rows, "broken"), rows[-1]["t_s"] / 60.0
+    broken, minutes = rows_of_kind(rows, "broken"), rows[-1]["t_s"] / 60.0
     if broken:
         more = f" ({len(broken) - 1} more)" if len(broken) > 1 else ""
         return (
             f"check failed after {broken[0]['t_s']:.0f} s: {broken[0]['rule']}: "
             f"{broken[0]['why']}{more}"
         )
-    faults, missions = len(of(rows, "fault")), of(rows, "mission")
+    faults, missions = len(rows_of_kind(rows, "fault")), rows_of_kind(rows, "mission")
     reached = sum(row["phase"] == "reached" for row in missions)
     return (
         f"all checks passed for {minutes:.0f} min: {faults} faults, {len(missions)} missions, "

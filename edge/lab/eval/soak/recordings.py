@@ -1,4 +1,4 @@
-"""Check of the service's recordings, with the `mcap` library and `edge replay`."""
+"""Check of a soaked service's recordings, with the `mcap` library and `edge replay`."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from edge.recording.rolling import RecordingLimits, files_of
 from edge.recording.session import RecordedRun
 from edge.text import one_line
 
-FOLDER = "recordings"
-FIRST = "first.mcap"
+FOLDER = "recordings"  # in the output folder of the soak
+FIRST = "first.mcap"  # link to the first recording, which the service may delete
 KIND = "mcap"  # of the sinks that record
 _SPARE_MB = 2.0  # a file is closed with its last chunk and its index
 _MB = 1e6
 
 
-def below(sinks: Iterable[SinkConfig], out: Path) -> tuple[SinkConfig, ...]:
+def move_folders(sinks: Iterable[SinkConfig], out: Path) -> tuple[SinkConfig, ...]:
     """Return the sinks, with the folder of those that record moved below `out`."""
     folder = {"folder": str(out / FOLDER)}
     return tuple(
@@ -62,7 +62,7 @@ class RecordingCheck:
         )
         self._read: set[Path] = set()
 
-    def look(self) -> None:
+    def check_next_file(self) -> None:
         """Read the oldest complete file that was not read yet."""
         if self._folder is None:
             return
@@ -78,7 +78,7 @@ class RecordingCheck:
         new = (path for path in files if not path.name.endswith(PARTIAL))
         if (path := next((path for path in new if path not in self._read), None)) is not None:
             self._read.add(path)
-            self._read_whole(path)
+            self._read_complete(path)
 
     def judge(self) -> dict[str, Any]:
         """Read the remaining files and replay the first. Call it after the service has ended.
@@ -93,11 +93,11 @@ class RecordingCheck:
             if path.name.endswith(PARTIAL):
                 self._read_unfinished(path)
             elif path not in self._read:
-                self._read_whole(path)
+                self._read_complete(path)
         cut = sum(path.name.endswith(PARTIAL) for path in files_of(self._folder))
         return {"files": self.files, "messages": self.messages, "cut": cut, **self._replay_first()}
 
-    def _read_whole(self, path: Path) -> None:
+    def _read_complete(self, path: Path) -> None:
         """Read a complete file by the library alone, using the index of the file."""
         try:
             with path.open("rb") as file:

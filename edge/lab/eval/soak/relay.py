@@ -1,4 +1,4 @@
-"""Relay between robot and service that passes on sensor messages or altered ones.
+"""Relay of `edge soak`: passes on the robot's sensor messages to the service, or alters them.
 
 The robot's simulator connects only to this process. A `MessageFilter` turns each message into its
 replacements, and passes on all other messages unchanged. At most one filter is set at a time.
@@ -29,7 +29,6 @@ MessageFilter = Callable[[Topic, bytes], Sequence[bytes]]
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION)
 _STAMPED = tuple(topic for topic in topics.PLAYED if topic.type != "json")
-_FRAMES = tuple(topic for topic in _STAMPED if topic is not topics.ODOMETRY)
 
 
 class Relay:
@@ -38,12 +37,12 @@ class Relay:
     Args:
         robot: the endpoint to which the simulator connects; the relay listens.
         service: the endpoint of the service or its router.
-        stop: ends a wait for that endpoint.
+        stop: ends a wait for the service's endpoint.
 
     Attributes:
         alter: alters the sensors' messages; None: no change.
-        offset_m: is added to the x of the odometry, before `alter`.
-        passed: number of sensor messages.
+        offset_m: added to the x of the odometry, before `alter`.
+        passed: number of sensor messages so far.
 
     Raises:
         Stopped: `stop` was set before the service's endpoint answered.
@@ -53,24 +52,26 @@ class Relay:
         self.alter: MessageFilter | None = None
         self.offset_m = 0.0
         self.passed = 0
-        self._late_s = 0.0
-        self._late: deque[tuple[float, Topic, bytes]] = deque()
+        self._delay_s = 0.0
+        self._delayed: deque[tuple[float, Topic, bytes]] = deque()
         self._robot, self._service, self._stop = robot, service, stop
-        self._stack = ExitStack()
-        heard = self._stack.enter_context(zenoh_session(robot, "listen", stop))
-        command = declare_publisher(heard, topics.CMD_VEL, robot)
+        self._robot_side = ExitStack()
+        robot_session = self._robot_side.enter_context(zenoh_session(robot, "listen", stop))
+        command = declare_publisher(robot_session, topics.CMD_VEL, robot)
         self._put_command = partial(_put, command)
         for topic in topics.PLAYED:
-            heard.declare_subscriber(robot.key(topic.key), partial(self._hear, topic))
+            robot_session.declare_subscriber(robot.key(topic.key), partial(self._pass_on, topic))
         self._publishers: dict[Topic, zenoh.Publisher] = {}
-        self._outer = ExitStack()
+        self._service_side = ExitStack()
         self.connect()
 
     def connect(self) -> None:
         """Open the session with the service, if there is none."""
         if self._publishers:
             return
-        session = self._outer.enter_context(zenoh_session(self._service, "connect", self._stop))
+        session = self._service_side.enter_context(
+            zenoh_session(self._service, "connect", self._stop)
+        )
         key = self._service.key(topics.CMD_VEL.key)
         session.declare_subscriber(key, lambda sample: self._put_command(sample.payload.to_bytes()))
         self._publishers = {
@@ -80,32 +81,32 @@ class Relay:
     def cut(self) -> None:
         """Close the session with the service. Messages until `connect` are lost."""
         self._publishers = {}
-        self._outer.close()
+        self._service_side.close()
 
     def close(self) -> None:
         """Close both sessions."""
         self.cut()
-        self._stack.close()
+        self._robot_side.close()
 
-    def delay(self, late_s: float) -> None:
+    def delay(self, delay_s: float) -> None:
         """Delay every message from now on; 0: no delay."""
-        self._late_s = late_s
+        self._delay_s = delay_s
 
     def step(self) -> None:
         """Send the messages whose delay is over."""
         now_s = time.monotonic()
-        while self._late and self._late[0][0] <= now_s:
-            _, topic, payload = self._late.popleft()
+        while self._delayed and self._delayed[0][0] <= now_s:
+            _, topic, payload = self._delayed.popleft()
             self._send(topic, payload)
 
-    def _hear(self, topic: Topic, sample: zenoh.Sample) -> None:
+    def _pass_on(self, topic: Topic, sample: zenoh.Sample) -> None:
         payload, alter = sample.payload.to_bytes(), self.alter
         self.passed += 1
         if topic is topics.ODOMETRY and self.offset_m:
             payload = moved(payload, self.offset_m)
         for sent in (payload,) if alter is None else alter(topic, payload):
-            if self._late_s:
-                self._late.append((time.monotonic() + self._late_s, topic, sent))
+            if self._delay_s:
+                self._delayed.append((time.monotonic() + self._delay_s, topic, sent))
             else:
                 self._send(topic, sent)
 
@@ -140,25 +141,25 @@ def restamped(payload: bytes, stamp_ns: int) -> bytes:
     return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
 
 
-def nothing(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
+def drop(only: Sequence[Topic] = topics.PLAYED) -> MessageFilter:
     """Return a `MessageFilter` that drops messages of these topics."""
     return lambda topic, payload: () if topic in only else (payload,)
 
 
-def frozen(stamps_go_on: bool) -> MessageFilter:
+def freeze(stamps_go_on: bool) -> MessageFilter:
     """Return a `MessageFilter` that repeats each topic's first image, like a driver that hangs."""
     first: dict[Topic, bytes] = {}
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
         if topic not in _IMAGES:
             return (payload,)
-        kept = first.setdefault(topic, payload)
-        return (restamped(kept, messages.peek_stamp_ns(payload)) if stamps_go_on else kept,)
+        image = first.setdefault(topic, payload)
+        return (restamped(image, messages.peek_stamp_ns(payload)) if stamps_go_on else image,)
 
     return alter
 
 
-def other_clock(ahead_s: float) -> MessageFilter:
+def shift_stamps(ahead_s: float) -> MessageFilter:
     """Return a `MessageFilter` that moves all stamps ahead."""
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
@@ -169,25 +170,25 @@ def other_clock(ahead_s: float) -> MessageFilter:
     return alter
 
 
-def elsewhere(x_m: float, yaw_rad: float) -> MessageFilter:
-    """Return a `MessageFilter` for odometry that has jumped."""
+def move_odometry(x_m: float, yaw_rad: float) -> MessageFilter:
+    """Return a `MessageFilter` that moves the odometry, as after a jump of the pose."""
     return lambda topic, payload: (
         (moved(payload, x_m, yaw_rad),) if topic is topics.ODOMETRY else (payload,)
     )
 
 
-def garbage(rng: np.random.Generator) -> MessageFilter:
+def add_garbage(rng: np.random.Generator) -> MessageFilter:
     """Return a `MessageFilter` that sends a malformed message before each message."""
     lock = threading.Lock()  # the generator is not thread-safe, and Zenoh has several threads
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:
         with lock:
-            return broken(payload, rng), payload
+            return malformed(payload, rng), payload
 
     return alter
 
 
-def broken(payload: bytes, rng: np.random.Generator) -> bytes:
+def malformed(payload: bytes, rng: np.random.Generator) -> bytes:
     """Return a malformed message: cut, random, or with changed bytes."""
     kind = rng.integers(3)
     if kind == 0:

@@ -1,4 +1,7 @@
-"""A Zenoh router as a process: `python -m edge.lab.eval.soak.router ENDPOINT PARENT`."""
+"""Process with the Zenoh router of `edge soak`.
+
+Run `python -m edge.lab.eval.soak.router ENDPOINT PARENT`; PARENT is a process id.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Rules that must hold all the time, and limits for the whole run."""
+"""Rules of `edge soak`, the endurance test: what the service must keep to under faults.
+
+`RULES` must hold at every sample. `GROWTHS` limit the growth of values over the whole run.
+
+The functions named `…_problem` return the reason why a rule does not hold, or "" if it holds. A
+sample is calm if no fault is active.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +21,14 @@ if TYPE_CHECKING:
     from edge.lab.eval.soak.harness import SoakHarness
     from edge.lab.eval.soak.monitor import SoakMonitor
 
-SILENT_S = 10.0  # longest time without an answer of the service or a message of the loop
-OLD_S = 10.0  # largest age of the map's checkpoint
-LOG_A_MINUTE = 120  # most lines
-_SPARE_S = 30.0  # added to a mission's limit
-_WARM_UP_S = 120.0  # a model fills its memory arenas in some thousand images
-_SETTLED_AFTER = 0.1  # share of the run after which caches are filled
+MAX_SILENCE_S = 10.0  # longest time without an answer of `/healthz` or a message of the loop
+MAX_MAP_AGE_S = 10.0  # largest age of the map file (the map's checkpoint) without a fault
+MAX_LOG_LINES_PER_MIN = 120
+_MISSION_SPARE_S = 30.0  # added to the mission's own time limit
+_WARM_UP_S = (
+    120.0  # after a process starts: a model fills its memory arenas in some thousand images
+)
+_SETTLED_SHARE = 0.1  # share of the run after which caches are filled
 _SOME_REACHED_S = 1200.0  # in a longer run, at least one mission must reach its target
 
 Sample = dict[str, Any]
@@ -33,62 +41,67 @@ class Rule:
     Attributes:
         name: for the report.
         what: description for docs/soak.md.
-        broken: returns the reason why it does not hold; "" if it holds.
-        ends: the run cannot continue once it is broken.
+        problem: returns the reason why the condition does not hold; "" if it holds.
+        ends_run: the run cannot continue once the condition does not hold.
     """
 
     name: str
     what: str
-    broken: Callable[[SoakHarness, SoakMonitor, Sample], str]
-    ends: bool = False
+    problem: Callable[[SoakHarness, SoakMonitor, Sample], str]
+    ends_run: bool = False
 
 
-def _dead(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     code = harness.service.poll()
     return "" if code is None else f"the process of the service ended with exit code {code}"
 
 
-def _hung(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    silent_s = time.monotonic() - monitor.alive_s
+def _health_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    silent_s = time.monotonic() - monitor.healthy_s
     return (
-        f"/healthz is not 200 for {silent_s:.0f} s, allowed {SILENT_S:g} s"
-        if silent_s > SILENT_S
+        f"/healthz is not 200 for {silent_s:.0f} s, allowed {MAX_SILENCE_S:g} s"
+        if silent_s > MAX_SILENCE_S
         else ""
     )
 
 
-def _silent(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _loop_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    # While a fault silences the bus, no beat can arrive.
     silent_s = time.monotonic() - max(monitor.beat_s, monitor.muted_s)
     return (
-        f"no message of the loop for {silent_s:.0f} s, allowed {SILENT_S:g} s"
-        if silent_s > SILENT_S
+        f"no message of the loop for {silent_s:.0f} s, allowed {MAX_SILENCE_S:g} s"
+        if silent_s > MAX_SILENCE_S
         else ""
     )
 
 
-def _unreadable(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    return monitor.checkpoint
+def _checkpoint_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    return monitor.checkpoint_problem
 
 
-def _map_lost(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    age_s = sample["places_age_s"]
-    if monitor.calm and age_s is not None and age_s > OLD_S:
-        return f"the map file is {age_s:.0f} s old, allowed {OLD_S:g} s"
-    return monitor.places
+def _map_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    age_s = sample["places_age_s"]  # of the map file
+    if monitor.calm and age_s is not None and age_s > MAX_MAP_AGE_S:
+        return f"the map file is {age_s:.0f} s old, allowed {MAX_MAP_AGE_S:g} s"
+    return monitor.map_problem
 
 
-def _recorded_badly(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _recording_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     return monitor.recordings.problem
 
 
-def _floods(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _log_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     lines = sample["log_a_minute"]
-    return f"{lines} log lines in a minute, allowed {LOG_A_MINUTE}" if lines > LOG_A_MINUTE else ""
+    return (
+        f"{lines} log lines in a minute, allowed {MAX_LOG_LINES_PER_MIN}"
+        if lines > MAX_LOG_LINES_PER_MIN
+        else ""
+    )
 
 
-def _overdue(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _mission_time_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     elapsed_s = monitor.status.get("elapsed_s", 0.0)
-    limit_s = harness.config.mission.time_limit_s + _SPARE_S
+    limit_s = harness.config.mission.time_limit_s + _MISSION_SPARE_S
     return (
         f"a mission runs for {elapsed_s:.0f} s, allowed {limit_s:.0f} s"
         if elapsed_s > limit_s
@@ -96,40 +109,51 @@ def _overdue(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     )
 
 
-def _without_reason(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+def _mission_reason_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     status = monitor.status
     silent = status.get("phase") == "failed" and not status.get("reason")
     return "a mission failed without a reason" if silent else ""
 
 
-def _others_end(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    gone = [name for name in harness.gone() if name != "service"]
-    return f"the {gone[0]} ended by itself" if gone else ""
+def _other_process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
+    ended = [name for name in harness.ended_children() if name != "service"]
+    return f"the {ended[0]} ended by itself" if ended else ""
 
 
 RULES: tuple[Rule, ...] = (
-    Rule("service lives", "its process never ends", _dead, ends=True),
-    Rule("service answers", f"`/healthz` is 200 at least every {SILENT_S:g} s", _hung),
+    Rule("service lives", "its process never ends", _process_problem, ends_run=True),
+    Rule(
+        "service answers", f"`/healthz` is 200 at least every {MAX_SILENCE_S:g} s", _health_problem
+    ),
     Rule(
         "loop beats",
-        f"a message of the loop at least every {SILENT_S:g} s, unless a fault silences the bus",
-        _silent,
+        f"a message of the loop at least every {MAX_SILENCE_S:g} s, "
+        "unless a fault silences the bus",
+        _loop_problem,
     ),
-    Rule("checkpoint", "the file is complete at every sample", _unreadable),
+    Rule("checkpoint", "the file is complete at every sample", _checkpoint_problem),
     Rule(
         "map",
-        f"`….map` is complete, too; without a fault it is at most {OLD_S:g} s old",
-        _map_lost,
+        f"`….map` is complete, too; without a fault it is at most {MAX_MAP_AGE_S:g} s old",
+        _map_problem,
     ),
     Rule(
         "recordings",
         "the `mcap` library reads each complete file; together they are at most `keep_mb`",
-        _recorded_badly,
+        _recording_problem,
     ),
-    Rule("log", f"at most {LOG_A_MINUTE} lines a minute", _floods),
-    Rule("missions end", f"at most {_SPARE_S:g} s after `mission.time_limit_s`", _overdue),
-    Rule("missions say why", "each failed mission has a reason", _without_reason),
-    Rule("others live", "simulator, controller and router never exit by themselves", _others_end),
+    Rule("log", f"at most {MAX_LOG_LINES_PER_MIN} lines a minute", _log_problem),
+    Rule(
+        "missions end",
+        f"at most {_MISSION_SPARE_S:g} s after `mission.time_limit_s`",
+        _mission_time_problem,
+    ),
+    Rule("missions say why", "each failed mission has a reason", _mission_reason_problem),
+    Rule(
+        "others live",
+        "simulator, controller and router never exit by themselves",
+        _other_process_problem,
+    ),
 )
 
 
@@ -139,19 +163,20 @@ class GrowthLimit:
 
     Attributes:
         name: for the report.
-        who: part of a sample: `service` or `model`.
+        part: part of a sample, `service` or `model`.
         key: key of the value in that part.
         unit: of the value.
-        most_per_h: limit on the growth in an hour.
-        settles: limit on the whole growth in a run that is too short for `most_per_h`.
+        most_per_h: limit on the growth per hour.
+        most_in_all: growth in the whole run that is always allowed, such as caches that fill. It
+            decides in a short run.
     """
 
     name: str
-    who: str
+    part: str
     key: str
     unit: str
     most_per_h: float
-    settles: float
+    most_in_all: float
 
 
 GROWTHS: tuple[GrowthLimit, ...] = (
@@ -164,24 +189,25 @@ GROWTHS: tuple[GrowthLimit, ...] = (
         "descriptors of the model's process", "model", "descriptors", "descriptors", 2.0, 8.0
     ),
 )
-"""Limits on the lower bound of the interval, so only certain growth breaks them.
+"""The limit is compared with the lower bound of the slope's confidence interval, so that only
+growth that is statistically sure breaks it.
 
-The report has the smallest growth that would have shown.
+The report also gives the smallest growth that the run could have detected.
 """
 
 
-def grown(growth: GrowthLimit, samples: Sequence[Sample]) -> Slope | None:
-    """Return the growth over samples without a fault; None if there are too few.
+def growth_slope(growth: GrowthLimit, samples: Sequence[Sample]) -> Slope | None:
+    """Return the slope of a value over samples without a fault; None if there are too few.
 
     The first samples of the run and of each process are skipped.
     """
     if not samples:
         return None
-    settled_s = _SETTLED_AFTER * samples[-1]["t_s"]
-    begun_s: dict[int, float] = {}
-    lives: dict[int, list[tuple[float, float]]] = {}
+    settled_s = _SETTLED_SHARE * samples[-1]["t_s"]
+    begun_s: dict[int, float] = {}  # by process id: time of its first sample
+    lives: dict[int, list[tuple[float, float]]] = {}  # by process id: (time, value) of samples
     for sample in samples:
-        if used := sample[growth.who]:
+        if used := sample[growth.part]:
             t_s, pid = sample["t_s"], used["pid"]
             settles_s = max(settled_s, begun_s.setdefault(pid, t_s) + _WARM_UP_S)
             if sample["calm"] and t_s >= settles_s:
@@ -189,23 +215,23 @@ def grown(growth: GrowthLimit, samples: Sequence[Sample]) -> Slope | None:
     return slope_of(tuple(np.array(life).T) for life in lives.values())  # type: ignore[misc]
 
 
-def most_per_h(growth: GrowthLimit, ran_s: float) -> float:
-    """Return the allowed growth in an hour, for a run of this length."""
-    return max(growth.most_per_h, growth.settles * 3600.0 / max(ran_s, 1.0))
+def allowed_per_h(growth: GrowthLimit, ran_s: float) -> float:
+    """Return the allowed growth per hour, for a run of this length."""
+    return max(growth.most_per_h, growth.most_in_all * 3600.0 / max(ran_s, 1.0))
 
 
-def grows(growth: GrowthLimit, slope: Slope | None, ran_s: float) -> str:
-    """Return the reason if a value certainly grows by more than allowed, else ""."""
-    most = most_per_h(growth, ran_s)
-    if slope is None or slope.low <= most:
+def growth_problem(growth: GrowthLimit, slope: Slope | None, ran_s: float) -> str:
+    """Return the reason if a value surely grows by more than is allowed, else ""."""
+    allowed = allowed_per_h(growth, ran_s)
+    if slope is None or slope.low <= allowed:
         return ""
     return (
         f"{slope.per_h:+.1f} {growth.unit}/h, at least {slope.low:.1f}; allowed in a run of "
-        f"{ran_s / 60.0:.0f} min: {most:.0f}"
+        f"{ran_s / 60.0:.0f} min: {allowed:.0f}"
     )
 
 
-def none_reached(ended: Sequence[dict[str, Any]], ran_s: float) -> str:
+def missions_problem(ended: Sequence[dict[str, Any]], ran_s: float) -> str:
     """Return the reason if a long run reached the target of no mission, else ""."""
     if ran_s < _SOME_REACHED_S or any(end["phase"] == "reached" for end in ended):
         return ""

@@ -16,23 +16,31 @@ import numpy as np
 from edge.config import load
 from edge.errors import FAILED, FileError, Stopped
 from edge.host.signals import stop_on_signals
-from edge.lab.eval.soak.faults import Fault, chosen
+from edge.lab.eval.soak.faults import Fault, choose_faults
 from edge.lab.eval.soak.harness import SoakHarness, soak_config
-from edge.lab.eval.soak.invariants import FaultWindow, log_has, recovered
+from edge.lab.eval.soak.invariants import FaultWindow, check_recovered, log_check
 from edge.lab.eval.soak.missions import MissionFeeder
 from edge.lab.eval.soak.monitor import SoakMonitor
-from edge.lab.eval.soak.record import SoakLog, of, verdict
-from edge.lab.eval.soak.rules import GROWTHS, RULES, grown, grows, most_per_h, none_reached
-from edge.lab.eval.soak.schedule import ScheduledFault, Steps, make, rounds
+from edge.lab.eval.soak.record import SoakRecord, rows_of_kind, verdict
+from edge.lab.eval.soak.rules import (
+    GROWTHS,
+    RULES,
+    allowed_per_h,
+    growth_problem,
+    growth_slope,
+    missions_problem,
+)
+from edge.lab.eval.soak.schedule import ScheduledFault, Steps, draw_faults, inject
 from edge.lab.eval.soak.tables import summary
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-_STEP_S = 0.1
-_LOOK_S = 1.0  # time between two samples
-_WARM_UP_S, _WARM_UP = 10.0, 0.1  # time before the first fault, and its largest share of the run
+_STEP_PERIOD_S = 0.1  # time between two steps of the run's loop
+_SAMPLE_PERIOD_S = 1.0  # time between two samples
+_WARM_UP_S = 10.0  # time before the first fault
+_MAX_WARM_UP_SHARE = 0.1  # its largest share of the run
 _CALM_S = (2.0, 6.0)  # shortest and longest time between two faults
-_SETTLES_S = 2.0  # after a fault, the samples are not yet as before
+_SETTLES_S = 2.0  # after the recovery from a fault: its samples are not yet as before
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
     """
     stop = stop_on_signals()
     config = load(args.config)
-    faults = chosen(config, args.faults.split(",") if args.faults is not None else None)
-    make_empty(args.out)
+    faults = choose_faults(config, args.faults.split(",") if args.faults is not None else None)
+    make_out_folder(args.out)
     out = args.out.resolve()
-    record = SoakLog(out / "record.jsonl")
+    record = SoakRecord(out / "record.jsonl")
     with closing(record), closing(SoakHarness(soak_config(config, out), out, stop)) as harness:
         soak = SoakRun(harness, record, faults, args.seed, 60.0 * args.minutes)
         try:
@@ -58,11 +66,11 @@ def run(args: argparse.Namespace) -> int:
         soak.conclude()
     print(summary(record.rows))
     print(verdict(record.rows))
-    return FAILED if of(record.rows, "broken") else os.EX_OK
+    return FAILED if rows_of_kind(record.rows, "broken") else os.EX_OK
 
 
-def make_empty(folder: Path) -> None:
-    """Make a folder, if it is missing.
+def make_out_folder(folder: Path) -> None:
+    """Make the folder if it is missing; refuse one that is not empty.
 
     Raises:
         FileError: it cannot be made, or it is not empty.
@@ -78,12 +86,22 @@ def make_empty(folder: Path) -> None:
 
 
 class SoakRun:
-    """One soak run."""
+    """Drives one soak run: faults, missions, samples, then the verdict.
+
+    Call `run`, then `conclude`.
+
+    Args:
+        harness: the started processes.
+        record: gets all that happens.
+        faults: the faults to inject.
+        seed: of the order of the faults, their durations, and the missions.
+        lasts_s: length of the run.
+    """
 
     def __init__(
         self,
         harness: SoakHarness,
-        record: SoakLog,
+        record: SoakRecord,
         faults: Sequence[Fault],
         seed: int,
         lasts_s: float,
@@ -106,33 +124,33 @@ class SoakRun:
         self._monitor = SoakMonitor(self._harness)
         self._missions = MissionFeeder(self._harness, self._monitor, self._mission_rng)
         self._record.began_s = time.monotonic()
-        ends_s, look_s = self._record.began_s + self._lasts_s, 0.0
+        ends_s, sample_s = self._record.began_s + self._lasts_s, 0.0
         with closing(self._all_faults(ends_s)) as faults:
             for _ in faults:
                 self._harness.relay.step()
                 self._harness.log.poll()
                 if (end := self._missions.step()) is not None:
                     self._record.add("mission", **end)
-                if time.monotonic() >= look_s:
-                    look_s = max(look_s + _LOOK_S, time.monotonic())
+                if time.monotonic() >= sample_s:
+                    sample_s = max(sample_s + _SAMPLE_PERIOD_S, time.monotonic())
                     if self._take_sample():
                         return
-                if stop.wait(_STEP_S):
+                if stop.wait(_STEP_PERIOD_S):
                     return
 
     def _take_sample(self) -> bool:
         """Take a sample and check the rules. Return True if the run cannot continue."""
-        sample = self._monitor.look()
+        sample = self._monitor.take_sample()
         self._record.add("sample", calm=self._monitor.calm, **sample)
         for rule in RULES:
-            if why := rule.broken(self._harness, self._monitor, sample):
+            if why := rule.problem(self._harness, self._monitor, sample):
                 self._report_broken(rule.name, why)
-                if rule.ends:
+                if rule.ends_run:
                     return True
         return False
 
     def _report_broken(self, rule: str, why: str) -> None:
-        """Report a broken rule, once a rule."""
+        """Report a broken rule, each rule only once."""
         if rule not in self._reported:
             self._reported.add(rule)
             log.error("check failed: %s: %s", rule, why)
@@ -141,9 +159,13 @@ class SoakRun:
     # -- faults ---------------------------------------------------------------------------------
 
     def _all_faults(self, ends_s: float) -> Steps:
-        """Inject the faults, one step each time that the generator is resumed."""
-        yield from self._pause(min(_WARM_UP_S, _WARM_UP * self._lasts_s))
-        for drawn in rounds(self._faults, self._schedule_rng):
+        """Inject the faults, one step each time that the generator is resumed.
+
+        This is a generator of `Steps`: resumed once per loop, it returns the reason of a failure,
+        or "". Here failures are recorded at once, so the returned text is always "".
+        """
+        yield from self._pause(min(_WARM_UP_S, _MAX_WARM_UP_SHARE * self._lasts_s))
+        for drawn in draw_faults(self._faults, self._schedule_rng):
             yield from self._inject(drawn)
             yield from self._pause(float(self._schedule_rng.uniform(*_CALM_S)))
             if time.monotonic() >= ends_s:
@@ -151,6 +173,7 @@ class SoakRun:
         return ""
 
     def _pause(self, lasts_s: float) -> Steps:
+        """Do nothing for a time."""
         until_s = time.monotonic() + lasts_s
         while time.monotonic() < until_s:
             yield
@@ -162,9 +185,10 @@ class SoakRun:
         faults = [fault for fault, _ in drawn]
         name, alone = " + ".join(fault.name for fault in faults), len(faults) == 1
         monitor.calm = False
-        why = yield from make(drawn, self._harness, monitor, self._fault_rng)
-        monitor.mutes, ended_s = False, time.monotonic()
-        why = why if alone else ""
+        why = yield from inject(drawn, self._harness, monitor, self._fault_rng)
+        monitor.bus_is_muted, ended_s = False, time.monotonic()
+        if not alone:
+            why = ""  # one of two faults may hide the other, or make it impossible
         why = why or (yield from self._wait_for_recovery(faults, FaultWindow(began_s, ended_s)))
         self._record.add(
             "fault", name=name, began_s=round(began_s - self._record.began_s, 2),
@@ -177,14 +201,14 @@ class SoakRun:
         monitor.calm = True
 
     def _wait_for_recovery(self, faults: Sequence[Fault], window: FaultWindow) -> Steps:
-        """Wait until all holds after the faults. Return the first reason if it takes too long."""
-        holds = [recovered, *(hold for fault in faults for hold in fault.after)]
+        """Wait until all conditions hold. Return the first reason if it takes too long."""
+        conditions = [check_recovered, *(check for fault in faults for check in fault.after)]
         if len(faults) == 1 and faults[0].log_pattern:
-            holds.append(log_has(faults[0].log_pattern))
+            conditions.append(log_check(faults[0].log_pattern))
         within_s = sum(fault.within_s for fault in faults)
         while True:
-            every = (hold(self._harness, self._monitor, window) for hold in holds)
-            if not (why := next(filter(None, every), "")):
+            problems = (check(self._harness, self._monitor, window) for check in conditions)
+            if not (why := next(filter(None, problems), "")):
                 return ""
             if time.monotonic() - window.ended_s > within_s:
                 return f"not recovered after {within_s:g} s: {why}"
@@ -195,17 +219,17 @@ class SoakRun:
     def conclude(self) -> None:
         """Judge the whole run, and stop the service."""
         ran_s = time.monotonic() - self._record.began_s
-        samples = of(self._record.rows, "sample")
+        samples = rows_of_kind(self._record.rows, "sample")
         for growth in GROWTHS:
-            slope = grown(growth, samples)
+            slope = growth_slope(growth, samples)
             if slope is not None:
                 self._record.add(
                     "growth", name=growth.name, unit=growth.unit,
-                    most_per_h=round(most_per_h(growth, ran_s), 1), **slope._asdict(),
+                    most_per_h=round(allowed_per_h(growth, ran_s), 1), **slope._asdict(),
                 )  # fmt: skip
-            if why := grows(growth, slope, ran_s):
+            if why := growth_problem(growth, slope, ran_s):
                 self._report_broken(growth.name, why)
-        if why := none_reached(self._missions.ended, ran_s):
+        if why := missions_problem(self._missions.ended, ran_s):
             self._report_broken("missions", why)
         self._harness.update_descendants()
         code = self._harness.stop_service()
@@ -223,5 +247,5 @@ class SoakRun:
             self._report_broken(
                 "no child is left", f"{len(left)} processes of the service still run: {names}"
             )
-        self._record.add("end", faults=len(of(self._record.rows, "fault")),
+        self._record.add("end", faults=len(rows_of_kind(self._record.rows, "fault")),
                          missions=len(self._missions.ended))  # fmt: skip

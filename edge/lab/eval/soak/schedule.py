@@ -1,4 +1,4 @@
-"""Schedule of faults: the next fault, its duration, and whether another begins within it."""
+"""Schedule of `edge soak`: draws the next fault and its duration, and injects it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-SECOND = 0.2  # share of faults with another within them
-_BEGINS = 0.5  # begin of the second, as a share of the first one's duration
+_SECOND_SHARE = 0.2  # share of faults with another within them
+_SECOND_BEGINS = 0.5  # time at which the second begins, as a share of the first one's duration
 
 Steps = Generator[None, None, str]
-"""A generator of steps that returns the reason of a failure, or ""."""
+"""A generator that is resumed once per loop. It returns the reason of a failure, or ""."""
 
 
 class ScheduledFault(NamedTuple):
@@ -34,25 +34,25 @@ class ScheduledFault(NamedTuple):
     lasts_s: float
 
 
-def rounds(
+def draw_faults(
     faults: Sequence[Fault], rng: np.random.Generator
 ) -> Iterator[tuple[ScheduledFault, ...]]:
-    """Yield all faults in random order, again and again.
+    """Yield all faults in random order, again and again, without end.
 
-    Some have a second fault within them, which affects another part.
+    Each item is one fault, or a fault and a second one within it, which affects another part.
     """
     while True:
         for k in rng.permutation(len(faults)):
             first = faults[k]
             others = [fault for fault in faults if fault.part != first.part]
-            second = others and rng.random() < SECOND
+            second = others and rng.random() < _SECOND_SHARE
             chosen = (first, others[rng.integers(len(others))]) if second else (first,)
             yield tuple(
                 ScheduledFault(fault, float(rng.uniform(*fault.lasts_s))) for fault in chosen
             )
 
 
-def make(
+def inject(
     drawn: Sequence[ScheduledFault],
     harness: SoakHarness,
     monitor: SoakMonitor,
@@ -61,26 +61,30 @@ def make(
     """Inject the first fault, and the rest within it, which ends before the first does.
 
     Returns:
-        The conditions that the first fault did not show, or why it could not be injected; else "".
+        The conditions of `Fault.during` that never held, or why the fault could not be injected;
+        else "".
     """
-    if not drawn:
+    if not drawn:  # no fault within the last one
         return ""
     (fault, lasts_s), *rest = drawn
     log.info("injecting fault %s for %.0f s: %s", fault.name, lasts_s, fault.what)
-    monitor.mutes |= fault.mutes
+    monitor.bus_is_muted |= fault.mutes_bus
     began_s = time.monotonic()
-    window, unshown, ended = FaultWindow(began_s, began_s), list(fault.during), False
+    window = FaultWindow(began_s, began_s)
+    missing = list(fault.during)  # conditions that have not held yet
+    rest_ended = False  # the faults within this one
     try:
         with (
-            closing(fault.make(harness, rng)) as injection,
-            closing(make(rest, harness, monitor, rng)) as second,
+            closing(fault.inject(harness, rng)) as injection,
+            closing(inject(rest, harness, monitor, rng)) as second,
         ):
-            while not ended or time.monotonic() < began_s + lasts_s:
+            while not rest_ended or time.monotonic() < began_s + lasts_s:
                 next(injection)
-                unshown = [hold for hold in unshown if hold(harness, monitor, window)]
-                if not ended and time.monotonic() >= began_s + _BEGINS * lasts_s:
-                    ended = next(second, second) is second
+                missing = [check for check in missing if check(harness, monitor, window)]
+                if not rest_ended and time.monotonic() >= began_s + _SECOND_BEGINS * lasts_s:
+                    # The generator itself is the default: it comes once the generator has ended.
+                    rest_ended = next(second, second) is second
                 yield
-            return "; ".join(hold(harness, monitor, window) for hold in unshown)
+            return "; ".join(check(harness, monitor, window) for check in missing)
     except UserError as error:
         return f"the fault could not be injected or ended: {error}"

@@ -1,4 +1,4 @@
-"""Tables that a soak prints at its end: broken rules, growth, faults and missions."""
+"""Tables that `edge soak` prints at its end: broken rules, growth, faults and missions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from edge.lab.eval.comparison.tables import ReportTable, text
-from edge.lab.eval.soak.record import Row, of
+from edge.lab.eval.soak.record import Row, rows_of_kind
 from edge.text import one_line
 
-_AT_ONCE = "two at once"
+_TWO_AT_ONCE = "two at once"
 
 
 def summary(rows: Sequence[Row]) -> str:
@@ -20,7 +20,10 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def _broken(rows: Sequence[Row]) -> ReportTable:
-    found = [[f"{row['t_s']:.0f}", row["rule"], one_line(row["why"])] for row in of(rows, "broken")]
+    found = [
+        [f"{row['t_s']:.0f}", row["rule"], one_line(row["why"])]
+        for row in rows_of_kind(rows, "broken")
+    ]
     return ReportTable("broken", "What did not hold", ["s", "rule", "why"], found)
 
 
@@ -30,7 +33,7 @@ def _growth(rows: Sequence[Row]) -> ReportTable:
             row["name"], f"{row['per_h']:+.2f}", f"{row['low']:+.2f} … {row['high']:+.2f}",
             f"{row['most_per_h']:g}", f"{0.5 * (row['high'] - row['low']):.2f}", f"{row['unit']}/h",
         ]
-        for row in of(rows, "growth")
+        for row in rows_of_kind(rows, "growth")
     ]  # fmt: skip
     head = ["what", "grows by", "95 % interval", "at most", "resolves", "unit"]
     return ReportTable("growth", "Growth, over samples without a fault", head, found)
@@ -38,8 +41,8 @@ def _growth(rows: Sequence[Row]) -> ReportTable:
 
 def _faults(rows: Sequence[Row]) -> ReportTable:
     named: dict[str, list[Row]] = {}
-    for row in of(rows, "fault"):
-        named.setdefault(_AT_ONCE if " + " in row["name"] else row["name"], []).append(row)
+    for row in rows_of_kind(rows, "fault"):
+        named.setdefault(_TWO_AT_ONCE if " + " in row["name"] else row["name"], []).append(row)
     head = ["fault", "times", "recovered in s, p50", "longest", "broke"]
     return ReportTable("faults", "Faults", head, list(_by_fault(named)))
 
@@ -47,11 +50,13 @@ def _faults(rows: Sequence[Row]) -> ReportTable:
 def _by_fault(named: dict[str, list[Row]]) -> Iterator[list[str]]:
     for name, found in sorted(named.items()):
         times_s = [row["recovered_s"] for row in found]
-        broke = one_line("; ".join(dict.fromkeys(_broke(row) for row in found if row["broken"])))
+        broke = one_line(
+            "; ".join(dict.fromkeys(_failure_text(row) for row in found if row["broken"]))
+        )
         yield [name, f"{len(found)}", f"{np.median(times_s):.1f}", f"{max(times_s):.1f}", broke]
 
 
-def _broke(row: Row) -> str:
+def _failure_text(row: Row) -> str:
     return f"{row['name']}: {row['broken']}" if " + " in row["name"] else str(row["broken"])
 
 
@@ -61,7 +66,7 @@ def _missions(rows: Sequence[Row]) -> ReportTable:
             f"{row['t_s']:.0f}", one_line(row["instruction"], 100), row["phase"],
             f"{row['elapsed_s']:.0f}", f"{row['path_m']:.1f}", one_line(row["reason"], 200),
         ]
-        for row in of(rows, "mission")
+        for row in rows_of_kind(rows, "mission")
     ]  # fmt: skip
     return ReportTable(
         "missions", "Missions", ["ended, s", "mission", "phase", "took, s", "m", "reason"], found

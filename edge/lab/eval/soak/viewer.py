@@ -1,4 +1,7 @@
-"""A subscriber of all topics: `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`."""
+"""Process that subscribes to all topics; `edge soak` stops it as a fault.
+
+Run `python -m edge.lab.eval.soak.viewer ENDPOINT PREFIX PARENT`; PARENT is a process id.
+"""
 
 from __future__ import annotations
 

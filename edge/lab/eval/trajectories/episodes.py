@@ -1,4 +1,4 @@
-"""Episodes: a task, the scene that the methods get, and the true place.
+"""Episodes of `edge eval trajectories`: a task, the scene that methods get, and the true place.
 
 | source | the scene | the truth |
 |---|---|---|
@@ -34,7 +34,7 @@ from edge.lab.eval.trajectories.references import (
     ReferenceScene,
     TrajectoryTask,
     box_outline_m,
-    tasks,
+    possible_tasks,
 )
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.generator.rng import PortableRng
@@ -47,20 +47,23 @@ from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.text import one_line
 
-KNOWN = "streets[0:200], kitti:FOLDER, house:CONFIG"
+PLACE_FORMS = "streets[0:200], kitti:FOLDER, house:CONFIG"
 WANTED = {"specific": 3, "ambiguous": 3, "high-level": 4}
+"""Most tasks of a frame or a start, by category."""
 STARTS = 10
 """Starts in a house."""
-_KEY = 18  # of the random numbers
+_KEY = 18  # of the random numbers; `outdoor` has another
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
-_MOST_STREETS = 10_000
+_MAX_STREETS = 10_000
 _NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that nobody says
-_KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)  # distance of a task's objects from the robot
-_LEAST_HIGH_M, _MOST_OFF_M = 0.15, 0.5  # lower objects do not block; higher ones hang on a wall
-# Camera of a robot in a house, its height, and the least pixels of an object that it sees.
-_EYE = CameraModel.from_hfov(320, 240, math.pi / 2)
-_EYE_M = 1.0
-_LEAST_PX = 40
+# Smallest and largest distance of a task's objects from the robot.
+_KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)
+_MIN_HEIGHT_M = 0.15  # a lower object does not block
+_MAX_ABOVE_FLOOR_M = 0.5  # an object that begins higher hangs on a wall
+# Camera of a robot in a house, its height, and the fewest pixels of an object that it sees.
+_CAMERA = CameraModel.from_hfov(320, 240, math.pi / 2)
+_CAMERA_HEIGHT_M = 1.0
+_MIN_PX = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +78,7 @@ class TrajectoryEpisode:
         scene: all that methods get in addition to the instruction.
         truth: int8 cells, 100 for occupied, even if the scene does not show it.
         robot_m: the robot's radius.
-        things: objects of the place, for pictures.
+        landmarks: objects of the place, for pictures.
         solid_m: (n, 2) float64, true obstacle points, finer than `truth`; None: `truth` is exact.
     """
 
@@ -86,48 +89,48 @@ class TrajectoryEpisode:
     scene: Scene
     truth: Grid
     robot_m: float
-    things: tuple[Landmark, ...]
+    landmarks: tuple[Landmark, ...]
     solid_m: np.ndarray | None = None
 
 
 def episodes(
-    specs: Sequence[str], limit: int | None = None, chain: PerceptionPipeline | None = None
+    specs: Sequence[str], limit: int | None = None, pipeline: PerceptionPipeline | None = None
 ) -> Iterator[TrajectoryEpisode]:
     """Yield the episodes of the places that the command line names, in order.
 
     Args:
-        specs: each has a form of `KNOWN`.
+        specs: each has a form of `PLACE_FORMS`.
         limit: at most this number of episodes for each.
-        chain: detection pipeline for frames of SemanticKITTI; None: objects come from the labels.
-            With a pipeline, other places are refused, as their objects are known.
+        pipeline: detection pipeline for frames of SemanticKITTI; None: objects come from the
+            labels. With a pipeline, other places are refused, as their objects are known.
 
     Raises:
         UserError: a spec has another form or cannot be read.
     """
-    sources = [_episodes_of(spec, chain) for spec in specs]  # check all before the first runs
+    sources = [_episodes_of(spec, pipeline) for spec in specs]  # check all before the first runs
     for source in sources:
         yield from itertools.islice(source, limit)
 
 
-def _episodes_of(spec: str, chain: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
+def _episodes_of(spec: str, pipeline: PerceptionPipeline | None) -> Iterator[TrajectoryEpisode]:
     kind, colon, name = spec.partition(":")
-    if chain is not None and kind != "kitti":
+    if pipeline is not None and kind != "kitti":
         raise UserError(
             f"{one_line(spec)}: --detector works only with kitti:FOLDER; omit --detector"
         )
     if matched := _SPEC.match(spec):
         first, end = map(int, matched.groups())
-        if not first < end <= first + _MOST_STREETS:
+        if not first < end <= first + _MAX_STREETS:
             raise UserError(
-                f"{spec}: got {end - first} streets; give a range of 1 to {_MOST_STREETS}"
+                f"{spec}: got {end - first} streets; give a range of 1 to {_MAX_STREETS}"
             )
         return _streets(range(first, end))
     if colon and name and kind == "kitti":
         folder = Path(name)
-        return _kitti(folder, kitti.frames_in(folder), chain)
+        return _kitti(folder, kitti.frames_in(folder), pipeline)
     if colon and name and kind == "house":
         return _house(load(name))
-    raise UserError(f"{one_line(spec)}: no such place; give one of these forms: {KNOWN}")
+    raise UserError(f"{one_line(spec)}: no such place; give one of these forms: {PLACE_FORMS}")
 
 
 def _episode(
@@ -139,24 +142,24 @@ def _episode(
     solid_m: np.ndarray | None = None,
 ) -> TrajectoryEpisode:
     content = json.dumps([world, task.instruction, np.round(task.reference_m, 2).tolist()])
-    code = hashlib.sha256(content.encode()).hexdigest()[:8]
+    digest = hashlib.sha256(content.encode()).hexdigest()[:8]
     words = one_line(task.instruction, 60).replace(" ", "-").replace(",", "")
     return TrajectoryEpisode(
-        f"{world}/{words}/{code}", source, world, task, scene, place.occupancy, place.robot_m,
-        place.things, solid_m,
+        f"{world}/{words}/{digest}", source, world, task, scene, place.occupancy, place.robot_m,
+        place.landmarks, solid_m,
     )  # fmt: skip
 
 
 def _draw_tasks(
-    place: ReferenceScene, dice: PortableRng, wanted: Mapping[str, int] = WANTED
+    place: ReferenceScene, rng: PortableRng, wanted: Mapping[str, int] = WANTED
 ) -> list[TrajectoryTask]:
     """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
     found: dict[str, list[TrajectoryTask]] = {category: [] for category in wanted}
-    for task in tasks(place, "to", dice):
+    for task in possible_tasks(place, "to", rng):
         if len(found[task.category]) < wanted[task.category]:
             found[task.category].append(task)
-    turns = [tasks(place, kind, dice) for kind in KINDS if kind != "to"]
-    high = (task for group in itertools.zip_longest(*turns) for task in group if task is not None)
+    by_kind = [possible_tasks(place, kind, rng) for kind in KINDS if kind != "to"]
+    high = (task for group in itertools.zip_longest(*by_kind) for task in group if task is not None)
     found["high-level"] = list(itertools.islice(high, wanted["high-level"]))
     return list(itertools.chain.from_iterable(found.values()))
 
@@ -166,22 +169,22 @@ def _draw_tasks(
 
 def _streets(numbers: range) -> Iterator[TrajectoryEpisode]:
     for number in numbers:
-        drawn = outdoor.outdoor_episode(number)
-        yield _episode("streets", f"street-{number}", drawn.place, drawn.task, drawn.scene)
+        episode = outdoor.outdoor_episode(number)
+        yield _episode("streets", f"street-{number}", episode.place, episode.task, episode.scene)
 
 
 # -- SemanticKITTI ------------------------------------------------------------------------------
 
 
 def _kitti(
-    folder: Path, numbers: Sequence[int], chain: PerceptionPipeline | None
+    folder: Path, numbers: Sequence[int], pipeline: PerceptionPipeline | None
 ) -> Iterator[TrajectoryEpisode]:
     frames = kitti.read_frames(folder, numbers)
-    whole = kitti.scene_of(frames, kitti.label_pipeline(frames), kitti.CAR_RADIUS_M)
+    all_frames = kitti.scene_of(frames, kitti.label_pipeline(frames), kitti.CAR_RADIUS_M)
     sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
     for number, frame in zip(numbers, frames, strict=True):
-        scene = kitti.kitti_scene(folder, [number], chain, by_labels=chain is None)
-        place = kitti_place(frame, whole)
+        scene = kitti.kitti_scene(folder, [number], pipeline, by_labels=pipeline is None)
+        place = kitti_place(frame, all_frames)
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
 
@@ -192,25 +195,25 @@ def _sequence(folder: Path) -> str:
     return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
-def kitti_place(frame: kitti.KittiFrame, whole: Scene) -> ReferenceScene:
+def kitti_place(frame: kitti.KittiFrame, all_frames: Scene) -> ReferenceScene:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
     Args:
         frame: the frame.
-        whole: scene of all frames, for its ground and occupancy.
+        all_frames: scene of all frames, for its ground and occupancy.
     """
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
     points_m = (seen.cloud_m @ T_map_lidar[:3, :3].T + T_map_lidar[:3, 3]).astype(np.float32)
-    things = []
-    for label, indices in kitti.things_shown(frame):
+    landmarks = []
+    for label, indices in kitti.objects_shown(frame):
         if label not in _NO_NAMES:
             middle, _, _ = box_around(points_m[indices])
             outline_m = np.unique(np.round(points_m[indices, :2].astype(float), 1), axis=0)
-            things.append(Landmark(len(things) + 1, label, "", middle[:2], outline_m))
-    drivable = whole.regions_grid.cells > 0
+            landmarks.append(Landmark(len(landmarks) + 1, label, "", middle[:2], outline_m))
+    drivable = all_frames.regions_grid.cells > 0
     return ReferenceScene(
-        seen.pose, tuple(things), whole.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
+        seen.pose, tuple(landmarks), all_frames.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
     )
 
 
@@ -221,14 +224,14 @@ def _house(config: Config) -> Iterator[TrajectoryEpisode]:
     world, radius_m = world_list.load(config), config.robot.radius_m
     for number, pose in enumerate(free_poses(world, STARTS, _KEY, radius_m)):
         scene = house_scene(world, pose, radius_m)
-        things = tuple(
+        landmarks = tuple(
             Landmark(
                 item.id, item.label, "", item.position_m[:2], item.points_m[:, :2].astype(float)
             )
             for item in scene.objects.values()
         )
         drivable = scene.regions_grid.cells > 0
-        place = ReferenceScene(pose, things, scene.occupancy, drivable, radius_m, _HOUSE_M)
+        place = ReferenceScene(pose, landmarks, scene.occupancy, drivable, radius_m, _HOUSE_M)
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("house", f"{world.name}-{number}", place, task, scene)
 
@@ -245,8 +248,8 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
         item
         for item in world.objects
         if item.id in shown
-        and item.size_m[2] > _LEAST_HIGH_M
-        and item.center_m[2] - 0.5 * item.size_m[2] < _MOST_OFF_M
+        and item.size_m[2] > _MIN_HEIGHT_M
+        and item.center_m[2] - 0.5 * item.size_m[2] < _MAX_ABOVE_FLOOR_M
     ]
     objects = {k: _house_object(k, item, pose, cells, allowed) for k, item in enumerate(items, 1)}
     return Scene(0, pose, objects, regions, occupancy, cells, None, None, None, {})
@@ -254,20 +257,21 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
 
 def _in_view(world: World, pose: SE2) -> set[int]:
     """Return the ids of the objects that a camera sees in four views around the robot."""
-    depth_m = np.empty((_EYE.height_px, _EYE.width_px), np.float32)
+    depth_m = np.empty((_CAMERA.height_px, _CAMERA.width_px), np.float32)
     ids, found = np.empty(depth_m.shape, np.uint16), set()
     for quarter in range(4):
         T = to_optical(SE2(pose.x_m, pose.y_m, pose.yaw_rad + quarter * math.pi / 2).matrix()
-                    @ se3(z_m=_EYE_M))  # fmt: skip
-        world.render(_EYE, T, None, depth_m, ids)
+                    @ se3(z_m=_CAMERA_HEIGHT_M))  # fmt: skip
+        world.render(_CAMERA, T, None, depth_m, ids)
         seen, count = np.unique(ids, return_counts=True)
-        found |= set(seen[count >= _LEAST_PX].tolist())
+        found |= set(seen[count >= _MIN_PX].tolist())
     return found - {0}
 
 
 def _house_object(
     number: int, item: WorldObject, pose: SE2, regions: Grid, allowed: np.ndarray
 ) -> SceneObject:
+    """Return an object of the world as an object of the scene; its longer side is the length."""
     length, width, height = item.size_m
     heading_rad = item.yaw_rad
     if width > length:

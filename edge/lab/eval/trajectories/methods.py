@@ -1,4 +1,7 @@
-"""The methods of OpenNav's tables: the input of the writer, and the use of its trajectory.
+"""The methods that `edge eval trajectories` compares, as in OpenNav's tables.
+
+The writer (the rules, or a model) turns an instruction into a trajectory. Methods differ in the
+writer's input, and in the use of its trajectory.
 
 | method | input of the writer | then |
 |---|---|---|
@@ -79,7 +82,7 @@ class MethodResult(NamedTuple):
         path_m: (n, 2) float64. If the trajectory was refused: the robot's place.
         refused: one of `REFUSALS`; "" if there is a trajectory.
         reason: one line.
-        seconds: of writing and finishing.
+        seconds: time of writing and finishing.
     """
 
     path_m: np.ndarray
@@ -104,9 +107,9 @@ class MaplessFunctions(ScriptFunctions):
 
 
 def _refine(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
-    coarse, body = written.coarse, PathMargins(episode.robot_m)
-    made = refine(episode.scene, coarse.segments, coarse.regions, body, LIMITS)
-    return made.poses[:, :2]
+    coarse, margins = written.coarse, PathMargins(episode.robot_m)
+    refined = refine(episode.scene, coarse.segments, coarse.regions, margins, LIMITS)
+    return refined.poses[:, :2]
 
 
 def _as_written(episode: TrajectoryEpisode, written: WrittenTrajectory) -> np.ndarray:
@@ -139,7 +142,7 @@ def methods_of(config: TasksConfig, scene: Scene | None = None) -> tuple[str, ..
                  if by_model or method.writing != "no picture")  # fmt: skip
 
 
-def make(
+def run_methods(
     episode: TrajectoryEpisode, names: Sequence[str], config: TasksConfig
 ) -> dict[str, MethodResult]:
     """Return the result of each method on an episode. Methods with the same input share a writing.
@@ -150,23 +153,25 @@ def make(
         UnavailableError: the interpreter of the scripts is missing.
     """
     written: dict[str, tuple[WrittenTrajectory | Exception, float]] = {}
-    made = {}
+    results = {}
     for name in names:
         method = METHODS[name]
         if method.writing not in written:
             written[method.writing] = _write(episode, method.writing, config)
-        given, seconds = written[method.writing]
+        result, seconds = written[method.writing]
         begin_s = time.perf_counter()
         try:
-            if isinstance(given, Exception):
-                raise given
-            path_m, refused, reason = method.finish(episode, given), "", ""
+            if isinstance(result, Exception):
+                raise result
+            path_m, refused, reason = method.finish(episode, result), "", ""
         except Exception as error:
             pose = episode.scene.pose
             path_m = np.array([(pose.x_m, pose.y_m)])
             refused, reason = _cause(error), one_line(error if str(error) else repr(error))
-        made[name] = MethodResult(path_m, refused, reason, seconds + time.perf_counter() - begin_s)
-    return made
+        results[name] = MethodResult(
+            path_m, refused, reason, seconds + time.perf_counter() - begin_s
+        )
+    return results
 
 
 def _write(
@@ -181,16 +186,16 @@ def _write(
     functions = MaplessFunctions if writing == "no map" else ScriptFunctions
     begin_s = time.perf_counter()
     try:
-        given = write_trajectory(
+        written = write_trajectory(
             episode.task.instruction, episode.scene, config, make_functions=functions
         )
-    except ChatError as error:
+    except ChatError as error:  # a kind of UnavailableError, but only this episode is refused
         return error, time.perf_counter() - begin_s
     except UnavailableError:
         raise
     except Exception as error:
         return error, time.perf_counter() - begin_s
-    return given, time.perf_counter() - begin_s
+    return written, time.perf_counter() - begin_s
 
 
 def _cause(error: Exception) -> str:

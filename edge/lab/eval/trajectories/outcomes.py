@@ -1,4 +1,4 @@
-"""Outcomes of methods on episodes, as lines of files, and as arrays."""
+"""Outcomes of the compared methods on episodes, as lines of files and as arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from edge.errors import UserError
 from edge.geometry import Grid
 from edge.lab.eval.json_lines_file import JsonLinesFile
-from edge.lab.eval.outcome import MAX_BYTES, NAME
+from edge.lab.eval.outcome import MAX_BYTES, OUTCOMES_NAME
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
 from edge.lab.eval.trajectories.references import CATEGORIES
@@ -30,10 +30,11 @@ from edge.text import bounded_repr, one_line
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
 _OUTLINE_M = 0.05  # largest error of a simplified outline
-_FINER = 4  # upsampling factor: an outline leads through the middles of cells, so use small ones
+_UPSAMPLING = 4  # an outline leads through the middles of cells, so make them smaller first
 _MARGIN_M = 4.0  # obstacles are saved within this distance of a reference
 
 Polyline = list[list[float]]
+"""Points [x, y] in `map`, in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ class TrajectoryOutcome:
 
     Attributes:
         episode: id of the episode.
-        method: its name.
-        writer: "rules", or a model's name.
+        method: name of the method.
+        writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
         error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
         frechet_m: likewise.
@@ -82,7 +83,7 @@ class TrajectoryOutcome:
         length_m: length of the trajectory.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
         reason: one line.
-        seconds: of writing and refining.
+        seconds: time of writing and refining.
         path: the trajectory.
     """
 
@@ -110,10 +111,10 @@ class TrajectoryOutcome:
 def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
     """Return the data of an episode to save."""
     task = episode.task
-    things = {thing.id: thing for thing in episode.things}
+    landmarks = {landmark.id: landmark for landmark in episode.landmarks}
     hulls = [
-        cv2.convexHull(things[k].outline_m.astype(np.float32))[:, 0].astype(float)
-        for k in task.things
+        cv2.convexHull(landmarks[k].outline_m.astype(np.float32))[:, 0].astype(float)
+        for k in task.landmarks
     ]
     return EpisodeFacts(
         episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,
@@ -123,10 +124,10 @@ def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
 
 
 def outcome_of(
-    episode: TrajectoryEpisode, method: str, writer: str, made: MethodResult
+    episode: TrajectoryEpisode, method: str, writer: str, result: MethodResult
 ) -> TrajectoryOutcome:
     """Compare a method's result with the reference and the true place."""
-    path_m = made.path_m
+    path_m = result.path_m
     occupancy, robot_m = episode.scene.occupancy, episode.robot_m
     scores = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
     if episode.solid_m is None:
@@ -136,9 +137,9 @@ def outcome_of(
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     numbers = (scores.error_m, scores.frechet_m, scores.ndtw)
     return TrajectoryOutcome(
-        episode.id, method, writer, scores.success and not made.refused,
+        episode.id, method, writer, scores.success and not result.refused,
         *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
-        round(length_m, 2), made.refused, made.reason, round(made.seconds, 4),
+        round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
     )  # fmt: skip
 
@@ -157,19 +158,21 @@ class ResultsFolder:
 
     def __init__(self, path: Path) -> None:
         self._episodes = JsonLinesFile(path / EPISODES_NAME, _parse_facts, "an episode", MAX_BYTES)
-        self._outcomes = JsonLinesFile(path / NAME, _parse_outcome, "an outcome", MAX_BYTES)
+        self._outcomes = JsonLinesFile(
+            path / OUTCOMES_NAME, _parse_outcome, "an outcome", MAX_BYTES
+        )
         self.facts = {facts.id: facts for facts in self._episodes.found}
         self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
 
     def add(self, facts: EpisodeFacts) -> None:
         """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
-            self._episodes.append(_line(facts))
+            self._episodes.append(_to_json_line(facts))
             self.facts[facts.id] = facts
 
     def append(self, outcome: TrajectoryOutcome) -> None:
         """Append an outcome."""
-        self._outcomes.append(_line(outcome))
+        self._outcomes.append(_to_json_line(outcome))
         self.outcomes[outcome.key] = outcome
 
 
@@ -207,7 +210,7 @@ def gather(
     several = len({outcome.writer for outcome in outcomes}) > 1
     names = {_name(outcome, several): outcome.method for outcome in outcomes}
     ids = [one for one in by_id if any(outcome.episode == one for outcome in outcomes)]
-    row, column = ({key: k for k, key in enumerate(keys)} for keys in (names, ids))
+    method_index, episode_index = ({key: k for k, key in enumerate(keys)} for keys in (names, ids))
     at: dict[tuple[int, int], TrajectoryOutcome] = {}
     for outcome in outcomes:
         if outcome.episode not in by_id:
@@ -215,12 +218,13 @@ def gather(
                 f"{EPISODES_NAME}: the episode {outcome.episode} is missing, but has an outcome; "
                 "choose another --out"
             )
-        at[row[_name(outcome, several)], column[outcome.episode]] = outcome
+        index = method_index[_name(outcome, several)], episode_index[outcome.episode]
+        at[index] = outcome
     shape = len(names), len(ids)
     numbers = {key: np.full(shape, math.nan) for key in _NUMBERS}
-    for place, outcome in at.items():
+    for index, outcome in at.items():
         for key, read in _NUMBERS.items():
-            numbers[key][place] = read(outcome)
+            numbers[key][index] = read(outcome)
     ran = ~np.isnan(numbers["success"])
     return TrajectoryResults(
         tuple(names), tuple(names.values()), tuple(by_id[k] for k in ids), ran, numbers, at
@@ -241,6 +245,7 @@ _NUMBERS = {
 
 
 def _name(outcome: TrajectoryOutcome, several: bool) -> str:
+    """Return the method's name, with the writer's if there are several writers."""
     return f"{outcome.method} ({outcome.writer})" if several else outcome.method
 
 
@@ -250,18 +255,19 @@ def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
     shape = grid.cells.shape[::-1]
     x0, y0 = np.clip(np.floor(grid.to_cells(low)), 0, shape).astype(int)
     x1, y1 = np.clip(np.ceil(grid.to_cells(high)), 0, shape).astype(int)
-    cells = np.kron(grid.cells[y0:y1, x0:x1] > 0, np.ones((_FINER, _FINER), np.uint8))
+    cells = np.kron(grid.cells[y0:y1, x0:x1] > 0, np.ones((_UPSAMPLING, _UPSAMPLING), np.uint8))
     lines, _ = cv2.findContours(cells, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    tolerance = _FINER * _OUTLINE_M / grid.resolution_m
+    tolerance = _UPSAMPLING * _OUTLINE_M / grid.resolution_m
     rounded = (cv2.approxPolyDP(line, tolerance, True)[:, 0] for line in lines)
-    return [grid.to_metres((line + 0.5) / _FINER + (x0, y0)) for line in rounded]
+    return [grid.to_metres((line + 0.5) / _UPSAMPLING + (x0, y0)) for line in rounded]
 
 
 def _plain(points_m: np.ndarray | Sequence) -> Polyline:
+    """Return points as lists, rounded to centimetres."""
     return np.round(np.asarray(points_m, float), 2).tolist()
 
 
-def _line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
+def _to_json_line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
     return json.dumps(asdict(item), separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 

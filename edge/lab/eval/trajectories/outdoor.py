@@ -1,4 +1,4 @@
-"""Outdoor episodes: a street as a LiDAR sees it, an instruction, and its reference trajectory.
+"""Makes outdoor episodes: a street as a LiDAR sees it, an instruction, and its reference.
 
     for number in range(200):
         episode = outdoor_episode(number)
@@ -25,7 +25,7 @@ from edge.lab.eval.trajectories.references import (
     ReferenceScene,
     TrajectoryTask,
     box_outline_m,
-    tasks,
+    possible_tasks,
 )
 from edge.lab.sim import kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
@@ -39,11 +39,11 @@ CELL_M = 0.2
 ROBOT_M, HEIGHT_M = 0.4, 1.0  # radius and height of the robot
 TASK_M = 7.0, 36.0
 """Smallest and largest distance of a task's objects from the robot."""
-RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0  # of the LiDAR
+RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0  # of the LiDAR: rays in a column and in a row, and range
 ELEVATION_RAD = math.radians(-24.8), math.radians(2.0)
 """Elevations of an HDL-64E, the LiDAR of SemanticKITTI."""
 LIDAR_M = 1.73  # height of the LiDAR above the ground
-LEAST_POINTS = 8  # an object with fewer points is not in the scene
+MIN_POINTS = 8  # an object with fewer points is not in the scene
 _X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)  # extent of the occupancy grid in `map`
 _TRIES = 200  # streets to draw for an episode
 _KEY = 17  # of the random numbers
@@ -54,7 +54,7 @@ class OutdoorEpisode:
     """A task in a street.
 
     Attributes:
-        name: of the street.
+        name: name of the street.
         scene: without a camera; the robot stands at the origin of `map`.
         cloud_m: (n, 3) float32, the whole scan in `map`.
         place: the objects from which the task is made.
@@ -75,48 +75,52 @@ def outdoor_episode(number: int) -> OutdoorEpisode:
     """
     kind = KINDS[number % len(KINDS)]
     for attempt in range(_TRIES):
-        drawn = street(number, attempt)
-        scene, cloud_m = outdoor_scene(drawn)
+        this_street = street(number, attempt)
+        scene, cloud_m = outdoor_scene(this_street)
         place = place_of(scene)
-        task = next(tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
+        task = next(possible_tasks(place, kind, PortableRng(_KEY, number, attempt)), None)
         if task is not None:
-            return OutdoorEpisode(drawn.name, scene, cloud_m, place, task)
+            return OutdoorEpisode(this_street.name, scene, cloud_m, place, task)
     raise AssertionError(f"episode {number}: none of {_TRIES} drawn streets has a task")
 
 
-def outdoor_scene(drawn: Street) -> tuple[Scene, np.ndarray]:
+def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
     """Return the scene of a street, and the scan (n, 3) float32 in `map`."""
-    floor, stood = solids(drawn)
-    parts = floor + [part for _, solid in stood for part in solid]
+    floor, standing = solids(this_street)
+    parts = floor + [part for _, solid in standing for part in solid]
     shape = np.array([part.shape for part in parts], np.uint8)
-    pose = np.array([_pose_row(part) for part in parts])
-    cloud_m = _scan(shape, pose)
-    occupancy = _occupancy(shape, pose)
-    regions_grid = _regions_grid(drawn, occupancy)
-    here = SE2(0.0, 0.0, 0.0)
-    reachable = _reachable(occupancy, here)
+    boxes = np.array([_box_row(part) for part in parts])
+    cloud_m = _scan(shape, boxes)
+    occupancy = _occupancy(shape, boxes)
+    regions_grid = _regions_grid(this_street, occupancy)
+    robot_pose = SE2(0.0, 0.0, 0.0)
+    reachable = _reachable(occupancy, robot_pose)
     objects = {}
-    seen = [(thing, _points_on(solid, cloud_m)) for thing, solid in stood]
+    seen = [(street_object, _points_on(solid, cloud_m)) for street_object, solid in standing]
     seen.sort(
-        key=lambda item: math.dist((item[0].x_m, item[0].y_m), (drawn.start.x_m, drawn.start.y_m))
+        key=lambda item: math.dist(
+            (item[0].x_m, item[0].y_m), (this_street.start.x_m, this_street.start.y_m)
+        )
     )
-    for thing, points_m in seen:
-        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
-        if len(points_m) >= LEAST_POINTS and occupancy.cell_of(at.x_m, at.y_m) is not None:
+    for street_object, points_m in seen:
+        pose = this_street.to_map(street_object.x_m, street_object.y_m, street_object.yaw_rad)
+        if len(points_m) >= MIN_POINTS and occupancy.cell_of(pose.x_m, pose.y_m) is not None:
             number = len(objects) + 1
-            objects[number] = _object(number, thing, at, points_m, regions_grid, reachable)
+            objects[number] = _object(
+                number, street_object, pose, points_m, regions_grid, reachable
+            )
     regions = {}
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         cells = int((regions_grid.cells == ground.id).sum())
         if cells:
             regions[ground.id] = Region(ground.id, ground.label, cells * CELL_M**2)
-    scene = Scene(0, here, objects, regions, occupancy, regions_grid, None, None, None, {})
+    scene = Scene(0, robot_pose, objects, regions, occupancy, regions_grid, None, None, None, {})
     return scene, cloud_m
 
 
 def place_of(scene: Scene) -> ReferenceScene:
     """Return the place from which a street's tasks are drawn."""
-    things = tuple(
+    landmarks = tuple(
         Landmark(
             item.id, item.label, item.caption.partition(item.label)[0].strip(),
             item.position_m[:2],
@@ -125,7 +129,7 @@ def place_of(scene: Scene) -> ReferenceScene:
         for item in scene.objects.values()
     )  # fmt: skip
     drivable = scene.regions_grid.cells > 0
-    return ReferenceScene(scene.pose, things, scene.occupancy, drivable, ROBOT_M, TASK_M)
+    return ReferenceScene(scene.pose, landmarks, scene.occupancy, drivable, ROBOT_M, TASK_M)
 
 
 def _gaps_m(
@@ -137,75 +141,88 @@ def _gaps_m(
     return np.hypot(*np.maximum(local - 0.5 * size_m[:2], 0.0).T)
 
 
-def _scan(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def _scan(shape: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the points that the LiDAR at the origin of `map` sees, (n, 3) float32.
+
+    Args:
+        shape: (p,) uint8, shape of each primitive.
+        boxes: (p, 8) float64, see `_box_row`.
+    """
     low, high = ELEVATION_RAD
     elevation = np.linspace(low, high, RINGS)[:, None]
     azimuth = (-math.pi + 2 * math.pi / COLUMNS * np.arange(COLUMNS))[None]
     parts = (
         np.cos(elevation) * np.cos(azimuth),
         np.cos(elevation) * np.sin(azimuth),
-        np.sin(elevation) + 0 * azimuth,
+        np.sin(elevation) + 0 * azimuth,  # in the common shape
     )
     fan = LidarRays(np.stack(parts, axis=-1), low, (high - low) / (RINGS - 1), RANGE_M)
     ranges_m = np.empty((RINGS, COLUMNS), np.float32)
     T_map_lidar = se3(0.0, 0.0, LIDAR_M)
     kernels.cast_fan(
-        shape, pose, T_map_lidar, fan.directions, fan.el_min_rad, fan.el_step_rad, ranges_m
+        shape, boxes, T_map_lidar, fan.directions, fan.el_min_rad, fan.el_step_rad, ranges_m
     )
     hit = ranges_m <= fan.range_m
     points = fan.directions[hit] * ranges_m[hit][:, None] + T_map_lidar[:3, 3]
     return points.astype(np.float32)
 
 
-def _occupancy(shape: np.ndarray, pose: np.ndarray) -> Grid:
-    """Return a grid that is occupied between the ground and the robot's height, else free."""
+def _occupancy(shape: np.ndarray, boxes: np.ndarray) -> Grid:
+    """Return a grid that is occupied between the ground and the robot's height, else free.
+
+    See `_scan` for the arguments.
+    """
     columns, rows = (round((high - low) / CELL_M) for low, high in (_X_M, _Y_M))
     solid = np.zeros((rows, columns), np.uint8)
     origin = np.array([_X_M[0], _Y_M[0]])
-    kernels.rasterise(shape, pose, FLOOR_CLEARANCE_M, HEIGHT_M, origin, CELL_M, solid)
+    kernels.rasterise(shape, boxes, FLOOR_CLEARANCE_M, HEIGHT_M, origin, CELL_M, solid)
     return Grid((solid * 100).astype(np.int8), (_X_M[0], _Y_M[0]), CELL_M)
 
 
-def _regions_grid(drawn: Street, occupancy: Grid) -> Grid:
+def _regions_grid(this_street: Street, occupancy: Grid) -> Grid:
+    """Return the ground's id in each cell, uint8; 0: no ground."""
     rows, columns = np.indices(occupancy.cells.shape)
-    x_m, y_m = np.moveaxis(drawn.to_road(occupancy.centres_m(rows, columns)), -1, 0)
+    x_m, y_m = np.moveaxis(this_street.to_road(occupancy.centres_m(rows, columns)), -1, 0)
     cells = np.zeros(occupancy.cells.shape, np.uint8)
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         r = ground.rect
         cells[(x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)] = ground.id
     return replace(occupancy, cells=cells)
 
 
-def _reachable(occupancy: Grid, here: SE2) -> np.ndarray:
+def _reachable(occupancy: Grid, robot_pose: SE2) -> np.ndarray:
     """Return (h, w) bool: True for cells that a robot of radius `ROBOT_M` can get to."""
     is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
     _, part = cv2.connectedComponents(is_open, connectivity=4)
-    return part == part[occupancy.cell_of(here.x_m, here.y_m)]
+    return part == part[occupancy.cell_of(robot_pose.x_m, robot_pose.y_m)]
 
 
 def _object(
     number: int,
-    thing: StreetObject,
-    at: SE2,
+    street_object: StreetObject,
+    pose: SE2,
     points_m: np.ndarray,
     regions: Grid,
     reachable: np.ndarray,
 ) -> SceneObject:
-    length, width, height = thing.size_m
-    position_m, size_m = np.array([at.x_m, at.y_m, 0.5 * height]), np.array(thing.size_m)
+    length, width, height = street_object.size_m
+    position_m, size_m = (
+        np.array([pose.x_m, pose.y_m, 0.5 * height]),
+        np.array(street_object.size_m),
+    )
     nearest = {}
     for region in np.unique(regions.cells[reachable & (regions.cells > 0)]).tolist():
         centres = regions.centres_m(*np.nonzero((regions.cells == region) & reachable))
-        gaps = _gaps_m(centres, position_m, size_m, at.yaw_rad)
+        gaps = _gaps_m(centres, position_m, size_m, pose.yaw_rad)
         nearest[region] = tuple(centres[int(np.argmin(gaps))].tolist())
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
     return SceneObject(
         id=number,
-        label=thing.label,
-        caption=f"{thing.colour} {thing.label}, {size}".strip(),
+        label=street_object.label,
+        caption=f"{street_object.colour} {street_object.label}, {size}".strip(),
         position_m=position_m,
         size_m=size_m,
-        heading_rad=at.yaw_rad,
+        heading_rad=pose.yaw_rad,
         points_m=points_m,
         nearest_m=nearest,
     )
@@ -223,11 +240,13 @@ def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
         c, s = math.cos(part.yaw_rad), math.sin(part.yaw_rad)
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.float32)
         local = np.abs((near - center) @ turn) / half
-        is_crown = part.shape == kernels.ELLIPSOID
-        on |= (np.linalg.norm(local, axis=1) if is_crown else local.max(axis=1, initial=0.0)) <= 1.0
+        is_ellipsoid = part.shape == kernels.ELLIPSOID
+        size = np.linalg.norm(local, axis=1) if is_ellipsoid else local.max(axis=1, initial=0.0)
+        on |= size <= 1.0
     return near[on]
 
 
-def _pose_row(part: Primitive) -> list[float]:
+def _box_row(part: Primitive) -> list[float]:
+    """Return x, y, z, three half extents, cos(yaw) and sin(yaw) of a primitive."""
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

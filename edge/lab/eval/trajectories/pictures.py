@@ -1,7 +1,8 @@
-"""Pictures of a few episodes from above: the reference, and the methods' trajectories."""
+"""Pictures for `edge eval trajectories`: references and the methods' trajectories from above."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,8 @@ from edge.text import shorten
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLUMNS, EACH_IN = 2, 3.7  # pictures in a row, and the side of each
+COLUMNS = 2  # pictures in a row
+SIDE_IN = 3.7  # side of a picture
 MARGIN_M = 3.0  # around the reference
 _GREY = "#b9b9b9"  # of the reference
 _MAX_TITLE = 60  # characters
@@ -24,11 +26,11 @@ _MAX_TITLE = 60  # characters
 
 def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
     """Return the content of each picture as "svg" or "png", by name; {} without outcomes."""
-    chosen = chosen_of(results)
+    chosen = choose_episodes(results)
     if not chosen:
         return {}
-    rows = -(-len(chosen) // COLUMNS)
-    figure, axes = canvas.plots((COLUMNS * EACH_IN, rows * EACH_IN + 0.4), DPI, COLUMNS, rows)
+    rows = math.ceil(len(chosen) / COLUMNS)
+    figure, axes = canvas.plots((COLUMNS * SIDE_IN, rows * SIDE_IN + 0.4), DPI, COLUMNS, rows)
     for place, ax in enumerate(axes):
         if place < len(chosen):
             _draw(ax, results, chosen[place])
@@ -40,11 +42,11 @@ def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
     return {"episodes": canvas.content(figure, kind)}
 
 
-def chosen_of(results: TrajectoryResults) -> list[int]:
+def choose_episodes(results: TrajectoryResults) -> list[int]:
     """Return the first episode of each kind that all methods ran, in the order of `KINDS`."""
-    whole = np.flatnonzero(results.ran.all(axis=0)).tolist() if results.ran.size else []
-    kinds = [results.facts[e].kind for e in whole]
-    return [whole[kinds.index(kind)] for kind in KINDS if kind in kinds]
+    run_by_all = np.flatnonzero(results.ran.all(axis=0)).tolist() if results.ran.size else []
+    kinds = [results.facts[e].kind for e in run_by_all]
+    return [run_by_all[kinds.index(kind)] for kind in KINDS if kind in kinds]
 
 
 def _draw(axes: Axes, results: TrajectoryResults, episode: int) -> None:

@@ -1,4 +1,4 @@
-"""Reference trajectories of instructions (OpenNav IV).
+"""Makes instructions and their reference trajectories (OpenNav IV).
 
 The paper draws them by hand; here a rule makes them.
 
@@ -43,21 +43,23 @@ from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 
 KINDS = ("to", "past", "around", "then")
+"""Kinds of instructions: the rows of the first table above, from the top."""
 CATEGORIES = ("specific", "ambiguous", "high-level")
 ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35  # see above
-FARTHEST_STOP_M = 4.0
+MAX_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
-"""A robot on a closed cell begins at the nearest open cell within this distance."""
+"""A robot on a closed cell (one too near to an obstacle) begins at an open cell this near."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
-_ARC_FROM_RAD, _ARC_STEP_RAD = math.radians(60.0), math.radians(30.0)  # points of an arc
-_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # of the next object, see `_abeam`
+_ARC_FROM_RAD = math.radians(60.0)  # angle of the first point of an arc; `_abeam` defines angles
+_ARC_STEP_RAD = math.radians(30.0)  # between two points of an arc
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # smallest and largest angle of B
 _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
-_TURN = {"left": -1.0, "right": 1.0}
-_LEAST_LEG_M = 3.0  # least distance between the two parts of an instruction
+_TURN_SIGN = {"left": -1.0, "right": 1.0}
+_MIN_LEG_M = 3.0  # least distance between the two parts of an instruction
 _OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
 
 
@@ -87,15 +89,15 @@ class ReferenceScene:
 
     Attributes:
         pose: of the robot.
-        things: the objects.
+        landmarks: the objects.
         occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
-        robot_m: the robot's radius.
+        robot_m: radius of the robot.
         reach_m: smallest and largest distance of a task's objects from the robot.
     """
 
     pose: SE2
-    things: tuple[Landmark, ...]
+    landmarks: tuple[Landmark, ...]
     occupancy: Grid
     drivable: np.ndarray
     robot_m: float
@@ -120,7 +122,7 @@ class ReferenceScene:
 
     @cached_property
     def stops_m(self) -> dict[int, np.ndarray]:
-        """By id of an object, (n, 2) candidates for a stop; a cache."""
+        """Cache of `_stop`: by id of an object, (n, 2) candidates for a stop."""
         return {}
 
     def gets_to(self, at_m: np.ndarray) -> bool:
@@ -150,7 +152,7 @@ class TrajectoryTask:
         kind: one of `KINDS`.
         category: one of `CATEGORIES`.
         instruction: the text.
-        things: ids of the objects that it names, in order.
+        landmarks: ids of the objects that it names, in order.
         segments: (n, 2) float64 each, the points of the rule. Without a map, they are joined by
             straight lines.
         reference_m: (n, 2) float64, from the robot's place.
@@ -159,59 +161,60 @@ class TrajectoryTask:
     kind: str
     category: str
     instruction: str
-    things: tuple[int, ...]
+    landmarks: tuple[int, ...]
     segments: tuple[np.ndarray, ...]
     reference_m: np.ndarray
 
 
-def tasks(place: ReferenceScene, kind: str, dice: PortableRng) -> Iterator[TrajectoryTask]:
+def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterator[TrajectoryTask]:
     """Yield every task of a kind in a place, in random order."""
-    named = {}
-    for thing in place.things:
-        away_m = place.pose.distance_to(*thing.at_m)
+    named = {}  # by id of an object: its unambiguous name
+    for landmark in place.landmarks:
+        away_m = place.pose.distance_to(*landmark.at_m)
         within = place.reach_m[0] < away_m < place.reach_m[1]
-        ahead = abs(place.pose.bearing_to(*thing.at_m)) < _AHEAD_RAD
-        if within and ahead and (words := referring_expression(place, thing)):
-            named[thing.id] = words
-    by_id = {thing.id: thing for thing in place.things}
-    for first in dice.shuffled(sorted(named)):
-        for last in dice.shuffled(sorted(named)):
-            if (kind == "to") != (first == last):
+        ahead = abs(place.pose.bearing_to(*landmark.at_m)) < _AHEAD_RAD
+        if within and ahead and (words := referring_expression(place, landmark)):
+            named[landmark.id] = words
+    by_id = {landmark.id: landmark for landmark in place.landmarks}
+    for first in rng.shuffled(sorted(named)):
+        for last in rng.shuffled(sorted(named)):
+            if (kind == "to") != (first == last):  # only "to" names a single object
                 continue
-            for side in dice.shuffled(("left", "right")):
+            for side in rng.shuffled(("left", "right")):
                 segments = _segments(place, kind, by_id[first], by_id[last], side)
                 reference_m = _cheapest_path(place, segments) if segments else None
                 if reference_m is None:
                     continue
                 words = _instruction(kind, side, named[first], named[last])
                 category = _category(kind, named[first])
-                things = (first,) if kind == "to" else (first, last)
-                yield TrajectoryTask(kind, category, words, things, segments, reference_m)
-                break
+                landmarks = (first,) if kind == "to" else (first, last)
+                yield TrajectoryTask(kind, category, words, landmarks, segments, reference_m)
+                break  # one side is enough
 
 
-def referring_expression(place: ReferenceScene, thing: Landmark) -> str | None:
+def referring_expression(place: ReferenceScene, landmark: Landmark) -> str | None:
     """Return an unambiguous name of an object; None if too many are like it."""
-    like = [other for other in place.things if names.is_kind_of(other.label, thing.label)]
+    like = [other for other in place.landmarks if names.is_kind_of(other.label, landmark.label)]
     if len(like) == 1:
-        return f"the {thing.label}"
-    if thing.look and [other.look for other in like].count(thing.look) == 1:
-        return f"the {thing.look} {thing.label}"
-    bearing, away_m = _bearing_and_distance(place, thing)
+        return f"the {landmark.label}"
+    if landmark.look and [other.look for other in like].count(landmark.look) == 1:
+        return f"the {landmark.look} {landmark.label}"
+    bearing, away_m = _bearing_and_distance(place, landmark)
     if not _ASIDE_RAD < abs(bearing) < math.pi / 2:
         return None
-    before = 0
+    before = 0  # number of such objects on the same side that are nearer
     for other in like:
         at_rad, at_m = _bearing_and_distance(place, other)
-        if other is thing or at_m >= away_m + _APART_M:
+        if other is landmark or at_m >= away_m + _APART_M:
             continue
-        unclear = abs(at_rad) <= _ASIDE_RAD or (at_rad * bearing > 0 and abs(at_rad) >= math.pi / 2)
-        if unclear or (at_rad * bearing > 0 and at_m > away_m - _APART_M):
+        same_side = at_rad * bearing > 0
+        unclear = abs(at_rad) <= _ASIDE_RAD or (same_side and abs(at_rad) >= math.pi / 2)
+        if unclear or (same_side and at_m > away_m - _APART_M):
             return None
-        before += at_rad * bearing > 0
+        before += same_side
     if before >= len(_ORDER):
         return None
-    return f"the {_ORDER[before]} {thing.label} on the {'left' if bearing > 0 else 'right'}"
+    return f"the {_ORDER[before]} {landmark.label} on the {'left' if bearing > 0 else 'right'}"
 
 
 def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> np.ndarray:
@@ -221,12 +224,13 @@ def box_outline_m(at_m: np.ndarray, size_m: np.ndarray, heading_rad: float) -> n
     return smoothing.resample(corners @ np.array([[c, s], [-s, c]]) + at_m[:2], 0.1)
 
 
-def _bearing_and_distance(place: ReferenceScene, thing: Landmark) -> tuple[float, float]:
+def _bearing_and_distance(place: ReferenceScene, landmark: Landmark) -> tuple[float, float]:
     """Return bearing [rad] and distance [m] from the robot."""
-    return place.pose.bearing_to(*thing.at_m), place.pose.distance_to(*thing.at_m)
+    return place.pose.bearing_to(*landmark.at_m), place.pose.distance_to(*landmark.at_m)
 
 
 def _category(kind: str, name: str) -> str:
+    """Return the category of an instruction; `name` is that of its first object."""
     if kind != "to":
         return "high-level"
     return "ambiguous" if name.startswith(tuple(f"the {word} " for word in _ORDER)) else "specific"
@@ -253,7 +257,7 @@ def _segments(
     elif kind == "past":
         if (
             _bearing_and_distance(place, last)[1]
-            < _bearing_and_distance(place, first)[1] + _LEAST_LEG_M
+            < _bearing_and_distance(place, first)[1] + _MIN_LEG_M
         ):
             return ()
         parts = [_abeam(place, first, side, math.pi / 2)[None]]
@@ -267,68 +271,68 @@ def _segments(
         parts.append(_stop(place, last, parts[0][-1]))
     if any(points is None for points in parts):
         return ()
-    if kind == "then" and math.dist(parts[0][-1], parts[1][-1]) <= _LEAST_LEG_M:
+    if kind == "then" and math.dist(parts[0][-1], parts[1][-1]) <= _MIN_LEG_M:
         return ()
     return tuple(parts)
 
 
-def _abeam(place: ReferenceScene, thing: Landmark, side: str, angle_rad: float) -> np.ndarray:
+def _abeam(place: ReferenceScene, landmark: Landmark, side: str, angle_rad: float) -> np.ndarray:
     """Return a point `ASIDE_M` off an object, in a direction relative to the robot.
 
     The angle is 0 on the robot's side of the object, a right angle on its `side`, and pi behind it.
     """
-    toward = _direction_to_robot(place, thing) + _TURN[side] * angle_rad
+    toward = _direction_to_robot(place, landmark) + _TURN_SIGN[side] * angle_rad
     ray = np.array([math.cos(toward), math.sin(toward)])
-    reach_m = float(((thing.outline_m - thing.at_m) @ ray).max())
-    return thing.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
+    reach_m = float(((landmark.outline_m - landmark.at_m) @ ray).max())
+    return landmark.at_m + (reach_m + ASIDE_M + place.robot_m) * ray
 
 
-def _turn_rad(place: ReferenceScene, thing: Landmark, side: str, at_m: np.ndarray) -> float:
+def _turn_rad(place: ReferenceScene, landmark: Landmark, side: str, at_m: np.ndarray) -> float:
     """Return the angle of a point around an object, as `_abeam` counts it, in [0, 2 pi)."""
-    toward = math.atan2(at_m[1] - thing.at_m[1], at_m[0] - thing.at_m[0])
-    return (_TURN[side] * (toward - _direction_to_robot(place, thing))) % math.tau
+    toward = math.atan2(at_m[1] - landmark.at_m[1], at_m[0] - landmark.at_m[0])
+    return (_TURN_SIGN[side] * (toward - _direction_to_robot(place, landmark))) % math.tau
 
 
-def _direction_to_robot(place: ReferenceScene, thing: Landmark) -> float:
+def _direction_to_robot(place: ReferenceScene, landmark: Landmark) -> float:
     """Return the direction from an object to the robot's start."""
-    return math.atan2(place.pose.y_m - thing.at_m[1], place.pose.x_m - thing.at_m[0])
+    return math.atan2(place.pose.y_m - landmark.at_m[1], place.pose.x_m - landmark.at_m[0])
 
 
-def _stop(place: ReferenceScene, thing: Landmark, from_m: np.ndarray) -> np.ndarray | None:
+def _stop(place: ReferenceScene, landmark: Landmark, from_m: np.ndarray) -> np.ndarray | None:
     """Return the (1, 2) stop at an object, for a robot that comes from a point; None: no stop."""
-    if thing.id not in place.stops_m:
-        place.stops_m[thing.id] = _stops(place, thing)
-    near = place.stops_m[thing.id]
+    if landmark.id not in place.stops_m:
+        place.stops_m[landmark.id] = _stops(place, landmark)
+    near = place.stops_m[landmark.id]
     return near[np.argmin(np.hypot(*(near - from_m).T))][None] if len(near) else None
 
 
-def _stops(place: ReferenceScene, thing: Landmark) -> np.ndarray:
+def _stops(place: ReferenceScene, landmark: Landmark) -> np.ndarray:
     """Return the (n, 2) candidates for a stop at an object.
 
     They have a free line to it, and are about as near to it as the nearest such point.
     """
     centres = place.occupancy.centres_m(*np.nonzero(place.reachable))
-    within = FARTHEST_STOP_M + ABOUT_M
-    low, high = thing.outline_m.min(axis=0) - within, thing.outline_m.max(axis=0) + within
+    within = MAX_STOP_M + ABOUT_M
+    low, high = landmark.outline_m.min(axis=0) - within, landmark.outline_m.max(axis=0) + within
     centres = centres[((centres > low) & (centres < high)).all(axis=1)]
-    gaps_m, nearest = cKDTree(thing.outline_m).query(centres.reshape(-1, 2))
-    others = _others(place, thing)
+    gaps_m, nearest = cKDTree(landmark.outline_m).query(centres.reshape(-1, 2))
+    others = _others(place, landmark)
 
     def has_clear_view_of(k: int) -> bool:
-        return smoothing.line_is_free(others, centres[k], thing.outline_m[nearest[k]])
+        return smoothing.line_is_free(others, centres[k], landmark.outline_m[nearest[k]])
 
-    least = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
-    if least is None or gaps_m[least] > FARTHEST_STOP_M:
+    nearest_k = next((k for k in np.argsort(gaps_m, kind="stable") if has_clear_view_of(k)), None)
+    if nearest_k is None or gaps_m[nearest_k] > MAX_STOP_M:
         return np.empty((0, 2))
-    near = np.flatnonzero(gaps_m <= gaps_m[least] + ABOUT_M)
+    near = np.flatnonzero(gaps_m <= gaps_m[nearest_k] + ABOUT_M)
     return centres[[k for k in near if has_clear_view_of(k)]]
 
 
-def _others(place: ReferenceScene, thing: Landmark) -> CostMap:
+def _others(place: ReferenceScene, landmark: Landmark) -> CostMap:
     """Return a cost map that is closed at obstacles other than the object."""
     grid = place.occupancy
     outside = np.ones(grid.cells.shape, np.uint8)
-    cells = np.floor(grid.to_cells(thing.outline_m)).astype(np.int64)
+    cells = np.floor(grid.to_cells(landmark.outline_m)).astype(np.int64)
     h, w = outside.shape
     column, row = cells[((cells >= 0) & (cells < (w, h))).all(axis=1)].T
     outside[row, column] = 0

@@ -15,10 +15,10 @@ from edge.config.explain import explain
 from edge.errors import FileError, UnavailableError, UserError
 from edge.host.files import write_atomically
 from edge.host.signals import stop_on_signals
-from edge.lab.eval.comparison import tables as text
+from edge.lab.eval.comparison import tables as comparison_tables
 from edge.lab.eval.trajectories import pictures, tables
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode, episodes
-from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
+from edge.lab.eval.trajectories.methods import METHODS, methods_of, run_methods
 from edge.lab.eval.trajectories.outcomes import (
     ResultsFolder,
     TrajectoryOutcome,
@@ -35,22 +35,22 @@ RERUN = "crashed"
 
 
 def run_all(
-    found: Iterable[TrajectoryEpisode],
+    planned: Iterable[TrajectoryEpisode],
     names: Sequence[str],
     config: TasksConfig,
     folder: ResultsFolder,
-    tell: Callable[[TrajectoryEpisode, TrajectoryOutcome], None] = lambda episode, outcome: None,
+    on_outcome: Callable[[TrajectoryEpisode, TrajectoryOutcome], None] = lambda *_: None,
     stop: threading.Event | None = None,
     seen_by: str = "",
 ) -> list[tuple[str, str, str]]:
     """Run methods on episodes. Outcomes on file are not run again; new ones are appended.
 
     Args:
-        found: the episodes.
+        planned: the episodes.
         names: of the methods.
         config: names the writer.
         folder: keeps the outcomes.
-        tell: called with each new outcome.
+        on_outcome: called with each new outcome.
         stop: ends the run early, between two episodes.
         seen_by: source of the scenes' objects; "" if they are known, or come from labels.
 
@@ -63,23 +63,28 @@ def run_all(
     writer = ", by ".join(filter(None, (writer_of(config), seen_by)))
     keys: list[tuple[str, str, str]] = []
     is_first_question = isinstance(config.planner, WriterModel)
-    for episode in found:
+    for episode in planned:
         if stop is not None and stop.is_set():
             break
         possible = methods_of(config, episode.scene)
         episode_keys = [(episode.id, name, writer) for name in names if name in possible]
-        have = folder.outcomes
-        missing = [key[1] for key in episode_keys if key not in have or have[key].refused == RERUN]
+        known = folder.outcomes
+        missing = [
+            key[1]  # the method
+            for key in episode_keys
+            if key not in known or known[key].refused == RERUN
+        ]
         if missing:
-            made = make(episode, missing, config)
-            if is_first_question and all(r.refused == "no answer" for r in made.values()):
-                raise UnavailableError(next(iter(made.values())).reason)
+            results = run_methods(episode, missing, config)
+            # A server that gives no answer at all ends the run before anything is saved.
+            if is_first_question and all(r.refused == "no answer" for r in results.values()):
+                raise UnavailableError(next(iter(results.values())).reason)
             is_first_question = False
             folder.add(facts_of(episode))
             for name in missing:
-                outcome = outcome_of(episode, name, writer, made[name])
+                outcome = outcome_of(episode, name, writer, results[name])
                 folder.append(outcome)
-                tell(episode, outcome)
+                on_outcome(episode, outcome)
         keys += episode_keys
     return keys
 
@@ -99,15 +104,15 @@ def run(args: argparse.Namespace) -> int:
     names = _parse_methods(args.methods, config)
     logging.getLogger("edge").setLevel(logging.WARNING)
     folder = ResultsFolder(args.out)
-    with _detector(args) as (chain, seen_by):
+    with _detector(args) as (pipeline, seen_by):
         keys = run_all(
-            episodes(args.places, args.limit, chain), names, config, folder,
-            lambda episode, outcome: print(_line(episode, outcome), flush=True),
+            episodes(args.places, args.limit, pipeline), names, config, folder,
+            lambda episode, outcome: print(_outcome_line(episode, outcome), flush=True),
             stop_on_signals(), seen_by,
         )  # fmt: skip
     results = gather(folder.facts.values(), [folder.outcomes[key] for key in keys])
     for table in tables.tables(results):
-        print(f"\n{text.text(table)}")
+        print(f"\n{comparison_tables.text(table)}")
     try:
         for name, content in pictures.images(results, "svg").items():
             path = args.out / f"{name}.svg"
@@ -126,8 +131,8 @@ def _detector(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | N
     if args.detector is None:
         yield None, ""
         return
-    with detector_pipeline(load(args.detector), ()) as chain_and_name:
-        yield chain_and_name
+    with detector_pipeline(load(args.detector), ()) as pipeline_and_name:
+        yield pipeline_and_name
 
 
 def _config(args: argparse.Namespace) -> TasksConfig:
@@ -152,6 +157,7 @@ def _config(args: argparse.Namespace) -> TasksConfig:
 
 
 def _parse_methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
+    """Parse `--methods`; without it, return all methods that differ for the writer."""
     possible = methods_of(config)
     if wanted is None:
         return possible
@@ -168,7 +174,7 @@ def _parse_methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
     return names
 
 
-def _line(episode: TrajectoryEpisode, outcome: TrajectoryOutcome) -> str:
+def _outcome_line(episode: TrajectoryEpisode, outcome: TrajectoryOutcome) -> str:
     verdict = "ok  " if outcome.success else "FAIL"
     refusal = outcome.refused and f"{outcome.refused}: {outcome.reason}"
     return (

@@ -1,4 +1,4 @@
-"""Tables of the outcomes, in the form of OpenNav IV, next to the paper's figures."""
+"""Tables of `edge eval trajectories`, in the form of OpenNav IV, next to the paper's figures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edge.lab.eval.trajectories.references import CATEGORIES
 from edge.text import one_line
 
 BASELINE = "ours"
-LEAST_WORLDS = 10
+MIN_WORLDS = 10
 """With fewer, episodes are resampled, and the intervals do not generalise to other worlds."""
 
 
@@ -37,8 +37,9 @@ PAPER_TASKS: dict[str, dict[str, PaperRow]] = {
         "high-level": PaperRow(2.40, 40),
     },
 }  # fmt: skip
-"""OpenNav table I."""
+"""OpenNav table I, by method, by category."""
 PAPER_TOTAL = {"LLM-TG": (4.91, "53"), "OpenNav": (1.68, "84")}
+"""Totals of table I: navigation error [m], and success rate [%]."""
 PAPER_SHAPES = {
     "ours": (12.60, 0.38, "2/30"), "vlt_code": (17.53, 0.16, "16/30"),
     "a_star": (24.20, 0.08, "0/30"),
@@ -146,13 +147,14 @@ def refusals(results: TrajectoryResults) -> ReportTable:
 
 
 def _paper_cells(row: str) -> list[str]:
+    """Return the paper's figures for a category, or for "total"."""
     cells = []
-    for name, of in PAPER_TASKS.items():
+    for name, by_category in PAPER_TASKS.items():
         if row == "total":
             error_m, share = PAPER_TOTAL[name]
             cells += [f"{error_m:.2f}", share]
         else:
-            cells += [f"{of[row].error_m:.2f}", f"{of[row].reached}/50"]
+            cells += [f"{by_category[row].error_m:.2f}", f"{by_category[row].reached}/50"]
     return cells
 
 
@@ -165,16 +167,16 @@ def _mean(values: np.ndarray, results: TrajectoryResults, kept: np.ndarray) -> I
     if not kept.any():
         return Interval(math.nan, math.nan, math.nan)
     cluster, _ = _clusters(results)
-    own = np.unique(cluster[kept], return_inverse=True)[1].ravel()
+    kept_cluster = np.unique(cluster[kept], return_inverse=True)[1].ravel()  # numbered from 0
     ones = np.ones((1, int(kept.sum())))
-    return bootstrap(values[kept][None], ones, own)[0]
+    return bootstrap(values[kept][None], ones, kept_cluster)[0]
 
 
 def _clusters(results: TrajectoryResults) -> tuple[np.ndarray, str]:
     """Return (E,) int, the cluster of each episode, and the unit: "place" or "episode"."""
     names: Sequence[str] = [facts.world for facts in results.facts]
     worlds, index = np.unique(np.array(names, str), return_inverse=True)
-    if len(worlds) >= LEAST_WORLDS:
+    if len(worlds) >= MIN_WORLDS:
         return index.ravel(), "place"
     return np.arange(len(names)), "episode"
 

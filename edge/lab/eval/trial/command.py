@@ -1,4 +1,4 @@
-"""The command `edge trajectory`."""
+"""The command `edge trajectory`: writes the results of one instruction, and prints a table."""
 
 from __future__ import annotations
 
@@ -53,13 +53,16 @@ def table(outcome: TaskRun, folder: RunFolder) -> list[tuple[str, str]]:
     if outcome.written is not None:
         by_model = f"by a model, in {len(outcome.rounds)} answers"
         rows.append(("written", one_line(outcome.written.understood or by_model)))
-    rows += [("object", f"{thing.id}: {one_line(thing.caption, 90)}") for thing in outcome.named()]
+    rows += [
+        ("object", f"{thing.id}: {one_line(thing.caption, 90)}")
+        for thing in outcome.mentioned_objects()
+    ]
     if refined is not None:
         shape = f"spline of {refined.control_m:g} m" if refined.control_m else "not smoothed"
         took = f"{outcome.length_m:.1f} m in {refined.times_s[-1]:.1f} s"
         rows.append(("trajectory", f"{took}, {len(refined.poses)} poses, {shape}"))
         rows += [("note", note) for note in refined.notes]
-    if (near := outcome.ends_at()) is not None:
+    if (near := outcome.object_at_end()) is not None:
         rows.append(("ends", f"{near[1]:.1f} m from {near[0].label} {near[0].id}"))
     return [*rows, ("files", f"{folder.path}: {', '.join(folder.written)}")]
 
@@ -94,10 +97,10 @@ def _config(args: argparse.Namespace) -> Config:
     """Return the configuration with `--url` and `--model` applied."""
     config = load(args.config)
     planner = config.tasks.planner
-    given = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
-    if given:
+    changes = {key: value for key in ("url", "model") if (value := getattr(args, key)) is not None}
+    if changes:
         model = planner if isinstance(planner, WriterModel) else WriterModel()
-        planner = model.model_copy(update=given)
+        planner = model.model_copy(update=changes)
         tasks = config.tasks.model_copy(update={"planner": planner})
         config = config.model_copy(update={"tasks": tasks})
     if isinstance(planner, WriterModel):

@@ -22,20 +22,20 @@ from edge.tasks.picture import draw_marks
 from edge.tasks.prompt import annotated_jpeg, system_prompt, task_text
 from edge.text import one_line
 
-# Names of the files.
+# Names of the files; MODEL is a folder with what a model got and answered.
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
 JSON, CSV, MODEL = "trajectory.json", "trajectory.csv", "model"
 COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 
 
 class RunFolder:
-    """Writes the files.
+    """Writes the results of `edge trajectory` as files of a folder.
 
     Args:
-        path: of the folder; results of an earlier run are removed.
+        path: path of the folder; results of an earlier run are removed.
 
     Attributes:
-        path: of the folder.
+        path: path of the folder.
         written: names of the files, in the order of writing.
 
     Raises:
@@ -106,7 +106,7 @@ def as_json(outcome: TaskRun) -> dict[str, object]:
         "place": outcome.view.name,
         "frame": "map",
         "understood": written.understood,
-        "objects": [thing.id for thing in outcome.named()],
+        "objects": [thing.id for thing in outcome.mentioned_objects()],
         "coarse": [_rounded(points) for points in written.coarse.segments],
         "regions": sorted(refined.drivable),
         "length_m": round(outcome.length_m, 3),

@@ -25,8 +25,8 @@ from edge.tasks.scene_builder import SceneBuilder
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
-LEAST_PX, LEAST_SIDE_PX = 60, 4
-"""An object with fewer pixels or a smaller side in the picture is not seen."""
+MIN_PX, MIN_SIDE_PX = 60, 4
+"""An object of the built-in street with fewer pixels or a smaller side is not seen."""
 ON_GROUND_M = 0.05
 """A return of the built-in street that is not higher is on the ground."""
 
@@ -40,8 +40,8 @@ class SceneCapture:
     """A scene and its sensor data.
 
     Attributes:
-        name: of the place.
-        by: source of the objects.
+        name: name of the place.
+        by: source of the objects, such as "the labels".
         scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
@@ -88,7 +88,8 @@ def capture_kitti(
             scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
     last = frames[-1].observation
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
-    name = f"{folder.resolve().name}, frame{'s'[: len(numbers) > 1]} {', '.join(map(str, numbers))}"
+    frame_word = "frames" if len(numbers) > 1 else "frame"
+    name = f"{folder.resolve().name}, {frame_word} {', '.join(map(str, numbers))}"
     return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]))
 
 
@@ -122,25 +123,25 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
         T_base_lidar=lidar.T_base_lidar,
     )  # fmt: skip
     labels = tuple(thing.label for thing in world.objects)
-    cloud_m, drawn = _in_map(seen), street(seed)
-    kinds = tuple(dict.fromkeys(ground.label for ground in drawn.grounds))
+    cloud_m, this_street = _in_map(seen), street(seed)
+    kinds = tuple(dict.fromkeys(ground.label for ground in this_street.grounds))
     truth = Segmentation(camera.ids, labels)
 
     def build_scene(pipeline: PerceptionPipeline) -> Scene:
         clearance_m = config.tasks.trajectory.clearance_m
         builder = SceneBuilder(pipeline, config.mapping, clearance_m, kinds)
-        builder.add(seen, _ground_kind(drawn, kinds, cloud_m))
+        builder.add(seen, _ground_kind(this_street, kinds, cloud_m))
         return builder.scene()
 
     if words is None:
-        scene, by = build_scene(_oracle(truth)), "the simulator"
+        scene, by = build_scene(_truth_pipeline(truth)), "the simulator"
     else:
         with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
             pipeline,
             by,
         ):
             scene = build_scene(pipeline)
-    return SceneCapture(drawn.name, by, scene, cloud_m, 0.0)
+    return SceneCapture(this_street.name, by, scene, cloud_m, 0.0)
 
 
 @contextmanager
@@ -181,19 +182,20 @@ def detector_pipeline(
 
 
 def _plugin_pipeline(
-    config: Config, own: PipelinePlugin, words: tuple[str, ...]
+    config: Config, plugin: PipelinePlugin, words: tuple[str, ...]
 ) -> PerceptionPipeline:
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
     where = config.locate("tasks.pipeline")
-    given: dict[str, Any] = {"perception": config.perception, "words": words}
+    arguments: dict[str, Any] = {"perception": config.perception, "words": words}
     needs = ("tags", "boxes", "masks", "captions", "embeddings")
     make = component_factory(
-        "pipeline", own.kind, own.options, {}, where, needs, tuple(given), functions=True
+        "pipeline", plugin.kind, plugin.options, {}, where, needs, tuple(arguments), functions=True
     )
-    made = make(**given)
+    pipeline = make(**arguments)
 
     def guarded(name: str) -> Callable[..., Any] | None:
-        part = getattr(made, name)
+        """Return a part of the pipeline that raises only `UserError`; None if it lacks the part."""
+        part = getattr(pipeline, name)
 
         def called(*args: Any) -> Any:
             try:
@@ -202,14 +204,16 @@ def _plugin_pipeline(
                 raise
             except Exception as error:  # a plugin may raise anything
                 reason = one_line(f"{type(error).__name__}: {error}")
-                raise SceneCaptureError(f"{where}: {own.kind}: {name}() raised {reason}") from None
+                raise SceneCaptureError(
+                    f"{where}: {plugin.kind}: {name}() raised {reason}"
+                ) from None
 
         return None if part is None else called
 
     return PerceptionPipeline(*map(guarded, needs))
 
 
-def _oracle(truth: Segmentation) -> PerceptionPipeline:
+def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:
     """Return a detection pipeline with boxes and masks from the picture of ids."""
     words = tuple(dict.fromkeys(truth.labels))
 
@@ -218,15 +222,15 @@ def _oracle(truth: Segmentation) -> PerceptionPipeline:
         for i, label in enumerate(truth.labels, start=1):
             shown = (truth.ids == i).astype(np.uint8)
             x, y, w, h = cv2.boundingRect(shown)
-            if min(w, h) < LEAST_SIDE_PX or np.count_nonzero(shown) < LEAST_PX:
+            if min(w, h) < MIN_SIDE_PX or np.count_nonzero(shown) < MIN_PX:
                 continue
             part = cv2.resize(
                 255 * shown[y : y + h, x : x + w], (MASK_SIDE, MASK_SIDE),
-                interpolation=cv2.INTER_AREA if w > MASK_SIDE < h else cv2.INTER_NEAREST,
+                interpolation=cv2.INTER_AREA if min(w, h) > MASK_SIDE else cv2.INTER_NEAREST,
             )  # fmt: skip
             xyxy.append((x, y, x + w, y + h))
             class_id.append(words.index(label))
-            masks.append(part >= 128)
+            masks.append(part >= 128)  # at least half covered
         n = len(xyxy)
         return Detections(
             observation, np.array(xyxy, np.float32).reshape(n, 4), np.ones(n, np.float32),
@@ -237,11 +241,11 @@ def _oracle(truth: Segmentation) -> PerceptionPipeline:
     return PerceptionPipeline(lambda observation: words, boxes, boxes_as_masks)
 
 
-def _ground_kind(drawn: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
+def _ground_kind(this_street: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
     """Return (n,) uint8 by return: index of its ground in `kinds` plus 1; 0: no ground."""
-    x_m, y_m = drawn.to_road(cloud_m[:, :2].astype(np.float64)).T
+    x_m, y_m = this_street.to_road(cloud_m[:, :2].astype(np.float64)).T
     out = np.zeros(len(cloud_m), np.uint8)
-    for ground in drawn.grounds:
+    for ground in this_street.grounds:
         r = ground.rect
         inside = (x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)
         out[inside] = 1 + kinds.index(ground.label)

@@ -1,4 +1,4 @@
-"""One instruction and its trajectory (OpenNav figure 1, the whole pipeline once)."""
+"""Turns one instruction into a trajectory, for `edge trajectory` (OpenNav figure 1)."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class TaskRun:
             return []
         return rules.parse_steps(self.instruction, self.view.scene)
 
-    def named(self) -> list[SceneObject]:
+    def mentioned_objects(self) -> list[SceneObject]:
         """Return the objects that the rules find in the instruction."""
         return list({thing.id: thing for step in self.steps() for thing in step.things}.values())
 
-    def ends_at(self) -> tuple[SceneObject, float] | None:
+    def object_at_end(self) -> tuple[SceneObject, float] | None:
         """Return an object and its distance from the trajectory's end; None without a trajectory.
 
         It is the nearest of the objects in the last step, or of all objects if that step names
@@ -95,15 +95,15 @@ def run_task(
     try:
         written = write_trajectory(instruction, view.scene, config.tasks, rounds.append)
         outcome = replace(outcome, written=written)
-        body = PathMargins(config.tasks.trajectory.clearance_m)
+        margins = PathMargins(config.tasks.trajectory.clearance_m)
         limits = MotionLimits.of(config.robot)
-        if (asked := written.coarse.speed_mps) is not None:
-            limits = replace(limits, speed_mps=min(asked, limits.speed_mps))
+        if (wanted_mps := written.coarse.speed_mps) is not None:
+            limits = replace(limits, speed_mps=min(wanted_mps, limits.speed_mps))
         coarse = written.coarse
-        refined = refine(view.scene, coarse.segments, coarse.regions, body, limits)
+        refined = refine(view.scene, coarse.segments, coarse.regions, margins, limits)
         scene = view.scene
         costmap = value_map(
-            scene.occupancy, scene.regions_grid, refined.drivable, outcome.coarse_m, body
+            scene.occupancy, scene.regions_grid, refined.drivable, outcome.coarse_m, margins
         )
         outcome = replace(outcome, refined=on_ground(refined, view), costmap=costmap)
     except UserError as error:
@@ -130,13 +130,14 @@ def ground_heights_m(view: SceneCapture, xy_m: np.ndarray) -> np.ndarray:
     )  # fmt: skip
     rows, columns = np.nonzero(ground.seen.cells)
     centres_m = ground.seen.centres_m(rows, columns)
-    at = np.floor(scene.occupancy.to_cells(centres_m)).astype(np.int64)
+    cells = np.floor(scene.occupancy.to_cells(centres_m)).astype(np.int64)
     h, w = scene.occupancy.cells.shape
-    inside = ((at >= 0) & (at < (w, h))).all(axis=1)
+    kept = ((cells >= 0) & (cells < (w, h))).all(axis=1)
+    # True up to 3 cells from an obstacle.
     near = cv2.dilate((scene.occupancy.cells > 0).astype(np.uint8), np.ones((7, 7), np.uint8))
-    inside[inside] = near[at[inside, 1], at[inside, 0]] == 0
-    if not inside.any():
+    kept[kept] = near[cells[kept, 1], cells[kept, 0]] == 0
+    if not kept.any():
         return np.full(len(xy_m), view.base_z_m)
-    known_m, height_m = centres_m[inside], ground.height_m.cells[rows, columns][inside]
+    known_m, height_m = centres_m[kept], ground.height_m.cells[rows, columns][kept]
     nearest = [int(np.argmin(((known_m - point) ** 2).sum(axis=1))) for point in xy_m]
     return height_m[nearest].astype(np.float64)

@@ -13,30 +13,30 @@ from edge.errors import FileError, UserError
 from edge.lab.eval.comparison.outcomes import (
     clusters,
     gather,
-    read,
+    read_records,
     with_rooms,
 )
-from edge.lab.eval.outcome import NAME, RENAMED, OutcomeFile
+from edge.lab.eval.outcome import OUTCOMES_NAME, RENAMED, OutcomeFile
 
 
 def written(tmp_path, *lines) -> list[dict]:
     path = tmp_path / "outcomes.jsonl"
     texts = [line if isinstance(line, str) else json.dumps(line) + "\n" for line in lines]
     path.write_text("".join(texts), encoding="utf-8")
-    return read(path)
+    return read_records(path)
 
 
 def test_nothing(tmp_path):
     assert written(tmp_path) == []
     outcomes = gather([])
-    assert outcomes.columns == outcomes.episodes == ()
+    assert outcomes.arms == outcomes.episodes == ()
     assert outcomes.success.shape == (0, 0)
     assert clusters(outcomes)[0].shape == (0,)
 
 
 def test_no_file(tmp_path):
     with pytest.raises(FileError, match="No such file"):
-        read(tmp_path / "outcomes.jsonl")
+        read_records(tmp_path / "outcomes.jsonl")
 
 
 def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
@@ -68,7 +68,7 @@ def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
             record("house-9/bed", "b", world="house-9", score_ms={"p95": 0.25}),
         ]
     )
-    assert outcomes.columns == ("a", "b")
+    assert outcomes.arms == ("a", "b")
     assert outcomes.episodes == ("house-9/bed", "house-10/bed")
     assert outcomes.ran.tolist() == [[True, True], [True, False]]
     assert outcomes.success.tolist() == [[False, True], [True, False]]
@@ -93,7 +93,7 @@ def test_the_newest_of_a_column_counts():
     )
     assert outcomes.episodes == ("one",)
     assert outcomes["path_m"].tolist() == [[3.0]]
-    assert outcomes.passed_over == 3
+    assert outcomes.n_ignored == 3
 
 
 @pytest.mark.parametrize("changes", [{"shortest_m": 6.0}, {"target": "sofa"}])
@@ -105,8 +105,8 @@ def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
 @pytest.mark.parametrize("old", RENAMED)
 def test_a_file_with_an_old_name_of_a_field_is_read(tmp_path, old):
     line = record()
-    (tmp_path / NAME).write_text(json.dumps(line) + "\n")
-    new = OutcomeFile(tmp_path).known, read(tmp_path / NAME)
+    (tmp_path / OUTCOMES_NAME).write_text(json.dumps(line) + "\n")
+    new = OutcomeFile(tmp_path).known, read_records(tmp_path / OUTCOMES_NAME)
     line[old] = line.pop(RENAMED[old])
-    (tmp_path / NAME).write_text(json.dumps(line) + "\n")
-    assert (OutcomeFile(tmp_path).known, read(tmp_path / NAME)) == new
+    (tmp_path / OUTCOMES_NAME).write_text(json.dumps(line) + "\n")
+    assert (OutcomeFile(tmp_path).known, read_records(tmp_path / OUTCOMES_NAME)) == new

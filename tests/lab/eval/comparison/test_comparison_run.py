@@ -89,5 +89,5 @@ def test_what_is_told_after_a_run():
 
 
 def test_older_outcomes_are_passed_over_aloud():
-    comparison = run.compare(run.records.gather([record(arm_id="old"), record()]), resamples=50)
+    comparison = run.compare(run.gather([record(arm_id="old"), record()]), resamples=50)
     assert "1 older outcomes are ignored" in run.text(comparison)

@@ -37,7 +37,7 @@ def test_what_was_left_at_first_sight(house):
     left_m = np.full(outcomes.ran.shape, np.nan)
     inside = [e for e in range(4) if outcomes.world[e] == house.name]
     worlds.fill_left_at_sight_m(house, inside, outcomes, RADIUS_M, left_m)
-    field = geodesic.distance_field(house.plan, worlds.named(house, "bed"), RADIUS_M, 1.0)
+    field = geodesic.distance_field(house.plan, worlds.objects_named(house, "bed"), RADIUS_M, 1.0)
     assert left_m[0, 0] == geodesic.value_at(house.plan, field, *start[:2]) > 1.0
     assert np.isnan(np.delete(left_m.ravel(), 0)).all()
 
@@ -47,6 +47,6 @@ def test_next_to_a_wall_the_nearest_way_counts(house):
     row, column = house.plan.grid.cell_of(house.start.x_m, house.start.y_m)
     field[row, column + 3] = 4.0
     at = np.array([house.start.x_m, house.start.y_m])
-    assert worlds.nearest(house, field, at) == 4.0
-    assert math.isnan(worlds.nearest(house, field, at - 5.0))
-    assert math.isnan(worlds.nearest(house, field, at + 1000.0))
+    assert worlds.nearest_value(house, field, at) == 4.0
+    assert math.isnan(worlds.nearest_value(house, field, at - 5.0))
+    assert math.isnan(worlds.nearest_value(house, field, at + 1000.0))

@@ -12,7 +12,7 @@ from small_house import small_house
 
 from edge.chat import ChatError, TokenLimitError
 from edge.host.ports import free_port
-from edge.lab.eval.columns import make_arms
+from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import in_process, run_episode
 from edge.lab.eval.episodes import make_episode, sensing_settings
 from edge.lab.eval.planning.delexicalised import compiled, delexicalise
@@ -279,13 +279,13 @@ def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success
             "kind": "edge.lab.eval.planning.llm_planner:LlmPlanner",
             "options": {"url": server.url},
         }
-        (column,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
+        (arm,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
         start = (1.0, 2.0, 0.0)
         world = config.sim.world.model_dump(mode="json")
         episode = make_episode(
             world, "small", start, 5.0, sensing_settings(config), instruction=MISSION
         )
-        outcome = run_episode(column, episode, in_process)
+        outcome = run_episode(arm, episode, in_process)
     assert (outcome.success, reason in outcome.reason) == (success, True), outcome.reason
 
 
@@ -293,9 +293,9 @@ def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
     config = small_house(tmp_path)
     options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
     planner = {"kind": "edge.lab.eval.planning.llm_planner:LlmPlanner", "options": options}
-    (column,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
+    (arm,) = make_arms(config, {"llm": {"mission": {"planner": planner}}})
     world = config.sim.world.model_dump(mode="json")
     episode = make_episode(world, "small", (1.0, 2.0, 0.0), 5.0, {}, instruction=MISSION)
-    outcome = run_episode(column, episode, in_process)
+    outcome = run_episode(arm, episode, in_process)
     assert outcome.failure == "crashed"
     assert options["url"] in outcome.reason

@@ -97,7 +97,7 @@ def test_every_word_of_a_sentence_is_an_object_of_its_formula(tasks):
 
 
 def test_families_are_drawn_by_their_shares(tasks):
-    counts = Counter(task.template for task in tasks)
+    counts = Counter(task.family for task in tasks)
     assert set(counts) == {family.name for family in FAMILIES}
     assert counts["single"] <= 6  # there are no more different ones
     assert counts.most_common(1)[0][0] == "branches-until"

@@ -10,7 +10,7 @@ from simulated import simulated
 
 from edge.config import load
 from edge.errors import UserError
-from edge.lab.eval.soak.faults import FAULTS, chosen
+from edge.lab.eval.soak.faults import FAULTS, choose_faults
 from edge.lab.eval.soak.rules import GROWTHS, RULES, Rule
 
 PAGE = (Path(__file__).parents[4] / "docs/soak.md").read_text(encoding="utf-8")
@@ -39,8 +39,8 @@ def test_the_page_has_every_rule(rule):
 )
 def test_a_map_is_held_to_be_fresh_without_a_fault(calm, age_s, why):
     (rule,) = (rule for rule in RULES if rule.name == "map")
-    watch = SimpleNamespace(calm=calm, places="")
-    assert rule.broken(None, watch, {"places_age_s": age_s}) == why
+    watch = SimpleNamespace(calm=calm, map_problem="")
+    assert rule.problem(None, watch, {"places_age_s": age_s}) == why
 
 
 def test_faults_have_names_of_their_own_and_bounds():
@@ -51,17 +51,17 @@ def test_faults_have_names_of_their_own_and_bounds():
 
 
 def test_without_a_router_or_a_model_there_is_none_to_kill():
-    there = {fault.name for fault in chosen(simulated(), None)}
+    there = {fault.name for fault in choose_faults(simulated(), None)}
     assert "camera-gone" in there
     assert not there & {"router-killed", "model-killed", "model-stopped", "model-swapped"}
-    assert [fault.name for fault in chosen(load("soak"), None)] == [f.name for f in FAULTS]
+    assert [fault.name for fault in choose_faults(load("soak"), None)] == [f.name for f in FAULTS]
 
 
 @pytest.mark.parametrize("name", ["", "no-such", "router-killed"])
 def test_a_fault_that_is_not_there_is_an_error_that_names_those_that_are(name):
     with pytest.raises(UserError, match=r"--faults: .*camera-gone"):
-        chosen(simulated(), [name])
+        choose_faults(simulated(), [name])
 
 
 def test_a_fault_named_twice_is_one():
-    assert [f.name for f in chosen(simulated(), ["reload", "reload"])] == ["reload"]
+    assert [f.name for f in choose_faults(simulated(), ["reload", "reload"])] == ["reload"]

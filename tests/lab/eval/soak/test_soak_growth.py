@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.lab.eval.soak.growth import slope_of
-from edge.lab.eval.soak.rules import GROWTHS, grown, grows
+from edge.lab.eval.soak.rules import GROWTHS, growth_problem, growth_slope
 
 MEMORY = GROWTHS[0]
 
@@ -65,7 +65,7 @@ def samples(values, pid=1, calm=True):
 )
 def test_what_surely_grows_breaks_the_rule(per_h, noise, ran_h, broken):
     _, values = life(1800, per_h, noise)
-    why = grows(MEMORY, grown(MEMORY, samples(values)), 3600.0 * ran_h)
+    why = growth_problem(MEMORY, growth_slope(MEMORY, samples(values)), 3600.0 * ran_h)
     assert bool(why) == broken, why
 
 
@@ -73,11 +73,11 @@ def test_neither_the_start_nor_faults_count():
     """Memory that only rises while it settles, and only stands high in faults, does not grow."""
     found = samples([*np.linspace(0, 500, 100), *[500.0] * 900])
     found[400:500] = samples([9e9] * 100, calm=False)
-    slope = grown(MEMORY, found)
+    slope = growth_slope(MEMORY, found)
     assert slope.high == 0.0
-    assert grown(MEMORY, []) is None
+    assert growth_slope(MEMORY, []) is None
 
 
 def test_a_process_that_is_not_there_does_not_grow():
     found = samples([1.0] * 200)
-    assert grown(GROWTHS[1], [{**sample, "model": None} for sample in found]) is None
+    assert growth_slope(GROWTHS[1], [{**sample, "model": None} for sample in found]) is None

@@ -9,7 +9,7 @@ import pytest
 from recordings import Recording
 from simulated import simulated
 
-from edge.lab.eval.soak.recordings import FIRST, RecordingCheck, below
+from edge.lab.eval.soak.recordings import FIRST, RecordingCheck, move_folders
 from edge.recording.file import PARTIAL
 from edge.recording.rolling import files_of
 
@@ -19,7 +19,7 @@ MCAP = {"kind": "mcap", "options": {"folder": "elsewhere", "keep_mb": 512}}
 
 def recorded(out: Path) -> RecordingCheck:
     config = simulated({"sinks": ["zenoh", MCAP]})
-    return RecordingCheck(config.model_copy(update={"sinks": below(config.sinks, out)}), out)
+    return RecordingCheck(config.model_copy(update={"sinks": move_folders(config.sinks, out)}), out)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def lay(out: Path, content: bytes, name: str = NAME) -> Path:
 
 def test_where_nothing_records_nothing_is_held(tmp_path):
     recordings = RecordingCheck(simulated(), tmp_path)
-    recordings.look()
+    recordings.check_next_file()
     assert recordings.judge() == {}
     assert recordings.problem == ""
     assert list(tmp_path.iterdir()) == []
@@ -44,7 +44,7 @@ def test_where_nothing_records_nothing_is_held(tmp_path):
 
 def test_nothing_recorded_is_told_at_the_end(tmp_path):
     recordings = recorded(tmp_path)
-    recordings.look()
+    recordings.check_next_file()
     assert recordings.problem == ""
     recordings.judge()
     assert recordings.problem == "nothing was recorded"
@@ -53,11 +53,11 @@ def test_nothing_recorded_is_told_at_the_end(tmp_path):
 def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, drive):
     recordings = recorded(tmp_path)
     path = lay(tmp_path, drive, NAME + PARTIAL)
-    recordings.look()
+    recordings.check_next_file()
     assert recordings.files == 0
     path.rename(path.with_suffix(""))
     for _ in range(2):
-        recordings.look()
+        recordings.check_next_file()
         assert recordings.files == 1
     assert recordings.messages > 5
     files_of(path.parent)[0].unlink()
@@ -70,7 +70,7 @@ def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, 
 def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, drive):
     recordings = recorded(tmp_path)
     lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
-    recordings.look()
+    recordings.check_next_file()
     told = recordings.judge()
     assert (told["files"], told["cut"]) == (1, 1)
     assert told["ended"].endswith("cut off")
@@ -95,7 +95,7 @@ def flipped(drive: bytes) -> bytes:
 def test_what_cannot_be_read_is_told(tmp_path, drive, content, name, problem):
     recordings = recorded(tmp_path)
     lay(tmp_path, content(drive), name)
-    recordings.look()
+    recordings.check_next_file()
     recordings.judge()
     assert problem in recordings.problem
 
@@ -104,8 +104,8 @@ def test_a_folder_that_is_too_large_is_told(tmp_path):
     recordings = recorded(tmp_path)
     path = lay(tmp_path, b"", NAME + PARTIAL)
     os.truncate(path, 513_000_000)  # a hole
-    recordings.look()
+    recordings.check_next_file()
     assert recordings.problem == ""
     os.truncate(path, 515_000_000)
-    recordings.look()
+    recordings.check_next_file()
     assert recordings.problem == "recordings have 515.0 MB, keep_mb allows 512 MB"

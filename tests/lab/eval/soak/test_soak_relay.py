@@ -27,7 +27,7 @@ def odometry(stamp_ns: int, x_m: float = 1.0) -> bytes:
 def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
     second = relay.restamped(IMAGE, 8 * NS)
     for go_on, expected_ns in ((False, 7 * NS), (True, 8 * NS)):
-        alter = relay.frozen(go_on)
+        alter = relay.freeze(go_on)
         alter(topics.RGB, IMAGE)
         (sent,) = alter(topics.RGB, second[:-1] + b"\0")
         assert messages.peek_stamp_ns(sent) == expected_ns
@@ -36,13 +36,13 @@ def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
 
 
 def test_what_is_dropped_is_what_was_named():
-    alter = relay.nothing((topics.ODOMETRY,))
+    alter = relay.drop((topics.ODOMETRY,))
     assert alter(topics.ODOMETRY, odometry(NS)) == ()
     assert alter(topics.RGB, IMAGE) == (IMAGE,)
 
 
 def test_another_clock_is_all_sensors():
-    alter = relay.other_clock(3600.0)
+    alter = relay.shift_stamps(3600.0)
     for topic, payload in ((topics.RGB, IMAGE), (topics.ODOMETRY, odometry(7 * NS))):
         assert messages.peek_stamp_ns(alter(topic, payload)[0]) == 3607 * NS
     assert alter(topics.LABELS, b"[]") == (b"[]",)
@@ -50,7 +50,7 @@ def test_another_clock_is_all_sensors():
 
 @pytest.mark.parametrize("payload", [b"", b"\0", IMAGE], ids=["empty", "byte", "image"])
 def test_garbage_comes_before_what_is_well(payload):
-    alter = relay.garbage(np.random.default_rng(0))
+    alter = relay.add_garbage(np.random.default_rng(0))
     sent = [alter(topics.RGB, payload) for _ in range(50)]
     assert {pair[1] for pair in sent} == {payload}
     assert len({pair[0] for pair in sent}) > 10

@@ -10,7 +10,7 @@ from edge_processes import write_config
 from live_patience import eventually
 
 from edge.errors import FAILED, FileError
-from edge.lab.eval.soak.run import make_empty
+from edge.lab.eval.soak.run import make_out_folder
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -33,13 +33,13 @@ def small(folder: Path, **sections: dict) -> Path:
 
 
 def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_path):
-    make_empty(tmp_path / "a/b")
-    make_empty(tmp_path / "a/b")
+    make_out_folder(tmp_path / "a/b")
+    make_out_folder(tmp_path / "a/b")
     with pytest.raises(FileError, match=r"--out .*a: the folder is not empty"):
-        make_empty(tmp_path / "a")
+        make_out_folder(tmp_path / "a")
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match=r"--out .*file: cannot be used: File exists"):
-        make_empty(tmp_path / "file")
+        make_out_folder(tmp_path / "file")
 
 
 @pytest.mark.slow

@@ -10,11 +10,11 @@ import pytest
 
 from edge.errors import UserError
 from edge.lab.eval.soak.faults import FAULTS, Fault
-from edge.lab.eval.soak.schedule import ScheduledFault, make, rounds
+from edge.lab.eval.soak.schedule import ScheduledFault, draw_faults, inject
 
 
 def drawn(seed: int, n: int) -> list[tuple[ScheduledFault, ...]]:
-    return list(islice(rounds(FAULTS, np.random.default_rng(seed)), n))
+    return list(islice(draw_faults(FAULTS, np.random.default_rng(seed)), n))
 
 
 def test_every_round_has_all_faults_and_each_seed_another_order():
@@ -27,13 +27,13 @@ def test_every_round_has_all_faults_and_each_seed_another_order():
 
 def run(faults: list[Fault]) -> tuple[list[str], str]:
     """Run the fault injectors; return their messages and results."""
-    watch = SimpleNamespace(mutes=False)
-    steps = make([ScheduledFault(fault, 0.0) for fault in faults], None, watch, None)
+    watch = SimpleNamespace(bus_is_muted=False)
+    steps = inject([ScheduledFault(fault, 0.0) for fault in faults], None, watch, None)
     while True:
         try:
             next(steps)
         except StopIteration as end:
-            assert watch.mutes == any(fault.mutes for fault in faults)
+            assert watch.bus_is_muted == any(fault.mutes_bus for fault in faults)
             return SAID[:], end.value
 
 

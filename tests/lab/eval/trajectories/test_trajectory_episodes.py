@@ -30,8 +30,8 @@ def test_an_episode_is_whole(source, request):
         assert contacts(task.reference_m, one.truth, one.robot_m) == 0
         np.testing.assert_allclose(task.reference_m[0], (scene.pose.x_m, scene.pose.y_m))
         labels = [thing.label for thing in scene.objects.values()]
-        things = {thing.id: thing for thing in one.things}
-        for number in task.things:
+        things = {thing.id: thing for thing in one.landmarks}
+        for number in task.landmarks:
             assert things[number].label in labels
             assert things[number].label in task.instruction
 

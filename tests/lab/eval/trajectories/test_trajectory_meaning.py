@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from made_episodes import ROBOT_M, place, thing
 
-from edge.lab.eval.trajectories.references import ABOUT_M, KINDS, referring_expression, tasks
+from edge.lab.eval.trajectories.references import (
+    ABOUT_M,
+    KINDS,
+    possible_tasks,
+    referring_expression,
+)
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.lab.sim.generator.rng import PortableRng
 
@@ -16,7 +21,7 @@ CAR, VAN = thing(1, "car", 10.0, 0.0), thing(2, "van", 16.0, 3.0)
 
 
 def all_of(kind, *things, walls=()):
-    return list(tasks(place(*things, walls=walls), kind, PortableRng(1)))
+    return list(possible_tasks(place(*things, walls=walls), kind, PortableRng(1)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -57,7 +62,7 @@ def test_what_is_aside_or_at_hand_is_not_gone_to(at, label):
 
 def test_one_stops_before_a_thing_where_one_comes_from():
     (task,) = all_of("to", CAR)
-    assert (task.instruction, task.category, task.things) == ("go to the car", "specific", (1,))
+    assert (task.instruction, task.category, task.landmarks) == ("go to the car", "specific", (1,))
     x_m, y_m = task.reference_m[-1]
     assert 9.0 - x_m == pytest.approx(ROBOT_M + ABOUT_M, abs=0.3)
     assert abs(y_m) < 0.2
@@ -69,7 +74,7 @@ def test_one_passes_on_the_side_that_is_said(kind):
     found = all_of(kind, CAR, VAN)
     assert found
     for task in found:
-        k = task.things[0] - 1
+        k = task.landmarks[0] - 1
         sign = 1.0 if f"the left of the {('car', 'van')[k]}" in task.instruction else -1.0
         first = (CAR, VAN)[k].at_m
         beside = task.segments[0][-1 if kind == "past" else 1]
@@ -81,6 +86,6 @@ def test_one_passes_on_the_side_that_is_said(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_reference_runs_into_nothing(kind):
     here = place(CAR, VAN, walls=[(12.0, 13.0, -4.0, -1.0)])
-    for task in tasks(here, kind, PortableRng(2)):
+    for task in possible_tasks(here, kind, PortableRng(2)):
         assert contacts(task.reference_m, here.occupancy, ROBOT_M) == 0
         assert math.dist(task.reference_m[-1], task.segments[-1][-1]) < 1e-6

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from edge.lab.eval.trajectories.outdoor import LEAST_POINTS, ROBOT_M, outdoor_episode
+from edge.lab.eval.trajectories.outdoor import MIN_POINTS, ROBOT_M, outdoor_episode
 from edge.lab.eval.trajectory_metrics import trajectory_scores
 from edge.tasks.refine import refine
 from edge.tasks.value_map import PathMargins
@@ -35,7 +35,7 @@ def test_the_scene_is_whole(number):
     assert set(np.unique(scene.regions_grid.cells)) <= {0, *scene.regions}
     assert set(np.unique(scene.occupancy.cells)) == {0, 100}
     for item in scene.objects.values():
-        assert len(item.points_m) >= LEAST_POINTS
+        assert len(item.points_m) >= MIN_POINTS
         assert item.points_m.dtype == np.float32
         # A tree's crown reaches farther than its trunk.
         reach = np.hypot(*(item.points_m[:, :2] - item.position_m[:2]).T).max()

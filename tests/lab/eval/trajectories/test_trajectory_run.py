@@ -14,7 +14,7 @@ from edge.config import TasksConfig, WriterModel
 from edge.errors import UserError
 from edge.lab.eval.trajectories import methods
 from edge.lab.eval.trajectories.episodes import episodes
-from edge.lab.eval.trajectories.methods import METHODS, make, methods_of
+from edge.lab.eval.trajectories.methods import METHODS, methods_of, run_methods
 from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
 from edge.lab.eval.trajectories.run import run_all
 
@@ -37,7 +37,7 @@ def test_no_episodes(tmp_path):
 
 
 def test_each_method_does_what_it_is_told():
-    made = make(episode(PAST), methods_of(RULES), RULES)
+    made = run_methods(episode(PAST), methods_of(RULES), RULES)
     assert "llm_tg" not in made
     assert not any(one.refused for one in made.values())
     ways = {name: one.path_m for name, one in made.items()}
@@ -66,7 +66,7 @@ def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
     first = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     text = (tmp_path / "outcomes.jsonl").read_bytes()
     (tmp_path / "outcomes.jsonl").write_bytes(text + b'{"episode": "bro')
-    monkeypatch.setattr("edge.lab.eval.trajectories.run.make", None)
+    monkeypatch.setattr("edge.lab.eval.trajectories.run.run_methods", None)
     assert ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path)) == first
     assert (tmp_path / "outcomes.jsonl").read_bytes() == text
 
@@ -140,7 +140,7 @@ def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, wo
 
 def test_a_place_that_is_known_is_seen_by_no_detector():
     with pytest.raises(UserError, match="--detector works only with kitti:FOLDER"):
-        next(episodes(["streets[0:1]"], chain=object()))
+        next(episodes(["streets[0:1]"], pipeline=object()))
 
 
 def test_the_command(tmp_path, capsys):

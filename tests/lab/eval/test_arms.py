@@ -7,7 +7,7 @@ from small_house import small_house
 
 from edge.config import parse
 from edge.errors import ConfigError
-from edge.lab.eval.columns import make_arms, merged, parse_arm, read_arms
+from edge.lab.eval.arms import make_arms, merged, parse_arm, read_arms
 
 
 def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):

@@ -52,31 +52,31 @@ def with_and_without_memory(arms: Sequence[ExperimentArm]) -> list[ExperimentArm
 _NOT_HASHED = {"path": True, "zenoh": True, "sim": {"world", "start", "lockstep"}}
 
 
-def make_arms(config: Config, columns: Mapping[str, Data]) -> list[ExperimentArm]:
+def make_arms(config: Config, settings_by_name: Mapping[str, Data]) -> list[ExperimentArm]:
     """Check and build the arms.
 
     Args:
         config: the configuration to change.
-        columns: the settings of each arm, by its name. The key `config` in an arm names another
-            configuration to change. Empty: the only arm is `config` itself.
+        settings_by_name: the settings of each arm, by its name. The key `config` in an arm names
+            another configuration to change. Empty: the only arm is `config` itself.
 
     Raises:
         ConfigError: an arm's settings do not give a valid configuration.
     """
-    columns = columns or {config.policy.kind: {}}
-    return [_make_arm(name, config, dict(settings)) for name, settings in columns.items()]
+    by_name = settings_by_name or {config.policy.kind: {}}
+    return [_make_arm(name, config, dict(settings)) for name, settings in by_name.items()]
 
 
 def _make_arm(name: str, config: Config, settings: Data) -> ExperimentArm:
-    other = settings.pop("config", None)
-    base = config if other is None else load(str(other))
+    base_path = settings.pop("config", None)
+    base = config if base_path is None else load(str(base_path))
     data, path = data_of(base), base.path
-    whole = parse(merged(data, settings), f"{path}: arm {name}")
-    content = whole.model_dump(mode="json", exclude=_NOT_HASHED)
+    changed = parse(merged(data, settings), f"{path}: arm {name}")
+    content = changed.model_dump(mode="json", exclude=_NOT_HASHED)
     for key in ("target", "instruction", "checkpoint"):
         del content["mission"][key]
-    code = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
-    return ExperimentArm(name, data, settings, code, path)
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+    return ExperimentArm(name, data, settings, digest, path)
 
 
 def data_of(config: Config) -> Data:
@@ -98,8 +98,8 @@ def merged(*parts: Mapping[str, Any]) -> Data:
             below = result.get(key)
             if isinstance(value, Mapping):
                 below = below if isinstance(below, dict) else {}
-                other = value.get("kind", below.get("kind")) != below.get("kind")
-                result[key] = merged({} if other else below, value)
+                is_other_kind = value.get("kind", below.get("kind")) != below.get("kind")
+                result[key] = merged({} if is_other_kind else below, value)
             else:
                 result[key] = value
     return result
