@@ -228,7 +228,7 @@ def _worth(world: BoxWorld, appearances: list[Look], camera: _Camera) -> float:
     h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
     m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
     kernels.render_depth(
-        world.shape, world.pose, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
+        world.shape, world.geometry, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
         m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
     )  # fmt: skip
     count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(appearances) + 1)[1:]
@@ -251,13 +251,13 @@ def _contents(
     alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
     lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
-    kernels.render_depth(world.shape, world.pose, *lens, alone_depth, prim)
+    kernels.render_depth(world.shape, world.geometry, *lens, alone_depth, prim)
     seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
     colored = np.bincount(world.owner, seen * tinted, minlength=n + 1)[1:]
     rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
     for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
         is_own = world.owner == k + 1
-        kernels.render_depth(world.shape[is_own], world.pose[is_own], *lens, alone_depth, prim)
+        kernels.render_depth(world.shape[is_own], world.geometry[is_own], *lens, alone_depth, prim)
         row["category"], row["size"] = appearances[k].category, appearances[k].size
         named = colored[k] >= COLORED * pixels[k]
         row["color"] = appearances[k].color if named else looks.unsure_color()
