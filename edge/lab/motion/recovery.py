@@ -15,19 +15,20 @@ HELD_M = 0.05  # a robot that moved less was held
 TURN_RAD = 0.6  # angle to turn, if there is no way back
 TIME_NS = 5_000_000_000  # longest time of an attempt
 FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before driving
-STEP_M, JUMP_M = 0.05, 0.5  # distance of trail points; a longer step is a jump of the pose
-STEPS = 40  # number of trail points
+STEP_M = 0.05  # distance between two points of the trail
+JUMP_M = 0.5  # a longer step is a jump of the pose
+MAX_POINTS = 40  # of the trail
 
 
 class BacktrackPath:
-    """The last metres that the robot drove, without loops.
+    """Trail of the robot: the last metres that it drove, without loops.
 
     Attributes:
-        xy_m: places `STEP_M` apart, oldest first.
+        xy_m: points `STEP_M` apart, oldest first.
     """
 
     def __init__(self) -> None:
-        self.xy_m: deque[tuple[float, float]] = deque(maxlen=STEPS)
+        self.xy_m: deque[tuple[float, float]] = deque(maxlen=MAX_POINTS)
 
     def extend(self, pose: SE2) -> None:
         """Add the pose if the robot moved; start again after a jump.
@@ -47,15 +48,18 @@ class BacktrackPath:
                 self.xy_m.pop()
 
     def back_from(self, pose: SE2) -> list[tuple[float, float]]:
-        """Return the way back from a pose, nearest first, up to the first place `BACK_M` away."""
-        way: list[tuple[float, float]] = []
+        """Return the path back from a pose, nearest point first, to the first point `BACK_M` away.
+
+        The path is empty if the trail is shorter.
+        """
+        path: list[tuple[float, float]] = []
         for at in reversed(self.xy_m):
             away_m = pose.distance_to(*at)
             if away_m >= STEP_M:
-                way.append(at)
+                path.append(at)
             if away_m >= BACK_M:
                 break
-        return way if way and pose.distance_to(*way[-1]) >= BACK_M else []
+        return path if path and pose.distance_to(*path[-1]) >= BACK_M else []
 
 
 class Recovery:
@@ -67,7 +71,7 @@ class Recovery:
     Args:
         pose: pose at which the robot is held up.
         costmap: map to check the straight way back on.
-        trail: places it drove before.
+        trail: the robot's trail.
         limits: speed limits.
         now_ns: start of the attempt.
     """
@@ -85,8 +89,8 @@ class Recovery:
         behind = pose.ahead(-BACK_M)
         if not self._way and costmap is not None and costmap.is_free(*behind):
             self._way = [behind]
-        self._turns = not self._way
-        self._drove_back = False  # in reverse
+        self._turns = not self._way  # the attempt only turns
+        self._drove_back = False  # True once it drove in reverse
 
     def is_held(self, pose: SE2) -> bool:
         """Return True if the attempt drove in reverse and the robot has not moved."""
