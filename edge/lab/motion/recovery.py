@@ -85,11 +85,11 @@ class Recovery:
         now_ns: int,
     ) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
-        self._way = trail.back_from(pose)
+        self._path = trail.back_from(pose)
         behind = pose.ahead(-BACK_M)
-        if not self._way and costmap is not None and costmap.is_free(*behind):
-            self._way = [behind]
-        self._turns = not self._way  # the attempt only turns
+        if not self._path and costmap is not None and costmap.is_free(*behind):
+            self._path = [behind]
+        self._turns = not self._path  # the attempt only turns
         self._drove_back = False  # True once it drove in reverse
 
     def is_held(self, pose: SE2) -> bool:
@@ -103,11 +103,11 @@ class Recovery:
         if self._turns:
             left = TURN_RAD - abs(wrap_angle(pose.yaw_rad - self._start.yaw_rad))
             return None if left <= 0.05 else turn_by(left, self._limits)
-        while self._way and pose.distance_to(*self._way[0]) < STEP_M:
-            self._way.pop(0)
-        if not self._way or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
+        while self._path and pose.distance_to(*self._path[0]) < STEP_M:
+            self._path.pop(0)
+        if not self._path or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
             return None
-        error = pose.bearing_to(*self._way[0])
+        error = pose.bearing_to(*self._path[0])
         reverse = abs(error) > 0.5 * math.pi
         if reverse:
             error = wrap_angle(error + math.pi)
