@@ -101,8 +101,8 @@ def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
         return False
     eye = scene.T_map_camera[:3, 3]
     for number, outlines in scene.contours.items():
-        thing = scene.objects[number]
-        nearest_m = np.linalg.norm(thing.points_m - eye, axis=1).min(initial=np.inf)
+        item = scene.objects[number]
+        nearest_m = np.linalg.norm(item.points_m - eye, axis=1).min(initial=np.inf)
         inside = any(cv2.pointPolygonTest(o, at[0].tolist(), False) >= 0 for o in outlines)
         if inside and nearest_m < distance_m:
             return True

@@ -100,14 +100,14 @@ class Street:
         start: the robot's start pose in the road's frame.
         width_m: from the farthest house on the right to the farthest on the left; centred.
         grounds: areas of the ground; later ones lie on top of earlier ones.
-        things: objects.
+        objects: objects on the street and next to it, in the order of placing.
     """
 
     name: str
     start: SE2
     width_m: float
     grounds: tuple[GroundArea, ...]
-    things: tuple[StreetObject, ...]
+    objects: tuple[StreetObject, ...]
 
     def to_map(self, x_m: float, y_m: float, yaw_rad: float = 0.0) -> SE2:
         """Transform a pose from the road's frame to `map`, whose origin is the start."""
@@ -187,10 +187,10 @@ def solids(
         )
         floor.append(film.placed(at.x_m, at.y_m, 0.0, at.yaw_rad))
     objects = []
-    for thing in drawn.things:
-        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
-        parts = [part.placed(at.x_m, at.y_m, 0.0, at.yaw_rad) for part in thing.parts]
-        objects.append((thing, parts))
+    for item in drawn.objects:
+        at = drawn.to_map(item.x_m, item.y_m, item.yaw_rad)
+        parts = [part.placed(at.x_m, at.y_m, 0.0, at.yaw_rad) for part in item.parts]
+        objects.append((item, parts))
     return floor, objects
 
 
@@ -199,12 +199,12 @@ def load_street(section: WorldStreet, config: Config) -> BoxWorld:
     drawn = street(section.seed)
     floor, objects = solids(drawn)
     furniture = []
-    for k, (thing, parts) in enumerate(objects, start=1):
-        at = drawn.to_map(thing.x_m, thing.y_m, thing.yaw_rad)
-        center = (at.x_m, at.y_m, 0.5 * thing.size_m[2])
-        name = f"{thing.colour} {thing.label} {k}".strip()
-        item = WorldObject(k, name, thing.label, thing.label, center, thing.size_m, at.yaw_rad)
-        furniture.append((item, parts))
+    for k, (item, parts) in enumerate(objects, start=1):
+        at = drawn.to_map(item.x_m, item.y_m, item.yaw_rad)
+        center = (at.x_m, at.y_m, 0.5 * item.size_m[2])
+        name = f"{item.colour} {item.label} {k}".strip()
+        world_object = WorldObject(k, name, item.label, item.label, center, item.size_m, at.yaw_rad)
+        furniture.append((world_object, parts))
     camera = config.sensors.camera
     return BoxWorld(
         drawn.name,
@@ -229,15 +229,15 @@ class _PlacedObjects:
         self.accepted: list[StreetObject] = []
         self._taken = [Rect(start.x_m - 2.0, start.y_m - 1.5, start.x_m + 4.0, start.y_m + 1.5)]
 
-    def place(self, thing: StreetObject, apart_m: float = _APART_M) -> None:
+    def place(self, item: StreetObject, apart_m: float = _APART_M) -> None:
         """Place an object if nothing is nearer to it than `apart_m`; leave it out otherwise."""
-        side = 1 if thing.y_m > 0 else -1
-        rect = thing.rect
+        side = 1 if item.y_m > 0 else -1
+        rect = item.rect
         in_break = any(s == side and rect.x0 < x1 and rect.x1 > x0 for s, x0, x1 in self._breaks)
         if in_break or any(rect.grown(apart_m).meets(taken) for taken in self._taken):
             return
         self._taken.append(rect)
-        self.accepted.append(thing)
+        self.accepted.append(item)
 
 
 def _strip(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> Rect:

@@ -26,7 +26,7 @@ _TRIES = 10  # poses to try for an object
 _ROOM_TRIES = 50  # furnishings to try for a room
 _LOW_M = 1.15
 """Lower objects may stand below a picture."""
-_EXACT_M = 0.011
+_ROUNDING_M = 0.011
 """Objects may lie this much outside the walls, because positions are rounded."""
 
 Pose = tuple[float, float, int]
@@ -203,7 +203,7 @@ class RoomFurnisher:
     def _has_space(self, new: PlacedItem) -> bool:
         """Return True if the object is within the walls and overlaps nothing."""
         box = new.box
-        if not self.inside.grown(_EXACT_M).holds(box):
+        if not self.inside.grown(_ROUNDING_M).holds(box):
             return False
         if new.category == "rug":
             return not any(o.category == "rug" and o.box.meets(box) for o in self.placed)
