@@ -225,6 +225,7 @@ def _write_sidecar(
     reference: str,
     calibration: str | None,
 ) -> None:
+    """Write the sidecar of a detector's file; see `exporters.sidecar`."""
     weights = next((source.sha256 for source in card.weights_sources()), None)
     parity = card_parity(report, reference) if report else None
     write_sidecar(out, card.name, parity, weights, calibration)

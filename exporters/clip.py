@@ -130,6 +130,7 @@ def load_towers(folder: Path) -> tuple[ImageTower, nn.Module]:
 
 
 def _family(folder: Path) -> Family:
+    """Return the architecture of a folder; raise ExportError for an unknown one."""
     kind = hugging_face.model_type(folder)
     if kind not in FAMILIES:
         raise ExportError(

@@ -182,6 +182,7 @@ def compare(
 
 
 def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
+    """Run all variants one after another."""
     results = []
     for number, variant in enumerate(todo, 1):
         log.info(

@@ -51,6 +51,7 @@ class KeyframeBuffer:
         return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
     def _next_to_drop(self) -> Keyframe:
+        """Return the least useful frame that is no best view."""
         best = self._best_views()
         others = [f for f in self._frames if not any(f is b for b in best)]
         # Frames without boxes first, then the oldest.

@@ -133,6 +133,7 @@ def _tiles(record: RunRecord) -> str:
 
 
 def _reached(record: RunRecord) -> list[tuple[str, str]]:
+    """Return the figure of reached targets, unless there is only one target."""
     if record.has_single_target:
         return []
     return [(f"{len(record.reached)}", "reached")]
@@ -197,6 +198,7 @@ def _bar(row: StageLatency) -> str:
 
 
 def _frames(record: RunRecord) -> str:
+    """Return the section with the camera images."""
     if not record.frames:
         return '<section><h2>Frames</h2><p class="note">No frame was kept.</p></section>'
     figures = "".join(_figure(frame, record) for frame in record.frames)
@@ -292,6 +294,7 @@ def _pairs(title: str, pairs: Iterable[tuple[str, str]]) -> str:
 
 
 def _configuration(record: RunRecord) -> str:
+    """Return the section with the configuration, folded."""
     if not record.config:
         return ""
     text = yaml.safe_dump(dict(record.config), sort_keys=False, allow_unicode=True)

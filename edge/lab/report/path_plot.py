@@ -72,6 +72,7 @@ def _colours(record: RunRecord) -> list[str]:
 
 
 def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
+    """Draw the legend with the colour of each target."""
     from matplotlib.lines import Line2D
 
     handles = []
@@ -95,6 +96,7 @@ def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
 
 
 def _draw_time_bar(figure: Figure, lines: LineCollection, place: Rect) -> None:
+    """Draw the colour scale of the time."""
     bar = figure.colorbar(lines, cax=figure.add_axes(place))
     bar.set_label("time of the path, s", color=palette.MUTED, fontsize=9)
     bar.ax.tick_params(labelsize=8, colors=palette.MUTED)

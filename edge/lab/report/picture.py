@@ -143,6 +143,7 @@ def _set_view(axes: Axes, box: raster.Box) -> None:
 
 
 def _draw_map(axes: Axes, record: RunRecord) -> None:
+    """Draw the known part of the occupancy grid."""
     known = raster.crop(record.map) if record.map is not None else None
     if known is None:
         axes.text(

@@ -48,6 +48,7 @@ class HeadTailBuffer(Generic[T]):
         self.count = 0
 
     def append(self, item: T) -> None:
+        """Add an item; drop the oldest of the last ones if they are too many."""
         self.count += 1
         if len(self._first) < self._n_first:
             self._first.append(item)

@@ -46,6 +46,7 @@ def _class(key: str) -> str:
 
 
 def _timeline(record: RunRecord) -> str:
+    """Return the mission's Gantt chart; empty if there is nothing to show."""
     axes = gantt.draw(record)
     if axes is None:
         return ""
@@ -53,6 +54,7 @@ def _timeline(record: RunRecord) -> str:
 
 
 def _automaton(facts: MissionFacts) -> str:
+    """Return the drawing of the mission's automaton."""
     automaton = facts.spec.automaton
     scene = make_automaton_graph(automaton, facts.state, _steps_left(facts), facts.trace)
     title = f"Automaton with {automaton.n_states} states, now in state {facts.state}"

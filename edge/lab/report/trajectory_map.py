@@ -114,6 +114,7 @@ def _shown_area(
 
 
 def _draw_scene(axes: Axes, scene: Scene) -> None:
+    """Draw the regions of the ground and the obstacles."""
     cells, colours = ground_colours(scene)
     axes.set_facecolor(tuple(v / 255 for v in UNKNOWN_RGB))
     _draw_image(axes, scene.occupancy, colours[cells])
@@ -121,6 +122,7 @@ def _draw_scene(axes: Axes, scene: Scene) -> None:
 
 
 def _draw_values(axes: Axes, costmap: CostMap) -> None:
+    """Draw the cost of each cell, by its weight."""
     table = np.zeros((256, 3), np.uint8)
     for weight, (_, css_colour) in _VALUES.items():
         table[weight] = np.frombuffer(bytes.fromhex(css_colour[1:]), np.uint8)
@@ -140,6 +142,7 @@ def _draw_image(axes: Axes, grid: Grid, rgb: np.ndarray) -> None:
 def _draw_lines(
     axes: Axes, scene: Scene, coarse_m: np.ndarray | None, refined: RefinedTrajectory | None
 ) -> None:
+    """Draw both trajectories, the end's heading and the robot."""
     if coarse_m is not None:
         axes.plot(*coarse_m.T, color=COARSE, lw=1.4, ls=(0, (3, 1.5)), marker=".", ms=3.5, zorder=4)
     if refined is not None:

@@ -145,6 +145,7 @@ def ground_colours(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
+    """Return the grid of the ground for the viewer."""
     cells, colours = ground_colours(scene)
     rows, columns = cells.shape
     return {
@@ -188,6 +189,7 @@ def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> di
 
 
 def _box(item: SceneObject, kinds: Sequence[str]) -> dict[str, object]:
+    """Return an object's box and name for the viewer."""
     k = kinds.index(item.label) % len(_DARK)
     return {
         "id": item.id,
@@ -201,6 +203,7 @@ def _box(item: SceneObject, kinds: Sequence[str]) -> dict[str, object]:
 
 
 def _line(line: Line, ground_m: float) -> dict[str, object]:
+    """Return a trajectory for the viewer, with heights."""
     points = np.asarray(line.points_m, np.float64)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.full(len(points), ground_m)])
@@ -252,6 +255,7 @@ def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
+    """Return the table of facts."""
     if not facts:
         return ""
     rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)

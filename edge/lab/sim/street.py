@@ -330,6 +330,7 @@ def _pole(x_m: float, y_m: float) -> StreetObject:
 
 
 def _bin(rng: PortableRng, x_m: float, y_m: float, side: int) -> StreetObject:
+    """Return a bin with a lid; `side` is only there for the same arguments as `_bench`."""
     colour, size = rng.pick(tuple(BIN_COLOURS)), (0.6, 0.6, 1.1)
     lid = _box((0, 0, 1.06), (0.64, 0.64, 0.08), _TYRE)
     body = _box((0, 0, 0.51), (0.6, 0.6, 1.02), BIN_COLOURS[colour])

@@ -67,6 +67,7 @@ class PlacedItem:
 
 
 def _box(pose: Pose, size_m: tuple[float, float, float]) -> Rect:
+    """Return the floor that an object of a size covers at a pose."""
     x, y, quarter = pose
     a, b = (size_m[1], size_m[0]) if quarter % 2 else size_m[:2]
     return Rect(x - 0.5 * a, y - 0.5 * b, x + 0.5 * a, y + 0.5 * b)
