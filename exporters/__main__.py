@@ -58,6 +58,7 @@ from exporters.recipes import recipe_of
 from exporters.sidecar import write_sidecar
 
 FAMILIES = ("yolo-world-s",)
+"""Families of detectors that are made from a checkpoint."""
 NAME = r"[a-z0-9][a-z0-9.-]*"
 """Pattern of a new card's name."""
 FOLDERS = {
@@ -68,7 +69,7 @@ FOLDERS = {
 
 
 def named_card(name: str, folder: Path) -> Card:
-    """Return the card of a folder by name; raise UserError if it is missing or invalid."""
+    """Return the card of this name in a folder; raise UserError if it is missing or invalid."""
     path = folder / f"{name}.yaml"
     if not path.is_file():
         choices = ", ".join(sorted(p.stem for p in folder.glob("*.yaml"))) or "none"
@@ -121,7 +122,10 @@ def _export(
 
 
 def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
-    """Return household words of a vocabulary file, or the COCO names inside the checkpoint."""
+    """Return the prompts to calibrate and compare with.
+
+    They are household words of a vocabulary file, or the COCO names inside the checkpoint.
+    """
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
     if args.weights is None:
@@ -221,6 +225,7 @@ def _write_sidecar(
     reference: str,
     calibration: str | None,
 ) -> None:
+    """Write the sidecar of a detector's file; see `exporters.sidecar`."""
     weights = next((source.sha256 for source in card.weights_sources()), None)
     parity = card_parity(report, reference) if report else None
     write_sidecar(out, card.name, parity, weights, calibration)
@@ -254,6 +259,7 @@ def print_reports(reports: dict[str, Any]) -> None:
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
+    """Parse the command line, and export a folder, a vision-language model or a detector."""
     parser = argparse.ArgumentParser(
         prog="python -m exporters", description="make the ONNX file of a model card from weights"
     )

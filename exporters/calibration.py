@@ -24,9 +24,10 @@ LEVELS = 255
 MAX_LEVEL = 127
 """Steps of a symmetric 8-bit range on each side of 0."""
 SHRINK = np.linspace(0.1, 1.0, 37)
-"""Range ends to try, as shares of the observed extremes."""
+"""Ends of a range to try, as shares of the observed extremes."""
 
 Feed = dict[str, np.ndarray]
+"""Inputs of one run of a model, by name."""
 
 
 @dataclass
@@ -85,17 +86,18 @@ def collect_histograms(
     names = float_tensors(model) if names is None else names
     session = tensor_session(model, names)
 
-    def passes(what: str) -> Iterator[tuple[str, np.ndarray]]:
+    def run_all(what: str) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield the values of each tensor, for each feed; `what` names the progress."""
         for feed in with_progress(f"pictures: {what}", feeds):
             yield from feed.items()
             yield from zip(names, session.run(names, feed), strict=True)
 
     extremes: dict[str, tuple[float, float]] = {}
-    for name, values in passes("extremes"):
-        low, high = extremes.get(name, (0.0, 1e-6))
+    for name, values in run_all("extremes"):
+        low, high = extremes.get(name, (0.0, 1e-6))  # never an empty range
         extremes[name] = min(low, float(values.min())), max(high, float(values.max()))
     histograms = {name: Histogram(*ends, np.zeros(BINS)) for name, ends in extremes.items()}
-    for name, values in passes("histograms"):
+    for name, values in run_all("histograms"):
         histogram = histograms[name]
         scale = BINS / (histogram.high - histogram.low)
         index = ((values.ravel() - histogram.low) * scale).astype(np.int32)
@@ -121,9 +123,9 @@ def least_loss_range(
     for low in lows:
         for high in histogram.high * SHRINK:
             step = (high - low) / LEVELS
-            zero = np.round(-low / step)
-            q = np.clip(np.round(x / step) + zero, 0, LEVELS)
-            loss = float(((used_as((q - zero) * step) - exact) ** 2 * counts).sum())
+            zero = np.round(-low / step)  # the level of 0
+            level = np.clip(np.round(x / step) + zero, 0, LEVELS)
+            loss = float(((used_as((level - zero) * step) - exact) ** 2 * counts).sum())
             if loss < best[0]:
                 best = (loss, float(low), float(high))
     return best[1], best[2]
@@ -137,8 +139,8 @@ def least_loss_limit(histogram: Histogram) -> float:
     losses = []
     for limit in extreme * SHRINK:
         step = limit / MAX_LEVEL
-        q = np.clip(np.round(x / step), -MAX_LEVEL, MAX_LEVEL)
-        losses.append(float(((q * step - x) ** 2 * counts).sum()))
+        level = np.clip(np.round(x / step), -MAX_LEVEL, MAX_LEVEL)
+        losses.append(float(((level * step - x) ** 2 * counts).sum()))
     return float(extreme * SHRINK[int(np.argmin(losses))])
 
 

@@ -1,9 +1,10 @@
-"""Export of the two towers of CLIP and SigLIP from a Hugging Face folder to ONNX, with cards.
+"""Export of CLIP and SigLIP from a Hugging Face folder to ONNX, with cards.
 
     edge models export NAME --weights FOLDER --precision fp32 int8-cpu --calibration PICTURES
 
-writes for each precision `NAME-image-PRECISION`, `NAME-text-PRECISION`, and `NAME-PRECISION`, the
-scorer that uses both. `edge.perception.embedding.clip` describes the files.
+Such a model has two encoders (towers), for images and for texts. For each precision this writes
+`NAME-image-PRECISION`, `NAME-text-PRECISION`, and `NAME-PRECISION`, the card of the scorer that
+uses both. `edge.perception.embedding.clip` describes the files.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ LEGACY_END = 2
 
 
 class ImageTower(nn.Module):
-    """`pixels` (1, 3, h, w) float32 → `embeddings` (1, d) float32."""
+    """Image encoder: `pixels` (1, 3, h, w) float32 → `embeddings` (1, d) float32."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -58,7 +59,10 @@ class ImageTower(nn.Module):
 
 
 class ClipTextTower(nn.Module):
-    """`tokens` (n, context) int64 → `embeddings` (n, d) float32, of the first end-of-text token."""
+    """CLIP's text encoder: `tokens` (n, context) int64 → `embeddings` (n, d) float32.
+
+    An embedding is that of the first end-of-text token.
+    """
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -74,13 +78,14 @@ class ClipTextTower(nn.Module):
         hidden = self.text_model.embeddings(input_ids=tokens)
         encoded = self.text_model.encoder(inputs_embeds=hidden, attention_mask=self.causal)
         rows = self.text_model.final_layer_norm(encoded.last_hidden_state)
+        # The largest entry of a text is its first end-of-text token; see LEGACY_END.
         is_end = tokens if self.end is None else (tokens == self.end).to(torch.int32)
         place = is_end.argmax(dim=-1)[:, None, None].expand(-1, 1, rows.shape[-1])
         return self.projection(rows.gather(1, place)[:, 0])
 
 
 class SiglipTextTower(nn.Module):
-    """SigLIP's text tower: it sees all positions, and its embedding is that of the last one."""
+    """SigLIP's text encoder: it sees all positions, and its embedding is that of the last one."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -125,6 +130,7 @@ def load_towers(folder: Path) -> tuple[ImageTower, nn.Module]:
 
 
 def _family(folder: Path) -> Family:
+    """Return the architecture of a folder; raise ExportError for an unknown one."""
     kind = hugging_face.model_type(folder)
     if kind not in FAMILIES:
         raise ExportError(
@@ -163,7 +169,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     exporter = _TowerExporter(args, towers, cards["fp32"], calibration, validation)
     reports: dict[str, EmbeddingReport | None] = {}
     for precision in wanted:
-        for card in cards[precision][:2]:
+        for card in cards[precision][:2]:  # the towers; the third card has no file
             reports[card["name"]] = exporter.make(card)
         for card in cards[precision]:
             path = args.cache / f"{card['name']}.yaml"
@@ -259,7 +265,15 @@ def _height_width(size: Any, path: Path) -> tuple[int, int]:
 
 
 class _TowerExporter:
-    """Exporter of the towers, one after the other; compares each with the original."""
+    """Exporter of the towers, one after the other; compares each with the original.
+
+    Args:
+        args: see `export`.
+        towers: image and text tower of the original.
+        fp32: the FP32 cards, see `make_cards`.
+        calibration: images to calibrate on.
+        validation: images to compare on.
+    """
 
     def __init__(
         self,
@@ -284,8 +298,8 @@ class _TowerExporter:
             "image": [pixels_of(read_rgb(p), image_card) for p in validation],
             "text": [row[None] for row in tokens],
         }
-        # All variants are ranked against the original's embeddings of the other tower.
-        self._rows = {
+        # The original's embeddings. The inputs of a tower are ranked by those of the other one.
+        self._reference = {
             task: _embed_torch(tower, self._tests[task])
             for task, tower in zip(("image", "text"), towers, strict=True)
         }
@@ -311,18 +325,20 @@ class _TowerExporter:
     def _measure(
         self, card: dict[str, Any], temporary: Path, precision: str
     ) -> EmbeddingReport | None:
+        """Compare a new file with the original; raise ExportError if it misses its limits."""
         task = card["task"]
         if not self._tests[task]:
             return None
         found = embed_onnx(temporary, self._tests[task])
-        other = self._rows["text" if task == "image" else "image"]
-        report = compare(self._rows[task], found, other)
+        other = self._reference["text" if task == "image" else "image"]
+        report = compare(self._reference[task], found, other)
         print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
         if not self._args.no_gate:
             check_limits(report, LIMITS[precision], card["name"])
         return report
 
     def _example(self, card: dict[str, Any]) -> Tensor:
+        """Return an input of the card's tower, to trace it with."""
         if card["task"] == "image":
             return torch.zeros(1, 3, card["input"]["height"], card["input"]["width"])
         return torch.from_numpy(np.concatenate(self._tests["text"][:2]))

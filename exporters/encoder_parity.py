@@ -1,4 +1,4 @@
-"""Parity check of encoders: how well one encoder repeats another, after each export step."""
+"""Parity check of encoders of images or texts: how closely one repeats another after an export."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMITS = {
     "int8": {"cosine": 0.995, "rank_agreement": 0.97},
     "int8-cpu": {"cosine": 0.95, "rank_agreement": 0.9},
 }
-"""Least figures of `EmbeddingReport`, by the precision of the candidate."""
+"""Smallest allowed figures of `EmbeddingReport`, by the precision of the candidate."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ def compare(
     """Compare embeddings of the same inputs by two encoders, (n, d) each.
 
     Args:
-        reference: (n, d).
-        candidate: (n, d).
-        others: (m, d), rows of the other tower that the inputs are ranked by, as VLFM ranks views
-            by a text.
+        reference: (n, d) embeddings by the original encoder.
+        candidate: (n, d) embeddings by the new one.
+        others: (m, d) embeddings by the encoder of the other kind. The inputs are ranked by their
+            likeness to each of these, as VLFM ranks views by a text.
 
     Raises:
         ExportError: there are no inputs, or a row has no direction.
@@ -96,6 +96,7 @@ def rank_agreement(reference: np.ndarray, candidate: np.ndarray) -> float:
 
 
 def _unit(which: str, rows: np.ndarray) -> np.ndarray:
+    """Return the rows with length 1; `which` names them in the error."""
     norms = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
     if not (np.isfinite(norms).all() and norms.all()):
         raise ExportError(f"the {which}'s embeddings are zero or not finite; check the weights")

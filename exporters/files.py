@@ -1,4 +1,4 @@
-"""Files that an export reads, and errors for the user."""
+"""Errors of the export programs for the user, and checks of options and file hashes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edge.perception.runtime import model_file
 
 
 class ExportError(UserError):
-    """An error that the user can fix; its text is one line: what, where, what to do."""
+    """Error of an export that the user can fix; its text is one line: what, where, what to do."""
 
 
 def exit_on_user_error(main: Callable[[list[str] | None], object]) -> Callable[..., int]:

@@ -36,7 +36,7 @@ def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None
 
 
 def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set[str]:
-    """Return the names of the nodes that stay in float32."""
+    """Return the names of the nodes that stay in float32: the recipe's, and those that overflow."""
     return set(nodes_like(model, recipe.not_fp16)) | overflowing_nodes(model, feeds)
 
 
@@ -48,12 +48,13 @@ def to_fp16(
     Args:
         model: the float32 model.
         kept: names of nodes that stay in float32.
-        half_ends: prefixes of the names of inputs and outputs that become float16 too.
+        half_ends: prefixes of the names of inputs and outputs that become float16 too; () for none.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
 
     ends = [value.name for value in (*model.graph.input, *model.graph.output)]
+    # Without prefixes, one that no name starts with.
     float32_ends = [name for name in ends if not name.startswith(half_ends or "\0")]
     converted = convert_float_to_float16(
         model, keep_io_types=float32_ends, node_block_list=sorted(kept)
@@ -74,7 +75,7 @@ def overflowing_nodes(
     for feed in with_progress("pictures: values", feeds):
         found = session.run(names, feed) if names else []  # an empty list means all outputs
         for name, value in (*feed.items(), *zip(names, found, strict=True)):
-            if not np.abs(value).max(initial=0.0) <= limit:
+            if not np.abs(value).max(initial=0.0) <= limit:  # also True for NaN
                 large.add(name)
     return {
         node.name for node in model.graph.node if large.intersection((*node.input, *node.output))
@@ -88,7 +89,7 @@ def drop_round_trips(model: onnx.ModelProto) -> None:
     trips = [n for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT) and n.input[0] in to_half]
     replacement = {node.output[0]: to_half[node.input[0]] for node in trips}
     for name in replacement:
-        while replacement[name] in replacement:
+        while replacement[name] in replacement:  # several round trips one after another
             replacement[name] = replacement[replacement[name]]
     results = {output.name for output in graph.output}
     # A model output keeps its name: the value before the round trip takes that name.

@@ -24,7 +24,7 @@ from exporters.files import ExportError, sha256_of
 if TYPE_CHECKING:
     from torch import nn
 
-CONFIG, TOKENIZER = "config.json", "tokenizer.json"
+CONFIG, TOKENIZER = "config.json", "tokenizer.json"  # files of a folder
 LICENSE_UNKNOWN = "unknown"
 
 
@@ -63,8 +63,8 @@ def weight_files(folder: Path) -> list[Path]:
 
 def weights_sha256(folder: Path) -> str:
     """Return one digest of all weight files: the digest of their digests, in name order."""
-    own = "".join(sha256_of(path) for path in weight_files(folder))
-    return hashlib.sha256(own.encode()).hexdigest()
+    digests = "".join(sha256_of(path) for path in weight_files(folder))
+    return hashlib.sha256(digests.encode()).hexdigest()
 
 
 def load(kind: type, folder: Path) -> nn.Module:
@@ -123,8 +123,8 @@ def tokenizer_text(folder: Path, lowercase: bool = False) -> str:
     if lowercase and tokenizer.encode("CHAIR").ids != tokenizer.encode("chair").ids:
         from tokenizers import normalizers
 
-        own = [] if tokenizer.normalizer is None else [tokenizer.normalizer]
-        tokenizer.normalizer = normalizers.Sequence([normalizers.Lowercase(), *own])
+        before = [] if tokenizer.normalizer is None else [tokenizer.normalizer]
+        tokenizer.normalizer = normalizers.Sequence([normalizers.Lowercase(), *before])
         return tokenizer.to_str()
     return read_regular(path).decode("utf-8")
 

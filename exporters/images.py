@@ -1,4 +1,4 @@
-"""Images and prompts for calibration and parity checks."""
+"""Images and prompts on which exports are calibrated and compared with their original."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
 LETTERBOX_PAD = 114
-"""Grey around an image whose aspect is not the input's, as YOLO was trained with."""
+"""Grey value around an image whose aspect ratio is not the input's, as YOLO was trained with."""
 PROMPTS = (
     "chair,armchair,sofa,bed,dining table,coffee table,desk,nightstand,cabinet,bookcase,"
     "refrigerator,microwave oven,oven,sink,toilet,bathtub,television,lamp,chandelier,vase,"
     "potted plant,picture frame,mirror,pillow,carpet,curtain,door,window,trash can,dumbbell,ball,"
     "box,bottle,book,person,car,bicycle,tree,traffic light,fan,clock"
 )
-"""Common targets of robots, in the words of the CLIP vocabulary file."""
+"""Common targets of robots, separated by commas, in the words of the CLIP vocabulary file."""
 
 
 @dataclass(frozen=True)

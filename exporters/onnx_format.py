@@ -1,4 +1,4 @@
-"""ONNX files: the format version of all exports, export from PyTorch, sessions on the CPU."""
+"""ONNX files of all exports: their format version, export from PyTorch, sessions on the CPU."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OPSET = 19
 
 
 def check_format(path: Path) -> None:
-    """Raise ExportError unless every target can load the ONNX file (its IR, its opset, …)."""
+    """Raise ExportError unless every runtime of the service can load the ONNX file."""
     try:
         onnx_file.check_format(path, onnx_file.read_onnx(path))
     except (ModelError, onnx_file.NotOnnxError) as error:
@@ -58,7 +58,7 @@ def export_module(
         out: file to write.
         inputs: example tensors, by name.
         outputs: names of the outputs.
-        free: names of the dynamic axes, by input or output and axis.
+        free: axes of any length: input or output → axis → name of the axis.
     """
     with replace_atomically(out) as temporary:
         trace_module(module, temporary, inputs, outputs, free)
@@ -69,7 +69,10 @@ def trace_module(
     module: nn.Module, out: Path, inputs: dict[str, Any], outputs: tuple[str, ...],
     free: dict[str, dict[int, str]],
 ) -> None:  # fmt: skip
-    """Write a PyTorch module as ONNX, with external weight files if one file cannot hold them."""
+    """Write a PyTorch module as ONNX, with external weight files if one file cannot hold them.
+
+    The arguments are those of `export_module`; the format is not checked.
+    """
     import torch
 
     with warnings.catch_warnings():

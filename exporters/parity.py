@@ -1,4 +1,4 @@
-"""Parity check of detectors: how well one detector repeats another, after each export step."""
+"""Parity check of detectors: how closely one detector repeats another after an export step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from exporters.onnx_format import check_format, cpu_session
 from exporters.reports import Report, check_limits
 
 SCORE_THRESHOLD = 0.3
-"""Least score of a detection."""
+"""Boxes with lower scores are no detections."""
 NMS_IOU = 0.5
 """Boxes of a class with a larger overlap are one detection."""
 SCORE_BAND = (0.05, 0.3)
@@ -26,7 +26,7 @@ Model = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(images (1, 3, H, W), txt_feats (1, n, 512)) → boxes (1, A, 4) xyxy px, scores (1, A, n)."""
 
 
-# Limits of the figures of `ParityReport`, by the precision of the candidate.
+# Limits of the figures of `ParityReport`, by the precision of the candidate; see `reports.AT_MOST`.
 FP32_LIMITS = {"recall": 1.0, "precision": 1.0, "score_error": 0.01, "max_abs_diff": 0.01}
 FP16_LIMITS = {"recall": 0.97, "precision": 0.95, "score_error": 0.05}
 INT8_LIMITS = {"recall": 0.95, "precision": 0.8}
@@ -64,18 +64,24 @@ def select_boxes(
     order = np.argsort(-scores[anchor, class_id], kind="stable")
     anchor, class_id = anchor[order], class_id[order]
     boxes = xyxy_px[anchor]
-    others = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
+    is_same = (overlaps(boxes, boxes)[0] > NMS_IOU) & (class_id[:, None] == class_id[None])
     kept = np.ones(len(boxes), bool)
     for row in range(len(boxes)):
         if kept[row]:
-            kept[row + 1 :] &= ~others[row, row + 1 :]
+            kept[row + 1 :] &= ~is_same[row, row + 1 :]
     return DetectedBoxes(boxes[kept], scores[anchor, class_id][kept], class_id[kept])
 
 
 def compare(
     reference: Model, candidate: Model, images: Iterable[np.ndarray], txt_feats: np.ndarray
 ) -> ParityReport:
-    """Run both models over `images`, each (1, 3, H, W), with one prompt set (1, n, 512).
+    """Run both models over images and compare their detections.
+
+    Args:
+        reference: the original.
+        candidate: the new model.
+        images: (1, 3, H, W) each.
+        txt_feats: (1, n, 512) embeddings of the prompts.
 
     Raises:
         ExportError: a model returns values that are not finite.
@@ -109,11 +115,17 @@ def compare(
 def _finite(
     which: str, outputs: tuple[np.ndarray, np.ndarray], image: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return boxes (A, 4) and scores (A, n) of one image; raise ExportError if not finite."""
+    """Return boxes (A, 4) and scores (A, n) of one image; raise ExportError if not finite.
+
+    Args:
+        which: name of the model in the error.
+        outputs: boxes and scores with a batch axis.
+        image: number of the image, from 1.
+    """
     for name, output in zip(("boxes", "scores"), outputs, strict=True):
-        if lost := int(np.count_nonzero(~np.isfinite(output))):
+        if bad := int(np.count_nonzero(~np.isfinite(output))):
             raise ExportError(
-                f"the {which}'s {name} of image {image}: {lost} of {output.size} values are not "
+                f"the {which}'s {name} of image {image}: {bad} of {output.size} values are not "
                 "finite; check the export of the model"
             )
     return outputs[0][0], outputs[1][0]

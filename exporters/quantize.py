@@ -1,5 +1,6 @@
-"""Static QDQ INT8 of a FP32 detector or image encoder, for onnxruntime on a CPU or for TensorRT.
+"""Static INT8 quantization of a FP32 detector or image encoder, for onnxruntime or TensorRT.
 
+The file has pairs of quantize and dequantize nodes (QDQ), which the runtime fuses into kernels.
 Weights are int8 per output channel. Three measures keep the scores: ranges with the least error
 where the value is used (`calibration`), weights rounded against their inputs (`rounding`), and
 float for the few nodes in the family's recipe.
@@ -43,14 +44,26 @@ MAX_ROUNDING_IMAGES = 40
 HELD_OUT_EVERY = 4
 """If one folder is used for both, every fourth image is kept for the parity check."""
 FEW_PROMPTS = 4
-"""Prompts per image in half of the calibration: missions have few, benchmarks many."""
+"""Number of prompts for every second calibration image; the others get all. Missions have few
+prompts, benchmarks many."""
 
 PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsqueeze", "Expand"}
 """Operators whose output has the range of its input, so that 8-bit values pass unchanged."""
 
 
 def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
-    """Write the INT8 model of `fp32` to `out`, calibrated on `feeds` (see `calibration_feeds`)."""
+    """Write an INT8 model.
+
+    Args:
+        fp32: ONNX file to quantize.
+        out: file to write.
+        feeds: inputs to calibrate on, see `calibration_feeds`.
+        recipe: nodes that are not quantized.
+        precision: one of `PRECISIONS`.
+
+    Raises:
+        ExportError: no such precision, or too few inputs.
+    """
     if precision not in PRECISIONS:
         choices = ", ".join(PRECISIONS)
         raise ExportError(f"precision: no precision {precision!r} (choices: {choices})")
@@ -61,10 +74,10 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"
-    delicate = (*recipe.not_int8, *(recipe.not_symmetric if for_trt else ()))
-    excluded = nodes_like(model, delicate)
+    not_quantized = (*recipe.not_int8, *(recipe.not_symmetric if for_trt else ()))
+    excluded = nodes_like(model, not_quantized)
     float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
-    tensors = None
+    tensors = None  # to find the ranges of; None for all
     if recipe.matrices_only:
         layers = constant_products(model)
         excluded += [n.name for n in model.graph.node if n.op_type == "MatMul" and n not in layers]
@@ -74,8 +87,8 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     layers = [n for n in layers if n.name not in excluded]
     limits = symmetric_limits(model, feeds, tensors) if for_trt else {}
     ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds, tensors)
-    steps = -(-len(feeds) // MAX_ROUNDING_IMAGES)
-    scales = round_weights(model, layers, feeds[::steps], limits)
+    stride = -(-len(feeds) // MAX_ROUNDING_IMAGES)  # rounded up
+    scales = round_weights(model, layers, feeds[::stride], limits)
     op_type = layers[0].op_type if for_trt or recipe.matrices_only else None
     with replace_atomically(out) as temporary:
         overrides = _overrides(ranges, scales, 1 if recipe.matrices_only else 0)
@@ -139,6 +152,7 @@ def activation_ranges(
         if producer.get(name) == "Sigmoid":
             ranges[name] = (0.0, 1.0)
             continue
+        # ONNX has no SiLU: x · sigmoid(x) is a Sigmoid and a Mul.
         into_silu = producer.get(name) == "Conv" and consumers.get(name) == {"Sigmoid", "Mul"}
         ranges[name] = least_loss_range(histogram, silu if into_silu else None)
     return ranges
@@ -183,9 +197,16 @@ def _write_qdq(
     for_trt: bool,
     op_type: str | None,
 ) -> None:
-    """Insert the quantize/dequantize pairs that onnxruntime or TensorRT fuses into kernels.
+    """Write the model with pairs of quantize and dequantize nodes.
 
-    If `op_type` is given, only inputs of nodes of this type are quantized.
+    Args:
+        model: FP32 model with rounded weights.
+        out: file to write.
+        feed: any input of the model.
+        overrides: see `_overrides`.
+        excluded: names of nodes that are not quantized.
+        for_trt: True for TensorRT, see the module.
+        op_type: quantize only inputs of nodes of this type; None for all.
     """
     from onnxruntime.quantization import (
         CalibrationDataReader,

@@ -1,4 +1,7 @@
-"""Nodes of each family's network that need more bits, as patterns of node names."""
+"""Recipes of quantization: the nodes of each family's network that keep more bits.
+
+Nodes are given as patterns (regular expressions) of their names.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from exporters.files import ExportError
 
 @dataclass(frozen=True)
 class Recipe:
-    """Nodes that keep their type, as patterns of their names.
+    """Nodes of a network that keep more bits, as patterns of their names.
 
     Attributes:
         not_int8: nodes that are not quantized.

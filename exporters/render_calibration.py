@@ -25,7 +25,12 @@ HORIZONTAL_FOV_RAD = np.deg2rad(75.0)
 CLEARANCE_M = 0.3
 """Free space around the camera, as a small robot's body needs."""
 MIN_MEDIAN_DEPTH_M = 0.8
-"""Nearer views show one surface without texture, which is useless for calibration."""
+"""Views with a smaller median depth show one surface without texture, which is useless for
+calibration."""
+MIN_HIT_SHARE = 0.9
+"""Views in which a smaller share of the rays hits the mesh are left out."""
+MAX_FLOOR_M, MIN_CEILING_M = 0.05, 1.8
+"""The camera must be above floor that is not higher, and under a ceiling that is not lower."""
 BACKGROUND_RGB = (190, 200, 210)
 
 
@@ -83,7 +88,10 @@ def _texture(part: object) -> np.ndarray:
 def render(
     world: TexturedWorld, T_map_camera: np.ndarray, hw: tuple[int, int]
 ) -> np.ndarray | None:
-    """Return an image, (h, w, 3) uint8 RGB, from an optical pose; None if a wall is close."""
+    """Return an image, (h, w, 3) uint8 RGB, from an optical pose; None for a useless view.
+
+    See `MIN_MEDIAN_DEPTH_M` and `MIN_HIT_SHARE`.
+    """
     directions = _rays(T_map_camera[:3, :3], hw)
     origins = np.broadcast_to(T_map_camera[:3, 3], directions.shape)
     points, ray, face = world.mesh.ray.intersects_location(origins, directions, multiple_hits=False)
@@ -92,7 +100,7 @@ def render(
         return None
     depth = np.full(len(directions), np.inf)
     depth[ray] = np.linalg.norm(points - T_map_camera[:3, 3], axis=1)
-    if np.median(depth) < MIN_MEDIAN_DEPTH_M or len(ray) < 0.9 * len(directions):
+    if np.median(depth) < MIN_MEDIAN_DEPTH_M or len(ray) < MIN_HIT_SHARE * len(directions):
         return None
     normals = world.mesh.face_normals[face]
     shade = 0.55 + 0.45 * np.abs(np.einsum("ij,ij->i", normals, directions[ray]))
@@ -152,7 +160,7 @@ def free_pose(world: TexturedWorld, rng: np.random.Generator) -> np.ndarray:
         origin = np.array([rng.uniform(x0, x1), rng.uniform(y0, y1), rng.uniform(*CAMERA_HEIGHT_M)])
         down, _, _ = world.mesh.ray.intersects_location([origin], [[0, 0, -1]], multiple_hits=False)
         up, _, _ = world.mesh.ray.intersects_location([origin], [[0, 0, 1]], multiple_hits=False)
-        if not len(down) or not len(up) or down[0, 2] > 0.05 or up[0, 2] < 1.8:
+        if not len(down) or not len(up) or down[0, 2] > MAX_FLOOR_M or up[0, 2] < MIN_CEILING_M:
             continue
         around, _, _ = world.mesh.ray.intersects_location(
             np.repeat(origin[None], len(ring), 0), ring, multiple_hits=False

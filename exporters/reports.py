@@ -1,7 +1,8 @@
-"""Figures of a parity check, and their limits."""
+"""Base class of the reports of parity checks, and the check of a report against its limits."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,36 +12,46 @@ from exporters.files import ExportError
 AT_MOST = ("score_error", "max_abs_diff")
 """Figures whose limit is a maximum; for all others it is a minimum."""
 MAY_BE_UNKNOWN = ("rank_agreement",)
-"""Figures that pass their limit if they are unknown."""
+"""Figures that are accepted if they are unknown."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Figures of a comparison, one for each field; NaN if unknown."""
+    """Base class of reports: a subclass has one field for each figure; NaN if unknown."""
 
     def figures(self) -> dict[str, Any]:
         """Return the figures by name, rounded; None if unknown."""
-        fields = asdict(self).items()
-        return {
-            k: None if v != v else v if isinstance(v, int) else float(f"{v:.6g}") for k, v in fields
-        }
+        return {name: _rounded(value) for name, value in asdict(self).items()}
 
     def table(self) -> str:
         """Return one readable line per figure."""
         return "\n".join(f"  {name:<16}{value!s:>12}" for name, value in self.figures().items())
 
 
+def _rounded(value: float) -> float | None:
+    """Return a figure with six digits; None for NaN."""
+    if math.isnan(value):
+        return None
+    return value if isinstance(value, int) else float(f"{value:.6g}")
+
+
 def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None:
     """Raise ExportError if a figure of the report is worse than its limit.
 
     An unknown figure fails its limit, except for `MAY_BE_UNKNOWN`.
+
+    Args:
+        report: the figures.
+        limits: limit of each figure to check, by name.
+        what: name of the model in the error.
     """
     worse = []
     for name, limit in limits.items():
         value = getattr(report, name)
-        if value != value and name in MAY_BE_UNKNOWN:
+        if math.isnan(value) and name in MAY_BE_UNKNOWN:
             continue
-        if not (value <= limit if name in AT_MOST else value >= limit):
+        is_within = value <= limit if name in AT_MOST else value >= limit  # False for NaN
+        if not is_within:
             worse.append(f"{name} {value:.4g} {'>' if name in AT_MOST else '<'} {limit:.4g}")
     if worse:
         raise ExportError(

@@ -1,4 +1,4 @@
-"""Int8 weights of convolutions and matrices, rounded to keep the layer's output.
+"""Rounding of weights of convolutions and matrices to int8, so that the output changes least.
 
 Rounding each weight to its nearest step ignores that a layer's inputs are correlated. GPTQ (Frantar
 et al. 2022, "Accurate post-training quantization for generative pre-trained transformers") rounds
@@ -19,15 +19,16 @@ from edge.host.progress import with_progress
 from exporters.calibration import Feed, tensor_session
 
 DAMPING = 0.01
-"""Share of the mean input power added to the diagonal, for stability in unseen directions."""
+"""Share of the mean input power that is added to the diagonal of the moment, for stability where
+the calibration images have no input."""
 BLOCK = 128
 """Columns that are rounded before the error is spread over all later columns."""
 ROWS_PER_IMAGE = 384
 """Output cells of a layer (tokens, for a matrix) that one image contributes."""
 MAX_LEVEL = 127
-"""Symmetric int8: a stored weight's scale has zero point 0."""
+"""Largest magnitude of an int8 weight; its zero point is 0."""
 CLIP_SHARES = np.linspace(0.7, 1.0, 13)
-"""Range ends to try for a weight's channel, as shares of its largest magnitude."""
+"""Ends of the range to try for a channel of a weight, as shares of its largest magnitude."""
 
 
 def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
@@ -75,12 +76,16 @@ def _sampled_columns(
 
 
 class InputStatistics:
-    """Statistics of a layer's input columns (cells, d), summed over images.
+    """Statistics of a layer's inputs, over all images.
+
+    Args:
+        size: d, the number of inputs that one output depends on.
+        limit: largest magnitude of the input's symmetric 8-bit range; None if unknown.
 
     Attributes:
-        moment: second moment X·Xᵀ, (d, d) float32.
-        mean: mean of the columns, (d,).
-        rounded_mean: mean of the columns in symmetric 8 bits, (d,).
+        moment: (d, d) float32, sum of the products of each two inputs.
+        mean: (d,) mean of the inputs.
+        rounded_mean: (d,) mean of the inputs after rounding to 8 bits; 0 without a limit.
     """
 
     def __init__(self, size: int, limit: float | None) -> None:
@@ -90,6 +95,7 @@ class InputStatistics:
         self._sum, self._rounded_sum = np.zeros(size), np.zeros(size)
 
     def add(self, columns: np.ndarray) -> None:
+        """Add the inputs of some outputs of one image, (outputs, d)."""
         self.moment += columns.T @ columns
         self._count += len(columns)
         self._sum += columns.sum(axis=0)
@@ -98,10 +104,12 @@ class InputStatistics:
 
     @property
     def mean(self) -> np.ndarray:
+        """See the class."""
         return self._sum / self._count
 
     @property
     def rounded_mean(self) -> np.ndarray:
+        """See the class."""
         return self._rounded_sum / self._count
 
 
@@ -152,13 +160,17 @@ def channel_scales(weight: np.ndarray) -> np.ndarray:
 
 
 def _round(values: np.ndarray, scale: np.ndarray | np.floating) -> np.ndarray:
+    """Return the values as integer levels of steps `scale`, at most ±MAX_LEVEL."""
     return np.clip(np.round(values / scale), -MAX_LEVEL, MAX_LEVEL)
 
 
 def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return integer levels (rows, d) of `weight` (rows, d) for steps `scale` (rows, 1).
+    """Return a weight as integer levels (rows, d), rounded by GPTQ.
 
-    `moment` (d, d) is the second moment of the layer's inputs.
+    Args:
+        weight: (rows, d), a row for each output channel.
+        moment: (d, d), see `InputStatistics`.
+        scale: (rows, 1), step of each row.
     """
     diagonal = moment.diagonal()
     damping = DAMPING * diagonal.mean() + 1e-8

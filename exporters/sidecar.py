@@ -9,6 +9,7 @@ from pathlib import Path
 from edge.host.files import write_atomically
 from exporters.files import sha256_of
 
+# Packages whose versions the sidecar has.
 TOOLS = (
     "torch", "ultralytics", "transformers", "onnx", "onnxruntime", "onnxslim", "numpy",
 )  # fmt: skip
@@ -25,6 +26,13 @@ def write_sidecar(
 
     The digest is not in the card, because the file depends on the calibration images and on the
     tools' versions.
+
+    Args:
+        out: the model's file.
+        name: name of its card.
+        parity: figures of its parity; None if it was not measured.
+        weights_sha256: digest of the original weights; None if unknown.
+        calibration_sha256: digest of the calibration images; None without any.
     """
     content = {
         "name": name,

@@ -36,7 +36,7 @@ from exporters.vlm_files import (
     DECODER,
     EMBEDDING,
     VISION,
-    check_variant,
+    compare_and_record,
     files_of_card,
     save_network,
     write_card,
@@ -44,7 +44,7 @@ from exporters.vlm_files import (
 from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
 from exporters.vlm_parity import EncodedImage, LetterComparison, LetterReport, Question, questions
 
-OTHERS = (
+OTHER_FILES = (
     "config.json", "tokenizer.json", "tokenizer_config.json", "preprocessor_config.json",
     "processor_config.json", "chat_template.jinja", "chat_template.json",
 )  # fmt: skip
@@ -99,11 +99,11 @@ FAMILIES = {
 
 
 class TorchReference:
-    """The original model, run by `transformers` as a whole.
+    """The original model, run by `transformers` as a whole; see `vlm_parity.ReferenceModel`.
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
-        merge: height and width of a token in patches.
+        merge: height and width in patches of the part of an image that a token stands for.
     """
 
     def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
@@ -176,6 +176,7 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
     processor = _image_processor(folder, family)
 
     def prepare(rgb: np.ndarray) -> dict[str, np.ndarray]:
+        """See `Networks.prepare`."""
         if family.threefold:
             found = processor(images=[rgb], return_tensors="np")
             return {"pixel_values": found["pixel_values"], "grid_thw": found["image_grid_thw"]}
@@ -213,9 +214,9 @@ def export(args: Any) -> dict[str, LetterReport]:
         ExportError: the folder or the images cannot be used, or the parity misses its limits.
     """
     name = f"{args.card}-fp32"
-    if others := [p for p in args.precision if p != "fp32"]:
+    if derived := [p for p in args.precision if p != "fp32"]:
         raise ExportError(
-            f"--precision: got {others[0]!r:.60}, but from a folder only fp32 can be made; then "
+            f"--precision: got {derived[0]!r:.60}, but from a folder only fp32 can be made; then "
             "run "
             f"`edge models export {name} --quantize --precision P --calibration PICTURES`"
         )
@@ -227,7 +228,7 @@ def export(args: Any) -> dict[str, LetterReport]:
         hugging_face.check_tokens(args.weights, used, networks.text.vocab_size)
     original = TorchReference(model, networks.prepare)
     shown = [original.show(read_rgb(path)) for path in validation] or [original.show(_noise())]
-    exam = LetterComparison(original, shown, asked)
+    comparison = LetterComparison(original, shown, asked)
     folder = args.cache / args.card
     (folder / "onnx").mkdir(parents=True, exist_ok=True)
     digest = hugging_face.weights_sha256(args.weights)
@@ -236,7 +237,9 @@ def export(args: Any) -> dict[str, LetterReport]:
         files = [
             save_network(onnx.load(path), folder / "onnx" / path.name) for path in traces.values()
         ]
-    report = check_variant(files, "fp32", name, exam, "torch", not args.no_gate, (digest, None))
+    report = compare_and_record(
+        files, "fp32", name, comparison, "torch", not args.no_gate, (digest, None)
+    )
     card = {
         "name": name, "task": "choice", "family": args.family or args.card,
         "license": args.license or hugging_face.license_of(args.weights),
@@ -254,8 +257,8 @@ def _noise() -> np.ndarray:
 
 
 def _copy_others(folder: Path, out: Path, digest: str) -> list[str]:
-    """Copy the files of `OTHERS` and write their sidecars; return their names."""
-    found = [name for name in OTHERS if (folder / name).is_file()]
+    """Copy the files of `OTHER_FILES` and write their sidecars; return their names."""
+    found = [name for name in OTHER_FILES if (folder / name).is_file()]
     for name in found:
         write_atomically(out / name, read_regular(folder / name))
         write_sidecar(out / name, name, None, digest)
@@ -271,23 +274,24 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     """
     layers = networks.text.num_hidden_layers
     heads, size = cache_shape(networks.text)
-    n, before = TRACED_TOKENS, TRACED_PAST
-    pasts = [f"{i}.{kind}" for i in range(layers) for kind in ("key", "value")]
-    places = torch.arange(before, before + n)[None]
-    rank = {0: "batch", 1: "tokens"}
+    n, n_past = TRACED_TOKENS, TRACED_PAST
+    cached_names = [f"{i}.{kind}" for i in range(layers) for kind in ("key", "value")]
+    positions = torch.arange(n_past, n_past + n)[None]
+    past_prefix, present_prefix = CACHED
+    batch_and_tokens = {0: "batch", 1: "tokens"}  # names of the dynamic axes
     decoder = {
         "inputs_embeds": torch.zeros(1, n, networks.text.hidden_size),
-        "attention_mask": torch.ones(1, before + n, dtype=torch.int64),
-        "position_ids": places[None].expand(3, 1, n) if networks.threefold else places,
-        **{CACHED[0] + name: torch.zeros(1, heads, before, size) for name in pasts},
+        "attention_mask": torch.ones(1, n_past + n, dtype=torch.int64),
+        "position_ids": positions[None].expand(3, 1, n) if networks.threefold else positions,
+        **{past_prefix + name: torch.zeros(1, heads, n_past, size) for name in cached_names},
     }
     decoder_axes = {
-        "inputs_embeds": rank,
+        "inputs_embeds": batch_and_tokens,
         "attention_mask": {0: "batch", 1: "all_tokens"},
-        "position_ids": {1: "batch", 2: "tokens"} if networks.threefold else rank,
+        "position_ids": {1: "batch", 2: "tokens"} if networks.threefold else batch_and_tokens,
         "logits": {0: "batch"},
-        **{CACHED[0] + name: {0: "batch", 2: "past_tokens"} for name in pasts},
-        **{CACHED[1] + name: {0: "batch", 2: "all_tokens"} for name in pasts},
+        **{past_prefix + name: {0: "batch", 2: "past_tokens"} for name in cached_names},
+        **{present_prefix + name: {0: "batch", 2: "all_tokens"} for name in cached_names},
     }
     image = {key: torch.from_numpy(value) for key, value in networks.prepare(_noise()).items()}
     vision_axes = {
@@ -296,18 +300,19 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     if networks.threefold:
         vision_axes = {"pixel_values": {0: "patches"}, "image_features": {0: "rows"}}
     tokens = {"input_ids": torch.zeros(1, n, dtype=torch.int64)}
-    presents = tuple(CACHED[1] + name for name in pasts)
-    wanted = {
+    presents = tuple(present_prefix + name for name in cached_names)
+    # Network, example inputs, names of the outputs, dynamic axes.
+    jobs = {
         VISION: (networks.vision, image, ("image_features",), vision_axes),
         EMBEDDING: (
             networks.embedding, tokens, ("inputs_embeds",),
-            {"input_ids": rank, "inputs_embeds": rank},
+            {"input_ids": batch_and_tokens, "inputs_embeds": batch_and_tokens},
         ),
         DECODER: (networks.decoder, decoder, ("logits", *presents), decoder_axes),
     }  # fmt: skip
     with TemporaryDirectory(prefix="edge-export-") as temporary:
         paths = {}
-        for name, (module, inputs, outputs, free) in wanted.items():
+        for name, (module, inputs, outputs, free) in jobs.items():
             print(f"{name}: tracing", file=sys.stderr)
             paths[name] = Path(temporary) / name / f"{name}.onnx"
             paths[name].parent.mkdir()

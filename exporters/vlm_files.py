@@ -1,4 +1,7 @@
-"""The three files of a vision-language model: saved, compared and named by a card."""
+"""The three ONNX files of a vision-language model: how they are saved, checked and named in a card.
+
+`exporters.vlm` makes them in FP32, `exporters.vlm_quantize` in other precisions.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ LIMITS = {
     "q4": {"cosine": 0.9, "rank_agreement": 0.8},
     "q4f16": {"cosine": 0.999, "rank_agreement": 0.8},
 }
-"""Least figures of `LetterReport`, by precision."""
+"""Smallest allowed figures of `LetterReport`, by precision."""
 ONE_FILE_BYTES = 2_000_000_000
 """Larger weights go into a separate file: protocol buffers end at 2 GiB."""
 
@@ -55,22 +58,24 @@ def save_network(model: onnx.ModelProto, out: Path) -> list[Path]:
     return [out, data]
 
 
-def check_variant(
+def compare_and_record(
     files: list[list[Path]],
     precision: str,
     name: str,
-    exam: LetterComparison,
+    comparison: LetterComparison,
     against: str,
     gate: bool,
     digests: tuple[str | None, str | None],
 ) -> LetterReport:
     """Compare three files with the model that they were made from, and write their sidecars.
 
+    The model answers questions with letters; the files' answers are compared with its own.
+
     Args:
         files: for each network its file, and its weight files.
         precision: precision of the files; selects the limits.
         name: name of the card.
-        exam: the comparison.
+        comparison: questions with the answers of that model.
         against: name of the reference.
         gate: if True, raise ExportError if the parity misses its limits.
         digests: digest of the weights, and of the calibration images, if known.
@@ -78,7 +83,7 @@ def check_variant(
     Raises:
         ExportError: the parity misses its limits, and `gate` is True.
     """
-    report = exam.compare(OnnxPipeline([network for network, *_ in files]))
+    report = comparison.compare(OnnxPipeline([network for network, *_ in files]))
     print(f"{name} against {against}:\n{report.table()}", file=sys.stderr)
     if gate:
         check_limits(report, LIMITS[precision], name)

@@ -10,15 +10,17 @@ import torch
 from torch import Tensor, nn
 
 MASKED = -1e4
-"""Added to the score of masked positions. -inf would overflow in float16."""
+"""Added to the attention score of positions that must not be seen. -inf would overflow in
+float16."""
 
 
 class Decoder(nn.Module):
-    """Decoder that continues from cached tokens.
+    """Language model that continues from cached tokens.
 
-    Inputs: `inputs_embeds` (b, n, d), `attention_mask` (b, past + n), `position_ids` (b, n), or (3,
-    b, n) for positions of three numbers, and for each layer keys and values (b, heads, past, size).
-    Outputs: `logits` (b, 1, v) of the last token, and keys and values (b, heads, past + n, size).
+    Inputs: `inputs_embeds` (b, n, d) of n new tokens, `attention_mask` (b, past + n),
+    `position_ids` (b, n), or (3, b, n) for positions of three numbers, and for each layer keys and
+    values (b, heads, past, size). Outputs: `logits` (b, 1, v) of the last token, and keys and
+    values (b, heads, past + n, size).
 
     Published decoders give the logits of every token. Only the last ones are used, and for a long
     prompt the others cost much time and memory.
@@ -48,7 +50,11 @@ class Decoder(nn.Module):
 
 
 class _Cache:
-    """Keys and values of earlier tokens, with the new ones appended."""
+    """Keys and values of earlier tokens, with the new ones appended; a `transformers.Cache`.
+
+    Attributes:
+        present: keys and values of each layer in turn, with the new tokens.
+    """
 
     def __init__(self, past: tuple[Tensor, ...]) -> None:
         self._past = past
@@ -78,9 +84,9 @@ class Embedding(nn.Module):
 class Idefics3Vision(nn.Module):
     """Vision encoder of Idefics3 and SmolVLM.
 
-    Inputs: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w) bool. Output:
-    `image_features` (b·i, tokens, d). A patch counts if any of its pixels counts. Images of padding
-    only are not removed, since a scorer shows one image.
+    Inputs: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w) bool, False for
+    padding. Output: `image_features` (b·i, tokens, d). A patch counts if any of its pixels counts.
+    Images of padding only are not removed, since a scorer shows one image.
     """
 
     def __init__(self, model: nn.Module) -> None:
@@ -119,7 +125,10 @@ class _Idefics3Places(nn.Module):
         return (places * seen.to(torch.int64)).flatten(1)
 
     def _along(self, seen: Tensor) -> Tensor:
-        """Return the position, of `side`, of each patch of a row or column, (images, n)."""
+        """Return the position of each patch along one axis, 0 to `side` - 1, (images, n).
+
+        `seen` (images, n) is 1 for the visible patches, which are spread evenly over the positions.
+        """
         step = 1.0 / seen.sum(dim=1, keepdim=True)
         share = torch.arange(seen.shape[1]).to(torch.float32)[None] * step
         share = share.clamp(max=1.0 - 1e-6)
@@ -183,5 +192,6 @@ def _attend(attention: nn.Module, x: Tensor, rotation: tuple[Tensor, Tensor]) ->
 
 
 def _half_turned(x: Tensor) -> Tensor:
+    """Turn the pairs (i, i + size / 2) of the last axis by 90 degrees, for a rotary embedding."""
     first, second = x.chunk(2, dim=-1)
     return torch.cat((-second, first), dim=-1)

@@ -1,7 +1,7 @@
 """Parity check of vision-language models: answers of three ONNX files compared with the original's.
 
-Only the logits of the letters after an image and a question are compared, since the service reads
-no others (`scoring/choice`).
+The model answers a question about an image with a letter. Only the logits of the letters are
+compared, since the service reads no others (`edge/perception/scoring/choice`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from exporters.onnx_format import cpu_session
 from exporters.reports import Report
 
 TARGETS = ("chair", "refrigerator", "bed")
-"""Targets that are asked for."""
+"""Targets of the questions."""
 MARKS = 4
 """Directions that a question offers; one more letter stands for elsewhere."""
 _SPELLINGS = ("{}", "Ġ{}", "▁{}")
@@ -35,7 +35,7 @@ class Question:
     Attributes:
         before: tokens before the image.
         after: tokens after the image.
-        letters: tokens of the answers.
+        letters: token of each letter that may be the answer.
         image: placeholder token of the image.
     """
 
@@ -81,7 +81,7 @@ def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge:
         ids: (1, n) tokens.
         image: placeholder token of the image.
         grid: (1, 3) size of the image in patches; None for plain positions.
-        merge: height and width of a token in patches.
+        merge: see `ReferenceModel`.
 
     Returns:
         (1, n) int64; with a grid (3, 1, n).
@@ -93,10 +93,11 @@ def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge:
     shape = (time, rows // merge, columns // merge)
     first = int(np.flatnonzero(ids[0] == image)[0])
     count = int(np.prod(shape))
-    places = np.tile(np.arange(n, dtype=np.int64), (3, 1))
-    places[:, first : first + count] = first + np.indices(shape).reshape(3, -1)
-    places[:, first + count :] = np.arange(n - first - count) + first + max(shape)
-    return places[:, None]
+    positions = np.tile(np.arange(n, dtype=np.int64), (3, 1))
+    positions[:, first : first + count] = first + np.indices(shape).reshape(3, -1)
+    # The text goes on after the largest number of the image.
+    positions[:, first + count :] = np.arange(n - first - count) + first + max(shape)
+    return positions[:, None]
 
 
 class EncodedImage(NamedTuple):
@@ -120,7 +121,7 @@ class ReferenceModel(Protocol):
     """Reference of a comparison: a model of `transformers`, or its FP32 files.
 
     Attributes:
-        merge: height and width of a token in patches.
+        merge: height and width in patches of the part of an image that a token stands for.
     """
 
     merge: int
@@ -131,7 +132,7 @@ class ReferenceModel(Protocol):
 
 
 class OnnxPipeline:
-    """Pipeline of three ONNX files on the CPU.
+    """The three ONNX files of a model, run one after another on the CPU.
 
     Args:
         files: vision encoder, token embedding, decoder.
@@ -142,6 +143,7 @@ class OnnxPipeline:
 
     @property
     def vision_inputs(self) -> list[str]:
+        """Names of the vision encoder's inputs."""
         return [value.name for value in self._vision.get_inputs()]
 
     def features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
@@ -167,7 +169,7 @@ class OnnxPipeline:
         self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Read more tokens; return logits (v,) of the last one, and the cache for the next call."""
-        past = self._nothing() if past is None else past
+        past = self._empty_cache() if past is None else past
         logits, *present = self._decoder.run(None, self.decoder_feeds(rows, places, past))
         return logits[0, -1], dict(zip(past, present, strict=True))
 
@@ -175,7 +177,7 @@ class OnnxPipeline:
         self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> dict[str, np.ndarray]:
         """Return the decoder's inputs for more tokens."""
-        past = self._nothing() if past is None else past
+        past = self._empty_cache() if past is None else past
         before = next(iter(past.values())).shape[2]
         return {
             "inputs_embeds": rows,
@@ -184,7 +186,8 @@ class OnnxPipeline:
             **past,
         }
 
-    def _nothing(self) -> dict[str, np.ndarray]:
+    def _empty_cache(self) -> dict[str, np.ndarray]:
+        """Return keys and values of no tokens, by the name of the decoder's input."""
         types = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
         return {
             value.name: np.zeros((1, value.shape[1], 0, value.shape[3]), types[value.type])
@@ -199,7 +202,7 @@ class LetterReport(Report):
 
     Attributes:
         questions: number of images times targets.
-        cosine: lowest cosine between two features of an image.
+        cosine: lowest cosine between a feature of an image and the original's.
         same_letter: share of questions with the same answer.
         rank_agreement: share of the pairs of letters in the same order (`encoder_parity`).
         share_error: largest difference of a letter's probability (ViTL eq. 4).
@@ -215,7 +218,13 @@ class LetterReport(Report):
 
 
 class LetterComparison:
-    """Questions about images with the original's answers, to compare candidates with."""
+    """Questions about images with the original's answers, to compare candidates with.
+
+    Args:
+        original: model that answers first.
+        pictures: images, encoded by the original.
+        asked: questions about each image.
+    """
 
     def __init__(
         self, original: ReferenceModel, pictures: list[EncodedImage], asked: list[Question]

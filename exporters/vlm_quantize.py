@@ -1,4 +1,4 @@
-"""Variants of a vision-language model that is here in FP32, pulled or exported.
+"""Variants with fewer bits of a vision-language model whose FP32 files are here.
 
     edge models export NAME-fp32 --quantize --precision q4 int8 --calibration PICTURES
 
@@ -35,7 +35,7 @@ from exporters.vlm_files import (
     ONE_FILE_BYTES,
     VISION,
     bytes_of,
-    check_variant,
+    compare_and_record,
     files_of_card,
     save_network,
     write_card,
@@ -51,14 +51,15 @@ from exporters.vlm_parity import (
 )
 from exporters.weight_only import quantize_weights
 
-FP32, OUT = "fp32", "quantized"  # precision of the source; folder of the variants
+FP32 = "fp32"  # precision of the source
+OUT = "quantized"  # folder of the variants
 PRECISIONS = {
     "fp16": ("fp16", "fp16", "fp16"),
     "int8": ("int8", "int8", "int8"),
     "q4": ("int8", "int8", "q4"),
     "q4f16": ("fp16", "fp16", "q4f16"),
 }
-"""Precisions of the three files, by the card's precision.
+"""Precisions of vision encoder, token embedding and decoder, by the card's precision.
 
 `int8` is static for the vision encoder and weight-only for the others; `q4` is weight-only.
 """
@@ -67,10 +68,10 @@ RECIPES = {
     EMBEDDING: Recipe(),
     DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"layernorm/", r"^/norm/")),
 }
-"""Nodes that stay in float32. In float16 the rotary angle of position 1000 has no fraction left,
-and the square of a decoder's hidden value overflows."""
+"""Nodes that stay in float32, by the network. In float16 the rotary angle of position 1000 has no
+fraction left, and the square of a decoder's hidden value overflows."""
 HALF_PICTURES = 8
-"""Images for the check which of the decoder's values are too large for float16."""
+"""Number of images for the check which of the decoder's values are too large for float16."""
 
 
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
@@ -104,7 +105,8 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     verify_parts(card)
     original = OnnxReference(card)
     asked = questions(card.path, original.image_token)
-    exam = LetterComparison(original, [original.show(read_rgb(path)) for path in validation], asked)
+    shown = [original.show(read_rgb(path)) for path in validation]
+    comparison = LetterComparison(original, shown, asked)
     fp32 = dict(zip(FILES, map(card.path_of, card.networks), strict=True))
     (card.path / OUT).mkdir(exist_ok=True)
     builder = VariantBuilder(fp32, original, asked[0], calibration, card.path / OUT)
@@ -112,8 +114,8 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     reports = {}
     for precision, name in wanted.items():
         files = [builder.make(*part) for part in zip(FILES, PRECISIONS[precision], strict=True)]
-        reports[name] = check_variant(
-            files, precision, name, exam, card.name, not args.no_gate,
+        reports[name] = compare_and_record(
+            files, precision, name, comparison, card.name, not args.no_gate,
             (None, digest_of(calibration)),
         )  # fmt: skip
         card_data = {
@@ -164,16 +166,19 @@ class VariantBuilder:
         return self._made[name, precision]
 
     def _make(self, name: str, precision: str, out: Path) -> list[Path]:
+        """Write the file of a network in a precision; return it and its weight files."""
         fp32, feeds = self._fp32[name], self._feeds[name]
         model = onnx.load(fp32)
-        whole = bytes_of(model) < ONE_FILE_BYTES
-        if name == VISION and precision == "int8" and whole:
+        # A larger model cannot be run to find its ranges: it would have to be one file.
+        fits_one_file = bytes_of(model) < ONE_FILE_BYTES
+        if name == VISION and precision == "int8" and fits_one_file:
             with replace_atomically(out) as temporary:
                 quantize(fp32, temporary, feeds, TRANSFORMER, "int8-cpu")
                 check_format(temporary)
             return [out]
         if precision in ("fp16", "q4f16"):
-            model = to_fp16(model, _kept(model, feeds if whole else [], name), half_ends=CACHED)
+            in_fp32 = _float32_nodes(model, feeds if fits_one_file else [], name)
+            model = to_fp16(model, in_fp32, half_ends=CACHED)
             if precision == "q4f16":
                 model = quantize_weights(model, "q4")
         else:
@@ -181,7 +186,9 @@ class VariantBuilder:
         return save_network(model, out)
 
 
-def _kept(model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str) -> set[str]:
+def _float32_nodes(
+    model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str
+) -> set[str]:
     """Return the nodes that stay in float32; without feeds, only those of the recipe."""
     recipe = RECIPES[name]
     return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))

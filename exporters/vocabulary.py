@@ -23,7 +23,8 @@ from exporters.files import ExportError, exit_on_user_error
 
 DIM = 512
 """Length of an embedding."""
-_METADATA = Path("datasets/metadata")
+_METADATA = Path("datasets/metadata")  # folder in the clone
+# Errors of the readers below if a file is missing or has another content.
 _UNREADABLE = (OSError, EOFError, ValueError, SyntaxError, KeyError, IndexError, TypeError)
 
 

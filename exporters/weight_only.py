@@ -1,4 +1,4 @@
-"""Weight-only INT8 and INT4: weights get few bits, activations stay float.
+"""Weight-only quantization to INT8 or INT4: weights get few bits, activations stay float.
 
 A matrix has a scale for each block of `BLOCK` weights (onnxruntime's MatMulNBits, rounding to
 nearest). An embedding table has a scale for each row and always 8 bits, because its rows are read
@@ -68,6 +68,7 @@ def quantize_tables(model: onnx.ModelProto) -> int:
         scales = numpy_helper.from_array(scale, f"{table.name}_scale")
         table.CopyFrom(numpy_helper.from_array(levels, table.name))
         graph.initializer.append(scales)
+        # In place of the look-up: look up levels and scales, and multiply them.
         name, ids, rows = node.name, node.input[1], node.output[0]
         parts = {part: f"{rows}_{part}" for part in ("levels", "floats", "scales")}
         at = list(graph.node).index(node)
@@ -92,6 +93,7 @@ def _is_table(tensor: onnx.TensorProto | None) -> bool:
 
 
 def _axis(node: onnx.NodeProto) -> int:
+    """Return the axis that a Gather looks up."""
     return next((a.i for a in node.attribute if a.name == "axis"), 0)
 
 

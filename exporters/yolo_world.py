@@ -59,7 +59,7 @@ class YoloWorldDetector(nn.Module):
 
 
 def _gather(sources: list[int], latest: Tensor, outputs: list[Tensor | None]) -> list[Tensor]:
-    """Return the inputs of a layer by layer number; -1 is the layer before."""
+    """Return the outputs of the layers `sources`, by their numbers; -1 is the `latest` layer."""
     return [latest if i == -1 else outputs[i] for i in sources]
 
 

@@ -1,7 +1,7 @@
-"""Checkpoints of training runs: the state, and the identity of the run.
+"""Checkpoints of training runs: files with the state and the identity of a run.
 
-A checkpoint only continues its own run. With other images, another plan or another number of
-processes, no command could make the model again.
+A checkpoint only continues its own run. A model from a run that went on with other images, another
+plan or another number of processes could not be made again by a command.
 
 Keys in addition to the states of the network and the optimizer:
     step: int, number of steps done.
@@ -28,7 +28,7 @@ from edge.host.files import replace_atomically
 from exporters.files import ExportError
 
 SAME = ("ranks", "frames", "device")
-"""Keys that must be equal to continue a run, in addition to the plan's."""
+"""Keys that must be equal to continue a run, in addition to those of the plan."""
 KEYS = ("model", "averaged", "step", "plan", *SAME, "seconds", "torch", "machine")
 """Keys that every checkpoint has."""
 
@@ -37,7 +37,14 @@ Run = dict[str, Any]
 
 
 def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
-    """Return the identity of a run, in types that `torch.load` reads without running code."""
+    """Return the identity of a run, in types that `torch.load` reads without running code.
+
+    Args:
+        plan: the run's plan, a dataclass.
+        frames: number of training images.
+        ranks: number of processes that share each batch.
+        device: as PyTorch names it.
+    """
     return {"plan": asdict(plan), "ranks": ranks, "frames": frames, "device": device}
 
 
@@ -67,7 +74,9 @@ def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
     if not path.is_file():
         return None
     checkpoint = load(path, device)
-    stored, wanted = ({**of["plan"], **{key: of[key] for key in SAME}} for of in (checkpoint, run))
+    stored, wanted = (
+        {**each["plan"], **{key: each[key] for key in SAME}} for each in (checkpoint, run)
+    )
     for key in {**stored, **wanted}:
         if stored.get(key) != wanted.get(key):
             raise ExportError(
@@ -80,7 +89,7 @@ def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
 def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float) -> None:
     """Write a checkpoint atomically; `state` has objects with a `state_dict`."""
     made_by = {"torch": str(torch.__version__), "machine": platform.machine()}
-    checkpoint = {name: thing.state_dict() for name, thing in state.items()}
+    checkpoint = {name: part.state_dict() for name, part in state.items()}
     with replace_atomically(path) as part:
         torch.save({**checkpoint, **run, **made_by, "step": step, "seconds": seconds}, part)
 

@@ -1,4 +1,8 @@
-"""Training step of all networks: AdamW, a learning-rate curve, averaged weights, a checkpoint."""
+"""Training steps, which all our networks share.
+
+A step uses AdamW and a curve of the learning rate. The weights are averaged over the steps, and
+checkpoints are written.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,7 @@ class LearningRates(Protocol):
 
     Attributes:
         rate: peak of the learning rate.
-        decay: weight decay; not for biases, norms and tables.
+        decay: weight decay; not for biases, norms and tables of embeddings.
         warm_up: steps until the peak.
         average: share of the averaged weights that stays in each step.
     """
@@ -61,7 +65,7 @@ class Learner:
             steps: steps of the whole run.
             checkpoint: file to continue from and to write.
             run: identity of the run, see `checkpoints.run_identity`.
-            tables: part of the model without weight decay.
+            tables: part of the model without weight decay, such as tables of embeddings.
             betas: decay rates of AdamW's running means.
 
         Raises:
@@ -123,7 +127,14 @@ def rate(step: int, steps: int, warm_up: int) -> float:
 
 @torch.no_grad()
 def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
-    """Update the exponential mean of weights and norm statistics; faster at first."""
+    """Update the exponential mean of weights and norm statistics; faster at first.
+
+    Args:
+        averaged: model with the mean, changed in place.
+        model: model with the newest weights.
+        keep: share of the mean that stays.
+        step: number of steps so far.
+    """
     keep = min(keep, (1.0 + step) / (20.0 + step))
     pairs = zip(averaged.state_dict().values(), model.state_dict().values(), strict=True)
     for mean, value in pairs:
@@ -136,6 +147,7 @@ def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> No
 def _adamw(
     model: nn.Module, tables: nn.Module | None, pace: LearningRates, betas: tuple[float, float]
 ) -> torch.optim.Optimizer:
+    """Return the optimizer, without weight decay for vectors and `tables`."""
     without_decay = set() if tables is None else set(tables.parameters())
     decaying = [p for p in model.parameters() if p.ndim > 1 and p not in without_decay]
     rest = [p for p in model.parameters() if p.ndim <= 1 or p in without_decay]

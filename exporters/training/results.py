@@ -1,4 +1,4 @@
-"""End of a training run: figures on held-out data, and a file with its card in `models/`."""
+"""Results of a training run: figures for the cards, and files and cards in `models/`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ MODELS = Path(__file__).parents[2] / "models"
 
 
 def auc(score: np.ndarray, right: np.ndarray) -> float:
-    """Return P(a right one scores above a wrong one); ties count half.
+    """Return the area under the ROC curve: P(a right one scores above a wrong one).
 
-    NaN if all are right, or none is.
+    Ties count half. NaN if all are right, or none is.
+
+    Args:
+        score: (n,) float.
+        right: (n,) 1 for right, 0 for wrong.
     """
     _, order, counts = np.unique(score, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]
+    rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]  # from 1; equal scores share the mean
     n = int((right > 0).sum())
     if n in (0, len(right)):
         return float("nan")
@@ -53,6 +57,8 @@ def publish(files: Mapping[str, Path], cards: list[dict[str, Any]], out: Path, n
     for card in cards:
         body = yaml.safe_dump(card, sort_keys=False, width=100)
         contents[f"{card['name']}.yaml"] = f"# {note}\n{body}".encode()
-    with ExitStack() as stack:  # it unwinds in reverse, so the files are put in place first
+    # All are written to temporary files, which get their names when the block ends without an
+    # error, in reverse order: so the files come before the cards.
+    with ExitStack() as stack:
         for name, content in reversed(contents.items()):
             stack.enter_context(replace_atomically(out / name)).write_bytes(content)

@@ -44,7 +44,7 @@ def views_of(rows: list[dict]) -> Views:
 def test_no_views_have_no_labels():
     empty = views_of([])
     assert labels.marks_of(empty).shape == (0, MAX_MARKS, MARK_FIELDS)
-    assert labels.asked(empty).shape == labels.scene(empty).shape == (0, 1)
+    assert labels.is_asked(empty).shape == labels.scene(empty).shape == (0, 1)
 
 
 def test_marks_are_shares_of_the_image_and_zeros_where_there_is_none():
@@ -64,7 +64,7 @@ def test_marks_are_shares_of_the_image_and_zeros_where_there_is_none():
     ],
 )
 def test_what_is_worth_asking(row, asked):
-    assert labels.asked(views_of([row])).item() is asked
+    assert labels.is_asked(views_of([row])).item() is asked
 
 
 @pytest.mark.parametrize(

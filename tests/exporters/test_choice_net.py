@@ -10,7 +10,14 @@ torch = pytest.importorskip("torch", reason="torch is not installed (extra `expo
 pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
-from exporters.training.choice.net import FAR, GRID_HW, NEAR, ChoiceNet, cell_centres, tents  # noqa: E402
+from exporters.training.choice.net import (  # noqa: E402
+    FAR,
+    GRID_HW,
+    NEAR,
+    ChoiceNet,
+    bilinear_weights,
+    cell_centres,
+)
 from exporters.training.choice.training import _with_hidden  # noqa: E402
 
 KINDS, CELLS = 5, GRID_HW[0] * GRID_HW[1]
@@ -41,10 +48,10 @@ def answer(net, images, *rest):
 
 def test_a_place_is_read_from_its_cells_with_weights_that_sum_to_one():
     centres = cell_centres()
-    torch.testing.assert_close(tents(centres), torch.eye(CELLS), atol=1e-5, rtol=0.0)
-    between = tents((centres[:1] + centres[1:2]) / 2)
+    torch.testing.assert_close(bilinear_weights(centres), torch.eye(CELLS), atol=1e-5, rtol=0.0)
+    between = bilinear_weights((centres[:1] + centres[1:2]) / 2)
     torch.testing.assert_close(between[0, :2], torch.tensor([0.5, 0.5]))
-    outside = tents(torch.tensor([[-1.0, 2.0]]))
+    outside = bilinear_weights(torch.tensor([[-1.0, 2.0]]))
     torch.testing.assert_close(outside.sum(-1), torch.ones(1))
 
 

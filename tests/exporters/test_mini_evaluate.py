@@ -19,7 +19,7 @@ from exporters.training.mini.evaluate import (
     IOU,
     Report,
     _average_precision,
-    _counts,
+    _does_count,
     _match,
     _questions,
     check_gate,
@@ -71,9 +71,9 @@ def test_sizes_are_asked_apart_where_a_thing_is_cut_off(x1, kind):
 
 def test_small_and_hidden_things_do_not_count():
     some = things((CHAIR, (0, 0, 11, 40), "red", None), (CHAIR, (0, 0, 12, 40), "red", None))
-    assert _counts(some).tolist() == [False, True]
+    assert _does_count(some).tolist() == [False, True]
     some["visible"] = 0.49
-    assert not _counts(some).any()
+    assert not _does_count(some).any()
 
 
 def test_a_second_box_on_a_thing_is_wrong_and_one_on_a_maybe_is_left_out():
@@ -85,7 +85,7 @@ def test_a_second_box_on_a_thing_is_wrong_and_one_on_a_maybe_is_left_out():
     )
     assert overlaps(boxes[:1], boxes[1:2])[0] < IOU, "both stay, though they are on one thing"
     scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
-    found = _match(boxes, scores, some, _counts(some), CHAIR)
+    found = _match(boxes, scores, some, _does_count(some), CHAIR)
     assert found == [(pytest.approx(0.9), 1), (pytest.approx(0.8), 0), (pytest.approx(0.6), 0)]
 
 

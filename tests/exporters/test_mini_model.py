@@ -14,7 +14,7 @@ from edge.perception.embedding.attributes import AttributeEncoder
 from edge.perception.runtime.cards import load_card, load_detector_card, verify_model
 from edge.types import Observation
 from exporters.training.mini import looks, views
-from exporters.training.mini.evaluate import FLOORS, MAX_BYTES, _counts
+from exporters.training.mini.evaluate import FLOORS, MAX_BYTES, _does_count
 from exporters.training.mini.houses import HELD_OUT
 
 NAME = "mini-house-256x320-int8-cpu"
@@ -71,7 +71,7 @@ def test_it_finds_most_of_what_is_plain_to_see(held_out):
     seen = total = 0
     for picture, objects in zip(rgb, found, strict=True):
         detections = detector.detect(Observation(0, 0, np.eye(4), rgb=picture))
-        plain = objects[_counts(objects) & (objects["pixels"] > 400)]
+        plain = objects[_does_count(objects) & (objects["pixels"] > 400)]
         for thing in plain:
             mine = detections.xyxy_px[detections.class_id == thing["category"] - 1]
             seen += bool(len(mine) and overlaps(mine, thing["box"][None])[0].max() > 0.5)

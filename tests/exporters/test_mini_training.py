@@ -33,8 +33,10 @@ def frames(tmp_path_factory):
     return make_frames(range(4), 2, tmp_path_factory.mktemp("data"))
 
 
-def plan(steps: int, **changes) -> training.Plan:
-    return training.Plan(stages=((steps, HW, 2),), batch=4, warm_up=5, keep_every=5, **changes)
+def plan(steps: int, **changes) -> training.TrainingPlan:
+    return training.TrainingPlan(
+        stages=((steps, HW, 2),), batch=4, warm_up=5, keep_every=5, **changes
+    )
 
 
 def truth(boxes, answers=1, taught=True) -> loss.Labels:

@@ -15,7 +15,7 @@ from exporters.training.prior.__main__ import main
 from exporters.training.prior.counts import count_kinds
 from exporters.training.prior.explorer import Explorer, paths_m
 from exporters.training.prior.house import CELL_M, read_plan
-from exporters.training.prior.samples import Samples, gather, standing
+from exporters.training.prior.samples import Samples, gather, starting_cells
 
 
 def house(*things: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)) -> dict:
@@ -127,7 +127,7 @@ def test_weights_are_found_again():
     samples = samples_of(near, rng.random(8000) < 1 / (1 + np.exp(-odds)))
     fit = learn.cross_fit(samples, 0)
     assert fit is not None
-    assert fit.opinion
+    assert fit.has_opinion
     assert fit.score.auc > 0.7
     weight = fit.beta[:-1]
     assert weight[0] == pytest.approx(0, abs=1e-6)
@@ -145,7 +145,7 @@ def test_of_chance_there_is_no_opinion():
     samples = samples_of(rng.random((2000, 6)) < 0.3, rng.random(2000) < 0.2)
     fit = learn.cross_fit(samples, 0)
     assert fit is not None
-    assert not fit.opinion
+    assert not fit.has_opinion
     assert learn.near_part({0: fit}, tuple("abcdef"))["weight"] == {}
 
 
@@ -179,7 +179,7 @@ def test_a_table_is_learned(houses, tmp_path, capsys):
     assert learned.kind_rooms_with.tolist() == [[0, 100, 100], [100, 0, 0]]
     assert houses.name in json.loads(out.read_text())["source"]
     plan = read_plan(house(("toilet", 1, 1)))
-    assert len(standing(plan)) > 500
+    assert len(starting_cells(plan)) > 500
     samples = gather([plan], learned.things, learned.kinds)
     assert samples.wanted[:, 0].sum() == 0
     assert len(samples.house) == len(samples.found)

@@ -16,7 +16,7 @@ MATCH_IOU = 0.5
 COVERED = 0.5
 """A box is ignored if this share of it lies in an object that does not count."""
 NO, KIND, NAMED = 0, 1, 2
-"""Relation of a label to a prompt: none, a kind of it (armchair to chair), the same name."""
+"""Relation of an object's label to a prompt: none, a kind of it (armchair to chair), same name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,8 @@ class Tally:
         found: number of detected boxes, without the ignored ones.
         hits: number of detected boxes that match a wanted one. Each wanted one is matched at most
             once.
-        error: sum over the hits of |score - reference score| / reference score.
+        error: sum over the hits of |score - reference score| / reference score; 0 if they were
+            matched with the ground truth, which has no scores.
     """
 
     wanted: int = 0
@@ -82,22 +83,22 @@ def _ratio(part: float, whole: int) -> float | None:
     return round(part / whole, 4) if whole else None
 
 
-def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, how: np.ndarray) -> Tally:
+def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.ndarray) -> Tally:
     """Match the boxes of one prompt in one image with the ground truth.
 
-    A box is a hit if it overlaps a free object with the prompt's name by `MATCH_IOU`; it takes the
-    one with the largest overlap. A box without a hit is ignored if it lies in an object of the
-    prompt's name that does not count, or in an object that is a kind of the prompt. Otherwise it is
-    a false detection.
+    A box is a hit if it overlaps an object with the prompt's name by `MATCH_IOU`, and no earlier
+    box has hit that object; of several, it takes the one with the largest overlap. A box without a
+    hit is ignored if it lies in an object of the prompt's name that does not count, or in an object
+    that is a kind of the prompt. Otherwise it is a false detection.
 
     Args:
         xyxy_px: (n, 4) float32, highest score first.
         truth: the objects in this image.
-        how: (labels,) relation of each label to the prompt: NO, KIND or NAMED.
+        relation: (labels,) of each label to the prompt: NO, KIND or NAMED.
     """
-    named = how[truth.label] == NAMED
+    named = relation[truth.label] == NAMED
     wanted = named & truth.counts
-    ignored = (named & ~truth.counts) | (how[truth.label] == KIND)
+    ignored = (named & ~truth.counts) | (relation[truth.label] == KIND)
     iou, share = overlaps(xyxy_px, truth.xyxy_px)
     free, hits, counted = wanted.copy(), 0, 0
     for i in range(len(xyxy_px)):
@@ -127,6 +128,10 @@ def match_to_reference(reference: DetectedBoxes, candidate: DetectedBoxes) -> Ta
 def agreement(reference: list[DetectedBoxes], candidate: list[DetectedBoxes]) -> dict[str, Any]:
     """Compare a variant's boxes with those of its FP32 model, frame by frame.
 
+    Args:
+        reference: boxes of the FP32 model, for each frame.
+        candidate: boxes of the variant.
+
     Returns:
         `recall`, `precision`, `score_error` (mean relative difference of the hits' scores) and
         `boxes` (number of reference boxes).
@@ -144,7 +149,7 @@ def agreement(reference: list[DetectedBoxes], candidate: list[DetectedBoxes]) ->
 def against_truth(
     found: list[DetectedBoxes],
     truth: list[GroundTruthBoxes],
-    answers: np.ndarray,
+    relations: np.ndarray,
     prompts: Sequence[str],
 ) -> dict[str, Any]:
     """Return recall and precision against the ground truth.
@@ -152,7 +157,7 @@ def against_truth(
     Args:
         found: boxes of each image.
         truth: objects of each image.
-        answers: (labels, prompts); see `frames.answers_of`.
+        relations: (labels, prompts); see `frames.relations_of`.
         prompts: the prompts' texts.
 
     Returns:
@@ -162,7 +167,7 @@ def against_truth(
     by_prompt = {
         prompt: sum(
             (
-                match_to_truth(boxes.xyxy_px[boxes.class_id == k], objects, answers[:, k])
+                match_to_truth(boxes.xyxy_px[boxes.class_id == k], objects, relations[:, k])
                 for boxes, objects in zip(found, truth, strict=True)
             ),
             Tally(),

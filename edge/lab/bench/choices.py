@@ -32,27 +32,34 @@ from edge.perception.scoring.choice.question import DetectedObject, Mark, MarkCo
 from edge.text import format_table
 from edge.types import Observation
 
-MEASURE = "edge.lab.bench.measure_choice"
-REFERENCE = "fp32"
+MEASURE = "edge.lab.bench.measure_choice"  # module that measures in its own process
+REFERENCE = "fp32"  # precision of the model that others are compared with
 _MARKS_AT = ((0.2, 0.65, 0.5, 2.0), (0.5, 0.6, 0.0, 4.0), (0.8, 0.65, -0.5, 3.0))
 """Marks of every view: column and row as shares of the image, bearing [rad], distance [m]."""
 _SEEN = 5  # most objects that a question names as seen
-_TARGETS = ("television", "bed", "sink", "sofa")
+_TARGETS = ("television", "bed", "sink", "sofa")  # of the questions, in turn
 _VIEW_S, _LOAD_S = 60.0, 600.0  # time limits of one view, and of loading a model
 _HEADINGS = (
     "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
 )  # fmt: skip
 _RIGHT_M = 0.5
 """A mark is right if the remaining distance from it is at most this much above the best mark's."""
-_ROBOT_M, _REACHED_M, _STEP_M = 0.2, 1.0, 0.1
-"""Radius of the robot, distance from the target at which it stops, step along a bearing."""
+_ROBOT_M = 0.2  # radius of the robot
+_REACHED_M = 1.0  # distance from the target at which it stops
+_STEP_M = 0.1  # step along the line to a mark
 
 Row = dict[str, Any]
+"""Figures of one model on one provider; `why` if there are none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceJob:
-    """Job of a measuring process: the views to show to one model."""
+    """Job of a measuring process: the views to show to one model.
+
+    Attributes:
+        choice: the model and how to run it.
+        views: images with marks, and questions.
+    """
 
     choice: ChoiceOnnx
     views: list[MarkedView]
@@ -77,15 +84,21 @@ class ChoiceMeasurement:
 
 
 Results = list[tuple[DirectionsCard, str, Union[ChoiceMeasurement, str]]]
+"""Each model, its provider, and the measurement or the reason why there is none."""
 
 
 def families() -> list[str]:
-    """Return the families that have a model that chooses directions."""
+    """Return the families that have a choice model."""
     return sorted({card.family for card in all_cards() if isinstance(card, DirectionsCard)})
 
 
 def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
-    """Compare the models of a family without detectors, print the table and save it.
+    """Compare the choice models of a family without detectors, print the table and save it.
+
+    Args:
+        family: the cards' family.
+        args: parsed command line: `providers`, `threads` and `json`.
+        pictures: images to make the views of.
 
     Returns:
         The exit status: 0, or 1 if no model could run.
@@ -104,7 +117,7 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
 
 def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> list[Row]:
-    """Return one row for each model of a family on each provider.
+    """Return one row for each choice model of a family on each provider.
 
     Args:
         family: the cards' family.
@@ -121,7 +134,7 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
     if args.threads is not None:
         settings = settings.model_copy(update={"threads": args.threads})
     results = [
-        (card, on, _measure(card, settings.model_copy(update=_changes(card, on)), views))
+        (card, on, _measure(card, settings.model_copy(update=_settings_of(card, on)), views))
         for on in providers_here(args.providers)
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
@@ -135,16 +148,20 @@ def any_ran(rows: Sequence[Row]) -> bool:
     return any("why" not in row for row in rows)
 
 
-def _changes(card: DirectionsCard, on: str) -> dict[str, object]:
+def _settings_of(card: DirectionsCard, on: str) -> dict[str, object]:
+    """Return the settings that differ between the variants."""
     return {"card": card.name, "providers": PROVIDERS[on]}
 
 
 def views_of(pictures: BenchFrames) -> list[MarkedView]:
-    """Return one view of each image: letters, known objects, and a target not in the image."""
+    """Return one view of each image: its marks, the objects seen, and a target not in the image."""
     views = []
     for k, rgb in enumerate(pictures.rgb):
         h, w = rgb.shape[:2]
-        marks = tuple(Mark(i, u * w, v * h, b, d) for i, (u, v, b, d) in enumerate(_MARKS_AT))
+        marks = tuple(
+            Mark(i, u * w, v * h, bearing_rad, away_m)
+            for i, (u, v, bearing_rad, away_m) in enumerate(_MARKS_AT)
+        )
         truth = None if pictures.truth is None else pictures.truth[k]
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(DetectedObject(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
@@ -167,11 +184,11 @@ def _left_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     inf if the world is unknown or there is no path.
     """
     world = pictures.world
-    things = [o for o in world.objects if names.same_name(o.label, view.target)] if world else []
-    if not things:
+    targets = [o for o in world.objects if names.same_name(o.label, view.target)] if world else []
+    if not targets:
         return [math.inf] * len(view.marks)
     plan, pose = world.plan, pictures.poses[view.observation.seq]
-    field = geodesic.distance_field(plan, things, _ROBOT_M, _REACHED_M)
+    field = geodesic.distance_field(plan, targets, _ROBOT_M, _REACHED_M)
     found = []
     for mark in view.marks:
         yaw_rad, left_m = pose.yaw_rad + mark.bearing_rad, math.inf
@@ -218,6 +235,7 @@ def _row(
     results: Results,
     right: np.ndarray,
 ) -> Row:
+    """Return the row of one result; the reference is among all `results`, `right`: `right_of`."""
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
         return {**row, "why": found}
@@ -299,6 +317,7 @@ def as_text(family: str, rows: Sequence[Row], pictures: BenchFrames) -> str:
 
 
 def _save(family: str, rows: list[Row]) -> Path:
+    """Write the rows into the cache; return the path."""
     stamp = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S")
     path = resources.cache_dir() / "bench" / f"{family}-{stamp}.json"
     save(path, json.dumps({"machine": machine.describe(), "rows": rows}, indent=1).encode())

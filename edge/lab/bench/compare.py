@@ -1,4 +1,8 @@
-"""Comparison of all detector variants on the same frames, each in its own process."""
+"""`edge bench --models`: comparison of all variants of a family on the same frames.
+
+Detectors are compared here, models that choose frontiers in `choices`. Each variant runs in its own
+process. `report` prints and saves the figures.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +32,13 @@ from edge.perception.swap.base import LOAD_TIMEOUT_S
 log = logging.getLogger(__name__)
 
 Results = list[tuple[Variant, Union[DetectorMeasurement, str]]]
-MEASURE = "edge.lab.bench.measure"
-VERSION = 1
-STAGES = ("pre", "session", "post")
+"""Each variant with its measurement, or with the reason why there is none."""
+MEASURE = "edge.lab.bench.measure"  # module that measures in its own process
+VERSION = 1  # of the report's format
+STAGES = ("pre", "session", "post")  # preprocessing, inference, postprocessing
 _FRAME_S = 2.0
-"""Most time that one frame may take, on average."""
-_LIMIT = f"{LOAD_TIMEOUT_S:g} s + {_FRAME_S:g} s a frame"
+"""Longest time that one frame may take, on average."""
+_LIMIT = f"{LOAD_TIMEOUT_S:g} s + {_FRAME_S:g} s a frame"  # as text, for error messages
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
     """
     config = load(args.config)
     family = _family(args.models, config)
-    chooses = family in choices.families()
-    if chooses and family not in families():
+    has_choice_model = family in choices.families()
+    if has_choice_model and family not in families():
         if args.update_cards:
             raise UserError(
                 f"bench --models: --update-cards: {family} has no detector, and only the cards of "
@@ -59,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
     pictures = _pictures(args, config, sizes)
     found = compare(config, todo, pictures, _settings(config, args.threads))
-    found["directions"] = choices.compare(family, args, pictures) if chooses else []
+    found["directions"] = choices.compare(family, args, pictures) if has_choice_model else []
     print(report.as_text(found))
-    if chooses:
+    if has_choice_model:
         print("\n" + choices.as_text(family, found["directions"], pictures))
     print(f"saved to {report.keep(found, args.json)}")
     if args.update_cards:
@@ -124,10 +129,10 @@ class Bench:
 def compare(
     config: Config, todo: Sequence[Variant], pictures: BenchFrames, settings: DetectorOnnx
 ) -> Report:
-    """Run all variants and compute the figures.
+    """Run all variants and return their figures, ready for JSON.
 
-    A variant's boxes are compared with those of its FP32 model of the same input size and, if
-    known, with the ground truth.
+    A variant's boxes are compared with those of its FP32 model of the same input size, and with the
+    ground truth if that is known.
 
     Args:
         config: names the world, the threshold and the report's configuration path.
@@ -177,6 +182,7 @@ def compare(
 
 
 def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
+    """Run all variants one after another."""
     results = []
     for number, variant in enumerate(todo, 1):
         log.info(
@@ -197,14 +203,15 @@ def _row(
     pictures: BenchFrames,
     prompts: tuple[str, ...],
 ) -> dict[str, Any]:
+    """Return the figures of one variant; `results` are those of all, for the comparison."""
     row = {"name": variant.card.name, "on": variant.provider}
     if isinstance(result, str):
         state = "failed" if variant.card.is_here() else "missing"
         return {**row, "state": state, "why": result}
     truth = None
     if pictures.truth is not None:
-        answers = frames.answers_of(pictures.labels, prompts)
-        truth = boxes.against_truth(result.found, pictures.truth, answers, prompts)
+        relations = frames.relations_of(pictures.labels, prompts)
+        truth = boxes.against_truth(result.found, pictures.truth, relations, prompts)
     return {
         **row,
         "state": "ran",
@@ -229,7 +236,7 @@ def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
     """Return min, p50 and p95 [ms] of each of `STAGES`, and of their sum as `all`.
 
     Args:
-        stages_ns: (n, 3) int64.
+        stages_ns: (n, 3) int64, times of `STAGES` for each frame.
     """
     columns = np.column_stack([stages_ns, stages_ns.sum(axis=1)]) / 1e6
     return {
@@ -247,10 +254,10 @@ def _agreement(
 ) -> dict[str, Any] | None:
     """Compare with FP32 of the same size, on the first provider where it ran; None for itself."""
     for other, reference in results:
-        alike = other.card.precision == "fp32" and other.card.input == variant.card.input
-        if alike and isinstance(reference, DetectorMeasurement):
-            itself = reference is result
-            return None if itself else boxes.agreement(reference.found, result.found)
+        is_fp32 = other.card.precision == "fp32" and other.card.input == variant.card.input
+        if is_fp32 and isinstance(reference, DetectorMeasurement):
+            is_itself = reference is result
+            return None if is_itself else boxes.agreement(reference.found, result.found)
     return None
 
 

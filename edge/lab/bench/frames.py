@@ -1,4 +1,4 @@
-"""Images that models are compared on: views of a simulated world, or a folder of images."""
+"""Images on which models are compared: views of a simulated world, or a folder of images."""
 
 from __future__ import annotations
 
@@ -101,19 +101,23 @@ def _truth(
     T_camera_map: np.ndarray,
     min_side_px: float,
 ) -> GroundTruthBoxes:
-    """Return the visible part of each object in the rig's last image.
+    """Return the box around the visible part of each object in the rig's last image.
 
-    An object's id in `rig.ids` is its index + 1.
+    Args:
+        rig: the camera; an object's id in `rig.ids` is its index + 1.
+        world: its objects.
+        labels: all labels, to which `GroundTruthBoxes.label` refers.
+        T_camera_map: (4, 4) transform to the camera's optical frame.
+        min_side_px: objects with a shorter side do not count.
     """
     n = len(world.objects)
     box, pixels, distance = np.empty((n, 4), np.int32), np.empty(n, np.int32), np.empty(n, "f4")
     kernels.object_boxes(rig.ids, rig.depth_m, box, pixels, distance)
     seen = np.flatnonzero(pixels)
     side = box[seen, 2:] - box[seen, :2]
-    whole = np.array([whole_area_px(world.objects[k], T_camera_map, rig) for k in seen])
-    counts = (side.min(axis=1, initial=1 << 16) >= min_side_px) & (
-        side.prod(axis=1) >= MIN_VISIBLE * whole.reshape(-1)
-    )
+    whole_px = np.array([whole_area_px(world.objects[k], T_camera_map, rig) for k in seen])
+    large = side.min(axis=1, initial=1 << 16) >= min_side_px  # `initial` for no objects
+    counts = large & (side.prod(axis=1) >= MIN_VISIBLE * whole_px.reshape(-1))
     index = {label: k for k, label in enumerate(labels)}
     label = np.array([index[world.objects[k].label] for k in seen], np.int32)
     return GroundTruthBoxes(box[seen].astype(np.float32), label, counts)
@@ -121,6 +125,7 @@ def _truth(
 
 def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
     """Return the area [px²] of an object's box in the image, without occlusion or image borders."""
+    # The eight corners of a cube of side 1: bits 0 to 2 of i say on which side.
     signs = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5
     corners = signs * item.size_m
     c, s = math.cos(item.yaw_rad), math.sin(item.yaw_rad)
@@ -175,13 +180,13 @@ def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str,
         logging.disable(logging.NOTSET)
 
 
-def answers_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
+def relations_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
     """Return (labels, prompts) uint8: the relation of each label to each prompt; see `boxes`."""
-    answers = np.full((len(labels), len(prompts)), NO, np.uint8)
+    relations = np.full((len(labels), len(prompts)), NO, np.uint8)
     for i, label in enumerate(labels):
         for j, prompt in enumerate(prompts):
             if names.same_name(label, prompt):
-                answers[i, j] = NAMED
+                relations[i, j] = NAMED
             elif names.is_kind_of(label, prompt):
-                answers[i, j] = KIND
-    return answers
+                relations[i, j] = KIND
+    return relations

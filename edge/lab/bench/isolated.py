@@ -1,6 +1,7 @@
-"""Runner of one measurement in its own process: `python -m MODULE JOB OUT`, both pickled.
+"""Runner of one measurement in its own process: `python -m MODULE JOB OUT`.
 
-The measured time and memory then belong to this model only, and a crash ends only this process.
+JOB and OUT are files with the pickled job and result. The measured time and memory belong to one
+model only, and a crash ends only this process.
 """
 
 from __future__ import annotations
@@ -41,35 +42,35 @@ def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
     return 0
 
 
-def run_isolated(module: str, job: object, limit_s: float, key: str = "") -> Any:
+def run_isolated(module: str, job: object, limit_s: float, origin: str = "") -> Any:
     """Run a measurement in its own process.
 
     Args:
         module: module to run; it must call `main`.
         job: argument of its `measure` function; must be picklable.
         limit_s: the process is killed after this time.
-        key: origin of the limit, for the error message.
+        origin: origin of the limit, for the error message.
 
     Returns:
         The result, or one line of text (str) that says why there is none.
     """
     with private_folder("edge-bench-") as folder:
-        asked, out = folder / "job", folder / "out"
-        asked.write_bytes(pickle.dumps(job))
+        job_file, out = folder / "job", folder / "out"
+        job_file.write_bytes(pickle.dumps(job))
         try:
             done = subprocess.run(
-                [*python_module(module), str(asked), str(out)], stdout=subprocess.PIPE, text=True,
-                errors="replace", check=False, timeout=limit_s,
+                [*python_module(module), str(job_file), str(out)], stdout=subprocess.PIPE,
+                text=True, errors="replace", check=False, timeout=limit_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return f"failed: not done after {limit_s:g} s" + (f" ({key})" if key else "")
+            return f"failed: not done after {limit_s:g} s" + (f" ({origin})" if origin else "")
         if done.returncode:
             return f"failed: {_reason(done)}"
         return pickle.loads(out.read_bytes())
 
 
 def _reason(done: subprocess.CompletedProcess[str]) -> str:
-    """Return why a process ended: its signal, or its last line on stdout."""
+    """Return why a process failed: its signal, its last line on stdout, or its exit code."""
     if done.returncode < 0:
         return f"its process was ended by signal {-done.returncode}"
     lines = done.stdout.split("\n")

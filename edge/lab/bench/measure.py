@@ -66,7 +66,7 @@ class DetectorMeasurement:
 
 
 def measure(job: DetectorJob) -> DetectorMeasurement:
-    """Run the model over all frames."""
+    """Load the model, run it over all frames, and return times, memory and boxes."""
     seen = [Observation(k, k * 100_000_000, np.eye(4), rgb) for k, rgb in enumerate(job.rgb)]
     warmup()  # compile first: the time does not belong to the model
     before_mb, gpu_before_mb = resident_mb(), machine.gpu_memory_mb()
@@ -93,6 +93,7 @@ def measure(job: DetectorJob) -> DetectorMeasurement:
 
 
 def _growth(before: float | None, after: float | None) -> float | None:
+    """Return the difference; None if one of the two is unknown."""
     return None if before is None or after is None else after - before
 
 
@@ -118,7 +119,7 @@ def _clocks() -> tuple[float | None, float, float]:
 def _others_cores(
     before: tuple[float | None, float, float], after: tuple[float | None, float, float]
 ) -> float | None:
-    """Return how many cores other processes kept busy, on average."""
+    """Return how many cores other processes kept busy on average, between two `_clocks`."""
     if before[0] is None or after[0] is None:
         return None
     all_s, own_s, wall_s = (b - a for a, b in zip(before, after, strict=True))

@@ -1,4 +1,4 @@
-"""Output of the comparison: a table for a terminal of 110 columns, a JSON file, the model cards."""
+"""Output of `edge bench --models`: a table on the terminal, a JSON file, and the model cards."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from edge.perception.runtime.cards import card_path
 from edge.perception.runtime.health import WHY_INVALID
 
 Report = dict[str, Any]
+"""Figures of a family's variants, as `compare.compare` returns them."""
 _CARD_WIDTH = 110  # of a line in a model card
 
-# Title of a group of columns, and the number of its columns.
+# Title of a group of the table's columns, and the number of its columns.
 _GROUPS = (
     ("", 2),
     ("latency, ms: p50 (p95)", 4),
@@ -47,14 +48,15 @@ def as_text(report: Report) -> str:
 
 
 def _header(report: Report) -> list[str]:
-    frames, asked = report["frames"], report["prompts"]
+    """Return lines about the frames, the prompts, the settings and the machine."""
+    frames, prompts = report["frames"], report["prompts"]
     sizes = ", ".join(f"{w}x{h}" for h, w in frames["hw"])
     things = f", {frames['things']} things in them" if frames["things"] is not None else ""
     unknown = report["unknown_labels"]
     lacking = f" (no word for {', '.join(unknown)})" if unknown else ""
     lines = [
         f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){things}",
-        f"{len(asked)} prompts{lacking}",
+        f"{len(prompts)} prompts{lacking}",
         f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
         machine.summary(report["machine"]),
     ]
@@ -66,8 +68,10 @@ def _threads(count: int) -> str:
 
 
 def _rows(report: Report) -> list[str]:
+    """Return the lines of the table: titles of the groups, headings, a line for each variant."""
     prefix = f"{report['family']}-"
     rows = [_cells(row, row["name"].removeprefix(prefix)) for row in report["rows"]]
+    # A variant without figures has fewer cells; its reason may be wider than the columns.
     full = [_HEADINGS, *(cells for cells in rows if len(cells) == len(_HEADINGS))]
     widths = [max(len(cells[k]) for cells in full) for k in range(len(_HEADINGS))]
     for k in range(_LEFT):
@@ -76,7 +80,7 @@ def _rows(report: Report) -> list[str]:
 
 
 def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
-    """Return one cell a heading; for a variant without figures: name, provider and reason."""
+    """Return a cell for each heading; for a variant without figures: name, provider and reason."""
     if row["state"] != "ran":
         return (name, row["on"], row["why"])
     times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
@@ -90,6 +94,7 @@ def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """Return a line of the table, with its cells padded to the widths."""
     if len(cells) < len(widths):
         widths = [*widths[:_LEFT], 0]
     left = [cell.ljust(w) for cell, w in zip(cells[:_LEFT], widths, strict=False)]
@@ -98,6 +103,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def _group_line(widths: Sequence[int]) -> str:
+    """Return the line above the headings, with the titles of the groups."""
     parts, start = [], 0
     for title, count in _GROUPS:
         width = sum(widths[start : start + count]) + len(_GAP) * (count - 1)
@@ -107,6 +113,7 @@ def _group_line(widths: Sequence[int]) -> str:
 
 
 def _footnotes(report: Report) -> list[str]:
+    """Return remarks on the speed of the machine, the memory, and invalid boxes."""
     ran = [row for row in report["rows"] if row["state"] == "ran"]
     lines = []
     if again := report["again"]:

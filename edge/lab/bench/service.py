@@ -30,12 +30,13 @@ from edge.loop import stages
 
 log = logging.getLogger("edge.lab.bench.service")
 
-RECORDING_S = 60.0
+RECORDING_S = 60.0  # length of the built-in recording
 _VERSION = 1  # of the built-in recording; a new number makes it again
-_LOG_EVERY_S = 10.0
+_LOG_EVERY_S = 10.0  # recorded time between two lines of progress
 _PLAYER_S = 60.0  # longest wait for the first observation of a recording
 
 Message = tuple[Topic, int, bytes]
+"""Topic, stamp in ns, and payload of a message."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -97,7 +98,7 @@ def run_bench(
             not end.
         Stopped: `stop` was set before the service was ready.
     """
-    began = time.perf_counter() - started_s  # imports are part of getting ready
+    began_s = time.perf_counter() - started_s  # imports are part of getting ready
     from edge.lab.bench import swap as swap_bench
     from edge.launch import open_service, with_free_port
     from edge.loop.runner import loop
@@ -113,27 +114,32 @@ def run_bench(
     raise_if_stopped(stop)
     with ExitStack() as stack:
         playback = stack.enter_context(Playback(recording, config, 1.0, stop))
-        began += playback.read_s
+        began_s += playback.read_s  # reading the recording is not
         playback.check()
         has_topics = playback.has_bus_topics
         for line in () if has_topics else playback.describe_contents():
             log.info("%s", line)
         make_source = None if has_topics else playback.open
         running = stack.enter_context(open_service(config, [], stop=stop, make_source=make_source))
-        ready_s = time.perf_counter() - began
+        ready_s = time.perf_counter() - began_s
         log.info(
             "service ready after %.1f s; playing %s for %g s", ready_s, recording.name, seconds
         )
         if has_topics:
             process = stack.enter_context(player(config, recording, loop=True))
-            over = partial(_is_over, process)
+            is_over = partial(_has_failed, process)
         else:
-            running.clock, over = playback.clock, lambda seen: playback.is_over
-        look = _stopwatch(running.source.counters, over, seconds, stop)
-        swapping = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
-        each = look if swapping is None else lambda: (look(), swapping.beat())
-        loop(running, stop, each=each)
-        swap_figures = None if swapping is None else swapping.figures()
+            running.clock, is_over = playback.clock, lambda seen: playback.is_over
+        stop_in_time = _stopwatch(running.source.counters, is_over, seconds, stop)
+        measured_swap = None if swap is None else swap_bench.SwapBench(running, swap, seconds)
+
+        def after_iteration() -> None:
+            stop_in_time()
+            if measured_swap is not None:
+                measured_swap.after_iteration()
+
+        loop(running, stop, each=after_iteration)
+        swap_figures = None if measured_swap is None else measured_swap.figures()
         report = running.service.latency.report()
         counters = dict(running.source.counters)
         memory_mb = resident_mb()
@@ -166,35 +172,37 @@ def run_bench(
 
 
 def _stopwatch(
-    counters: Mapping[str, int], over: Callable[[bool], bool], seconds: float, stop: threading.Event
+    counters: Mapping[str, int],
+    is_over: Callable[[bool], bool],
+    seconds: float,
+    stop: threading.Event,
 ) -> Callable[[], None]:
-    """Return a function to call after every tick, which ends the measurement.
+    """Return a function to call after every tick, which ends the measurement in time.
 
-    It sets `stop` `seconds` after the first observation.
-
-    It also sets `stop` if the recording is `over`, or takes too long to start.
+    It sets `stop` when `seconds` have passed since the first observation, when the recording is
+    over, or when the recording takes too long to start.
 
     Args:
         counters: the source's counters.
-        over: returns True if no more messages will come; its argument is True after the first
+        is_over: returns True if no more messages will come; its argument is True after the first
             observation.
         seconds: length of the measurement.
         stop: event to set.
     """
     end_s, seen = time.monotonic() + _PLAYER_S, False
 
-    def look() -> None:
+    def stop_in_time() -> None:
         nonlocal end_s, seen
         if not seen and counters.get("observations"):
             end_s, seen = time.monotonic() + seconds, True
-        if time.monotonic() >= end_s or over(seen):
+        if time.monotonic() >= end_s or is_over(seen):
             stop.set()
 
-    return look
+    return stop_in_time
 
 
-def _is_over(player: Popen[bytes], seen: bool) -> bool:
-    """Return True if the player ended before the first observation."""
+def _has_failed(player: Popen[bytes], seen: bool) -> bool:
+    """Return True if the player ended before the first observation was `seen`."""
     return not seen and player.poll() is not None
 
 
@@ -206,6 +214,7 @@ def resident_mb() -> float:
 
 def process_age_s() -> float:
     """Return the time since this process was started (Linux)."""
+    # Field 22 of proc(5), counted from the end of the second one, which may contain spaces.
     start_ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
     uptime_s = float(Path("/proc/uptime").read_text().split()[0])
     return max(0.0, uptime_s - start_ticks / os.sysconf("SC_CLK_TCK"))
@@ -249,7 +258,11 @@ def ensure_recording(
 def _with_progress(
     messages: Iterable[Message], seconds: float, stop: threading.Event | None
 ) -> Iterator[Message]:
-    """Yield the messages, with a log line every few recorded seconds."""
+    """Yield the messages, with a log line every few recorded seconds.
+
+    Raises:
+        Stopped: `stop` was set.
+    """
     first_ns, logged_s = None, 0.0
     for message in messages:
         if stop is not None and stop.is_set():

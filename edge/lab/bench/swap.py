@@ -1,6 +1,6 @@
-"""`edge bench --swap NAME`: measure how a model swap slows the loop, while the loop runs.
+"""`edge bench --swap NAME`: measure how much a swap of the model slows the loop, while it runs.
 
-The table compares the time before the swap with the time from the request to the swap's end.
+The table compares two spans of time: before the swap, and from its request to its end.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from edge.loop.runner import RunningService
 
 
+# Figure → its name in the table, and its format.
 _ROWS = {
     "seconds": ("seconds", ".1f"),
     "ticks": ("ticks", "d"),
@@ -27,15 +28,18 @@ _ROWS = {
     "max_ms": ("tick max ms", ".2f"),
     "longest_ms": ("longest iteration ms", ".1f"),
 }
-"""Figure → its name in the table, and its format.
-
-`lost` counts ticks that the loop missed: whole periods between two of its iterations. `let_go`
-counts observations that a newer one replaced before a tick used them.
-"""
+"""`lost` counts ticks that the loop missed: whole periods between two of its iterations. `let_go`
+counts observations that a newer one replaced before a tick used them."""
 
 
 class SwapBench:
-    """Requests the swap at half time and follows it; call `beat` after every loop iteration."""
+    """Requests the swap at half time, and measures the loop before it and during it.
+
+    Args:
+        running: the running service.
+        model: model to swap to.
+        seconds: length of the whole measurement.
+    """
 
     def __init__(self, running: RunningService, model: str, seconds: float) -> None:
         from edge.perception.runtime.cards import load_detector_card
@@ -50,10 +54,10 @@ class SwapBench:
         self._before: dict[str, Any] = {}
         self._during: dict[str, Any] = {}
 
-    def beat(self) -> None:
-        """Record the end of this iteration; start the swap, or record its end."""
+    def after_iteration(self) -> None:
+        """Record the end of an iteration of the loop; request the swap, or record its end."""
         if self._during or not self._running.source.counters.get("observations"):
-            return
+            return  # the swap has ended, or the measurement has not begun
         now_ns = time.monotonic_ns()
         if not self._first_ns:
             self._first_ns = self._last_ns = now_ns
@@ -85,10 +89,12 @@ class SwapBench:
         return {**swap, "before": self._before, "during": self._during}
 
     def _begin_span(self, now_ns: int) -> None:
+        """Start to count for a new span of time."""
         self._since_ns, self._counts_before = now_ns, self._counts()
         self._longest_ns = self._lost = 0
 
     def _end_span(self, now_ns: int) -> dict[str, Any]:
+        """Return the figures of the span that ends now, with the keys of `_ROWS`."""
         ticks, let_go, images = (
             now - was for now, was in zip(self._counts(), self._counts_before, strict=True)
         )
@@ -109,7 +115,10 @@ class SwapBench:
 
 
 def verdicts(figures: Mapping[str, Any]) -> dict[str, tuple[float, str, float]]:
-    """Return the limits of a swap for `run_bench`: the new model stays, and no tick is lost."""
+    """Return figures of a swap as (value, unit, limit) by name, for `run_bench`.
+
+    The new model must stay, and no tick may be lost.
+    """
     return {
         "swaps given up": (float(figures["state"] != "kept"), "", 0.0),
         "ticks lost by the swap": (float(figures["during"]["lost"]), "", 0.0),

@@ -28,8 +28,8 @@ RUNTIMES = {
     "tensorrt": ("tensorrt",),
 }
 """Packages whose versions matter, by provider."""
-_PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")
-# Its zero points are not 0: TensorRT refuses it, and CUDA has no kernels for it.
+_PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")  # in the order of the table
+# Precisions whose zero points are not 0: TensorRT refuses them, and CUDA has no kernels for them.
 _CPU_ONLY = ("int8-cpu",)
 
 
@@ -82,7 +82,10 @@ def runs_on(card: DetectCard | DirectionsCard, provider: str) -> bool:
 
 
 def providers_here(asked: str | None) -> list[str]:
-    """Return the `PROVIDERS` that this machine has: all, or those of a comma-separated list.
+    """Return the names of `PROVIDERS` to use on this machine.
+
+    Args:
+        asked: comma-separated names; None for all that this machine has.
 
     Raises:
         UserError: no runtime is installed, or it lacks a provider that was asked for.

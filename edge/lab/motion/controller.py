@@ -1,6 +1,7 @@
-"""Reference motion controller as a state machine, without Zenoh and without a clock.
+"""Reference motion controller as a state machine: plans on the published map, drives to goals.
 
-`step` gets the time as an argument. `edge/lab/motion/process.py` runs it as a process.
+It needs no Zenoh and no clock: `step` gets the time as an argument. `edge/lab/motion/process.py`
+runs it as a process.
 """
 
 from __future__ import annotations
@@ -33,27 +34,29 @@ from edge.types import GoalStatus
 
 log = logging.getLogger("edge.lab.motion")
 
-GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15  # a goal within both is reached
+# A goal is reached within both tolerances.
+GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
 NEAR_M = 0.4  # cells within this distance of an obstacle cost more
 LOOKAHEAD_M = 0.45  # distance along the path to the point that the robot aims at
 REPLAN_S = 0.5  # longest time between two plans
 GIVE_UP_NS = 3_000_000_000  # a goal without a path for longer fails
-CONTACT_M = 0.3  # commanded distance without movement after which the robot pushes an obstacle
+CONTACT_M = 0.3  # commanded distance without movement that counts as contact with an obstacle
 AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of `LOOKAHEAD_M`, tried until the straight line is free
 SAFE_M = 0.3  # length of path ahead that must be free in the newest map
 DRIFT_M = 0.4  # farther off the path than this: plan again
-BETTER = 0.85  # a new path must cost less than this share of the old path's rest
-SNAP_M = 0.25  # a goal that a newer map has closed moves at most this far
-CLEAR_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
+BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
+SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
+ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
-ARRIVE = 0.7  # share of the goal tolerance within which the robot stops and turns
-# A standstill, or a contact, this far from the last recovery gets a new recovery.
-AGAIN_M, AGAIN_CONTACT_M = 1.0, 0.3
+ARRIVE_SHARE = 0.7  # share of the goal tolerance within which the robot stops and turns
+# A goal fails if the robot gets stuck again nearer than this to its last recovery: after a
+# standstill, or after a contact.
+REPEAT_M, REPEAT_CONTACT_M = 1.0, 0.3
 STILL_MPS, STILL_RADPS = 0.03, 0.1  # a robot that is not faster stands still
 MIN_CELL_M, MAX_CELL_M = 0.001, 10.0  # limits of a usable map's resolution
-RESTART_NS = 1_000_000_000  # a larger step back in time is a new run, a larger step on is a gap
-REPLACED = 64  # number of replaced goals to remember
+RESTART_NS = 1_000_000_000  # a larger step back in time is a restart, a larger step on is a gap
+MAX_REPLACED = 64  # number of replaced goals to remember
 
 
 class Controller:
@@ -76,40 +79,42 @@ class Controller:
         self._motion = settings.motion
         self._limits = MotionLimits.of(settings.robot)
         self._workspace = astar.Workspace()
-        self._map: costmap.CostMap | None = None
+        self._map: costmap.CostMap | None = None  # the newest one
         self._stuck = StuckDetector(settings.motion.stuck_s)
         self._contact = ContactDetector(CONTACT_M, STUCK_M)
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
-        self._trail = BacktrackPath()
+        self._trail = BacktrackPath()  # the last metres that the robot drove
         self._held_at: SE2 | None = None  # where the last recovery did not move the robot
         self._now_ns: int | None = None
-        self._last = STOP
-        self._goal: SE2 | None = None
-        self._received: tuple[int, SE2] | None = None  # stamp and pose of the newest goal
-        self._replaced: deque[tuple[int, SE2]] = deque(maxlen=REPLACED)
-        self._status: GoalStatus | None = None
-        self._blocked: tuple[float, float] | None = None
+        self._last_command = STOP
+        self._goal: SE2 | None = None  # None: the robot stands
+        self._newest_goal: tuple[int, SE2] | None = None  # stamp and pose, also after its end
+        self._replaced: deque[tuple[int, SE2]] = deque(maxlen=MAX_REPLACED)
+        self._status: GoalStatus | None = None  # of the newest goal
+        self._blocked: tuple[float, float] | None = None  # where this step was held up
         self._start_goal(None)
 
     def _start_goal(self, goal: SE2 | None) -> None:
         """Start with a goal, or with none; reset all state of the goal before."""
         self._goal = goal
-        self._target = (goal.x_m, goal.y_m) if goal else (0.0, 0.0)
+        self._target = (goal.x_m, goal.y_m) if goal else (0.0, 0.0)  # see `_free_target`
         self._arrived = False
         self._recovery: Recovery | None = None
-        self._recovered_at: SE2 | None = None
+        self._last_recovery_at: SE2 | None = None
         self._no_path_since_ns: int | None = None
-        if goal is None:  # not for a new goal: a blocked robot may get one goal after another
+        # Not for a new goal: a blocked robot that gets one goal after another is still stuck.
+        if goal is None:
             self._stuck.reset()
             self._contact.reset()
         self._progress.reset()
         self._drop_path()
 
     def _drop_path(self) -> None:
+        """Forget the path; the next step plans a new one."""
         self._path = np.empty((0, 2))
-        self._index = 0
-        self._planned_ns: int | None = None
+        self._path_index = 0  # of the path's point nearest to the robot
+        self._planned_ns: int | None = None  # None: plan at the next step
 
     @property
     def path_m(self) -> np.ndarray:
@@ -119,7 +124,7 @@ class Controller:
     # -- inputs ---------------------------------------------------------------------------------
 
     def on_map(self, grid: Grid) -> None:
-        """Use a newer map; if it closes the path, plan again at the next step.
+        """Use a newer map; if it blocks the path, plan again at the next step.
 
         Args:
             grid: occupancy grid, inflated by the robot's radius.
@@ -134,21 +139,21 @@ class Controller:
             )
         clearance_m = self._motion.clearance_m
         self._map = costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M)
-        if len(self._path) and not self._path_is_open():
+        if len(self._path) and not self._is_path_free():
             self._planned_ns = None
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
-        """Start a new goal, or answer again for a repeated one."""
+        """Start a new goal, or answer again for a repeated one; return the answers."""
         received = (stamp_ns, goal)
-        if received == self._received:
+        if received == self._newest_goal:
             return [self._status]
         if received in self._replaced:
             return [GoalStatus(stamp_ns, "failed", "replaced by a newer goal")]
         if not _is_finite(goal):
             return [GoalStatus(stamp_ns, "failed", "goal pose is not finite")]
-        if self._received is not None:
-            self._replaced.append(self._received)
-        self._received = received
+        if self._newest_goal is not None:
+            self._replaced.append(self._newest_goal)
+        self._newest_goal = received
         self._start_goal(goal)
         self._status = GoalStatus(stamp_ns, "accepted")
         return [self._status]
@@ -179,12 +184,13 @@ class Controller:
             if self._status is not before or self._blocked is not None:
                 # Report the place once; the stored status does not have it.
                 answers = [replace(self._status, blocked=self._blocked)]
-        self._last = self._limits.ramp(wanted, self._last, dt_s) if wanted.moves else STOP
-        return self._last, answers
+        last = self._last_command
+        self._last_command = self._limits.ramp(wanted, last, dt_s) if wanted.moves else STOP
+        return self._last_command, answers
 
     def pause(self) -> None:
         """Stop outside of a step: keep the goal, and do not count the standstill as being stuck."""
-        self._last = STOP
+        self._last_command = STOP
         self._recovery = None
         self._no_path_since_ns = None
         self._stuck.reset()
@@ -196,7 +202,7 @@ class Controller:
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
             self._start_goal(None)
-            self._received = self._status = self._map = None
+            self._newest_goal = self._status = self._map = None
             self._replaced.clear()
         elif now_ns > last + RESTART_NS:
             self.pause()  # the robot's motion during the gap is unknown
@@ -209,33 +215,39 @@ class Controller:
     def _drive(
         self, goal: SE2, pose: SE2, still: bool, dt_s: float, now_ns: int
     ) -> VelocityCommand:
+        """Return the command of this step: recover, turn to the goal's heading, or drive on."""
         if self._recovery is not None:
             command = self._recovery.step(pose, now_ns)
             if command is not None:
                 return command
-            if self._recovery.is_held(pose):
+            if self._recovery.is_held(pose):  # something behind the robot blocks it
                 self._blocked = pose.ahead(-self._radius_m)
             self._held_at = None if self._recovery.has_moved(pose) else pose
             self._recovery = None
             self._contact.reset()
             self._drop_path()
-        if self._contact.update(pose, self._last.v_mps, dt_s):
-            return self._unstick(pose, AGAIN_CONTACT_M, now_ns)
+        if self._contact.update(pose, self._last_command.v_mps, dt_s):
+            return self._recover(pose, REPEAT_CONTACT_M, now_ns)
         if self._has_arrived(pose):
             command = self._align(goal, pose, still)
         else:
             command = self._travel(pose, now_ns)
-        if self._goal is not None and self._stuck.update(pose, self._last.moves, now_ns):
-            return self._unstick(pose, AGAIN_M, now_ns)
+        if self._goal is not None and self._stuck.update(pose, self._last_command.moves, now_ns):
+            return self._recover(pose, REPEAT_M, now_ns)
         return command
 
     def _has_arrived(self, pose: SE2) -> bool:
-        """Return True near the goal, with hysteresis, so that turning does not restart driving."""
-        tolerance = GOAL_TOLERANCE_M * (1.0 if self._arrived else ARRIVE)
+        """Return True near the goal.
+
+        The tolerance is larger once the robot has arrived, so that turning there does not restart
+        driving.
+        """
+        tolerance = GOAL_TOLERANCE_M * (1.0 if self._arrived else ARRIVE_SHARE)
         self._arrived = pose.distance_to(*self._target) <= tolerance
         return self._arrived
 
     def _align(self, goal: SE2, pose: SE2, still: bool) -> VelocityCommand:
+        """Turn to the goal's heading; the goal is reached when the robot stands still there."""
         error = abs(wrap_angle(goal.yaw_rad - pose.yaw_rad))
         if still and error <= YAW_TOLERANCE_RAD:
             self._finish("reached")
@@ -246,6 +258,7 @@ class Controller:
         )
 
     def _travel(self, pose: SE2, now_ns: int) -> VelocityCommand:
+        """Drive along the path; plan first if it is time for that."""
         if self._is_plan_due(pose, now_ns):
             self._plan(pose, now_ns)
         if self._goal is None or not len(self._path):
@@ -260,12 +273,13 @@ class Controller:
         """Aim as far along the path as a straight line is free."""
         here = (pose.x_m, pose.y_m)
         escaping = not self._map.is_free(*here)
-        ahead = self._path[self._index : index_ahead(self._path, self._index, SAFE_M) + 1]
+        ahead = self._path[self._path_index : index_ahead(self._path, self._path_index, SAFE_M) + 1]
+        # Stop before a newly blocked path. A robot in blocked cells must drive to get out of them.
         if not escaping and math.isinf(smoothing.polyline_cost_m(self._map, ahead)):
             self._planned_ns = None
             return STOP
         for fraction in AIM_FRACTIONS:
-            k = index_ahead(self._path, self._index, fraction * LOOKAHEAD_M)
+            k = index_ahead(self._path, self._path_index, fraction * LOOKAHEAD_M)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
             command = pursue(pose, *aim, remaining_m, self._limits)
             if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
@@ -278,8 +292,8 @@ class Controller:
         return VelocityCommand(command.v_mps * scale, command.w_radps * scale)
 
     def _is_clear(self, pose: SE2, command: VelocityCommand) -> bool:
-        """Return True if the arc of a command stays on free cells at all times of `CLEAR_S`."""
-        for t_s in CLEAR_S:
+        """Return True if the arc of a command stays on free cells at all times of `ARC_TIMES_S`."""
+        for t_s in ARC_TIMES_S:
             yaw = pose.yaw_rad + 0.5 * command.w_radps * t_s
             x = pose.x_m + command.v_mps * t_s * math.cos(yaw)
             y = pose.y_m + command.v_mps * t_s * math.sin(yaw)
@@ -288,43 +302,50 @@ class Controller:
         return True
 
     def _remaining_m(self, pose: SE2) -> float:
-        near = self._path[: index_ahead(self._path, self._index, 4 * LOOKAHEAD_M) + 1]
-        self._index = nearest_index(near, pose.x_m, pose.y_m, self._index)
-        return length_m(self._path[self._index :]) + pose.distance_to(*self._path[self._index])
+        """Update `_path_index` for a pose; return the length of the path from there."""
+        near = self._path[: index_ahead(self._path, self._path_index, 4 * LOOKAHEAD_M) + 1]
+        self._path_index = nearest_index(near, pose.x_m, pose.y_m, self._path_index)
+        rest = self._path[self._path_index :]
+        return length_m(rest) + pose.distance_to(*rest[0])
 
     # -- planning -------------------------------------------------------------------------------
 
     def _is_plan_due(self, pose: SE2, now_ns: int) -> bool:
+        """Return True if the last plan is too old, or the robot is too far from its path."""
         if self._planned_ns is None or now_ns - self._planned_ns >= REPLAN_S * 1e9:
             return True
-        return len(self._path) > 0 and pose.distance_to(*self._path[self._index]) > DRIFT_M
+        return len(self._path) > 0 and pose.distance_to(*self._path[self._path_index]) > DRIFT_M
 
-    def _path_is_open(self) -> bool:
-        """Return True if the newest map leaves the rest of the path free, but for its start."""
-        rest = self._path[self._index :]
+    def _is_path_free(self) -> bool:
+        """Return True if the rest of the path is free in the newest map.
+
+        Blocked cells at its start do not count: the robot is in them and drives out.
+        """
+        rest = self._path[self._path_index :]
         free = [self._map.is_free(*point) for point in rest]
         return any(free) and all(free[free.index(True) :])
 
     def _plan(self, pose: SE2, now_ns: int) -> None:
-        """Plan a path; keep the old one unless it is closed or clearly worse."""
+        """Plan a path; keep the old one unless it is blocked or clearly worse."""
         self._planned_ns = now_ns
         if self._map is None:
             self._on_no_path("no map", now_ns)
             return
-        self._target = self._open_target()
+        self._target = self._free_target()
         found = astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
-        old_cost = self._rest_cost(pose)
+        old_cost = self._remaining_cost_m(pose)
         if found.ok:
             self._no_path_since_ns = None
             path = smoothing.smooth(self._map, found.path_m)
-            if smoothing.polyline_cost_m(self._map, path) < BETTER * old_cost or found.escape_m:
-                self._path, self._index = path, 0
+            is_better = smoothing.polyline_cost_m(self._map, path) < BETTER_SHARE * old_cost
+            if is_better or found.escape_m:
+                self._path, self._path_index = path, 0
         elif math.isinf(old_cost):
-            self._path, self._index = np.empty((0, 2)), 0
+            self._path, self._path_index = np.empty((0, 2)), 0
             self._on_no_path(found.reason, now_ns)
 
-    def _open_target(self) -> tuple[float, float]:
-        """Return the goal, or the nearest free cell if a newer map has closed it."""
+    def _free_target(self) -> tuple[float, float]:
+        """Return the goal, or the nearest free cell if a newer map has blocked it."""
         goal = (self._goal.x_m, self._goal.y_m)
         cell = self._map.cell_of(*goal)
         if cell is None or self._map.weight[cell] != 0:
@@ -335,39 +356,43 @@ class Controller:
         x, y = self._map.metres_of(np.array([cell[1] + 0.5, cell[0] + 0.5]))
         return float(x), float(y)
 
-    def _rest_cost(self, pose: SE2) -> float:
-        """Return the cost of the remaining path; inf if it is empty, closed or far away."""
+    def _remaining_cost_m(self, pose: SE2) -> float:
+        """Return the cost of the rest of the path.
+
+        It is inf if the path is empty, blocked, far away, or leads to another target.
+        """
         if not len(self._path) or math.dist(self._path[-1], self._target) > 1e-6:
             return math.inf
-        if pose.distance_to(*self._path[self._index]) > DRIFT_M:
+        if pose.distance_to(*self._path[self._path_index]) > DRIFT_M:
             return math.inf
-        return smoothing.polyline_cost_m(self._map, self._path[self._index :])
+        return smoothing.polyline_cost_m(self._map, self._path[self._path_index :])
 
     # -- failures and recovery --------------------------------------------------------------------
 
     def _on_no_path(self, reason: str, now_ns: int) -> None:
-        """Handle a missing path: wait for a better map, at most `GIVE_UP_NS`."""
+        """Handle a missing path: wait for a better map, at most `GIVE_UP_NS`, then fail."""
         if self._no_path_since_ns is None or now_ns < self._no_path_since_ns:
             self._no_path_since_ns = now_ns
         elif now_ns - self._no_path_since_ns >= GIVE_UP_NS:
             self._finish("failed", reason)
 
-    def _unstick(self, pose: SE2, again_m: float, now_ns: int) -> VelocityCommand:
-        """Back up or turn once; fail at a second standstill within `again_m`."""
-        if self._last.v_mps != 0.0:
-            self._blocked = pose.ahead(math.copysign(self._radius_m, self._last.v_mps))
-        last = self._recovered_at
-        if last is not None and pose.distance_to(last.x_m, last.y_m) < again_m:
+    def _recover(self, pose: SE2, repeat_m: float, now_ns: int) -> VelocityCommand:
+        """Start a recovery; fail if the last one was nearer than `repeat_m`."""
+        if self._last_command.v_mps != 0.0:
+            self._blocked = pose.ahead(math.copysign(self._radius_m, self._last_command.v_mps))
+        last = self._last_recovery_at
+        if last is not None and pose.distance_to(last.x_m, last.y_m) < repeat_m:
             self._finish("failed", "stuck")
             return STOP
         log.info("robot stuck at (%.2f, %.2f) m: backing up or turning", pose.x_m, pose.y_m)
-        self._recovered_at, held = pose, self._held_at
+        self._last_recovery_at, held = pose, self._held_at
         held_here = held is not None and pose.distance_to(held.x_m, held.y_m) < AGAIN_CONTACT_M
         trail = None if held_here else self._trail
         self._recovery = Recovery(pose, self._map, trail, self._limits, now_ns)
         return STOP
 
     def _finish(self, state: str, reason: str = "") -> None:
+        """End the goal as "reached" or "failed"."""
         self._status = GoalStatus(self._status.stamp_ns, state, reason)
         self._start_goal(None)
 

@@ -35,14 +35,14 @@ T = TypeVar("T")
 
 ODOMETRY_LOST_S = 1.0  # without odometry for longer, the robot stops
 MAP_LOST_S = 3.0  # without a map for longer, the robot stops; or three map periods, if that is more
-_PAUSE_S = 0.0003  # between two reads of the rings, in lockstep
-# Number of newest messages to keep, by topic.
+_PAUSE_S = 0.0003  # between two reads of the messages, in lockstep
+# Number of unread messages to keep, the newest ones, by topic.
 _RINGS = {topics.MAP: 1, topics.GOAL: 8, topics.ODOMETRY: 64, topics.TICK: 16}
 _MAX_JSON = 4096  # bytes of a message
 
 
 def main(config: Config, stop: threading.Event) -> int:
-    """Run until `stop` is set; return the exit status."""
+    """Run the controller until `stop` is set; return the exit status."""
     run_unless_stopped(partial(warm_up, config), stop)
     with zenoh_session(
         config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep
@@ -94,19 +94,20 @@ class Bus:
 
     def read(self, topic: Topic, decode: Callable[[bytes], T]) -> list[T]:
         """Return the messages since the last call, oldest first; count unreadable ones."""
-        read = []
+        decoded = []
         for sample in self._rings[topic].take():
             try:
                 if len(sample.payload) > self._max_bytes:
                     raise ValueError(
                         f"{len(sample.payload)} bytes are more than source.max_message_mb allows"
                     )
-                read.append(decode(sample.payload.to_bytes()))
+                decoded.append(decode(sample.payload.to_bytes()))
             except ValueError as error:
-                self._count(topic, error)
-        return read
+                self._count_malformed(topic, error)
+        return decoded
 
-    def _count(self, topic: Topic, error: Exception) -> None:
+    def _count_malformed(self, topic: Topic, error: Exception) -> None:
+        """Count an unreadable message; log the first one of each topic."""
         self.malformed[topic.key] = self.malformed.get(topic.key, 0) + 1
         if self.malformed[topic.key] == 1:
             log.warning(
@@ -115,10 +116,12 @@ class Bus:
                 error,
             )
 
-    def command(self, command: VelocityCommand, stamp_ns: int) -> None:
+    def send_command(self, command: VelocityCommand, stamp_ns: int) -> None:
+        """Publish a command, with the stamp of the odometry that it answers."""
         self._commands.put(messages.encode_twist_stamped(stamp_ns, command.v_mps, command.w_radps))
 
-    def answer(self, answers: list[GoalStatus]) -> None:
+    def send_answers(self, answers: list[GoalStatus]) -> None:
+        """Publish answers to goals."""
         for a in answers:
             data = {"stamp": a.stamp_ns, "state": a.state, "reason": a.reason}
             if a.blocked is not None:
@@ -137,11 +140,12 @@ class Bus:
                 self._map_ns = stamp_ns
                 self.map_heard_s = time.monotonic()
             except ValueError as error:
-                self._count(topics.MAP, error)
+                self._count_malformed(topics.MAP, error)
         for stamp_ns, goal in self.read(topics.GOAL, messages.decode_pose_stamped):
-            self.answer(controller.on_goal(stamp_ns, goal))
+            self.send_answers(controller.on_goal(stamp_ns, goal))
 
     def close(self) -> None:
+        """End all subscriptions and publishers."""
         for ring in self._rings.values():
             ring.close()
         for publisher in (self._commands, self._answers):
@@ -170,7 +174,8 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
     """
     period_s = 1.0 / config.motion.rate_hz
     map_lost_s = max(MAP_LOST_S, 3.0 / config.report.map_hz)
-    stamp_ns, heard_s, is_held = 0, None, False
+    stamp_ns, heard_s = 0, None  # stamp of the newest odometry, and the time at which it came
+    is_held = False  # True while the robot stands because there is no map
     due_s = time.monotonic()
     while not stop.wait(max(due_s - time.monotonic(), 0.0)):
         due_s = max(due_s + period_s, time.monotonic())
@@ -186,11 +191,12 @@ def run(bus: Bus, controller: Controller, stop: threading.Event, config: Config)
         if odometry and odometry[-1].stamp_ns != stamp_ns:
             newest = odometry[-1]
             stamp_ns, heard_s = newest.stamp_ns, time.monotonic()
-            bus.command(*((STOP, stamp_ns) if is_held else _step(bus, controller, newest)))
+            command = STOP if is_held else _step(bus, controller, newest)
+            bus.send_command(command, stamp_ns)
         elif _is_lost(heard_s, ODOMETRY_LOST_S):
-            bus.command(STOP, stamp_ns)
+            bus.send_command(STOP, stamp_ns)
     if heard_s is not None:
-        bus.command(STOP, stamp_ns)
+        bus.send_command(STOP, stamp_ns)
 
 
 def _is_lost(heard_s: float | None, after_s: float) -> bool:
@@ -204,8 +210,8 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
     The service sends a tick after the map and the goal of that tick, so ticks are read first. A
     stamp that comes again (its answer was lost) gets the same command again.
     """
-    last: tuple[VelocityCommand, int] | None = None
-    waiting: dict[int, messages.OdometryMessage] = {}
+    last: tuple[VelocityCommand, int] | None = None  # the last command and its stamp
+    waiting: dict[int, messages.OdometryMessage] = {}  # odometry without an answer, by stamp
     tick_ns: int | None = None
     while not stop.wait(_PAUSE_S):
         ticks = bus.read(topics.TICK, parse_tick)
@@ -215,20 +221,18 @@ def run_lockstep(bus: Bus, controller: Controller, stop: threading.Event) -> Non
         bus.feed(controller)
         if last is not None and (last[1] in ticks or last[1] in waiting):
             waiting.pop(last[1], None)
-            bus.command(*last)
+            bus.send_command(*last)
         if tick_ns in waiting:
-            last = _step(bus, controller, waiting[tick_ns])
+            last = _step(bus, controller, waiting[tick_ns]), tick_ns
             waiting = {t: o for t, o in waiting.items() if t > tick_ns}
-            bus.command(*last)
+            bus.send_command(*last)
         while len(waiting) > _RINGS[topics.ODOMETRY]:
             del waiting[next(iter(waiting))]
 
 
-def _step(
-    bus: Bus, controller: Controller, odometry: messages.OdometryMessage
-) -> tuple[VelocityCommand, int]:
-    """Step and send the answers; return the command and its stamp for the caller to send."""
+def _step(bus: Bus, controller: Controller, odometry: messages.OdometryMessage) -> VelocityCommand:
+    """Run one step of the controller and send its answers; return the command, not yet sent."""
     pose = se2_of(odometry.T_map_base)
     command, answers = controller.step(pose, odometry.v_mps, odometry.w_radps, odometry.stamp_ns)
-    bus.answer(answers)
-    return command, odometry.stamp_ns
+    bus.send_answers(answers)
+    return command

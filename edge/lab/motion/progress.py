@@ -1,4 +1,4 @@
-"""Detection of a robot that drives without progress."""
+"""Detection of a robot that drives without progress, or that pushes against an obstacle."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ _DETOUR_M = 1.0  # a path that is longer by more than this is a detour
 
 
 class ProgressMonitor:
-    """Checks that the remaining path keeps getting shorter.
+    """Checks that the rest of the path keeps getting shorter.
 
     A longer path is a detour that a newer map has forced: it restarts the wait. At most `DETOURS`
     detours restart it, so that a robot that swings between two paths is detected too.
+
+    Args:
+        wait_s: time without progress that is allowed.
     """
 
     def __init__(self, wait_s: float) -> None:
@@ -21,6 +24,7 @@ class ProgressMonitor:
         self.reset()
 
     def reset(self) -> None:
+        """Start again, for a new goal."""
         self._best_m: float | None = None
         self._since_ns = 0
         self._detours = 0

@@ -21,19 +21,20 @@ HELD_M = 0.05  # a robot that moved less was held
 TURN_RAD = 0.6  # angle to turn, if there is no way back
 TIME_NS = 5_000_000_000  # longest time of an attempt
 FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before driving
-STEP_M, JUMP_M = 0.05, 0.5  # distance of trail points; a longer step is a jump of the pose
-STEPS = 40  # number of trail points
+STEP_M = 0.05  # distance between two points of the trail
+JUMP_M = 0.5  # a longer step is a jump of the pose
+MAX_POINTS = 40  # of the trail
 
 
 class BacktrackPath:
-    """The last metres that the robot drove, without loops.
+    """Trail of the robot: the last metres that it drove, without loops.
 
     Attributes:
-        xy_m: places `STEP_M` apart, oldest first.
+        xy_m: points `STEP_M` apart, oldest first.
     """
 
     def __init__(self) -> None:
-        self.xy_m: deque[tuple[float, float]] = deque(maxlen=STEPS)
+        self.xy_m: deque[tuple[float, float]] = deque(maxlen=MAX_POINTS)
 
     def extend(self, pose: SE2) -> None:
         """Add the pose if the robot moved; start again after a jump.
@@ -53,15 +54,18 @@ class BacktrackPath:
                 self.xy_m.pop()
 
     def back_from(self, pose: SE2) -> list[tuple[float, float]]:
-        """Return the way back from a pose, nearest first, up to the first place `BACK_M` away."""
-        way: list[tuple[float, float]] = []
+        """Return the path back from a pose, nearest point first, to the first point `BACK_M` away.
+
+        The path is empty if the trail is shorter.
+        """
+        path: list[tuple[float, float]] = []
         for at in reversed(self.xy_m):
             away_m = pose.distance_to(*at)
             if away_m >= STEP_M:
-                way.append(at)
+                path.append(at)
             if away_m >= BACK_M:
                 break
-        return way if way and pose.distance_to(*way[-1]) >= BACK_M else []
+        return path if path and pose.distance_to(*path[-1]) >= BACK_M else []
 
 
 class Recovery:
@@ -73,7 +77,7 @@ class Recovery:
     Args:
         pose: pose at which the robot is held up.
         costmap: map to check the straight way on.
-        trail: places it drove before. None: the way back did not move the robot. It then drives
+        trail: the robot's trail. None: the way back did not move the robot. It then drives
             away from the closed cells around it, if the map is free there, else it turns.
         limits: speed limits.
         now_ns: start of the attempt.
@@ -88,12 +92,12 @@ class Recovery:
         now_ns: int,
     ) -> None:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
-        self._way = [] if trail is None else trail.back_from(pose)
-        if not self._way and costmap is not None:
+        self._path = [] if trail is None else trail.back_from(pose)
+        if not self._path and costmap is not None:
             place = _away_from_closed(costmap, pose) if trail is None else pose.ahead(-BACK_M)
-            self._way = [place] if costmap.is_free(*place) else []
-        self._turns = not self._way
-        self._drove_back = False  # in reverse
+            self._path = [place] if costmap.is_free(*place) else []
+        self._turns = not self._path  # the attempt only turns
+        self._drove_back = False  # True once it drove in reverse
 
     def is_held(self, pose: SE2) -> bool:
         """Return True if the attempt drove in reverse and the robot has not moved."""
@@ -110,11 +114,11 @@ class Recovery:
         if self._turns:
             left = TURN_RAD - abs(wrap_angle(pose.yaw_rad - self._start.yaw_rad))
             return None if left <= 0.05 else turn_by(left, self._limits)
-        while self._way and pose.distance_to(*self._way[0]) < STEP_M:
-            self._way.pop(0)
-        if not self._way or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
+        while self._path and pose.distance_to(*self._path[0]) < STEP_M:
+            self._path.pop(0)
+        if not self._path or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
             return None
-        error = pose.bearing_to(*self._way[0])
+        error = pose.bearing_to(*self._path[0])
         reverse = abs(error) > 0.5 * math.pi
         if reverse:
             error = wrap_angle(error + math.pi)

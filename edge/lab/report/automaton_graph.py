@@ -1,7 +1,8 @@
-"""Drawing of an automaton with matplotlib, laid out in columns.
+"""Drawing of a mission's automaton with matplotlib, laid out in columns.
 
-States stand in even columns by rank, and the labels of arrows in odd ones, so no label covers a
-state or another label. `edge.lab.report.dot` writes text for Graphviz, which draws better.
+States stand in even columns, ordered by their distance from the start. The labels of arrows stand
+in odd columns, so no label covers a state or another label. `edge.lab.report.dot` writes text for
+Graphviz, which draws better.
 """
 
 from __future__ import annotations
@@ -26,16 +27,26 @@ if TYPE_CHECKING:
 RADIUS = 15.0  # of a state
 MARGIN = 14.0  # around the page
 ENTRY = 26.0  # length of the entry arrow into the initial state
-LABEL, CAPTION, NOTE = 11.0, 9.2, 10.0  # font sizes: on arrows, under states, under the graph
+LABEL = 11.0  # font size of the labels on arrows
+CAPTION = 9.2  # font size of the lines under states
+NOTE = 10.0  # font size of the note under the graph
 LEADING = 1.25  # height of a line, in font sizes
 MIN_WIDTH = 430.0  # of the page
 GAP = 40.0  # space next to a label, where arrows bend
-FAN = 0.3  # slope of arrows that leave a state in different directions
+FAN = 0.3  # steepness with which arrows spread from a state
+# Colours: forbidden propositions, current state, state without a way to success, other states.
 FORBIDDEN, CURRENT, DEAD, STATE = "#a61e4d", "#1864ab", "#e3e6eb", "#f4f6f9"
 
 
 class ArrowStyle(NamedTuple):
-    """Look of an arrow; arrows with a higher `order` lie on top."""
+    """Look of an arrow.
+
+    Attributes:
+        colour: of the line.
+        width: of the line.
+        ink: colour of the label.
+        order: arrows with a higher one lie on top.
+    """
 
     colour: str
     width: float
@@ -50,8 +61,9 @@ STYLES: dict[Role, ArrowStyle] = {
 }
 
 
-Slot = Union[int, tuple[int, int]]
-"""Item of a column: a node by its number, or a passing arrow as (number, column)."""
+ColumnItem = Union[int, tuple[int, int]]
+"""Item of a column: a state by its index in the scene, or the part of an arrow in this column, as
+(index of the arrow, column)."""
 
 
 class GraphLayout(NamedTuple):
@@ -61,7 +73,7 @@ class GraphLayout(NamedTuple):
         width: of the page.
         height: of the page.
         nodes: (x, y) of each node.
-        routes: points (x, y) of each arrow; its label is at the first one.
+        routes: points (x, y) that each arrow passes between its states; its label is at the first.
         half: half the width of the widest label.
     """
 
@@ -96,30 +108,31 @@ def draw(scene: AutomatonGraph) -> Axes:
 
 def lay_out(scene: AutomatonGraph) -> GraphLayout:
     """Place states, labels and arrow routes: evenly in each column, near their neighbours."""
-    column: dict[Slot, int] = {i: 2 * rank for i, rank in _ranks(scene).items()}
-    near: dict[Slot, list[Slot]] = defaultdict(list)
-    chains: list[list[Slot]] = []
+    column: dict[ColumnItem, int] = {i: 2 * rank for i, rank in _ranks(scene).items()}
+    neighbours: dict[ColumnItem, list[ColumnItem]] = defaultdict(list)
+    chains: list[list[ColumnItem]] = []  # of each arrow: source, parts, target
     for k, arrow in enumerate(scene.arrows):
         first, last = column[arrow.source], column[arrow.target]
         step = 1 if first < last else -1
-        # An arrow takes a slot in each column that it passes, so that nothing lies on it.
+        # An arrow is an item of each column that it passes, so that nothing lies on it.
         passed = [(k, c) for c in range(first + step, last, step)]
-        column.update((slot, slot[1]) for slot in passed)
+        column.update((item, item[1]) for item in passed)
         chains.append([arrow.source, *passed, arrow.target])
         for a, b in pairwise(chains[-1]):
-            near[a].append(b)
-            near[b].append(a)
+            neighbours[a].append(b)
+            neighbours[b].append(a)
     captions = [line for node in scene.nodes for line, _ in _captions(node)]
     lines = max((len(_captions(node)) for node in scene.nodes), default=0)
     label_lines = max((len(arrow.lines) for arrow in scene.arrows), default=1)
     row = max(2 * RADIUS + 16.0 + lines * CAPTION * LEADING, label_lines * LABEL * LEADING + 7.0)
     columns = [[s for s in column if column[s] == c] for c in range(1 + max(column.values()))]
     # Sort each column by the mean height of the neighbours: forwards, backwards, forwards.
-    y: dict[Slot, float] = {}
+    y: dict[ColumnItem, float] = {}
     for sweep in (columns, columns[::-1], columns):
-        for slots in sweep:
-            slots.sort(key=lambda slot: fmean([y[n] for n in near[slot] if n in y] or [0.0]))
-            y.update((s, (k - (len(slots) - 1) / 2) * row) for k, s in enumerate(slots))
+        for items in sweep:
+            items.sort(key=lambda item: fmean([y[n] for n in neighbours[item] if n in y] or [0.0]))
+            y.update((s, (k - (len(items) - 1) / 2) * row) for k, s in enumerate(items))
+    # Bold text is wider.
     widths = [text_width(line, LABEL * 1.08) for arrow in scene.arrows for line in arrow.lines]
     half = max(widths, default=0.0) / 2
     side = max([RADIUS, *(text_width(line, CAPTION) / 2 for line in captions)])
@@ -131,13 +144,16 @@ def lay_out(scene: AutomatonGraph) -> GraphLayout:
         left + (len(columns) - 1) * step + side + MARGIN,
         height,
         [place[i] for i in range(len(scene.nodes))],
-        [[place[slot] for slot in chain[1:-1]] for chain in chains],
+        [[place[item] for item in chain[1:-1]] for chain in chains],
         half,
     )
 
 
 def _ranks(scene: AutomatonGraph) -> dict[int, int]:
-    """Return the longest path to each node; arrows back within a cycle count in reverse."""
+    """Return the number of arrows on the longest path to each state.
+
+    An arrow back within a cycle counts in the other direction, so that no path is endless.
+    """
     import networkx as nx
 
     graph = nx.DiGraph()
@@ -153,23 +169,31 @@ def _ranks(scene: AutomatonGraph) -> dict[int, int]:
 def _draw_arrow(
     axes: Axes, arrow: StateArrow, route: Sequence[tuple[float, float]], layout: GraphLayout
 ) -> None:
+    """Draw an arrow: from its source along both sides of its label, then along its route."""
     style, (x, y) = STYLES[arrow.role], route[0]
-    start, to = layout.nodes[arrow.source], layout.nodes[arrow.target]
-    right = 1 if start[0] < to[0] else -1
-    stops = [(x - right * layout.half, y), (x + right * layout.half, y), *route[1:]]
-    _draw_line(axes, [_port(start, right, y), *stops, _port(to, -right, route[-1][1])], style)
-    bold = "normal" if arrow.role == "other" else "bold"
+    source, target = layout.nodes[arrow.source], layout.nodes[arrow.target]
+    direction = 1 if source[0] < target[0] else -1
+    stops = [(x - direction * layout.half, y), (x + direction * layout.half, y), *route[1:]]
+    ends = _port(source, direction, y), _port(target, -direction, route[-1][1])
+    _draw_line(axes, [ends[0], *stops, ends[1]], style)
+    weight = "normal" if arrow.role == "other" else "bold"
     ground = {"facecolor": PAPER, "edgecolor": "none", "pad": 1.5}
     for k, line in enumerate(arrow.lines):
         at = y + (k - (len(arrow.lines) - 1) / 2) * LABEL * LEADING
-        look = {"color": style.ink, "fontweight": bold, "bbox": ground, "zorder": 4}
+        look = {"color": style.ink, "fontweight": weight, "bbox": ground, "zorder": 4}
         canvas.write(axes, line, x, at, LABEL, ha="center", **look)
 
 
 def _port(centre: tuple[float, float], side: int, towards_y: float) -> tuple[float, float]:
-    """Return the point where an arrow touches a state's rim: higher on the rim if it goes up."""
-    up = max(-0.65 * RADIUS, min(0.65 * RADIUS, FAN * (towards_y - centre[1])))
-    return centre[0] + side * math.sqrt(RADIUS**2 - up**2), centre[1] + up
+    """Return the point where an arrow touches a state's rim: higher on the rim if it goes up.
+
+    Args:
+        centre: of the state.
+        side: 1 for the right side, -1 for the left one.
+        towards_y: height of the arrow's next point.
+    """
+    offset = max(-0.65 * RADIUS, min(0.65 * RADIUS, FAN * (towards_y - centre[1])))
+    return centre[0] + side * math.sqrt(RADIUS**2 - offset**2), centre[1] + offset
 
 
 def _draw_line(axes: Axes, stops: Sequence[tuple[float, float]], style: ArrowStyle) -> None:
@@ -191,6 +215,7 @@ def _draw_line(axes: Axes, stops: Sequence[tuple[float, float]], style: ArrowSty
 
 
 def _draw_node(axes: Axes, node: StateNode, x: float, y: float) -> None:
+    """Draw a state as a disc with its number, and its captions below."""
     from matplotlib.patches import Circle
 
     fill, rim, ink = STATE, INK, INK

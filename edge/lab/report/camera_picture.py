@@ -14,17 +14,19 @@ from edge.tasks.speeds import headings_rad
 
 COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)
 NEAREST_M = 0.3
-"""Nearer parts of the trajectory are cut off."""
-COVER, HIDDEN_COVER = 0.5, 0.16
-"""Opacity of the strip; `HIDDEN_COVER` if an object stands in front of it."""
+"""Parts of the trajectory that are nearer to the camera are cut off."""
+COVER = 0.5
+"""Opacity of the strip."""
+HIDDEN_COVER = 0.16
+"""Opacity of the strip behind an object."""
 LEAST_PX = 1280
-"""Narrower images are enlarged to at least this width."""
+"""Narrower images are enlarged to this width."""
 _STEP = 3
 """Number of poses from one seam of the strip to the next."""
 _WHITE = (255, 255, 255)
 
 
-def drawn(
+def draw_trajectory(
     scene: Scene, coarse_m: np.ndarray | None, poses_m: np.ndarray | None, half_m: float
 ) -> np.ndarray | None:
     """Return the scene's image with a trajectory in it.
@@ -47,7 +49,7 @@ def drawn(
     if poses_m is not None and len(poses_m) > 1:
         _draw_strip(image, scene, poses_m, half_m, scale)
     if coarse_m is not None and len(coarse_m) > 1:
-        for a, b in _pieces(coarse_m, 0.5)[::2]:
+        for a, b in _pieces(coarse_m, 0.5)[::2]:  # every second piece: a dashed line
             ends = _pixels(scene, np.stack([a, b]), scale)
             if len(ends) == 2:
                 cv2.line(image, *ends.tolist(), COARSE_RGB, 2, cv2.LINE_AA)
@@ -64,7 +66,7 @@ def _draw_strip(
     side_m = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
     seams = np.unique(np.append(np.arange(0, len(poses_m), _STEP), len(poses_m) - 1))
     eye = scene.T_map_camera[:3, 3]
-    flat, faint = np.zeros(image.shape[:2], np.uint8), np.zeros(image.shape[:2], np.uint8)
+    visible, faint = np.zeros(image.shape[:2], np.uint8), np.zeros(image.shape[:2], np.uint8)
     for i, k in zip(seams[:-1].tolist(), seams[1:].tolist(), strict=True):
         corners = np.stack(
             [poses_m[i] + side_m[i], poses_m[k] + side_m[k], poses_m[k] - side_m[k],
@@ -75,8 +77,8 @@ def _draw_strip(
             continue
         middle = 0.5 * (poses_m[i] + poses_m[k])
         hidden = _is_hidden(scene, middle, float(np.linalg.norm(middle - eye)))
-        cv2.fillPoly(faint if hidden else flat, [outline], 255, cv2.LINE_AA)
-    cover = np.maximum(COVER * flat, HIDDEN_COVER * faint)[..., None] / 255.0
+        cv2.fillPoly(faint if hidden else visible, [outline], 255, cv2.LINE_AA)
+    cover = np.maximum(COVER * visible, HIDDEN_COVER * faint)[..., None] / 255.0
     image[:] = (image * (1.0 - cover) + np.array(REFINED_RGB) * cover).astype(np.uint8)
 
 
@@ -93,14 +95,14 @@ def _draw_end_ring(
 
 
 def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
-    """Return True if a nearer object covers a point."""
+    """Return True if an object that is nearer than `distance_m` covers a point."""
     at = _pixels(scene, point_m[None], 1.0)
     if not len(at):
         return False
     eye = scene.T_map_camera[:3, 3]
     for number, outlines in scene.contours.items():
-        thing = scene.objects[number]
-        nearest_m = np.linalg.norm(thing.points_m - eye, axis=1).min(initial=np.inf)
+        item = scene.objects[number]
+        nearest_m = np.linalg.norm(item.points_m - eye, axis=1).min(initial=np.inf)
         inside = any(cv2.pointPolygonTest(o, at[0].tolist(), False) >= 0 for o in outlines)
         if inside and nearest_m < distance_m:
             return True
@@ -108,14 +110,23 @@ def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
 
 
 def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
-    """Return (k, 2) int32: a polygon's pixels, clipped in front of the camera."""
+    """Project the part of a polygon that is in front of the camera.
+
+    Args:
+        scene: camera and its pose.
+        points_m: (n, 3) corners in `map`.
+        scale: enlargement of the image.
+
+    Returns:
+        (k, 2) int32 pixels, empty if all of it is behind the camera.
+    """
     camera: CameraModel = scene.camera
-    T = invert(scene.T_map_camera)
-    seen = _clip_to_front(points_m @ T[:3, :3].T + T[:3, 3])
-    if not len(seen):
+    T_camera_map = invert(scene.T_map_camera)
+    front = _clip_to_front(points_m @ T_camera_map[:3, :3].T + T_camera_map[:3, 3])
+    if not len(front):
         return np.zeros((0, 2), np.int32)
-    u = camera.fx_px * seen[:, 0] / seen[:, 2] + camera.cx_px + 0.5
-    v = camera.fy_px * seen[:, 1] / seen[:, 2] + camera.cy_px + 0.5
+    u = camera.fx_px * front[:, 0] / front[:, 2] + camera.cx_px + 0.5
+    v = camera.fy_px * front[:, 1] / front[:, 2] + camera.cy_px + 0.5
     limit = 8.0 * max(camera.width_px, camera.height_px)  # OpenCV counts in 32 bits
     return np.rint(scale * np.clip(np.stack([u, v], axis=1), -limit, limit)).astype(np.int32)
 
@@ -136,7 +147,7 @@ def _clip_to_front(polygon: np.ndarray) -> np.ndarray:
 
 
 def _pieces(line_m: np.ndarray, length_m: float) -> Sequence[tuple[np.ndarray, np.ndarray]]:
-    """Cut a polyline into pieces of about `length_m`, for a dashed line."""
+    """Cut a polyline into pieces of about `length_m`; return the two ends of each."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line_m, axis=0), axis=1)))
     at = np.linspace(0.0, along[-1], max(2, round(along[-1] / length_m) + 1))
     points = np.stack([np.interp(at, along, axis) for axis in line_m.T], axis=1)

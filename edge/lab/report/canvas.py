@@ -1,6 +1,7 @@
-"""Pages drawn with matplotlib, and their content as SVG and PNG.
+"""Drawing areas of matplotlib for reports and evaluations, and their content as SVG and PNG.
 
-matplotlib is imported inside the functions, because the import is slow.
+A page is a drawing in pixels; plots have axes with scales. matplotlib is imported inside the
+functions, because the import is slow.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPER = "#ffffff"
-PNG_SCALE = 2.0
+PAPER = "#ffffff"  # colour of the background
+PNG_SCALE = 2.0  # pixels of a PNG for each px of a page
 _MAX_ALT = 4000  # characters of a drawing's alternative text
 
 
@@ -73,8 +74,8 @@ def plots(
 
     figure = Figure(size_in, dpi, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    every = list(figure.subplots(rows, columns, squeeze=False).ravel())
-    for axes in every:
+    all_axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in all_axes:
         axes.grid(color=palette.UNKNOWN, linewidth=0.7)
         axes.set_axisbelow(True)
         for side, spine in axes.spines.items():
@@ -83,7 +84,7 @@ def plots(
         axes.tick_params(colors=palette.MUTED, labelsize=9)
         for axis in (axes.xaxis, axes.yaxis):
             axis.label.set_color(palette.INK)
-    return figure, every
+    return figure, all_axes
 
 
 def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) -> None:
@@ -92,7 +93,7 @@ def write(axes: Axes, text: str, x: float, y: float, size: float, **style: Any) 
 
 
 def text_width(text: str, size: float) -> float:
-    """Return the approximate width of text in a sans-serif font; rather too wide."""
+    """Return the approximate width of text in a sans-serif font; it errs on the wide side."""
     ems = sum(1.0 if unicodedata.east_asian_width(c) in "WF" else 0.6 for c in text)
     return ems * size
 
@@ -120,16 +121,16 @@ def png(axes: Axes) -> bytes:
     return content(axes.figure, "png", dpi=72 * PNG_SCALE)
 
 
-def img(axes: Axes, words: str) -> str:
+def img(axes: Axes, alternative: str) -> str:
     """Return a page as an `<img>` with its SVG inside: no script can run in it, nothing is fetched.
 
     Args:
         axes: the page.
-        words: alternative text.
+        alternative: text for readers who cannot see the drawing.
     """
     width_px = 72 * axes.figure.get_figwidth()
     source = quote(svg(axes).decode("utf-8"), safe=" /:=(),;'")
     return (
         f'<img style="display:block;width:100%;max-width:{width_px:.0f}px;height:auto" '
-        f'alt="{escape(words[:_MAX_ALT])}" src="data:image/svg+xml,{source}">'
+        f'alt="{escape(alternative[:_MAX_ALT])}" src="data:image/svg+xml,{source}">'
     )

@@ -1,4 +1,7 @@
-"""Selection and HTML of the few moments of a run in which a model chose a direction."""
+"""Section of a report with a few answers of the choice model, and the value maps.
+
+A choice model chooses among the frontiers, which are lettered marks in the image.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _FIRST_INTERVAL_NS = 2_000_000_000  # least time between two kept answers, at fi
 
 
 class ChoiceFrameBuffer:
-    """At most `capacity` answers, spread over the run.
+    """Keeps at most `capacity` answers of the choice model, spread over the run.
 
     If the buffer is full, every second answer is dropped, and the least time between two kept
     answers doubles.
@@ -35,7 +38,7 @@ class ChoiceFrameBuffer:
         self._interval_ns, self._last_ns = _FIRST_INTERVAL_NS, 0
 
     def offer(self, result: TickResult) -> None:
-        """Keep the image with the letters of the newest answer, if the last one is old enough."""
+        """Keep the newest answer with its image, unless it or one shortly before it was kept."""
         choice, observation = result.choice, result.observation
         if self._capacity == 0 or choice is None or observation is None or observation.rgb is None:
             return
@@ -61,13 +64,13 @@ class ChoiceFrameBuffer:
             del self._kept[1::2]
             self._interval_ns *= 2
 
-    def kept(self) -> tuple[ChoiceFrame, ...]:
-        """Return the answers in order of time."""
+    def frames(self) -> tuple[ChoiceFrame, ...]:
+        """Return the kept answers in order of time."""
         return tuple(self._kept)
 
 
 def section(record: RunRecord) -> str:
-    """Return letters, answers and value maps as HTML; empty if no model was asked."""
+    """Return the section as HTML; empty if no model was asked and there is no value map."""
     if not record.asked and not record.values:
         return ""
     figures = "".join(_figure(frame, record) for frame in record.asked)
@@ -79,14 +82,15 @@ def section(record: RunRecord) -> str:
     )
 
 
-def _figure(asked: ChoiceFrame, record: RunRecord) -> str:
-    h, w = asked.rgb.shape[:2]
-    shares = " · ".join(f"{letter} {p:.2f}" for letter, p in asked.letters)
-    words = (
-        f"{record.seconds(asked.stamp_ns):.1f} s, {asked.target}: {shares} · elsewhere "
-        f"{asked.elsewhere:.2f}; scene {asked.scene:.2f}"
+def _figure(frame: ChoiceFrame, record: RunRecord) -> str:
+    """Return an answer as HTML: the image with its letters, and their probabilities below."""
+    h, w = frame.rgb.shape[:2]
+    shares = " · ".join(f"{letter} {p:.2f}" for letter, p in frame.letters)
+    caption = (
+        f"{record.seconds(frame.stamp_ns):.1f} s, {frame.target}: {shares} · elsewhere "
+        f"{frame.elsewhere:.2f}; scene {frame.scene:.2f}"
     )
-    return _svg(_jpeg(asked.rgb), w, h, words)
+    return _svg(_jpeg(frame.rgb), w, h, caption)
 
 
 def _value_map(name: str, grid: Grid) -> str:
@@ -96,7 +100,7 @@ def _value_map(name: str, grid: Grid) -> str:
         return ""
     rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
     cells = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    step = -(-max(cells.shape) // MAX_VALUE_PX)
+    step = -(-max(cells.shape) // MAX_VALUE_PX)  # rounded up
     cells = cells[::step, ::step][::-1]  # y points up
     shown = cv2.applyColorMap(np.ascontiguousarray(cells), cv2.COLORMAP_VIRIDIS)[..., ::-1]
     shown = np.where((cells > 0)[..., None], shown, raster.colour(np.array([-1]))[0])
@@ -109,9 +113,10 @@ def _jpeg(rgb: np.ndarray) -> bytes:
     return cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
 
 
-def _svg(jpeg: bytes, w: int, h: int, words: str) -> str:
+def _svg(jpeg: bytes, w: int, h: int, caption: str) -> str:
+    """Return an image with a caption as HTML."""
     return (
         f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
         f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/></svg>'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
     )

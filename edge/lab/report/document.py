@@ -1,4 +1,7 @@
-"""Self-contained HTML document: nothing is fetched, and only the given script can run."""
+"""HTML documents for reports and evaluations, each in one file.
+
+A document fetches nothing, and no script can run in it but the given one.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,15 @@ from edge.lab.report.style import CSS
 
 
 def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
-    """Return a whole page in the reports' style, with a footer that names version and machine.
+    """Return a document in the reports' style, with a footer that names version and machine.
 
     Args:
         title: plain text.
         body: markup with all text escaped.
         machine: plain text.
         style: CSS rules in addition to the reports' own.
-        script: JavaScript that may run. The page's policy holds its hash, so no other script can
-            run.
+        script: JavaScript that may run. The document's security policy has its hash, so no other
+            script can run.
     """
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     if script:

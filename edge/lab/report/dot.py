@@ -10,10 +10,16 @@ from edge.mission.logic.automaton import Automaton
 
 
 def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] = ()) -> str:
-    """Return the automaton as Graphviz text, for `dot`; letters with the same target share an edge.
+    """Return the automaton as Graphviz text, for `dot`.
 
-    Letters that keep the state are left out. States without a path to success are grey, the current
+    A letter is a proposition that becomes true. Letters with the same next state share an edge, and
+    letters that keep the state are left out. States without a path to success are grey, the current
     state is filled, and the plan's edges are bold.
+
+    Args:
+        automaton: the automaton.
+        state: current state; None for none.
+        plan: letters to come, from the current state on.
     """
     at, planned = 0 if state is None else state, set()
     for letter in plan:

@@ -1,4 +1,4 @@
-"""Gantt chart of a mission: which target was pursued when, and its outcome."""
+"""Gantt chart of a mission: the time in which each target was pursued, and its outcome."""
 
 from __future__ import annotations
 
@@ -16,26 +16,54 @@ if TYPE_CHECKING:
 
 # Lengths and font sizes in px.
 WIDTH = 1100.0  # of the page
-LEFT, RIGHT, TOP, ROW, FOOT = 170.0, 24.0, 14.0, 28.0, 62.0  # margins, and height of a row
+LEFT, RIGHT, TOP, FOOT = 170.0, 24.0, 14.0, 62.0  # margins
+ROW = 28.0  # height of a row
 BAR = 0.5  # height of a bar, in rows
-TEXT = 11.0
-MAX_ROWS = 40
-LINE, ZEBRA = "#dde2ea", "#f6f8fb"
-# Event of a target → matplotlib marker, fill, rim, size in px, meaning.
-MARKS = {
-    "seen": ("o", "#ffffff", palette.INK, 9.0, "seen"),
-    "warning": ("^", palette.WARNING, palette.WARNING, 11.0, "warning"),
-    "failed": ("X", palette.OUTCOME["failed"], "#ffffff", 15.0, "failed"),
-    "reached": ("o", palette.OUTCOME["reached"], "#ffffff", 18.0, "reached, in this order"),
-}
+TEXT = 11.0  # font size
+MAX_ROWS = 40  # further targets are not shown
+LINE, ZEBRA = "#dde2ea", "#f6f8fb"  # colours of the grid, and of every second row
 # Possible distances between two labels of the time axis.
 TICKS_S = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18000, 36000)
+
+
+class EventMark(NamedTuple):
+    """Look of an event of a target.
+
+    Attributes:
+        marker: matplotlib's name of the shape.
+        fill: colour.
+        rim: colour.
+        size: in px.
+        meaning: text of the legend.
+    """
+
+    marker: str
+    fill: str
+    rim: str
+    size: float
+    meaning: str
+
+
+MARKS = {
+    "seen": EventMark("o", "#ffffff", palette.INK, 9.0, "seen"),
+    "warning": EventMark("^", palette.WARNING, palette.WARNING, 11.0, "warning"),
+    "failed": EventMark("X", palette.OUTCOME["failed"], "#ffffff", 15.0, "failed"),
+    "reached": EventMark(
+        "o", palette.OUTCOME["reached"], "#ffffff", 18.0, "reached, in this order"
+    ),
+}
+"""Marks by the kind of a `MissionEvent`."""
 
 
 class PursuitInterval(NamedTuple):
     """Time in which one target was pursued.
 
-    `settled` is True if the target was reached or failed in that time, and for the last interval.
+    Attributes:
+        label: name of the target.
+        start_s: start of the interval, since the start of the run.
+        end_s: its end.
+        settled: True if the target was reached or failed in that time, and for the last interval.
+        reason: text of the event that started it.
     """
 
     label: str
@@ -45,8 +73,8 @@ class PursuitInterval(NamedTuple):
     reason: str
 
 
-def spans(record: RunRecord) -> list[PursuitInterval]:
-    """Return the intervals of the pursued targets, in order of time."""
+def pursuit_intervals(record: RunRecord) -> list[PursuitInterval]:
+    """Return the intervals in which targets were pursued, in order of time."""
     done: list[PursuitInterval] = []
     pursued: MissionEvent | None = None
     settled = False
@@ -62,6 +90,7 @@ def spans(record: RunRecord) -> list[PursuitInterval]:
 def _interval(
     record: RunRecord, event: MissionEvent | None, end_s: float, settled: bool
 ) -> list[PursuitInterval]:
+    """Return the interval that an event started, as a list; [] without an event."""
     if event is None:
         return []
     start_s = record.seconds(event.stamp_ns)
@@ -90,7 +119,8 @@ def draw(record: RunRecord) -> Axes | None:
     box = (LEFT / WIDTH, FOOT / height, (WIDTH - LEFT - RIGHT) / WIDTH, ROW * len(rows) / height)
     chart = page.figure.add_axes(box, xlim=(begin_s, end_s), ylim=(len(rows) - 0.5, -0.5))
     _draw_axes(chart, rows, record.targets)
-    _draw_bars(chart, [span for span in spans(record) if span.label in rows], rows, record.targets)
+    shown = [interval for interval in pursuit_intervals(record) if interval.label in rows]
+    _draw_bars(chart, shown, rows, record.targets)
     _draw_events(chart, record, rows)
     handles = _legend(chart)
     place = ((LEFT - 14) / WIDTH, 0.0)
@@ -104,7 +134,10 @@ def draw(record: RunRecord) -> Axes | None:
 
 def in_words(record: RunRecord) -> str:
     """Return the chart as text, for readers who cannot see it."""
-    parts = (f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}" for s in spans(record))
+    parts = (
+        f"{s.start_s:.1f} to {s.end_s:.1f} s: {shorten(s.reason, 300)}"
+        for s in pursuit_intervals(record)
+    )
     return "; ".join(["The mission over time", *parts])
 
 
@@ -131,13 +164,13 @@ def _draw_bars(
     chart: Axes, pursued: Sequence[PursuitInterval], rows: dict[str, int], targets: Sequence[str]
 ) -> None:
     """Draw the bars; a switch before the target was reached is an arrow to the next bar."""
-    least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400
+    least_s = (chart.get_xlim()[1] - chart.get_xlim()[0]) / 400  # so that every bar is visible
     chart.barh(
-        [rows[span.label] for span in pursued],
-        [max(least_s, span.end_s - span.start_s) for span in pursued],
-        left=[span.start_s for span in pursued],
+        [rows[interval.label] for interval in pursued],
+        [max(least_s, interval.end_s - interval.start_s) for interval in pursued],
+        left=[interval.start_s for interval in pursued],
         height=BAR,
-        color=[palette.target_colour(span.label, targets) for span in pursued],
+        color=[palette.target_colour(interval.label, targets) for interval in pursued],
     )
     arrow = {"arrowstyle": "-|>", "color": palette.INK, "shrinkA": 0, "shrinkB": 0}
     for before, after in pairwise(pursued):
@@ -154,6 +187,7 @@ def _draw_events(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
         if event.kind == "end":
             colour = palette.outcome_colour(record.mission.phase)
             chart.axvline(record.seconds(event.stamp_ns), color=colour, lw=2.0, clip_on=False)
+    # Marks of later kinds lie on top of those of earlier ones, and of the bars.
     for order, (kind, look) in enumerate(MARKS.items(), start=5):
         same_kind = [s for s in events if s.kind == kind]
         for number, event in enumerate(same_kind, start=1):
@@ -165,14 +199,18 @@ def _draw_events(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
                                  zorder=order)  # fmt: skip
 
 
-def _marker_style(mark: tuple[str, str, str, float, str]) -> dict:
-    marker, fill, rim, size, _ = mark
-    return {"marker": marker, "ms": size, "mfc": fill, "mec": rim, "mew": 1.4, "ls": "none"}
+def _marker_style(mark: EventMark) -> dict:
+    """Return a mark as arguments of matplotlib's `plot`."""
+    return {
+        "marker": mark.marker, "ms": mark.size, "mfc": mark.fill, "mec": mark.rim, "mew": 1.4,
+        "ls": "none",
+    }  # fmt: skip
 
 
 def _legend(chart: Axes) -> list:
+    """Return the entries of the legend: all marks, and the arrow of a switch."""
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], **_marker_style(mark), label=mark[-1]) for mark in MARKS.values()]
+    handles = [Line2D([], [], **_marker_style(m), label=m.meaning) for m in MARKS.values()]
     switch = {"marker": r"$\downarrow$", "color": palette.INK, "ls": "none", "ms": 8}
     return [*handles, Line2D([], [], **switch, label="switched to another target")]

@@ -17,7 +17,7 @@ MAX_FRAME_PX = 640  # longest side of a kept image
 
 
 class KeyframeBuffer:
-    """At most `capacity` frames: half are the best views of the targets, the rest are the newest.
+    """Keeps at most `capacity` frames: half are the best views of targets, the rest are the newest.
 
     Several targets take turns for the best views. Frames without boxes are dropped first.
     """
@@ -29,9 +29,9 @@ class KeyframeBuffer:
         self._taken_ns: int | None = None
 
     def offer(self, detections: Detections, targets: Sequence[str]) -> None:
-        """Copy the frame if the last one is `FRAME_NS` old.
+        """Keep a copy of the image, if the last kept one is at least `FRAME_NS` old.
 
-        A newer frame that shows the targets better replaces the last one.
+        A newer image that shows the targets better replaces the last one before that time.
         """
         if self._capacity == 0 or detections.observation.rgb is None:
             return
@@ -51,8 +51,10 @@ class KeyframeBuffer:
         return _target_score(detections, targets) > (last[0] if last else 0.0) + BETTER_SCORE
 
     def _next_to_drop(self) -> Keyframe:
+        """Return the least useful frame that is no best view."""
         best = self._best_views()
         others = [f for f in self._frames if not any(f is b for b in best)]
+        # Frames without boxes first, then the oldest.
         return min(others, key=lambda f: (len(f.labels) > 0, f.stamp_ns))
 
     def _best_views(self) -> list[Keyframe]:
@@ -60,6 +62,7 @@ class KeyframeBuffer:
 
         At most `_n_best` frames are returned.
         """
+        # Place among the views of a label, negative score, negative stamp, frame.
         ranks: list[tuple[int, float, int, Keyframe]] = []
         for label in dict.fromkeys(label for f in self._frames for label in f.best):
             views = [f for f in self._frames if label in f.best]
@@ -69,10 +72,12 @@ class KeyframeBuffer:
         return list({id(f): f for *_, f in ranks}.values())[: self._n_best]
 
     def frames(self) -> tuple[Keyframe, ...]:
+        """Return the kept frames in order of time."""
         return tuple(sorted(self._frames, key=lambda f: f.stamp_ns))
 
 
 def _target_score(detections: Detections, targets: Sequence[str]) -> float:
+    """Return the score of the best box of a target; 0 without one."""
     wanted = [
         i for i, prompt in enumerate(detections.prompts) if names.same_as_any(prompt, targets)
     ]
@@ -82,9 +87,10 @@ def _target_score(detections: Detections, targets: Sequence[str]) -> float:
 
 
 def _copy(detections: Detections, targets: Sequence[str]) -> Keyframe:
+    """Return the image and its boxes, downsampled to at most `MAX_FRAME_PX`."""
     rgb = detections.observation.rgb
     assert rgb is not None  # `KeyframeBuffer.offer` has checked
-    stride = -(-max(rgb.shape[:2]) // MAX_FRAME_PX)
+    stride = -(-max(rgb.shape[:2]) // MAX_FRAME_PX)  # rounded up
     labels = tuple(detections.prompts[i] for i in detections.class_id)
     return Keyframe(
         detections.observation.stamp_ns,

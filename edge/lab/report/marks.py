@@ -1,4 +1,8 @@
-"""Marks on the map: goals, objects, places and zones with their labels, and the robot."""
+"""Marks on the map of a report: goals, objects, places and zones with their labels, and the robot.
+
+Each public function draws one kind of mark. `instances` are the objects that the mission looks for,
+`objects` the others that the robot remembers.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
 MAX_LABELS = 24  # most labels of objects
 MAX_PROMINENT = 3  # most targets with a large label, not counting those reached
 MAX_LABEL = 60  # characters
-# Kind of a goal: colour, marker, size.
+# Kind of a goal's candidate -> colour, matplotlib's marker, area in square points.
 GOAL_STYLES = {
     "frontier": (palette.FRONTIER, "D", 120),
     "instance": (palette.TARGET, "*", 190),
@@ -30,9 +34,15 @@ GOAL_STYLES = {
 
 
 def goals(axes: Axes, record: RunRecord, scale: float) -> None:
-    """Draw each goal's pose, numbered if there is room, with a thin line to its candidate.
+    """Draw each goal's pose, with a thin line to its candidate.
 
-    Goals on a task's trajectory are left out: they lie on its line (`edge.lab.report.tasks`).
+    Goals at frontiers are numbered where there is room. Goals on a task's trajectory are left out:
+    they lie on its line (`edge.lab.report.tasks`).
+
+    Args:
+        axes: the map.
+        record: the run.
+        scale: of the marks.
     """
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):
@@ -42,8 +52,8 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
         if goal.kind == "instance":
             colour = palette.target_colour(goal.target, record.targets)
         x_m, y_m = goal.pose.x_m, goal.pose.y_m
-        across, along = zip((x_m, y_m), goal.candidate_xy_m, strict=True)
-        axes.plot(across, along, color=colour, lw=0.9, alpha=0.7, zorder=5)
+        xs, ys = zip((x_m, y_m), goal.candidate_xy_m, strict=True)
+        axes.plot(xs, ys, color=colour, lw=0.9, alpha=0.7, zorder=5)
         style = {"color": "white", "edgecolor": colour, "linewidth": 1.6, "zorder": 6}
         axes.scatter(x_m, y_m, s=size * scale, marker=marker, **style)
         crowded = any(math.dist(xy_m, (x_m, y_m)) < 0.25 for xy_m in numbered)
@@ -81,7 +91,10 @@ def zones(axes: Axes, record: RunRecord) -> None:
 
 
 def places(axes: Axes, record: RunRecord, taken: list[raster.Box]) -> None:
-    """Draw every place as a disc with a tick along its heading, and labels if there is room."""
+    """Draw every place as a disc with a tick along its heading, and labels if there is room.
+
+    `taken` is the space of labels, see `instances`.
+    """
     for place in record.site.places:
         pose = place.pose
         tip_m = pose.x_m + 0.3 * math.cos(pose.yaw_rad), pose.y_m + 0.3 * math.sin(pose.yaw_rad)
@@ -94,11 +107,14 @@ def places(axes: Axes, record: RunRecord, taken: list[raster.Box]) -> None:
 
 
 def objects(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
-    """Draw remembered objects of other names than the instances, and labels if there is room."""
-    named = {instance.label for instance in record.instances}
-    for obj in [obj for obj in record.objects if obj.name not in named][:MAX_LABELS]:
+    """Draw remembered objects of other names than the instances, and labels if there is room.
+
+    `scale` and `taken` are as for `instances`.
+    """
+    drawn_names = {instance.label for instance in record.instances}
+    for obj in [obj for obj in record.objects if obj.name not in drawn_names][:MAX_LABELS]:
         xy_m = obj.xyz_m[:2]
-        style = {"color": "white", "edgecolor": palette.INSTANCE, "linewidth": 1.2, "zorder": 4.5}
+        style = {"color": "white", "edgecolor": palette.OBJECT, "linewidth": 1.2, "zorder": 4.5}
         axes.scatter(*xy_m, s=24 * scale, marker="s", **style)
         _label(axes, shorten(obj.name, MAX_LABEL), xy_m, palette.MUTED, taken, False)
 
@@ -107,15 +123,15 @@ def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Bo
     """Draw the surface points of every instance, and labels if there is room.
 
     Args:
-        axes: of the picture.
-        record: what is drawn.
+        axes: the map.
+        record: the run.
         scale: of the marks.
-        taken: space of labels, extended by those drawn.
+        taken: space of the labels drawn so far, in points; it is extended.
     """
     numbers = _order_reached(record)
     ranked = sorted(record.instances, key=lambda i: _rank(record, i))
     for rank, instance in enumerate(ranked):
-        wanted = _rank(record, instance)[0] == 0
+        is_wanted = _rank(record, instance)[0] == _TARGET_RANK
         colour = palette.target_colour(instance.label, record.targets)
         colour = palette.MUTED if instance.state == "rejected" else colour
         number = numbers.get(instance.id, "")
@@ -128,20 +144,19 @@ def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Bo
         if number:
             _number(axes, number, xy_m)
         else:
-            axes.scatter(*xy_m, s=(46 if wanted else 26) * scale, **style)
+            axes.scatter(*xy_m, s=(46 if is_wanted else 26) * scale, **style)
         if rank < MAX_LABELS:
             state = f" ({instance.state})" if instance.state in ("confirmed", "reached") else ""
             words = f"{shorten(instance.label, MAX_LABEL)} {instance.score:.2f}{state}"
-            prominent = bool(number) or (wanted and rank < MAX_PROMINENT)
+            prominent = bool(number) or (is_wanted and rank < MAX_PROMINENT)
             _label(axes, words, xy_m, colour, taken, prominent)
 
 
 def _order_reached(record: RunRecord) -> dict[int, str]:
     """Map ids of reached instances to "1", "2", … in the order of reaching.
 
-    The result is empty for a mission with a single target.
-
     If several instances of a name were reached, the one nearest to the robot at that time counts.
+    The result is empty for a mission with a single target.
     """
     numbers: dict[int, str] = {}
     if record.has_single_target:
@@ -160,6 +175,7 @@ def _has_name(instance: Instance, label: str) -> bool:
 
 
 def _distance_m(record: RunRecord, step: MissionEvent, instance: Instance) -> float:
+    """Return the distance of an instance from the robot at the time of an event."""
     if not len(record.trajectory):
         return 0.0
     last = len(record.trajectory) - 1
@@ -177,10 +193,14 @@ def _number(axes: Axes, number: str, xy_m: tuple[float, float]) -> None:
     axes.annotate(number, xy_m, fontsize=size, **style, **offset)
 
 
+_TARGET_RANK, _OTHER_RANK, _REJECTED_RANK = 0, 1, 2  # first part of `_rank`
+
+
 def _rank(record: RunRecord, instance: Instance) -> tuple[int, bool, float]:
     """Return the sort key for labels: targets first, then reached ones, then the highest score."""
-    rejected = instance.state == "rejected"
-    order = 2 if rejected else 0 if record.is_target(instance.label) else 1
+    order = _TARGET_RANK if record.is_target(instance.label) else _OTHER_RANK
+    if instance.state == "rejected":
+        order = _REJECTED_RANK
     return order, instance.state != "reached", -instance.score
 
 
@@ -196,9 +216,17 @@ def _label(
 
     It takes the first of several positions that fits. If none fits, the label is left out unless it
     is prominent.
+
+    Args:
+        axes: the map.
+        words: text of the label.
+        xy_m: the point.
+        colour: of the label's background.
+        taken: see `instances`.
+        prominent: True for a large label that is always drawn.
     """
     size = 10.5 if prominent else 8.0
-    width, height = 0.57 * size * len(words) + 8, 1.5 * size
+    width, height = 0.57 * size * len(words) + 8, 1.5 * size  # estimated, in points
     to_points = 72.0 / axes.figure.dpi
     x, y = (float(v) * to_points for v in axes.transData.transform(xy_m))
     places = [(dx, dy) for dy in (9, -9 - height, 22, -22 - height) for dx in (7, -7 - width)]
@@ -242,9 +270,9 @@ def poses(axes: Axes, record: RunRecord) -> None:
     """Draw the robot at the start (outlined) and at the end (filled) as arrow heads."""
     if not len(record.trajectory):
         return
-    end = palette.outcome_colour(record.mission.phase)
-    for pose, face, edge in ((0, "white", palette.START), (-1, end, "white")):
-        x_m, y_m, yaw_rad = record.trajectory[pose]
+    end_colour = palette.outcome_colour(record.mission.phase)
+    for index, face, edge in ((0, "white", palette.START), (-1, end_colour, "white")):
+        x_m, y_m, yaw_rad = record.trajectory[index]
         marker = dart(yaw_rad)
         axes.scatter(x_m, y_m, s=420, marker=marker, color=face, edgecolor=edge, lw=1.8, zorder=10)
 

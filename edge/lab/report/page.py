@@ -1,4 +1,7 @@
-"""Self-contained HTML page about a run: no script, nothing fetched, all text escaped."""
+"""HTML page about a run, in one file: no script, nothing fetched, all text escaped.
+
+`write_report` writes it, together with the map as a PNG.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from edge.loop.latency import LatencyReport, StageLatency
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"
 JPEG_QUALITY = 85
-LOUD = ("target", "reached", "failed")  # mission steps that stand out in the timeline
+EMPHASISED = ("target", "reached", "failed")  # kinds of events that stand out in the timeline
 MAX_SEEN = 4  # targets named under a frame
 
 
 class ReportError(FileError):
-    """The report cannot be written; the message is one line."""
+    """Error of a report that cannot be written; the message is one line."""
 
 
 class ReportPaths(NamedTuple):
@@ -77,6 +80,7 @@ def write_report(record: RunRecord, directory: Path | str) -> ReportPaths:
 
 
 def _unwritable(directory: Path, error: OSError) -> ReportError:
+    """Return the error to raise if the report cannot be written."""
     why = error.strerror or error
     return ReportError(f"{directory}: cannot write the report: {why} (name another with --report)")
 
@@ -109,6 +113,7 @@ def html(record: RunRecord, png: bytes, linked: bool = False) -> str:
 
 
 def _tiles(record: RunRecord) -> str:
+    """Return the row of large figures."""
     latency, mission = record.latency, record.mission
     detect = latency.stage("detect")
     tiles = [
@@ -128,6 +133,7 @@ def _tiles(record: RunRecord) -> str:
 
 
 def _reached(record: RunRecord) -> list[tuple[str, str]]:
+    """Return the figure of reached targets, unless there is only one target."""
     if record.has_single_target:
         return []
     return [(f"{len(record.reached)}", "reached")]
@@ -138,6 +144,7 @@ def _ms(value_ms: float, n: int) -> str:
 
 
 def _latency(report: LatencyReport) -> str:
+    """Return the table of latencies."""
     limit = report.limit
     names = ("stage", "n", "p50", "p95", "p99", "max", limit, "over", "drops")
     head = "".join(f"<th>{name}</th>" for name in names)
@@ -154,16 +161,18 @@ def _latency(report: LatencyReport) -> str:
 
 
 def _latency_row(row: StageLatency) -> str:
+    """Return the table row of one stage."""
     times = (row.p50_ms, row.p95_ms, row.p99_ms, row.max_ms)
     texts = [f"{value:.2f}" if row.n else "–" for value in times]
     verdict = row.verdict if row.verdict in ("ok", "over") else ""
-    texts[1] = f'<span class="{verdict}">{texts[1]}</span>'
-    held_to = ("–", "–") if row.budget_ms is None else (f"{row.budget_ms:.3g}", f"{row.overruns}")
+    texts[1] = f'<span class="{verdict}">{texts[1]}</span>'  # p95 is held to the limit
+    has_limit = row.budget_ms is not None
+    limit = (f"{row.budget_ms:.3g}", f"{row.overruns}") if has_limit else ("–", "–")
     name = escape(row.name if row.in_tick else f"{row.name}*")
-    cells = (name, f"{row.count}", *texts, *held_to, f"{row.drops}")
-    kind = "" if row.name != "tick" else ' class="tick"'
+    cells = (name, f"{row.count}", *texts, *limit, f"{row.drops}")
+    css_class = "" if row.name != "tick" else ' class="tick"'
     tds = "".join(f"<td>{cell}</td>" for cell in cells)
-    return f'<tr{kind}>{tds}<td class="bar">{_bar(row)}</td></tr>'
+    return f'<tr{css_class}>{tds}<td class="bar">{_bar(row)}</td></tr>'
 
 
 def _bar(row: StageLatency) -> str:
@@ -173,6 +182,7 @@ def _bar(row: StageLatency) -> str:
         return ""
 
     def x(value_ms: float) -> str:
+        """Return a time as a position on the track, 0 to 100."""
         return f"{min(100.0, 100.0 * value_ms / (1.5 * budget_ms)):.2f}"
 
     over = " over" if row.verdict == "over" else ""
@@ -188,6 +198,7 @@ def _bar(row: StageLatency) -> str:
 
 
 def _frames(record: RunRecord) -> str:
+    """Return the section with the camera images."""
     if not record.frames:
         return '<section><h2>Frames</h2><p class="note">No frame was kept.</p></section>'
     figures = "".join(_figure(frame, record) for frame in record.frames)
@@ -218,14 +229,15 @@ def _figure(frame: Keyframe, record: RunRecord) -> str:
 
 
 def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) -> str:
+    """Return box `i` of a frame of size (w, h), with its label, as SVG."""
     x0, y0, x1, y1 = (float(v) for v in frame.xyxy_px[i])
     if not all(map(math.isfinite, (x0, y0, x1, y1))):
         return ""
-    colour = palette.INSTANCE
+    colour = palette.OBJECT
     if frame.is_target[i]:
         colour = palette.target_colour(frame.labels[i], targets)
     words = f"{frame.labels[i]} {frame.score[i]:.2f}"
-    size = w / 26
+    size = w / 26  # of the font
     width, top = 0.56 * size * len(words) + 6, min(max(0.0, y0 - 1.3 * size), h - 1.3 * size)
     left = min(max(0.0, x0), max(0.0, w - width))
     return (
@@ -239,7 +251,7 @@ def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) ->
 
 def _timeline(record: RunRecord) -> str:
     """Return events and goals in order of time; the mission's main steps stand out."""
-    kinds = {step.text: step.kind for step in record.steps if step.kind in LOUD}
+    kinds = {step.text: step.kind for step in record.steps if step.kind in EMPHASISED}
     goals = [
         (record.seconds(g.stamp_ns), f"goal {i}: {g.kind} {g.candidate_id} at "
          f"({g.candidate_xy_m[0]:.1f}, {g.candidate_xy_m[1]:.1f}), score {g.score:.2f}")
@@ -259,6 +271,7 @@ def _class(kind: str | None) -> str:
 
 
 def _facts(record: RunRecord) -> str:
+    """Return the tables about the run, its counters and its instances."""
     run = [
         ("target" if len(record.targets) == 1 else "targets", ", ".join(record.targets)),
         ("robot", record.robot),
@@ -266,8 +279,8 @@ def _facts(record: RunRecord) -> str:
         ("configuration", record.config_path),
     ]
     counters = [(name, f"{value:g}") for name, value in record.counters.items() if value]
-    if never := [name for name, value in record.counters.items() if not value]:
-        counters.append((", ".join(never), "0"))
+    if zero := [name for name, value in record.counters.items() if not value]:
+        counters.append((", ".join(zero), "0"))  # one line for all of them
     instances = [
         (f"{i.label} {i.id} ({i.state}, {i.hits} hits)", f"{i.score:.2f}") for i in record.instances
     ]
@@ -281,6 +294,7 @@ def _pairs(title: str, pairs: Iterable[tuple[str, str]]) -> str:
 
 
 def _configuration(record: RunRecord) -> str:
+    """Return the section with the configuration, folded."""
     if not record.config:
         return ""
     text = yaml.safe_dump(dict(record.config), sort_keys=False, allow_unicode=True)

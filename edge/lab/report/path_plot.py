@@ -20,14 +20,14 @@ Rect = tuple[float, float, float, float]
 
 
 def is_coloured_by_target(record: RunRecord) -> bool:
-    """Return True if the path is coloured by target.
+    """Return True if several targets were pursued, and there is a colour for each.
 
-    Then several targets were pursued, and there is a colour for each.
-    A task's path is coloured by time: the objects that a task names are not its goals.
+    Otherwise the path is coloured by time. So is a task's path: the objects that a task names are
+    not its goals.
     """
     if record.task is not None:
         return False
-    pursued = {span.label for span in gantt.spans(record)}
+    pursued = {interval.label for interval in gantt.pursuit_intervals(record)}
     return len(pursued) > 1 and len(record.targets) <= len(palette.TARGETS)
 
 
@@ -60,11 +60,11 @@ def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
 
 def _colours(record: RunRecord) -> list[str]:
     """Return one colour for each segment of the path, by the time of its end."""
-    spans = gantt.spans(record)
-    starts_s = np.array([span.start_s for span in spans])
+    intervals = gantt.pursuit_intervals(record)
+    starts_s = np.array([interval.start_s for interval in intervals])
     at = np.searchsorted(starts_s, record.trajectory_t_s[1:], side="right") - 1
-    colours = [palette.target_colour(span.label, record.targets) for span in spans]
-    ends_s = [span.end_s for span in spans]
+    colours = [palette.target_colour(i.label, record.targets) for i in intervals]
+    ends_s = [interval.end_s for interval in intervals]
     return [
         colours[k] if k >= 0 and t_s <= ends_s[k] else palette.MUTED
         for k, t_s in zip(at.tolist(), record.trajectory_t_s[1:].tolist(), strict=True)
@@ -72,6 +72,7 @@ def _colours(record: RunRecord) -> list[str]:
 
 
 def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
+    """Draw the legend with the colour of each target."""
     from matplotlib.lines import Line2D
 
     handles = []
@@ -95,6 +96,7 @@ def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
 
 
 def _draw_time_bar(figure: Figure, lines: LineCollection, place: Rect) -> None:
+    """Draw the colour scale of the time."""
     bar = figure.colorbar(lines, cax=figure.add_axes(place))
     bar.set_label("time of the path, s", color=palette.MUTED, fontsize=9)
     bar.ax.tick_params(labelsize=8, colors=palette.MUTED)

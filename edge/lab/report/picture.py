@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from edge.geometry import downsample
-from edge.lab.report import key, marks, palette, path_plot, raster, tasks
+from edge.lab.report import legend, marks, palette, path_plot, raster, tasks
 from edge.lab.report.canvas import content
 from edge.lab.report.record import RunRecord
 
@@ -35,7 +35,7 @@ class MapLayout(NamedTuple):
         height: of the picture.
         map_width: of the map.
         map_height: of the map.
-        marks: scale of the marks: 1 in a small house, less on larger maps.
+        marks: scale of the marks: 1 in a small house, down to 0.3 on larger maps.
     """
 
     width: float
@@ -55,8 +55,8 @@ def png(record: RunRecord) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    box = _view(record)
-    n_more = len(key.more_lines(record))
+    box = _shown_area(record)
+    n_more = len(legend.more_lines(record))
     layout = _layout(box, n_more)
     figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
@@ -77,25 +77,26 @@ def png(record: RunRecord) -> bytes:
     marks.poses(axes, record)
     _draw_scale_bar(axes, box)
     _draw_title(figure, record, layout)
-    key.draw(figure, record, layout.place(right + 0.1, TOP_IN - 0.1, 0.0, 0.0)[:2])
+    legend.draw(figure, record, layout.place(right + 0.1, TOP_IN - 0.1, 0.0, 0.0)[:2])
     return content(figure, "png")
 
 
 def _layout(box: raster.Box, n_more: int) -> MapLayout:
-    """Return the sizes; `n_more` is the number of lines that are not in every legend."""
-    shape = (box[3] - box[2]) / (box[1] - box[0])
+    """Return the sizes for a shown area; `n_more` is the number of further lines of the legend."""
+    x_min, x_max, y_min, y_max = box
+    shape = (y_max - y_min) / (x_max - x_min)
     width, height = MAP_IN
     if shape * width > height:
         width = max(height / shape, 5.0)
     else:
         height = shape * width
-    whole = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN + LINE_IN * n_more)
-    per_m = min(width / (box[1] - box[0]), height / (box[3] - box[2]))
+    picture_height = max(TOP_IN + height + BOTTOM_IN, MIN_HEIGHT_IN + LINE_IN * n_more)
+    per_m = min(width / (x_max - x_min), height / (y_max - y_min))
     scale = min(1.0, max(0.3, per_m / INCHES_PER_M))
-    return MapLayout(LEFT_IN + width + SIDE_IN, whole, width, height, scale)
+    return MapLayout(LEFT_IN + width + SIDE_IN, picture_height, width, height, scale)
 
 
-def _view(record: RunRecord) -> raster.Box:
+def _shown_area(record: RunRecord) -> raster.Box:
     """Return the shown area [m]: everything in the record with a margin, at least 4 m."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
     shown = (record.trajectory, record.frontiers_m, *_footprints(record), *tasks.points_m(record))
@@ -122,6 +123,7 @@ def _footprints(record: RunRecord) -> list[np.ndarray]:
 
 
 def _with_margin(values: np.ndarray) -> tuple[float, float]:
+    """Return the range of the values with a margin of 0.4 m or more, at least 4 m long."""
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
     margin = max(0.4, 2.0 - (high - low) / 2)
@@ -129,6 +131,7 @@ def _with_margin(values: np.ndarray) -> tuple[float, float]:
 
 
 def _set_view(axes: Axes, box: raster.Box) -> None:
+    """Set the shown area, with equal scales and no ticks."""
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal", anchor="N")
@@ -140,6 +143,7 @@ def _set_view(axes: Axes, box: raster.Box) -> None:
 
 
 def _draw_map(axes: Axes, record: RunRecord) -> None:
+    """Draw the known part of the occupancy grid."""
     known = raster.crop(record.map) if record.map is not None else None
     if known is None:
         axes.text(
@@ -172,7 +176,10 @@ def _draw_scale_bar(axes: Axes, box: raster.Box) -> None:
 
 
 def _draw_title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
+    """Draw the outcome as a badge, and next to it the title with a line of figures below."""
+
     def y(from_top: float) -> float:
+        """Return a distance from the upper edge [inches] as a fraction of the figure."""
         return 1.0 - from_top / layout.height
 
     phase = record.mission.phase
@@ -182,10 +189,11 @@ def _draw_title(figure: Figure, record: RunRecord, layout: MapLayout) -> None:
     right_px = badge.get_window_extent(figure.canvas.get_renderer()).x1
     x = (right_px / DPI + 0.25) / layout.width
     style = {"fontsize": 16, "fontweight": "bold", "va": "center", "color": palette.INK}
-    room_in = layout.width * (1.0 - x) - 0.1
-    figure.text(x, y(0.38), marks.plain(_shorten(record.title, room_in / 0.148)), **style)
+    # Both lines are cut to the width that is left, by the mean width of a character.
+    width_in = layout.width * (1.0 - x) - 0.1
+    figure.text(x, y(0.38), marks.plain(_shorten(record.title, width_in / 0.148)), **style)
     style = {"fontsize": 10, "va": "center", "color": palette.MUTED}
-    figure.text(x, y(0.67), marks.plain(_shorten(subtitle(record), room_in / 0.082)), **style)
+    figure.text(x, y(0.67), marks.plain(_shorten(subtitle(record), width_in / 0.082)), **style)
 
 
 def _shorten(text: str, length: float) -> str:

@@ -1,4 +1,4 @@
-"""Image of an occupancy grid: cut it to its known part, and colour its cells."""
+"""Image of an occupancy grid for reports: its known part, and the colours of its cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Data that a run's report shows."""
+"""Data that a run's report shows; `recorder` collects them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Keyframe:
     Attributes:
         stamp_ns: of the image.
         rgb: (h, w, 3) uint8, a copy, downsampled if the image was large.
-        xyxy_px: (n, 4) float32 in pixels of `rgb`.
-        score: (n,) float32.
-        labels: n prompts.
-        is_target: (n,) bool.
+        xyxy_px: (n, 4) float32 boxes in pixels of `rgb`.
+        score: (n,) float32 of each box.
+        labels: prompt of each box.
+        is_target: (n,) bool, True for a box of a target.
     """
 
     stamp_ns: int
@@ -57,7 +57,7 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceFrame:
-    """A model's answer about directions, with its image.
+    """An answer of the choice model, with its image.
 
     Attributes:
         stamp_ns: time at which the image was taken.
@@ -81,22 +81,34 @@ class RunRecord:
     """Everything that a report shows.
 
     Attributes:
+        title: the instruction, or "Find the TARGET".
+        config_path: file of the configuration.
+        robot: name of the robot.
+        detector: the detector as text.
         targets: boxes and instances with these names, or synonyms, are targets.
+        mission: status of the mission at the end.
+        latency: latencies of all stages.
         mission_facts: instruction, translation and outcome of the mission; None if unknown.
         task: the task at the end of the run; None if the mission was no task.
         task_at_trajectory_start: status of the task when each of its trajectories began, in order
             of time.
         start_ns: stamp that `trajectory_t_s` and `events` count from.
-        trajectory: (n, 3) float64: x_m, y_m, yaw_rad in `map`.
-        trajectory_t_s: (n,) float64.
+        map: occupancy grid at the end; None if nothing was mapped.
+        trajectory: (n, 3) float64: x_m, y_m, yaw_rad of the robot in `map`.
+        trajectory_t_s: (n,) float64, time of each of these poses.
         frontiers_m: (n, 2) float32 cells or centroids in `map`, at the end of the run.
+        goals: goals that were sent, in order of time.
+        instances: objects that the mission looked for.
         objects: remembered objects, the most confident first.
         rooms: rooms of the map.
         site: places and zones.
-        asked: questions to the choice model with its answers, in order of time.
+        frames: camera images with boxes.
+        asked: answers of the choice model, in order of time.
         values: value maps by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
+        counters: number of messages, goals and the like, by name.
         config: the whole configuration as JSON types, without the secrets of its URLs.
+        machine: the computer as text.
     """
 
     title: str
@@ -142,7 +154,11 @@ class RunRecord:
 
     @property
     def trajectories(self) -> tuple[TaskStatus, ...]:
-        """The task at the start of each trajectory; at the end of the run for the last one."""
+        """One status of the task for each of its trajectories, in order of time.
+
+        It is the status at the trajectory's start, but for the last trajectory that at the end of
+        the run.
+        """
         last = self.task
         if last is None or last.refined is None:
             return self.task_at_trajectory_start

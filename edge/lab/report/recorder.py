@@ -21,15 +21,21 @@ from edge.tasks.refine import RefinedTrajectory
 from edge.text import redact, shorten
 from edge.types import Goal, MissionStatus
 
-MAX_TITLE = 160
-_TOO_CLOSE = 50  # map value of cells near an obstacle, which reports draw in their own colour
+MAX_TITLE = 160  # characters
+_TOO_CLOSE = (
+    50  # map value of cells too near to an obstacle, which reports draw in their own colour
+)
 _NS = 1e-9
 
 T = TypeVar("T")
 
 
 class HeadTailBuffer(Generic[T]):
-    """The first and the last items of a sequence of any length.
+    """Keeps the first and the last items of a sequence of any length.
+
+    Args:
+        first: number of first items to keep.
+        last: number of last items to keep.
 
     Attributes:
         count: number of items so far, with those that were left out.
@@ -42,6 +48,7 @@ class HeadTailBuffer(Generic[T]):
         self.count = 0
 
     def append(self, item: T) -> None:
+        """Add an item; drop the oldest of the last ones if they are too many."""
         self.count += 1
         if len(self._first) < self._n_first:
             self._first.append(item)
@@ -50,9 +57,11 @@ class HeadTailBuffer(Generic[T]):
 
     @property
     def left_out(self) -> int:
+        """Number of items that were not kept."""
         return self.count - len(self._first) - len(self._last)
 
     def items(self) -> tuple[T, ...]:
+        """Return the kept items in order."""
         return (*self._first, *self._last)
 
 
@@ -67,7 +76,7 @@ class ReportRecorder:
         self._goals: HeadTailBuffer[Goal] = HeadTailBuffer()
         self._events: HeadTailBuffer[Event] = HeadTailBuffer()
         self._begun_tasks: HeadTailBuffer[TaskStatus] = HeadTailBuffer(20, 80)
-        self._refined: RefinedTrajectory | None = None
+        self._refined: RefinedTrajectory | None = None  # the newest trajectory of a task
         self._start_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
@@ -131,7 +140,7 @@ class ReportRecorder:
             rooms=end.rooms,
             site=end.site,
             frames=self._keyframes.frames(),
-            asked=self._choices.kept(),
+            asked=self._choices.frames(),
             values={n: make() for n, make in end.layers().items() if n.startswith(VALUE_LAYER)},
             events=tuple(sorted(events, key=lambda event: event[0])),
             counters={**counts, **counters},
@@ -151,6 +160,7 @@ def _first_ns(result: TickResult) -> int | None:
 
 
 def _title(asked: Translation, mission: MissionStatus) -> str:
+    """Return the instruction, or its meaning if the mission was given as a single target."""
     if asked.backend == "target":
         return f"Find the {mission.target}"
     return shorten(asked.instruction, MAX_TITLE)

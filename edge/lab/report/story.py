@@ -1,4 +1,4 @@
-"""Mission section of the page: the instruction, its translation, and the outcome."""
+"""Mission section of a report's page: the instruction, its translation, and the outcome."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from edge.live.automaton_graph import make_automaton_graph
 from edge.loop.result import MissionFacts
 from edge.text import shorten
 
-MAX_TEXT = 4000
+MAX_TEXT = 4000  # characters
 
 
 def section(record: RunRecord) -> str:
@@ -27,8 +27,8 @@ def section(record: RunRecord) -> str:
         ("formula", str(automaton.formula)),
         ("reached", ", then ".join(step.label for step in record.reached) or "nothing"),
     ]
-    if to_come := _to_come(facts):
-        pairs.append(("left to reach", ", then ".join(a or "nothing" for a in to_come)))
+    if steps_left := _steps_left(facts):
+        pairs.append(("left to reach", ", then ".join(a or "nothing" for a in steps_left)))
     rows = "".join(
         f"<dt>{escape(k)}</dt><dd{_class(k)}>{escape(shorten(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
@@ -36,8 +36,8 @@ def section(record: RunRecord) -> str:
     return f'<section><h2>Mission</h2><dl class="story">{rows}</dl>{drawings}</section>'
 
 
-def _to_come(facts: MissionFacts) -> tuple[str, ...]:
-    """Return the plan's targets; empty if the mission is fulfilled, as the last plan is kept."""
+def _steps_left(facts: MissionFacts) -> tuple[str, ...]:
+    """Return the plan's targets; empty if the mission is fulfilled, when the last plan is old."""
     return () if facts.spec.automaton.accepting[facts.state] else facts.plan.steps
 
 
@@ -46,6 +46,7 @@ def _class(key: str) -> str:
 
 
 def _timeline(record: RunRecord) -> str:
+    """Return the mission's Gantt chart; empty if there is nothing to show."""
     axes = gantt.draw(record)
     if axes is None:
         return ""
@@ -53,11 +54,12 @@ def _timeline(record: RunRecord) -> str:
 
 
 def _automaton(facts: MissionFacts) -> str:
+    """Return the drawing of the mission's automaton."""
     automaton = facts.spec.automaton
-    scene = make_automaton_graph(automaton, facts.state, _to_come(facts), facts.trace)
+    scene = make_automaton_graph(automaton, facts.state, _steps_left(facts), facts.trace)
     title = f"Automaton with {automaton.n_states} states, now in state {facts.state}"
-    words = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
-    drawing = canvas.img(automaton_graph.draw(scene), words)
+    alternative = "; ".join([title, *(part.title for part in (*scene.arrows, *scene.nodes))])
+    drawing = canvas.img(automaton_graph.draw(scene), alternative)
     return (
         f'<h2>Automaton</h2><div class="drawing">{drawing}</div>'
         '<p class="note">Blue disc: the '

@@ -1,4 +1,7 @@
-"""Task section of the page: the instruction and its trajectories (OpenNav III-A)."""
+"""Task section of a report's page: the instruction and its trajectories (OpenNav III-A).
+
+It also draws the trajectories on the map, and makes their 3-D page.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ from edge.types import Instance
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SCENE_NAME = "trajectory.html"
-COARSE, REFINED = "#b35309", "#7048e8"
+SCENE_NAME = "trajectory.html"  # file of the 3-D page
+COARSE, REFINED = "#b35309", "#7048e8"  # colours of the trajectories
 MAX_TEXT, MAX_CODE, MAX_PROMPT = 4000, 20_000, 100_000  # characters
 _TOO_CLOSE = (1, 99)  # map values of free cells that are too near to an obstacle
 
@@ -52,14 +55,14 @@ def section(record: RunRecord, linked: bool) -> str:
         f"<dt>{escape(k)}</dt><dd>{escape(one_line(v, MAX_TEXT))}</dd>" for k, v in pairs
     )
     link = f'<p><a href="{SCENE_NAME}">The trajectory in three dimensions</a></p>' if linked else ""
-    rounds = "".join(
+    attempts = "".join(
         _attempt(number, attempt) for number, attempt in enumerate(task.rounds, start=1)
     )
     prompt = ""
     if task.prompt:
         prompt = _details("Prompt", f"<pre>{escape(bounded_lines(task.prompt, MAX_PROMPT))}</pre>")
     return (
-        f'<section><h2>Task</h2><dl class="story">{rows}</dl>{link}{rounds}{prompt}</section>'
+        f'<section><h2>Task</h2><dl class="story">{rows}</dl>{link}{attempts}{prompt}</section>'
     )  # fmt: skip
 
 
@@ -68,37 +71,38 @@ def _by_coarse_trajectory(record: RunRecord) -> list[list[TaskStatus]]:
 
     Each group has one coarse trajectory with all its refinements.
     """
-    found: list[list[TaskStatus]] = []
-    for one in record.trajectories:
-        if found and found[-1][-1].coarse_m is one.coarse_m:
-            found[-1].append(one)
+    groups: list[list[TaskStatus]] = []
+    for status in record.trajectories:
+        if groups and groups[-1][-1].coarse_m is status.coarse_m:
+            groups[-1].append(status)
         else:
-            found.append([one])
-    return found
+            groups.append([status])
+    return groups
 
 
-def _descriptions(written: Sequence[Sequence[TaskStatus]]) -> list[tuple[str, str]]:
-    """Return each trajectory as text, and its notes, as (name, text)."""
+def _descriptions(groups: Sequence[Sequence[TaskStatus]]) -> list[tuple[str, str]]:
+    """Return each coarse trajectory as text, and its notes, as (name, text)."""
     pairs = []
-    for number, refined in enumerate(written, start=1):
-        name, words = "trajectory", _in_words(refined)
-        if len(written) > 1:
-            name, words = f"trajectory {number}", f"{refined[0].understood}: {words}"
-        notes = dict.fromkeys(note for one in refined for note in one.notes)
+    for number, group in enumerate(groups, start=1):
+        name, words = "trajectory", _in_words(group)
+        if len(groups) > 1:
+            name, words = f"trajectory {number}", f"{group[0].understood}: {words}"
+        notes = dict.fromkeys(note for status in group for note in status.notes)
         pairs += [(name, words), *(("note", note) for note in notes)]
     return pairs
 
 
-def _in_words(written: Sequence[TaskStatus]) -> str:
-    """Return the trajectory's first length, and how often the rest of it was refined again."""
-    first, last = written[0], written[-1]
+def _in_words(group: Sequence[TaskStatus]) -> str:
+    """Return a trajectory's length at first, and how often the rest of it was refined again."""
+    first, last = group[0], group[-1]
     assert first.refined is not None
     assert last.refined is not None
     length_m, driven_m = lengths_m(first.refined, first.index)
     words = f"{length_m:.1f} m in {first.refined.times_s[-1]:.1f} s"
     if first is last and driven_m:
         words += f", {driven_m:.1f} m of it driven"
-    if (times := len(written) - 1) or (times := last.refinements - 1):
+    # The report may have missed refinements; the status counts them.
+    if times := (len(group) - 1 or last.refinements - 1):
         length_m, driven_m = lengths_m(last.refined, last.index)
         words += f"; the rest refined again {times} times"
         words += f", {driven_m:.1f} of the last {length_m:.1f} m driven"
@@ -106,7 +110,7 @@ def _in_words(written: Sequence[TaskStatus]) -> str:
 
 
 def _attempt(number: int, attempt: PlanAttempt) -> str:
-    """Return one answer of a model as HTML; its text if it has no code."""
+    """Return one answer of a model as HTML: its code, or its text if it has no code."""
     outcome = (
         '<span class="over">refused</span>' if attempt.error else '<span class="ok">used</span>'
     )
@@ -131,22 +135,22 @@ def points_m(record: RunRecord) -> list[np.ndarray]:
     """Return the points of all trajectories, (n, 2 or more) each, in `map`."""
     lines = [
         line
-        for one in record.trajectories
-        for line in (one.coarse_m, one.refined and one.refined.poses)
+        for status in record.trajectories
+        for line in (status.coarse_m, status.refined and status.refined.poses)
     ]
     return [line for line in lines if line is not None]
 
 
 def draw(axes: Axes, record: RunRecord) -> None:
     """Draw the coarse and the refined trajectories on the map, under the robot's path."""
-    for one in record.trajectories:
-        if one.refined is not None:
-            x_m, y_m = one.refined.poses[:, :2].T
+    for status in record.trajectories:
+        if status.refined is not None:
+            x_m, y_m = status.refined.poses[:, :2].T
             style = {"solid_capstyle": "round", "solid_joinstyle": "round"}
             axes.plot(x_m, y_m, color=REFINED, lw=7.5, alpha=0.45, zorder=2.6, **style)
-    for one, *_ in _by_coarse_trajectory(record):
-        if one.coarse_m is not None:
-            axes.plot(*one.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
+    for status, *_ in _by_coarse_trajectory(record):
+        if status.coarse_m is not None:
+            axes.plot(*status.coarse_m.T, color=COARSE, lw=1.6, ls=(0, (1.2, 1.6)), zorder=4.5)
 
 
 def page(record: RunRecord) -> str | None:
@@ -156,15 +160,15 @@ def page(record: RunRecord) -> str | None:
     """
     task, known = record.task, None if record.map is None else raster.crop(record.map)
     trajectories = [
-        again for again in _by_coarse_trajectory(record) if again[0].coarse_m is not None
+        group for group in _by_coarse_trajectory(record) if group[0].coarse_m is not None
     ]
     if task is None or not trajectories or known is None:
         return None
     lines: list[Line] = []
-    for number, (one, *_) in enumerate(trajectories, start=1):
-        two = coarse_and_refined(one.coarse_m, one.refined)
+    for number, (status, *_) in enumerate(trajectories, start=1):
+        pair = coarse_and_refined(status.coarse_m, status.refined)
         many = len(trajectories) > 1
-        lines += [replace(line, name=f"{line.name} {number}") if many else line for line in two]
+        lines += [replace(line, name=f"{line.name} {number}") if many else line for line in pair]
     driven = Line("driven", record.trajectory[:, :2], palette.START, 3.0)
     facts = [
         (name, one_line(text, MAX_TEXT))
@@ -190,14 +194,15 @@ def _scene(record: RunRecord, known: Grid) -> Scene:
     floor = Grid((occupancy.cells == 0).astype(np.uint8), known.origin_xy_m, known.resolution_m)
     area_m2 = float(np.count_nonzero(floor.cells)) * known.resolution_m**2
     start = SE2(*record.trajectory[0].tolist()) if len(record.trajectory) else SE2(0.0, 0.0, 0.0)
-    things = [one for one in record.instances if len(one.points_m) and one.state != "rejected"]
+    found = [i for i in record.instances if len(i.points_m) and i.state != "rejected"]
     return Scene(
-        record.start_ns, start, {one.id: _thing(one) for one in things},
+        record.start_ns, start, {instance.id: _scene_object(instance) for instance in found},
         {1: Region(1, "floor", area_m2)}, occupancy, floor, None, None, None, {},
     )  # fmt: skip
 
 
-def _thing(found: Instance) -> SceneObject:
+def _scene_object(found: Instance) -> SceneObject:
+    """Return an instance as an object of the scene, with the box around its points."""
     position_m, size_m, heading_rad = box_around(found.points_m)
     label = shorten(found.label, 60)
     caption = f"{found.state}, score {found.score:.2f}"

@@ -22,15 +22,18 @@ from edge.lab.report.document import document
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
 
-VOXEL_M = 0.1
-FARTHEST_M = 300.0  # points are sent as centimetres in int16
-UNKNOWN, OCCUPIED = 254, 255  # the regions' ids are smaller
+VOXEL_M = 0.1  # one point is sent for each cube of this size
+FARTHEST_M = 300.0  # farther points are left out: points are sent as centimetres in int16
+UNKNOWN, OCCUPIED = 254, 255  # contents of a cell of the ground; the regions' ids are smaller
+# Colours of the ground, by the region's label; "" for no region.
 _GROUND_RGB = {
     "": (150, 166, 138), "road": (98, 102, 110), "sidewalk": (186, 184, 178),
     "parking": (126, 130, 142), "floor": (198, 190, 176), "terrain": (140, 160, 122),
 }  # fmt: skip
-_OTHERS_RGB = ((172, 158, 140), (140, 150, 172), (166, 146, 166))
-UNKNOWN_RGB, _OCCUPIED_RGB, _POINT_RGB = (202, 208, 216), (58, 66, 78), (112, 122, 136)
+_OTHERS_RGB = ((172, 158, 140), (140, 150, 172), (166, 146, 166))  # regions with other labels
+UNKNOWN_RGB, _OCCUPIED_RGB = (202, 208, 216), (58, 66, 78)
+_POINT_RGB = (112, 122, 136)  # points that belong to no object
+# Colours of the kinds of objects, for a dark and for a light background.
 _BRIGHT = (
     "#ff8787", "#74c0fc", "#ffd43b", "#8ce99a", "#e599f7", "#ffa94d", "#66d9e8", "#d0bfff",
 )  # fmt: skip
@@ -102,7 +105,7 @@ def scene_page(
         ground_m: height of the ground in `map`.
     """
     kinds = list(dict.fromkeys(item.label for item in scene.objects.values()))
-    poses, when = _poses_with_text(refined)
+    poses, pose_texts = _poses_with_text(refined)
     data = {
         "start": [scene.pose.x_m, scene.pose.y_m, scene.pose.yaw_rad],
         "ground": _ground(scene, ground_m),
@@ -110,7 +113,7 @@ def scene_page(
         "boxes": [_box(item, kinds) for item in scene.objects.values()],
         "lines": [_line(line, ground_m) for line in lines],
         "poses": poses,
-        "when": when,
+        "when": pose_texts,
     }
     viewer = files(__package__).joinpath("view3d.js").read_text(encoding="utf-8")
     # A "</script>" or "<!--" in a name would end the script.
@@ -119,7 +122,7 @@ def scene_page(
         f"<header><h1>{escape(title)}</h1></header>"
         '<section><canvas id="view" tabindex="0" role="img" '
         f'aria-label="{escape(title)}: a view in three dimensions"></canvas>'
-        f"{_controls(lines, when)}</section>{_facts(facts)}{_things(scene)}"
+        f"{_controls(lines, pose_texts)}</section>{_facts(facts)}{_objects(scene)}"
     )
     return document(title, body, machine, STYLE, f"const DATA = {text};\n{viewer}")
 
@@ -142,6 +145,7 @@ def ground_colours(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
+    """Return the grid of the ground for the viewer."""
     cells, colours = ground_colours(scene)
     rows, columns = cells.shape
     return {
@@ -156,7 +160,15 @@ def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
 
 
 def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
-    """Return one point per voxel; objects' points have kinds from 1 on, with their own colours."""
+    """Return one point per voxel, with its kind and the colours of the kinds.
+
+    Points of objects have kinds from 1 on; several labels may share a kind. Others have kind 0.
+
+    Args:
+        scene: objects with their points.
+        kinds: labels of the objects.
+        cloud_m: (n, 3) all other points; None for none.
+    """
     points, kind = [np.empty((0, 3), np.float32)], [np.empty(0, np.uint8)]
     for item in scene.objects.values():
         points.append(item.points_m)
@@ -177,6 +189,7 @@ def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> di
 
 
 def _box(item: SceneObject, kinds: Sequence[str]) -> dict[str, object]:
+    """Return an object's box and name for the viewer."""
     k = kinds.index(item.label) % len(_DARK)
     return {
         "id": item.id,
@@ -190,6 +203,7 @@ def _box(item: SceneObject, kinds: Sequence[str]) -> dict[str, object]:
 
 
 def _line(line: Line, ground_m: float) -> dict[str, object]:
+    """Return a trajectory for the viewer, with heights."""
     points = np.asarray(line.points_m, np.float64)
     if points.shape[1] == 2:
         points = np.column_stack([points, np.full(len(points), ground_m)])
@@ -202,16 +216,18 @@ def _line(line: Line, ground_m: float) -> dict[str, object]:
 
 
 def _poses_with_text(refined: RefinedTrajectory | None) -> tuple[list[list[float]], list[str]]:
+    """Return the poses that the slider selects, and time and speed at each as text."""
     if refined is None:
         return [], []
-    when = [
+    texts = [
         f"{t_s:.1f} s, {v_mps:.2f} m/s"
         for t_s, v_mps in zip(refined.times_s, refined.speeds_mps, strict=True)
     ]
-    return [_rounded(pose) for pose in refined.poses], when
+    return [_rounded(pose) for pose in refined.poses], texts
 
 
-def _controls(lines: Sequence[Line], when: Sequence[str]) -> str:
+def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
+    """Return buttons for views, check boxes, and the slider if there are poses."""
     views = "".join(
         f'<button type="button" data-view="{view}">{words}</button>'
         for view, words in (("behind", "Behind"), ("above", "Above"), ("robot", "As the robot"))
@@ -223,11 +239,11 @@ def _controls(lines: Sequence[Line], when: Sequence[str]) -> str:
         for k, line in enumerate(lines)
     )
     slider = ""
-    if when:
+    if pose_texts:
         slider = (
             '<div class="bar"><label for="along">Position</label><input type="range" id="along" '
-            f'min="0" max="{len(when) - 1}" value="0"><output id="when">{escape(when[0])}</output>'
-            "</div>"
+            f'min="0" max="{len(pose_texts) - 1}" value="0">'
+            f'<output id="when">{escape(pose_texts[0])}</output></div>'
         )
     return (
         f'<div class="bar">{views}{keys}'
@@ -239,13 +255,14 @@ def _controls(lines: Sequence[Line], when: Sequence[str]) -> str:
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
+    """Return the table of facts."""
     if not facts:
         return ""
     rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)
     return f'<section><h2>Trajectory</h2><table class="pairs">{rows}</table></section>'
 
 
-def _things(scene: Scene) -> str:
+def _objects(scene: Scene) -> str:
     """Return the objects as a table, for readers who cannot see the picture."""
     if not scene.objects:
         return '<section><p class="note">No objects were found.</p></section>'
@@ -263,6 +280,7 @@ def _things(scene: Scene) -> str:
 
 
 def _packed(array: np.ndarray) -> str:
+    """Return an array's bytes, compressed, as text."""
     return base64.b64encode(zlib.compress(array.tobytes(), 9)).decode("ascii")
 
 

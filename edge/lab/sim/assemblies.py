@@ -1,9 +1,9 @@
 """Shapes of objects: each category as an assembly of primitives, for any size and colour.
 
-A row is (shape, centre, size, material[, texture]). Centres and sizes are fractions of the object's
-depth, width and height: x forward (the side it is used from), y left, z up from the floor, so (0,
-0, 0.5) is the middle. `main` is the object's colour, `dark` and `light` are derived from it, and
-all other materials are fixed.
+A row describes one primitive: (shape, centre, size, material[, texture]). Centres and sizes are
+fractions of the object's depth, width and height: x points forward (the side that people use it
+from), y left, z up from its underside, so (0, 0, 0.5) is the middle. `main` is the object's colour,
+`dark` and `light` are derived from it, and all other materials are fixed.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from edge.lab.sim.household import HOUSEHOLD
 
 CATEGORIES: dict[str, Category] = {**FURNITURE, **HOUSEHOLD}
 
+# Colours of the materials that do not depend on the object's colour.
 FIXED: dict[str, RGB] = {
     "black": (28, 28, 32),
     "steel": (176, 180, 186),

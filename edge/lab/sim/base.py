@@ -1,4 +1,4 @@
-"""Interface of all simulated worlds: objects, floor plan, camera and LiDAR."""
+"""Interface of all simulated worlds: objects, floor plan, and views by camera and LiDAR."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edge.config import Lidar
 from edge.errors import UserError
 from edge.geometry import SE2, CameraModel, Grid
 
-# The robot drives over thresholds, sills and carpets lower than this.
+# The robot drives over sills and carpets that are lower than this.
 FLOOR_CLEARANCE_M = 0.05
 
 
@@ -22,7 +22,7 @@ Room = tuple[tuple[float, float, float, float], ...]
 
 
 class WorldError(UserError):
-    """The world cannot be used; the message names file, place and what to do."""
+    """Error of a world that cannot be used; the message names file, place and what to do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,12 +111,19 @@ class FloorPlan:
         np.maximum(self.clearance_m - 0.5 * cell_m, 0.0, out=self.clearance_m)
 
     def clearance_at(self, x_m: float, y_m: float) -> float:
-        """Return the distance to the nearest obstacle, to a cell; 0 inside one or off the plan."""
+        """Return the distance to the nearest obstacle, exact to a cell.
+
+        It is 0 inside an obstacle or off the plan.
+        """
         cell = self.grid.cell_of(x_m, y_m)
         return 0.0 if cell is None else float(self.clearance_m[cell])
 
     def reachable(self, x_m: float, y_m: float, clearance_m: float) -> np.ndarray:
-        """Return (rows, columns) bool: cells that a robot of radius `clearance_m` can reach."""
+        """Return the cells that a robot of radius `clearance_m` can reach from a place.
+
+        Returns:
+            (rows, columns) bool; all False if the place itself is not free.
+        """
         free = (self.clearance_m > clearance_m).astype(np.uint8)
         cell = self.grid.cell_of(x_m, y_m)
         if cell is None or not free[cell]:
@@ -154,19 +161,25 @@ class World(Protocol):
     ) -> None:
         """Render an image into the given buffers.
 
-        `out_rgb` is (h, w, 3) uint8, `out_depth_m` (h, w) float32 z-depth with NaN for nothing,
-        `out_ids` (h, w) uint16 object ids with 0 for structure. Without `out_rgb` nothing is
-        shaded, which takes half the time; depth and ids are the same.
+        Args:
+            camera: intrinsics.
+            T_map_camera: (4, 4) pose of the camera's optical frame.
+            out_rgb: (h, w, 3) uint8. With None nothing is shaded, which takes half the time;
+                depth and ids are the same.
+            out_depth_m: (h, w) float32 z-depth, NaN for nothing.
+            out_ids: (h, w) uint16 object ids, 0 for structure.
         """
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """Fill (rings, columns) float32 with ranges [m]; NaN for no return."""
+        """Measure one LiDAR sweep: fill (rings, columns) float32 with ranges [m], NaN for none."""
 
 
 def free_poses(
     world: World, count: int, seed: int, radius_m: float, margin_m: float = 0.1
 ) -> list[SE2]:
     """Return random poses that the robot can reach from the world's start, repeatably for a seed.
+
+    The poses are at least `margin_m` farther from obstacles than the robot's radius.
 
     Raises:
         WorldError: the start itself is not free for this radius.

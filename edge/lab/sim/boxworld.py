@@ -1,4 +1,7 @@
-"""World of primitive shapes, rendered by the numba ray caster (`edge.lab.sim.kernels`)."""
+"""World of boxes, cylinders and ellipsoids: rendered, scanned by LiDAR, and rearranged.
+
+Houses and streets are built as such worlds. The ray caster is `edge.lab.sim.kernels` (numba).
+"""
 
 from __future__ import annotations
 
@@ -11,22 +14,22 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
-CELL_M = 0.025  # of the floor plan
-_MARGIN_M = 0.5  # of the floor plan around all primitives
-_SKY = np.array([205, 222, 238], np.uint8)
+CELL_M = 0.025  # side of a cell of the floor plan
+_MARGIN_M = 0.5  # free border of the floor plan around all primitives
+_SKY = np.array([205, 222, 238], np.uint8)  # colour of pixels that show nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """One primitive solid.
+    """One solid of a simple shape; part of an object or of the building.
 
     Attributes:
         shape: `kernels.BOX`, `CYLINDER` or `ELLIPSOID`.
-        center_m: centre.
+        center_m: centre, in the frame of the object that it is part of, or in `map`.
         size_m: full extents along its own axes.
         color: r, g, b in 0..255.
         texture: one of `shading.PLAIN` … `PICTURE`.
-        yaw_rad: yaw.
+        yaw_rad: yaw in the same frame as the centre.
     """
 
     shape: int
@@ -37,7 +40,7 @@ class Primitive:
     yaw_rad: float = 0.0
 
     def placed(self, x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Primitive:
-        """Return this primitive of an object that stands at a pose."""
+        """Return this primitive moved from the object's frame to `map`, for an object at a pose."""
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         x, y, z = self.center_m
         center = (x_m + c * x - s * y, y_m + s * x + c * y, z_m + z)
@@ -45,7 +48,28 @@ class Primitive:
 
 
 class BoxWorld:
-    """World of primitives (see `edge.lab.sim.base.World`), whose objects can move."""
+    """World of primitives (see `edge.lab.sim.base.World`), whose objects can move.
+
+    All arrays have one entry for each of the p primitives, in the same order.
+
+    Args:
+        name: of the world.
+        structure: primitives of the building, in `map`.
+        furniture: each object with its primitives, in `map`.
+        start: pose at which the robot starts.
+        robot_height_m: the floor plan has all that is lower.
+        depth_range_m: smallest and largest depth that the camera measures.
+        rooms: see `World`.
+        room_kinds: see `World`.
+
+    Attributes:
+        owner: (p,) uint16, id of the object that the primitive is part of, 0 = structure.
+        shape: (p,) uint8, see `Primitive`.
+        texture: (p,) uint8, see `Primitive`.
+        color: (p, 3) float32, see `Primitive`.
+        geometry: (p, 8) float64, centre, half extents, cosine and sine of the yaw; see `kernels`
+            for the columns.
+    """
 
     def __init__(
         self,
@@ -73,9 +97,9 @@ class BoxWorld:
         self.shape = np.array([part.shape for part in parts], np.uint8)
         self.texture = np.array([part.texture for part in parts], np.uint8)
         self.color = np.array([part.color for part in parts], np.float32)
-        self.pose = np.array([_pose_row(part) for part in parts])
+        self.geometry = np.array([_geometry_row(part) for part in parts])
         self.plan = self._floor_plan()
-        self._prim = np.empty((0, 0), np.int32)
+        self._hit_primitive = np.empty((0, 0), np.int32)  # (h, w), made at the first image
 
     def render(
         self,
@@ -85,32 +109,39 @@ class BoxWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        if self._prim.shape != out_depth_m.shape:
-            self._prim = np.empty(out_depth_m.shape, np.int32)
+        """See `edge.lab.sim.base.World`."""
+        if self._hit_primitive.shape != out_depth_m.shape:
+            self._hit_primitive = np.empty(out_depth_m.shape, np.int32)
+        hit = self._hit_primitive
         lens = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-        kernels.render_depth(self.shape, self.pose, T_map_camera, *lens, out_depth_m, self._prim)
+        kernels.render_depth(self.shape, self.geometry, T_map_camera, *lens, out_depth_m, hit)
         if out_rgb is not None:
             shading.shade(
-                self.shape, self.pose, self.color, self.texture, T_map_camera, *lens, out_depth_m,
-                self._prim, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m), CELL_M,
-                _SKY, out_rgb,
+                self.shape, self.geometry, self.color, self.texture, T_map_camera, *lens,
+                out_depth_m, hit, self.plan.clearance_m, np.array(self.plan.grid.origin_xy_m),
+                CELL_M, _SKY, out_rgb,
             )  # fmt: skip
-        kernels.name_hits(self._prim, self.owner, *self._depth_range_m, out_depth_m, out_ids)
+        kernels.write_object_ids(hit, self.owner, *self._depth_range_m, out_depth_m, out_ids)
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+        """See `edge.lab.sim.base.World`."""
         rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)
-        kernels.cast_fan(self.shape, self.pose, T_map_lidar, *rays, out_ranges_m)
+        kernels.cast_fan(self.shape, self.geometry, T_map_lidar, *rays, out_ranges_m)
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan
 
     def move(self, object_id: int, x_m: float, y_m: float) -> None:
-        """Move an object's centre to another place on the floor."""
+        """Move an object's centre to another place on the floor.
+
+        Raises:
+            KeyError: no such object.
+        """
         k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
         if k is None:
             raise KeyError(f"world {self.name}: no object has the id {object_id}")
         item = self.objects[k]
         moving = self.owner == object_id
-        self.pose[moving, 0] += x_m - item.center_m[0]
-        self.pose[moving, 1] += y_m - item.center_m[1]
+        self.geometry[moving, kernels.X] += x_m - item.center_m[0]
+        self.geometry[moving, kernels.Y] += y_m - item.center_m[1]
         self.objects[k] = replace(item, center_m=(x_m, y_m, item.center_m[2]))
         grid = self.plan.grid
         grid.cells[:] = 0
@@ -118,20 +149,27 @@ class BoxWorld:
         self.plan.update()
 
     def _floor_plan(self) -> FloorPlan:
-        turn = np.abs(self.pose[:, 6:8])
-        reach = turn[:, :1] * self.pose[:, 3:5] + turn[:, 1:] * self.pose[:, 4:2:-1]
-        low = (self.pose[:, :2] - reach).min(axis=0) - _MARGIN_M
-        high = (self.pose[:, :2] + reach).max(axis=0) + _MARGIN_M
+        """Return the plan of all primitives; the grid ends `_MARGIN_M` beyond them."""
+        center_x, center_y = self.geometry[:, (kernels.X, kernels.Y)].T
+        half_x, half_y = self.geometry[:, (kernels.HALF_X, kernels.HALF_Y)].T
+        c, s = np.abs(self.geometry[:, (kernels.COS, kernels.SIN)]).T
+        # Half of the extents along x and y of `map`: those of the turned rectangle.
+        reach = np.stack([c * half_x + s * half_y, c * half_y + s * half_x], axis=1)
+        center = np.stack([center_x, center_y], axis=1)
+        low = (center - reach).min(axis=0) - _MARGIN_M
+        high = (center + reach).max(axis=0) + _MARGIN_M
         cols, rows = np.ceil((high - low) / CELL_M).astype(int)
         occupied = np.zeros((rows, cols), np.uint8)
         self._rasterise(occupied, low)
         return FloorPlan(Grid(occupied, (float(low[0]), float(low[1])), CELL_M))
 
     def _rasterise(self, occupied: np.ndarray, origin_m: np.ndarray) -> None:
+        """Set the cells to 1 that a primitive covers at the height of the robot."""
         heights = (FLOOR_CLEARANCE_M, self._robot_height_m)
-        kernels.rasterise(self.shape, self.pose, *heights, origin_m, CELL_M, occupied)
+        kernels.rasterise(self.shape, self.geometry, *heights, origin_m, CELL_M, occupied)
 
 
-def _pose_row(part: Primitive) -> list[float]:
+def _geometry_row(part: Primitive) -> list[float]:
+    """Return a row of `BoxWorld.geometry`."""
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

@@ -1,4 +1,7 @@
-"""Building blocks of assemblies; see `edge.lab.sim.assemblies`."""
+"""Building blocks of the tables of object shapes (`furniture`, `household`).
+
+`edge.lab.sim.assemblies` explains the rows of these tables and builds objects from them.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,11 @@ from dataclasses import dataclass
 
 from edge.lab.sim import kernels as k
 
-B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID
+B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID  # shapes
 RGB = tuple[float, float, float]
 """Red, green and blue, 0 to 255."""
 
+# Usual colours of objects made of a material; VIVID is for plastic and the like.
 WOODS: tuple[RGB, ...] = ((150, 104, 62), (112, 74, 46), (196, 156, 104), (90, 60, 42))
 CLOTHS: tuple[RGB, ...] = ((86, 108, 142), (150, 66, 58), (122, 132, 98), (168, 150, 126))
 WHITES: tuple[RGB, ...] = ((236, 236, 234), (222, 226, 228))
@@ -33,7 +37,14 @@ class Category:
 
 
 def legs(height: float, size: float, material: str, inset: float = 0.08) -> tuple[tuple, ...]:
-    """Return four legs under a top at `height`; all values are fractions."""
+    """Return the rows of four legs.
+
+    Args:
+        height: upper end of the legs; all values are fractions of the object's size.
+        size: side of a leg's square section.
+        material: of the legs.
+        inset: distance of a leg's middle from the object's sides.
+    """
     d = 0.5 - inset
     return tuple(
         (B, (x, y, height / 2), (size, size, height), material)

@@ -1,7 +1,8 @@
 """3-D shapes of furniture for the simulator.
 
-Each piece is a list of boxes (`B`), cylinders (`C`) and ellipsoids (`E`).
-`edge.lab.sim.assemblies` explains the entries of a row.
+Each category has its usual depth, width and height [m], its usual colours, and its shape: rows of
+boxes (`B`), cylinders (`C`) and ellipsoids (`E`). `edge.lab.sim.assemblies` explains the entries of
+a row.
 """
 
 from __future__ import annotations

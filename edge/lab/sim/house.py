@@ -1,8 +1,7 @@
 """Houses read from our JSON format: rooms, walls with openings, and furniture.
 
-`houses/demo.json` shows every field. Lengths are in metres, angles in degrees. A wall's openings
-count from its start. An object stands at `at` and faces +x at `yaw_deg` 0. Without its own size and
-color it takes its category's usual size and first colour.
+`houses/demo.json` shows every field. `edge.lab.sim.generator` makes such houses from a seed, and
+`build_house` makes a world of them. Lengths are in metres, angles in degrees.
 """
 
 from __future__ import annotations
@@ -32,8 +31,9 @@ FLOORS = {
     "carpet": shading.FABRIC,
     "plain": shading.PLAIN,
 }
-_SLAB_M = 0.1
-_SKIRTING = (232.0, 230.0, 224.0)
+"""Texture of a floor by its name in the file."""
+_SLAB_M = 0.1  # thickness of floor and ceiling
+_SKIRTING = (232.0, 230.0, 224.0)  # colour of the board along the foot of a wall
 
 Point = tuple[float, float]
 Channel = Annotated[float, Field(ge=0, le=255)]
@@ -41,7 +41,14 @@ Color = tuple[Channel, Channel, Channel]
 
 
 class Room(Section):
-    """A rectangle x0, y0, x1, y1 of floor and ceiling."""
+    """A rectangular room: its floor and ceiling.
+
+    Attributes:
+        name: unique name.
+        rect: x0, y0, x1, y1.
+        floor: material of the floor.
+        color: colour of the floor.
+    """
 
     name: str
     rect: tuple[float, float, float, float]
@@ -50,7 +57,14 @@ class Room(Section):
 
 
 class Opening(Section):
-    """A door, or a window when it has a sill."""
+    """A door, or a window if it has a sill.
+
+    Attributes:
+        at_m: distance of its middle from the wall's start.
+        width_m: width.
+        height_m: height of the gap, above the sill.
+        sill_m: height of the wall below it.
+    """
 
     at_m: float
     width_m: Positive = 0.95
@@ -59,6 +73,8 @@ class Opening(Section):
 
 
 class Wall(Section):
+    """A straight wall from floor to ceiling; `start` and `end` are x and y of its ends."""
+
     start: Point
     end: Point
     color: Color = (226, 222, 212)
@@ -66,6 +82,17 @@ class Wall(Section):
 
 
 class HouseObject(Section):
+    """An object in the house.
+
+    Attributes:
+        category: key of `edge.lab.sim.assemblies.CATEGORIES`, which gives the shape.
+        at: x and y of its centre.
+        z_m: height of its underside above the floor.
+        yaw_deg: direction of its front; 0 is +x.
+        size: depth, width, height; by default the category's usual size.
+        color: by default the category's first colour.
+    """
+
     category: str
     at: Point
     z_m: float = 0.0
@@ -83,6 +110,8 @@ class HouseObject(Section):
 
 
 class House(Section):
+    """Content of a house file; `start` is the robot's x, y and yaw in degrees."""
+
     name: str
     start: tuple[float, float, float]
     wall_height_m: Positive = 2.6
@@ -138,13 +167,14 @@ def build_house(house: House, config: Config) -> BoxWorld:
     """Return the world of a validated house."""
     structure = [part for room in house.rooms for part in _room_parts(room, house)]
     structure += [part for wall in house.walls for part in _wall_parts(wall, house)]
-    furniture = [_furnish(k + 1, thing) for k, thing in enumerate(house.objects)]
+    furniture = [_object_parts(k + 1, item) for k, item in enumerate(house.objects)]
     camera = config.sensors.camera
+    x_m, y_m, yaw_deg = house.start
     return BoxWorld(
         house.name,
         structure,
         furniture,
-        SE2(house.start[0], house.start[1], math.radians(house.start[2])),
+        SE2(x_m, y_m, math.radians(yaw_deg)),
         config.robot.height_m,
         (camera.depth_min_m, camera.depth_max_m),
         tuple((room.rect,) for room in house.rooms),
@@ -152,6 +182,7 @@ def build_house(house: House, config: Config) -> BoxWorld:
 
 
 def _room_parts(room: Room, house: House) -> list[Primitive]:
+    """Return the room's floor, and its ceiling if the house has one."""
     x0, y0, x1, y1 = room.rect
     center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
     floor = (*center, -0.5 * _SLAB_M)
@@ -169,6 +200,7 @@ def _wall_parts(wall: Wall, house: House) -> list[Primitive]:
     parts: list[Primitive] = []
 
     def add_part(a: float, b: float, z0: float, z1: float) -> None:
+        """Add the part from `a` to `b` along the wall, between two heights."""
         if b - a < 1e-6 or z1 - z0 < 1e-6:
             return
         mid = (0.5 * (a + b), 0.0, 0.5 * (z0 + z1))
@@ -190,18 +222,19 @@ def _wall_parts(wall: Wall, house: House) -> list[Primitive]:
     return [part.placed(x0, y0, 0.0, yaw) for part in parts]
 
 
-def _furnish(object_id: int, thing: HouseObject) -> tuple[WorldObject, list[Primitive]]:
-    category = assemblies.CATEGORIES[thing.category]
-    size = thing.size or category.size_m
-    yaw = math.radians(thing.yaw_deg)
-    parts = assemblies.build(thing.category, size, thing.color or category.colors[0])
-    item = WorldObject(
+def _object_parts(object_id: int, item: HouseObject) -> tuple[WorldObject, list[Primitive]]:
+    """Return the object of the world that a file's entry describes, with its primitives."""
+    category = assemblies.CATEGORIES[item.category]
+    size = item.size or category.size_m
+    yaw = math.radians(item.yaw_deg)
+    parts = assemblies.build(item.category, size, item.color or category.colors[0])
+    world_object = WorldObject(
         id=object_id,
-        name=f"{thing.category}-{object_id}",
-        label=names.canonical(thing.category),
-        category=thing.category,
-        center_m=(*thing.at, thing.z_m + 0.5 * size[2]),
+        name=f"{item.category}-{object_id}",
+        label=names.canonical(item.category),
+        category=item.category,
+        center_m=(*item.at, item.z_m + 0.5 * size[2]),
         size_m=size,
         yaw_rad=yaw,
     )
-    return item, [part.placed(*thing.at, thing.z_m, yaw) for part in parts]
+    return world_object, [part.placed(*item.at, item.z_m, yaw) for part in parts]

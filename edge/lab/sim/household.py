@@ -1,4 +1,9 @@
-"""Appliances, bathroom fittings and small objects as assemblies (see `edge.lab.sim.assemblies`)."""
+"""3-D shapes of appliances, bathroom fittings and small objects for the simulator.
+
+Each category has its usual depth, width and height [m], its usual colours, and its shape: rows of
+boxes (`B`), cylinders (`C`) and ellipsoids (`E`). `edge.lab.sim.assemblies` explains the entries of
+a row.
+"""
 
 from __future__ import annotations
 

@@ -1,12 +1,13 @@
-"""Ray casting of primitive shapes; arrays only (numba).
+"""Ray casting of boxes, cylinders and ellipsoids, for the camera and LiDAR of `BoxWorld` (numba).
 
-A primitive is a solid in its own frame: yawed about z, centred, with half extents.
-`shape` (n,) uint8 is BOX, CYLINDER (axis z, elliptic) or ELLIPSOID; `pose` (n, 8) float64 holds
-centre x, y, z [m], half extents x, y, z [m], cos(yaw), sin(yaw).
+A primitive is one such solid, turned about the vertical axis. All functions take n primitives as
+two arrays: `shape` (n,) uint8 is BOX, CYLINDER (axis z, elliptic) or ELLIPSOID; `geometry` (n, 8)
+float64 has the columns X to SIN (below). The primitive's own frame has its origin at the centre.
 
-Depth comes first, then shading (`edge.lab.sim.shading`), so every pixel is shaded once. Primitives
-are drawn front to back, each only inside the rectangle that it projects to. Tiles that a nearer
-primitive already covers are skipped.
+`prim` (h, w) int32 has the index of the primitive that each pixel shows, -1 for none. Depth comes
+first, then shading (`edge.lab.sim.shading`), so every pixel is shaded once. Primitives are drawn
+front to back, each only inside the rectangle that it projects to. Tiles that a nearer primitive
+already covers are skipped.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ import numpy as np
 from edge.jit import jit
 
 BOX, CYLINDER, ELLIPSOID = 0, 1, 2
+# Columns of `geometry`: centre [m], half of the extents [m], cosine and sine of the yaw.
+X, Y, Z, HALF_X, HALF_Y, HALF_Z, COS, SIN = range(8)
 
-NEAR_M = 0.02
-TILE_PX = 16
-# Directions of length zero along an axis would divide 0 by 0 in the slab test.
+NEAR_M = 0.02  # nearer surfaces are not seen
+TILE_PX = 16  # side of a tile of the image
+# A direction without a part along an axis would divide 0 by 0 in the slab test.
 _TINY = 1e-12
 
 
@@ -47,7 +50,11 @@ def _quadratic(a, b, c):
 
 @jit(error_model="numpy")
 def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
-    """Return the distance t along d where a ray enters the solid; inf for a miss or inside."""
+    """Return the distance t at which the ray o + t d enters a solid with half extents h.
+
+    All are in the solid's own frame. The distance is inf if the ray misses the solid or starts
+    inside it.
+    """
     if shape == ELLIPSOID:
         px, py, pz, qx, qy, qz = ox / hx, oy / hy, oz / hz, dx / hx, dy / hy, dz / hz
         t_in, t_out = _quadratic(
@@ -69,24 +76,27 @@ def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
 
 
 @jit(error_model="numpy")
-def into_local(pose, T, local):
+def into_local(geometry, T, local):
     """Fill `local` (3, 4) with the transform from the sensor's frame to the primitive's."""
-    c, s = pose[6], pose[7]
+    c, s = geometry[COS], geometry[SIN]
     for j in range(3):
         local[0, j] = c * T[0, j] + s * T[1, j]
         local[1, j] = -s * T[0, j] + c * T[1, j]
         local[2, j] = T[2, j]
-    x, y = T[0, 3] - pose[0], T[1, 3] - pose[1]
-    local[0, 3], local[1, 3], local[2, 3] = c * x + s * y, -s * x + c * y, T[2, 3] - pose[2]
+    x, y = T[0, 3] - geometry[X], T[1, 3] - geometry[Y]
+    local[0, 3], local[1, 3], local[2, 3] = c * x + s * y, -s * x + c * y, T[2, 3] - geometry[Z]
 
 
 @jit(error_model="numpy")
-def _corners(pose, local, corners):
-    """Fill `corners` (8, 3) with the bounding box's corners in the sensor frame."""
+def _corners(geometry, local, corners):
+    """Fill `corners` (8, 3) with the bounding box's corners in the sensor frame.
+
+    Bits 0, 1 and 2 of a corner's index say if it lies on the positive side in x, y and z.
+    """
     for k in range(8):
-        x = (pose[3] if k & 1 else -pose[3]) - local[0, 3]
-        y = (pose[4] if k & 2 else -pose[4]) - local[1, 3]
-        z = (pose[5] if k & 4 else -pose[5]) - local[2, 3]
+        x = (geometry[HALF_X] if k & 1 else -geometry[HALF_X]) - local[0, 3]
+        y = (geometry[HALF_Y] if k & 2 else -geometry[HALF_Y]) - local[1, 3]
+        z = (geometry[HALF_Z] if k & 4 else -geometry[HALF_Z]) - local[2, 3]
         for j in range(3):
             corners[k, j] = local[0, j] * x + local[1, j] * y + local[2, j] * z
 
@@ -106,7 +116,7 @@ def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
             # axis 3: the corner itself; 0-2: where the edge along that axis meets the near plane.
             x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
             if axis < 3:
-                other = k ^ (1 << axis)
+                other = k ^ (1 << axis)  # the corner at the other end of this edge
                 z_other = corners[other, 2]
                 if not (z >= NEAR_M > z_other):
                     continue
@@ -128,6 +138,9 @@ def _rectangle(corners, fx, fy, cx, cy, width, height, rect):
 @jit(error_model="numpy")
 def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
     """Ray-test a row of pixels against a box, without branches, so that the compiler vectorises it.
+
+    `u0` is the first pixel's column minus `cx`. A ray's direction in the box's frame is
+    `local[:, 0] x + (bx, by, bz)`, with x = (u - cx) / fx. `depth` and `prim` are changed in place.
 
     Returns:
         The number of pixels for which the box is nearest.
@@ -153,11 +166,15 @@ def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
 
 
 @jit(error_model="numpy")
-def _draw(index, shape, pose, local, rect, z_min, fx, fy, cx, cy, depth, prim, tile_z):
-    """Ray-test the pixels of `rect` against one primitive."""
+def _draw(index, shape, geometry, local, rect, z_min, fx, fy, cx, cy, depth, prim, tile_z):
+    """Draw one primitive into `depth` and `prim`: ray-test the pixels of its rectangle `rect`.
+
+    `tile_z` is the largest depth in each tile. A tile is skipped if the primitive, nearest at
+    `z_min`, lies behind all of it.
+    """
     height, width = depth.shape
     ox, oy, oz = local[0, 3], local[1, 3], local[2, 3]
-    hx, hy, hz = pose[3], pose[4], pose[5]
+    hx, hy, hz = geometry[HALF_X], geometry[HALF_Y], geometry[HALF_Z]
     for tile_y in range(rect[1] // TILE_PX, rect[3] // TILE_PX + 1):
         for tile_x in range(rect[0] // TILE_PX, rect[2] // TILE_PX + 1):
             if tile_z[tile_y, tile_x] <= z_min:
@@ -192,7 +209,7 @@ def _draw(index, shape, pose, local, rect, z_min, fx, fy, cx, cy, depth, prim, t
 
 
 @jit(error_model="numpy")
-def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
+def render_depth(shape, geometry, T_map_camera, fx, fy, cx, cy, depth, prim):
     """Fill `depth` (h, w) float32 [m along z, inf = nothing] and `prim` (h, w) int32 (-1 = none).
 
     A ray has camera-frame direction (x, y, 1), so its parameter is the z-depth itself.
@@ -202,8 +219,8 @@ def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
     local, rects = np.empty((n, 3, 4)), np.empty((n, 4), np.int64)
     corners, nearest = np.empty((8, 3)), np.empty(n)
     for i in range(n):
-        into_local(pose[i], T_map_camera, local[i])
-        _corners(pose[i], local[i], corners)
+        into_local(geometry[i], T_map_camera, local[i])
+        _corners(geometry[i], local[i], corners)
         nearest[i] = _rectangle(corners, fx, fy, cx, cy, width, height, rects[i])
     rows, cols = (height + TILE_PX - 1) // TILE_PX, (width + TILE_PX - 1) // TILE_PX
     tile_z = np.full((rows, cols), np.inf)
@@ -213,36 +230,37 @@ def render_depth(shape, pose, T_map_camera, fx, fy, cx, cy, depth, prim):
         if nearest[i] == math.inf:
             break
         _draw(
-            i, shape[i], pose[i], local[i], rects[i], nearest[i],
+            i, shape[i], geometry[i], local[i], rects[i], nearest[i],
             fx, fy, cx, cy, depth, prim, tile_z,
         )  # fmt: skip
 
 
 @jit(error_model="numpy")
-def name_hits(hit, owner, near_m, far_m, depth, ids):
-    """Fill `ids` with each hit's owner, and set depths outside the camera's range to NaN.
+def write_object_ids(hit, owner, near_m, far_m, depth, ids):
+    """Fill `ids` with the object that each pixel shows; set depths out of the range to NaN.
 
     Args:
-        hit: (...) int32 index into `owner`, -1 = nothing.
-        owner: (n,) uint16 object ids, 0 = structure.
+        hit: (...) int32 index into `owner` of the primitive or face that a pixel shows, -1 = none.
+        owner: (n,) uint16 ids of the objects that these belong to, 0 = structure.
         near_m: least depth of the camera.
         far_m: largest depth of the camera.
         depth: (...) float32, changed in place.
         ids: (...) uint16, 0 for nothing.
     """
-    hits, depths, named = hit.reshape(-1), depth.reshape(-1), ids.reshape(-1)
+    hits, depths, flat_ids = hit.reshape(-1), depth.reshape(-1), ids.reshape(-1)
     for k in range(len(hits)):
-        named[k] = 0 if hits[k] < 0 else owner[hits[k]]
+        flat_ids[k] = 0 if hits[k] < 0 else owner[hits[k]]
         if depths[k] < near_m or depths[k] > far_m:
             depths[k] = np.nan
 
 
 @jit(error_model="numpy")
 def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
-    """Fill `window` (ring0, ring1, column0, columns) with the rays that can meet a box.
+    """Fill `window` with the rays of a rotating LiDAR that can meet a box.
 
-    The window may be too large, never too small. Columns count from azimuth -pi; a box around the
-    sensor's axis takes all columns.
+    `window` is (first ring, end of rings, first column, number of columns). It may be too large,
+    never too small. Columns count from azimuth -pi; a box around the sensor's axis takes all
+    columns. `corners` are in the LiDAR's frame.
     """
     r_max, z_lo, z_hi = 0.0, math.inf, -math.inf
     mid_x, mid_y = 0.0, 0.0
@@ -255,7 +273,7 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     low, high, spread, r_min = 0.0, 0.0, 0.0, math.inf
     for k in range(8):
         off = math.atan2(corners[k, 1], corners[k, 0]) - middle
-        off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)
+        off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)  # to -pi..pi
         low, high = min(low, off), max(high, off)
         # The planar hull is at least as far away as the nearest projection of a corner on the
         # line of sight to its middle.
@@ -275,7 +293,7 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
 
 
 @jit(error_model="numpy")
-def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
+def cast_fan(shape, geometry, T_map_lidar, directions, el_min, el_step, ranges):
     """Fill `ranges` (rings, columns) float32 [m, inf = nothing] for a rotating LiDAR.
 
     `directions` (rings, columns, 3) float64 are unit vectors in the LiDAR's frame: ring r at
@@ -285,10 +303,10 @@ def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
     local, corners, window = np.empty((3, 4)), np.empty((8, 3)), np.empty(4, np.int64)
     ranges[:] = np.inf
     for i in range(len(shape)):
-        into_local(pose[i], T_map_lidar, local)
-        _corners(pose[i], local, corners)
+        into_local(geometry[i], T_map_lidar, local)
+        _corners(geometry[i], local, corners)
         _fan_window(corners, n_columns, el_min, el_step, n_rings, window)
-        hx, hy, hz = pose[i, 3], pose[i, 4], pose[i, 5]
+        hx, hy, hz = geometry[i, HALF_X], geometry[i, HALF_Y], geometry[i, HALF_Z]
         for r in range(window[0], window[1]):
             for k in range(window[3]):
                 c = (window[2] + k) % n_columns
@@ -304,15 +322,16 @@ def cast_fan(shape, pose, T_map_lidar, directions, el_min, el_step, ranges):
 
 
 @jit(error_model="numpy")
-def rasterise(shape, pose, z_lo, z_hi, origin_m, cell_m, grid):
+def rasterise(shape, geometry, z_lo, z_hi, origin_m, cell_m, grid):
     """Set `grid` (rows, columns) uint8 to 1 where a solid reaches into z_lo..z_hi [m]."""
-    pad = 0.5 * cell_m
+    pad = 0.5 * cell_m  # a cell counts if its centre is within half a cell of the solid
     for i in range(len(shape)):
-        if pose[i, 2] - pose[i, 5] >= z_hi or pose[i, 2] + pose[i, 5] <= z_lo:
+        z, hz, c, s = geometry[i, Z], geometry[i, HALF_Z], geometry[i, COS], geometry[i, SIN]
+        if z - hz >= z_hi or z + hz <= z_lo:
             continue
-        hx, hy, c, s = pose[i, 3] + pad, pose[i, 4] + pad, pose[i, 6], pose[i, 7]
+        hx, hy = geometry[i, HALF_X] + pad, geometry[i, HALF_Y] + pad
         reach = math.hypot(hx, hy)
-        x0, y0 = pose[i, 0] - origin_m[0], pose[i, 1] - origin_m[1]
+        x0, y0 = geometry[i, X] - origin_m[0], geometry[i, Y] - origin_m[1]
         for row in range(
             max(0, int((y0 - reach) / cell_m)), min(grid.shape[0], int((y0 + reach) / cell_m) + 1)
         ):

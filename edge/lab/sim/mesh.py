@@ -1,4 +1,7 @@
-"""Textured mesh as a world (extra `worlds`: trimesh and embreex)."""
+"""World made of a scanned or modelled house: a textured mesh and a list of its objects.
+
+It needs the extra `worlds`: trimesh reads the file, embreex casts the rays.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ from edge.host.files import read_regular
 from edge.lab.sim import kernels, mesh_kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
-CELL_M = 0.025  # of the floor plan
-_MARGIN_M = 0.5  # of the floor plan around the mesh
+CELL_M = 0.025  # side of a cell of the floor plan
+_MARGIN_M = 0.5  # free border of the floor plan around the mesh
 # Such houses often have no ceiling: the sky gets a ceiling's colour.
 _SKY = np.array([236, 236, 233], np.uint8)
 # The building itself: visible and solid, but never a target.
@@ -115,7 +118,13 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
 
 
 class _Atlas:
-    """Textures one after another, each with its smaller copies (mipmap levels)."""
+    """Textures one after another, each with its smaller copies (mipmap levels).
+
+    Attributes:
+        texels: (k, 3) uint8 colours of each copy.
+        levels: (offset of the copy in all texels, its height, its width); see
+            `edge.lab.sim.mesh_kernels`.
+    """
 
     def __init__(self) -> None:
         self.texels: list[np.ndarray] = []
@@ -125,7 +134,7 @@ class _Atlas:
 
     def add(self, image: Any) -> tuple[int, int]:
         """Return (first level, level count) of an image (PIL); plain white for None."""
-        key = id(image)
+        key = id(image)  # faces of several geometries share an image
         if key in self._seen:
             return self._seen[key]
         pixels = np.full((1, 1, 3), 255.0) if image is None else np.asarray(image.convert("RGB"))
@@ -153,15 +162,19 @@ def _halve(pixels: np.ndarray) -> np.ndarray:
 
 
 def read_faces(scene: Any) -> Faces:
-    """Return every instance of every geometry of a trimesh scene, placed in the map."""
-    atlas, columns, node_names = _Atlas(), [], []
+    """Return every instance of every geometry of a trimesh scene, placed in the map.
+
+    Raises:
+        ValueError: the scene has no triangles.
+    """
+    atlas, parts, node_names = _Atlas(), [], []
     for node_name in scene.graph.nodes_geometry:
         T, geometry_name = scene.graph[node_name]
-        columns.append(_faces_of(scene.geometry[geometry_name], T, atlas, len(node_names)))
+        parts.append(_face_arrays(scene.geometry[geometry_name], T, atlas, len(node_names)))
         node_names.append(node_name)
-    if not columns:
+    if not parts:
         raise ValueError("the file has no triangles")
-    joined = [np.concatenate(column) for column in zip(*columns, strict=True)]
+    joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
     return Faces(
         *joined,
         node_names=node_names,
@@ -170,8 +183,8 @@ def read_faces(scene: Any) -> Faces:
     )
 
 
-def _faces_of(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
-    """Return the columns of `Faces` up to `node`, for one placed geometry."""
+def _face_arrays(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
+    """Return the arrays of `Faces` from `triangles` to `node`, for one geometry placed at `T`."""
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
     triangles = corners[mesh.faces]
@@ -223,7 +236,14 @@ def _twice_area_3d(t: np.ndarray) -> np.ndarray:
 
 
 class MeshWorld:
-    """World of a textured mesh; see `edge.lab.sim.base.World`."""
+    """World of a textured mesh; see `edge.lab.sim.base.World`.
+
+    Args:
+        name: of the world.
+        faces: all triangles.
+        items: the objects as `read_objects` returns them.
+        config: robot and camera.
+    """
 
     def __init__(
         self, name: str, faces: Faces, items: list[dict[str, Any]], config: Config
@@ -244,7 +264,9 @@ class MeshWorld:
         self.objects, self._owner = _objects_of(faces, items, config.robot.height_m)
         self.plan = self._floor_plan(config.robot.height_m)
         self.start = self._roomiest_pose()
+        # The last camera, and the rays through its pixels.
         self._rays: tuple[CameraModel | None, np.ndarray] = (None, np.empty((0, 3)))
+        # (thread, number of rays) -> origins and directions of the rays in `map`.
         self._buffers: dict[tuple[int, int], np.ndarray] = {}
 
     def render(
@@ -255,6 +277,7 @@ class MeshWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
+        """See `edge.lab.sim.base.World`."""
         rays, hit = self._first_hits(self._pixel_rays(camera), T_map_camera)
         faces, face = self._faces, hit["primID"]
         if out_rgb is not None:
@@ -266,11 +289,12 @@ class MeshWorld:
             )  # fmt: skip
         # The rays have z = 1, so the distance along a ray is the depth.
         out_depth_m.reshape(-1)[:] = hit["tfar"]
-        kernels.name_hits(
+        kernels.write_object_ids(
             face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
         )
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
+        """See `edge.lab.sim.base.World`."""
         _, hit = self._first_hits(fan.directions.reshape(-1, 3), T_map_lidar)
         ranges = np.where(hit["primID"] >= 0, hit["tfar"], np.nan)
         ranges[ranges > fan.range_m] = np.nan
@@ -288,7 +312,11 @@ class MeshWorld:
     def _first_hits(
         self, rays: np.ndarray, T_map_sensor: np.ndarray
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the rays in the map frame, and the first hit of each."""
+        """Return the rays' directions in `map`, and the first hit of each.
+
+        A hit has arrays `primID` (face, -1 for none), `u`, `v` (barycentrics) and `tfar` (distance
+        in lengths of the direction).
+        """
         # Camera and LiDAR run in different threads: each has its own arrays.
         key = (threading.get_ident(), len(rays))
         if key not in self._buffers:
@@ -332,11 +360,17 @@ def _objects_of(
 ) -> tuple[list[WorldObject], np.ndarray]:
     """Return the objects, and the id of the object that each face belongs to (0 = structure).
 
-    A face belongs to the node of the object's name, else to the smallest box around it.
+    An object has the faces of the nodes with its name; a node's name may go on after a dot. If no
+    node has its name, it has the faces in its box. A face in several boxes belongs to the smallest.
+
+    Args:
+        faces: all triangles.
+        items: the objects as `read_objects` returns them.
+        reach_m: height of the robot; only lower parts of an object are in its footprint.
     """
     owner = np.zeros(len(faces.node), np.uint16)
     centers = faces.triangles.mean(axis=1)
-    by_name = {node.partition(".")[0]: k for k, node in reversed([*enumerate(faces.node_names)])}
+    named_nodes = {node.partition(".")[0] for node in faces.node_names}
     objects, boxed = [], []
     for item in items:
         label = names.canonical(item["category"])
@@ -344,14 +378,15 @@ def _objects_of(
             continue
         low, high = np.array(item["aabb_min"], float), np.array(item["aabb_max"], float)
         object_id = len(objects) + 1
-        if item["name"] in by_name:
+        if item["name"] in named_nodes:
             is_node = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
             owner[is_node[faces.node]] = object_id
         else:
             boxed.append((float(np.prod(high - low + 0.01)), object_id, low - 0.01, high + 0.01))
         objects.append((item, label, low, high))
     named = owner > 0
-    for _, object_id, low, high in sorted(boxed, key=lambda row: -row[0]):
+    # Largest box first, so that smaller boxes overwrite it.
+    for _, object_id, low, high in sorted(boxed, key=lambda entry: -entry[0]):
         owner[((centers > low) & (centers < high)).all(axis=1) & ~named] = object_id
     return [
         _object(k + 1, *fields, faces.triangles[owner == k + 1], reach_m)
@@ -368,6 +403,7 @@ def _object(
     triangles: np.ndarray,
     reach_m: float,
 ) -> WorldObject:
+    """Return an object with its footprint: the cells under its triangles up to `reach_m`."""
     center, size = 0.5 * (low + high), high - low
     cols, rows = np.ceil((size[:2] + 0.2) / CELL_M).astype(int)
     grid, corner = np.zeros((rows, cols), np.uint8), low[:2] - 0.1

@@ -1,4 +1,4 @@
-"""Shading and rasterising of textured triangles; arrays only (numba).
+"""Shading and rasterising of textured triangles, for `edge.lab.sim.mesh` (numba).
 
 Textures lie one after another in `texels` (n, 3) uint8, each with all its smaller copies (halved
 until one texel is left). `levels` (m, 3) int64 holds offset, height, width of each copy.
@@ -17,9 +17,10 @@ from edge.jit import jit
 
 @jit(error_model="numpy")
 def aim(rays, T_map_sensor, origins, directions):
-    """Fill `origins` and `directions` (n, 3) float32 in the map for `rays` (n, 3) of a sensor.
+    """Transform `rays` (n, 3), directions in a sensor's frame, to `map`.
 
-    This is not a matrix product: BLAS would start threads for it, which spin while they wait.
+    Fills `origins` and `directions`, (n, 3) float32. This is not a matrix product: BLAS would start
+    threads for it, which spin while they wait.
     """
     T = T_map_sensor
     for k in range(len(rays)):
@@ -71,7 +72,8 @@ def shade_hits(
         b0 = 1.0 - b1 - b2
         s = b0 * uvs[f, 0, 0] + b1 * uvs[f, 1, 0] + b2 * uvs[f, 2, 0]
         t = b0 * uvs[f, 0, 1] + b1 * uvs[f, 1, 1] + b2 * uvs[f, 2, 1]
-        # Take the copy in which a texel is about as large as the pixel.
+        # Take the copy in which a texel is about as large as the pixel. The footprint is the
+        # number of texels along a pixel; 1.42 is the square root of 2, halfway to the next copy.
         footprint, level, last = texel_density[f] * z / fx, first_level[f], level_count[f] - 1
         last += level
         while footprint > 1.42 and level < last:

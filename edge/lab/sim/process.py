@@ -33,7 +33,7 @@ REPEAT_S = 0.5  # time after which unanswered sensor data is sent again, in lock
 FIRST_STAMP_NS = 1_000_000_000  # start of the simulated clock, in lockstep
 _TRUTH_HZ = 10.0  # rate of the ground truth
 _DESCRIPTION_HZ = 1.0  # rate of camera intrinsics and labels
-_POLL_S = 0.0005
+_POLL_S = 0.0005  # pause between two looks for a command, in lockstep
 
 
 def main(config: Config, stop: threading.Event) -> int:
@@ -71,6 +71,7 @@ class SimBus:
         self._malformed = 0
 
     def send(self, batch: Iterable[Message]) -> None:
+        """Publish each message on its topic."""
         for topic, payload in batch:
             self._publishers[topic.key].put(payload)
 
@@ -107,6 +108,7 @@ def run_real_time(
 
 
 def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
+    """Move the robot in real time by the newest command, and send odometry and ground truth."""
     period_s = 1.0 / config.sensors.odometry_hz
     truth_every = max(1, round(config.sensors.odometry_hz / _TRUTH_HZ))
     command, heard_s, count = (0.0, 0.0), -COMMAND_TIMEOUT_S, 0
@@ -119,7 +121,7 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
             command = (0.0, 0.0)
         # The robot catches up with the clock if this thread wakes up late.
         lag_s = 1e-9 * (time.time_ns() - drive.motion.stamp_ns)
-        if lag_s > 0.0:
+        if lag_s > 0.0:  # not if the computer's clock was set back
             motion = drive.step(min(lag_s, 1.0), *command)
             bus.send([odometry_message(motion)])
             if count % truth_every == 0:
@@ -166,15 +168,19 @@ def run_lockstep(
         motion = drive.motion
         for rig in rigs:
             rig.look(motion.pose)
-        command = _ask(motion, rigs, bus, stop)
+        command = _command_for(motion, rigs, bus, stop)
         if command is not None:
             drive.step(config.sim.step_s, *command)
 
 
-def _ask(
+def _command_for(
     motion: MotionState, rigs: list[Rig], bus: SimBus, stop: threading.Event
 ) -> tuple[float, float] | None:
-    """Send one instant, repeatedly, until a command has its stamp; None once `stop` is set."""
+    """Send the sensor data of one instant again and again, until a command has its stamp.
+
+    Returns:
+        Speed [m/s] and turn rate [rad/s] of the command; None if `stop` was set first.
+    """
     stamp_ns, begun_s, sent_s, warned = motion.stamp_ns, time.monotonic(), 0.0, False
     while not stop.is_set():
         now_s = time.monotonic()

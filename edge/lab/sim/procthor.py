@@ -1,4 +1,7 @@
-"""ProcTHOR houses (Apache-2.0) as box worlds, read from JSON lines."""
+"""Houses of the ProcTHOR data set (Apache-2.0) as worlds, each a line of a JSON lines file.
+
+Objects are plain boxes: the file has only their categories, positions and sizes.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +26,13 @@ from edge.lab.sim.boxworld import BoxWorld, Primitive
 
 _WALL_M = 0.1  # thickness of a wall
 _SLAB_M = 0.1  # thickness of floor and ceiling
+# Colour and texture of the floor by the kind of room; other rooms have wooden planks.
 _FLOORS = {
     "bathroom": ((196.0, 200.0, 204.0), shading.TILES),
     "kitchen": ((206.0, 198.0, 184.0), shading.TILES),
     "bedroom": ((168.0, 150.0, 130.0), shading.FABRIC),
 }
-_WOOD = ((176.0, 132.0, 88.0), shading.PLANKS)
+_WOOD = ((176.0, 132.0, 88.0), shading.PLANKS)  # colour and texture
 
 
 def read_houses(path: Path) -> Iterator[dict[str, Any]]:
@@ -57,7 +61,7 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
     Raises:
         WorldError: no such file or house, or a house that lacks a field.
     """
-    path, first, count = resources.expand(section.file), "", 0
+    path, first_name, count = resources.expand(section.file), "", 0
     for house in read_houses(path):
         if house.get("name") == section.name:
             try:
@@ -66,41 +70,52 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
                 raise WorldError(
                     f"{path}: house {section.name}: a field is missing or wrong: {error!r}"
                 ) from None
-        first, count = first or str(house.get("name")), count + 1
+        first_name, count = first_name or str(house.get("name")), count + 1
     raise WorldError(
-        f"{path}: sim.world.name: none of the {count} houses is {section.name!r} (such as {first})"
+        f"{path}: sim.world.name: none of the {count} houses is {section.name!r} "
+        f"(such as {first_name})"
     )
 
 
 def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
-    """Return the world of one parsed line."""
-    height = max((wall[5] for wall in house["walls"]), default=2.6)
-    structure = [part for room in house["rooms"] for part in _room_parts(room, height)]
+    """Return the world of one parsed line.
+
+    Raises:
+        KeyError: a field is missing.
+        TypeError: a field has the wrong type.
+        ValueError: a field has the wrong length or content.
+    """
+    # The last number of a wall is the height of its upper edge; see `_wall`.
+    ceiling_m = max((wall[-1] for wall in house["walls"]), default=2.6)
+    structure = [part for room in house["rooms"] for part in _room_parts(room, ceiling_m)]
     structure += [_wall(wall) for wall in house["walls"]]
-    furniture = [_box(k + 1, item) for k, item in enumerate(house["objects"])]
+    furniture = [_object_parts(k + 1, item) for k, item in enumerate(house["objects"])]
     camera = config.sensors.camera
     depths = (camera.depth_min_m, camera.depth_max_m)
     start = SE2(*(float(v) for v in house["start"]))
     rooms = tuple(tuple(rectangles(room["polygon"])) for room in house["rooms"])
-    height_m = config.robot.height_m
+    robot_m = config.robot.height_m
     kinds = tuple(str(room["category"]) for room in house["rooms"])
-    return BoxWorld(house["name"], structure, furniture, start, height_m, depths, rooms, kinds)
+    return BoxWorld(house["name"], structure, furniture, start, robot_m, depths, rooms, kinds)
 
 
-def _room_parts(room: dict[str, Any], height_m: float) -> list[Primitive]:
-    """Return floor and ceiling of a polygon with sides along x and y, cut into strips."""
+def _room_parts(room: dict[str, Any], ceiling_m: float) -> list[Primitive]:
+    """Return floor and ceiling of a room: one box each for every rectangle of its polygon."""
     color, texture = _FLOORS.get(room["category"], _WOOD)
     parts = []
     for x0, y0, x1, y1 in rectangles(room["polygon"]):
         center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
-        below, above = (*center, -0.5 * _SLAB_M), (*center, height_m + 0.5 * _SLAB_M)
+        below, above = (*center, -0.5 * _SLAB_M), (*center, ceiling_m + 0.5 * _SLAB_M)
         parts.append(Primitive(kernels.BOX, below, size, color, texture))
         parts.append(Primitive(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
     return parts
 
 
 def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, float]]:
-    """Cut a polygon with axis-parallel sides into rectangles (x0, y0, x1, y1)."""
+    """Cut a polygon with axis-parallel sides into rectangles (x0, y0, x1, y1).
+
+    There is a strip along x between each two neighbouring y of the corners.
+    """
     ys = sorted({y for _, y in polygon})
     sides = list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
     out = []
@@ -114,7 +129,9 @@ def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, fl
 
 
 def _wall(wall: list[float]) -> Primitive:
+    """Return a piece of wall, given by x0, y0, x1, y1 of its ends and its lower and upper z."""
     x0, y0, x1, y1, z0, z1 = wall
+    # Walls on the floor extend by half a thickness at both ends, so that corners close.
     length = math.hypot(x1 - x0, y1 - y0) + _WALL_M * (z0 == 0.0)
     center = (0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
     yaw = math.atan2(y1 - y0, x1 - x0)
@@ -122,13 +139,14 @@ def _wall(wall: list[float]) -> Primitive:
     return Primitive(kernels.BOX, center, (length, _WALL_M, z1 - z0), color, shading.PAINT, yaw)
 
 
-def _box(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Primitive]]:
+def _object_parts(object_id: int, item: dict[str, Any]) -> tuple[WorldObject, list[Primitive]]:
+    """Return the object of the world that a file's entry describes, with its only primitive."""
     category, yaw = item["category"], float(item["yaw"])
     center, size = tuple(map(float, item["center"])), tuple(map(float, item["size"]))
     # One colour for each category, on every computer.
-    tone = zlib.crc32(category.encode()) / 2**32
-    color = tuple(255.0 * v for v in colorsys.hsv_to_rgb(tone, 0.45, 0.75))
-    thing = WorldObject(
+    hue = zlib.crc32(category.encode()) / 2**32
+    color = tuple(255.0 * v for v in colorsys.hsv_to_rgb(hue, 0.45, 0.75))
+    world_object = WorldObject(
         object_id, str(item["id"]), names.canonical(category), category, center, size, yaw
     )
-    return thing, [Primitive(kernels.BOX, center, size, color, shading.FABRIC, yaw)]
+    return world_object, [Primitive(kernels.BOX, center, size, color, shading.FABRIC, yaw)]

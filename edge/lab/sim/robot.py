@@ -12,7 +12,7 @@ from edge.geometry import SE2, wrap_angle
 from edge.lab.sim.base import World, WorldError
 
 SUBSTEP_S = 0.02  # longest time between two collision checks
-# Contact with the same obstacle is one collision until the robot has been this far away.
+# After a collision, further contact is part of it until the robot has moved this far away.
 AWAY_M = 0.05
 
 
@@ -42,7 +42,7 @@ class MotionState:
 
 
 class DriveTrain:
-    """A disc with limited speed, turn rate and accelerations.
+    """Motion of the simulated robot: a disc with limited speed, turn rate and accelerations.
 
     The odometry drifts by a constant fraction of the distance driven and of the angle turned, drawn
     once from the seed. This models a wrong wheel radius, not noise that averages out.
@@ -79,6 +79,7 @@ class DriveTrain:
         return self.motion
 
     def _substep(self, now: MotionState, dt_s: float, v_cmd: float, w_cmd: float) -> MotionState:
+        """Return the state after `dt_s`; a blocked robot turns on the spot. The stamp stays."""
         robot = self._robot
         v = _towards(now.v_mps, v_cmd, robot.max_speed_mps, robot.max_accel_mps2 * dt_s)
         w = _towards(now.w_radps, w_cmd, robot.max_turn_radps, robot.max_turn_accel_radps2 * dt_s)
@@ -106,13 +107,13 @@ class DriveTrain:
 
 
 def _towards(now: float, wanted: float, limit: float, change: float) -> float:
-    """Return the next speed: the wanted one within its limit, at most `change` from now."""
+    """Return the next speed: the wanted one within ±`limit`, at most `change` from `now`."""
     wanted = min(max(wanted, -limit), limit)
     return min(max(wanted, now - change), now + change)
 
 
 def _advance(pose: SE2, forward_m: float, turn_rad: float) -> SE2:
-    """Drive an arc, approximated by its chord."""
+    """Return the pose after an arc, approximated by its chord."""
     heading = pose.yaw_rad + 0.5 * turn_rad
     return SE2(
         pose.x_m + forward_m * math.cos(heading),

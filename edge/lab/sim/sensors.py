@@ -1,4 +1,7 @@
-"""Sensors of the simulated robot, and their data as messages."""
+"""Sensors of the simulated robot, and their data as messages of the bus.
+
+`edge.lab.sim.process` sends the messages; evaluation reads the sensors directly.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,19 @@ from edge.geometry import SE2
 from edge.lab.sim.base import LidarRays, World, WorldError
 from edge.lab.sim.robot import MotionState
 
-CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"  # frame ids in the messages
 Message = tuple[Topic, bytes]
+"""Topic and encoded payload."""
 
 
 def _check_above_floor(config: Config, key: str, z_m: float) -> None:
-    """Raise WorldError for a sensor in the floor: the simulated robot's base is on the floor."""
+    """Raise WorldError for a sensor in or below the floor, on which the robot's base is.
+
+    Args:
+        config: names the file in the message.
+        key: key of the sensor's height in the configuration.
+        z_m: height of the sensor above the base.
+    """
     if z_m <= 0.0:
         raise WorldError(
             f"{config.locate(key)}: got {z_m:g} m, but the simulated robot's base is on the "
@@ -37,6 +47,14 @@ class CameraRig:
         config: camera settings and noise.
         world: world to render.
         colour: if False, `rgb` is None, and an image takes half the time.
+
+    Attributes:
+        model: intrinsics.
+        T_base_camera: (4, 4) pose of the camera on the robot.
+        rgb: (h, w, 3) uint8, the last image, or None.
+        depth_m: (h, w) float32 z-depth of the last image, NaN for nothing.
+        ids: (h, w) uint16, object ids in the last image, 0 for structure.
+        rate_hz: images per second.
     """
 
     def __init__(self, config: Config, world: World, colour: bool = True) -> None:
@@ -53,7 +71,10 @@ class CameraRig:
         self._rng = np.random.default_rng([config.sim.seed, 1])
 
     def look(self, pose: SE2) -> None:
-        """Fill `rgb`, `depth_m` and `ids` as seen from a pose; noise grows with depth squared."""
+        """Take an image from a robot pose: fill `rgb`, `depth_m` and `ids`.
+
+        The noise of the depth grows with its square.
+        """
         T_map_camera = pose.matrix() @ self.T_base_camera
         self._world.render(self.model, T_map_camera, self.rgb, self.depth_m, self.ids)
         if self._depth_noise > 0.0:
@@ -77,7 +98,13 @@ class CameraRig:
 
 
 class LidarRig:
-    """LiDAR: a scan for one ring, a point cloud for several rings."""
+    """Rotating LiDAR; it sends a scan if it has one ring, else a point cloud.
+
+    Attributes:
+        rate_hz: sweeps per second.
+        T_base_lidar: (4, 4) pose of the LiDAR on the robot.
+        ranges_m: (rings, columns) float32 of the last sweep, NaN for no return.
+    """
 
     def __init__(self, config: Config, world: World) -> None:
         lidar = config.sensors.lidar
@@ -90,7 +117,7 @@ class LidarRig:
         self._rng = np.random.default_rng([config.sim.seed, 2])
 
     def look(self, pose: SE2) -> None:
-        """Fill `ranges_m` as seen from a pose."""
+        """Take a sweep from a robot pose: fill `ranges_m`."""
         self._world.cast(self._fan, pose.matrix() @ self.T_base_lidar, self.ranges_m)
         if self._noise_m > 0.0:
             noise = self._rng.standard_normal(self.ranges_m.shape, np.float32)
@@ -102,14 +129,17 @@ class LidarRig:
         return (self._fan.directions[hit] * self.ranges_m[hit][:, None]).astype(np.float32)
 
     def messages(self, stamp_ns: int) -> Iterator[Message]:
+        """Yield the last sweep as a message."""
         rings, columns = self.ranges_m.shape
         if rings > 1:
             cloud = messages.encode_point_cloud(stamp_ns, LIDAR_FRAME, self.cloud_m())
             yield topics.CLOUD, cloud
             return
         ranges = np.where(np.isfinite(self.ranges_m[0]), self.ranges_m[0], np.inf)
-        turn = (-math.pi, 2 * math.pi / columns, self._fan.range_m)
-        scan = messages.encode_laser_scan(stamp_ns, LIDAR_FRAME, *turn, ranges.astype(np.float32))
+        # First angle, step between the rays, and longest range.
+        geometry = (-math.pi, 2 * math.pi / columns, self._fan.range_m)
+        ranges = ranges.astype(np.float32)
+        scan = messages.encode_laser_scan(stamp_ns, LIDAR_FRAME, *geometry, ranges)
         yield topics.SCAN, scan
 
     def description(self, stamp_ns: int) -> Iterator[Message]:

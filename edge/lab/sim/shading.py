@@ -1,4 +1,4 @@
-"""Colours for the ray caster's hits: procedural textures and soft light; arrays only (numba)."""
+"""Colours of the pixels of a `BoxWorld`: textures by formula, and soft light (numba)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,22 @@ import math
 import numpy as np
 
 from edge.jit import jit
-from edge.lab.sim.kernels import BOX, CYLINDER, ELLIPSOID, into_local
+from edge.lab.sim.kernels import (
+    BOX,
+    COS,
+    CYLINDER,
+    ELLIPSOID,
+    HALF_X,
+    HALF_Y,
+    HALF_Z,
+    SIN,
+    X,
+    Y,
+    Z,
+    into_local,
+)
 
-# Textures of a primitive.
+# Textures of a primitive; `_texture` draws them.
 PLAIN, PLANKS, TILES, FABRIC, GRAIN, PAINT, SCREEN, BOOKS, FOLIAGE, PICTURE = range(10)
 
 
@@ -23,9 +36,9 @@ def _noise(a, b):
 
 @jit(error_model="numpy")
 def _line(a, period, width, blur):
-    """Return the share in [0, 1] of a spot of size `blur` at a that a seam covers.
+    """Return the share in [0, 1] of a pixel at position `a` that a seam covers.
 
-    Seams have width `width` and repeat every `period`.
+    The pixel has the size `blur`. Seams have width `width` and repeat every `period`; all in m.
     """
     from_seam = abs(a - period * math.floor(a / period + 0.5))
     reach = 0.5 * (width + blur)
@@ -34,9 +47,10 @@ def _line(a, period, width, blur):
 
 @jit(error_model="numpy")
 def _texture(kind, a, b, px, py, pz, blur):
-    """Return colour factors (r, g, b) at face coordinates a, b [m].
+    """Return the factors of a texture on r, g, b, at the coordinates a, b [m] of a face.
 
-    Detail smaller than the pixel's size `blur` [m] fades to its mean, to avoid aliasing.
+    `px`, `py`, `pz` [m] are the same point in the primitive's frame. Detail smaller than the
+    pixel's size `blur` [m] fades to its mean, to avoid aliasing.
     """
     if kind == PLANKS:
         row = math.floor(b / 0.13)
@@ -89,7 +103,10 @@ def _texture(kind, a, b, px, py, pz, blur):
 
 @jit(error_model="numpy")
 def _normal(shape, px, py, pz, hx, hy, hz):
-    """Return the outward unit normal at a surface point, and the axis that is closest to it."""
+    """Return nx, ny, nz of the outward normal at a surface point, and the axis nearest to it.
+
+    All are in the primitive's own frame; `hx`, `hy`, `hz` are half of its extents.
+    """
     x, y, z = px / hx, py / hy, pz / hz
     if shape == BOX:
         if abs(z) >= abs(x) and abs(z) >= abs(y):
@@ -106,13 +123,31 @@ def _normal(shape, px, py, pz, hx, hy, hz):
 
 @jit(error_model="numpy")
 def shade(
-    shape, pose, color, texture, T_map_camera, fx, fy, cx, cy, depth, prim,
+    shape, geometry, color, texture, T_map_camera, fx, fy, cx, cy, depth, prim,
     clearance_m, origin_m, cell_m, sky, rgb,
 ):  # fmt: skip
-    """Fill `rgb` (h, w, 3) uint8 for the hits of `render_depth`.
+    """Fill `rgb` (h, w, 3) uint8 with the colours of the pixels that `render_depth` has found.
 
-    The light is half-Lambert from above. Contact with the floor is softly darkened, by
-    `clearance_m` (distance to the nearest obstacle on the floor plan).
+    The light is half-Lambert from above. The floor next to obstacles, and the foot of upright
+    faces, are darker, as in the shadow of a contact.
+
+    Args:
+        shape: see `edge.lab.sim.kernels`.
+        geometry: see `edge.lab.sim.kernels`.
+        color: (n, 3) float32 of each primitive, 0 to 255.
+        texture: (n,) uint8 of each primitive.
+        T_map_camera: (4, 4) pose of the camera.
+        fx: focal length [px].
+        fy: focal length [px].
+        cx: image centre [px].
+        cy: image centre [px].
+        depth: (h, w) float32 from `render_depth`.
+        prim: (h, w) int32 from `render_depth`.
+        clearance_m: (rows, columns) distance to the nearest obstacle on the floor plan.
+        origin_m: x and y of the floor plan's corner.
+        cell_m: cell size of the floor plan.
+        sky: (3,) colour of pixels that show nothing.
+        rgb: the result.
     """
     height, width = depth.shape
     local = np.empty((3, 4))
@@ -125,24 +160,25 @@ def shade(
                 rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2] = sky[0], sky[1], sky[2]
                 continue
             if i != last:
-                into_local(pose[i], T_map_camera, local)
+                into_local(geometry[i], T_map_camera, local)
                 last = i
             t = float(depth[v, u])
             x = (u - cx) / fx
             px = local[0, 3] + t * (local[0, 0] * x + local[0, 1] * y + local[0, 2])
             py = local[1, 3] + t * (local[1, 0] * x + local[1, 1] * y + local[1, 2])
             pz = local[2, 3] + t * (local[2, 0] * x + local[2, 1] * y + local[2, 2])
-            nx, ny, nz, axis = _normal(shape[i], px, py, pz, pose[i, 3], pose[i, 4], pose[i, 5])
-            c, s = pose[i, 6], pose[i, 7]
+            hx, hy, hz = geometry[i, HALF_X], geometry[i, HALF_Y], geometry[i, HALF_Z]
+            nx, ny, nz, axis = _normal(shape[i], px, py, pz, hx, hy, hz)
+            c, s = geometry[i, COS], geometry[i, SIN]
             light = 0.80 + 0.20 * (0.30 * (c * nx - s * ny) + 0.42 * (s * nx + c * ny) + 0.86 * nz)
-            z = pz + pose[i, 2]
+            z = pz + geometry[i, Z]  # height above the floor
             a, b = px, py
             if axis != 2:
                 a, b = (py, pz) if axis == 0 else (px, pz)
                 light *= 0.84 + 0.16 * min(1.0, max(0.0, z) / 0.35)
             elif z < 0.02:
-                col = int((c * px - s * py + pose[i, 0] - origin_m[0]) / cell_m)
-                row = int((s * px + c * py + pose[i, 1] - origin_m[1]) / cell_m)
+                col = int((c * px - s * py + geometry[i, X] - origin_m[0]) / cell_m)
+                row = int((s * px + c * py + geometry[i, Y] - origin_m[1]) / cell_m)
                 if 0 <= row < clearance_m.shape[0] and 0 <= col < clearance_m.shape[1]:
                     light *= 0.66 + 0.34 * min(1.0, clearance_m[row, col] / 0.3)
             # At a grazing angle a pixel covers more of the surface.

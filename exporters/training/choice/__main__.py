@@ -17,12 +17,14 @@ from pathlib import Path
 from exporters.files import ExportError, at_least_one, exit_on_user_error
 
 # Defaults of the options.
-SEED, HOUSES, HELD_OUT_HOUSES, CORES = 0, "0:130", "1000:1020", 2
+SEED = 0
+HOUSES, HELD_OUT_HOUSES = "0:130", "1000:1020"  # seeds
+CORES = 2
 STEPS = 1800
 
 
 def seeds(option: str, text: str) -> list[int]:
-    """Return the numbers of half-open ranges, in their order.
+    """Return the seeds of half-open ranges, in their order; raise ExportError for other text.
 
     >>> seeds("--houses", "0:3,7:9")
     [0, 1, 2, 7, 8]
@@ -41,6 +43,7 @@ def seeds(option: str, text: str) -> list[int]:
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
+    """Parse the command line, train, and publish the model."""
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.choice",
         description="train the small model that chooses between frontiers, on generated houses",
@@ -77,13 +80,14 @@ def main(argv: list[str] | None) -> None:
 
 
 def _train(args: argparse.Namespace) -> None:
+    """Explore the houses, train, and put the model's file in place."""
     import torch
 
     from edge.lab.sim.generator.house import HELD_OUT
     from exporters.training.choice import export
     from exporters.training.choice.collect import load_views, make_views
     from exporters.training.choice.features import Trunk, make_features
-    from exporters.training.choice.training import Data, Plan, train
+    from exporters.training.choice.training import Data, TrainingPlan, train
 
     houses, measured = seeds("--houses", args.houses), seeds("--held-out", args.held_out)
     if max(houses) >= HELD_OUT or min(measured) < HELD_OUT:
@@ -98,7 +102,7 @@ def _train(args: argparse.Namespace) -> None:
     logging.info("%d views of %d houses", len(views), len(houses))
     torch.set_num_threads(1)  # more threads do not help with such small tensors
     data = Data(views, features, trunk.scales, trunk.words)
-    plan = Plan(seed=args.seed, steps=args.steps)
+    plan = TrainingPlan(seed=args.seed, steps=args.steps)
     train(data, plan, len(trunk.words), args.out / "checkpoint.pt")
     command = (
         f"python -m exporters.training.choice --out RUN --seed {args.seed} --steps {args.steps} "

@@ -1,9 +1,10 @@
-"""Views of a robot that explores, with the true distance from each frontier to every object.
+"""Training data of the direction-choice model: views of a robot that explores generated houses.
 
     views = load_views(make_views(range(100), Path("..."), workers=2))
 
-The robot searches for an object that the house does not have, so it explores the whole house. The
-generator knows the true distances.
+A view is an image, the frontiers at that time, and the true distance from each to every kind of
+object. Frontiers in the image are marks. The robot searches for an object that the house does not
+have, so it explores the whole house.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ EXPLORE_S = 200.0
 """Longest exploration of a house."""
 STEP_S = 0.1
 """Simulated period of the controller."""
-LOOK_EVERY = 8
+TICK_EVERY = 8
 """The service ticks once in this many periods of the controller."""
 HW = (256, 320)
 """Height and width of the stored images [px]."""
@@ -51,9 +52,9 @@ COARSE = 2
 SNAP_M = 0.6
 """Largest distance from a frontier to the nearest cell where the robot fits."""
 SEEN_PX = 10
-"""An object counts as seen with at least this many pixels on the smaller image."""
+"""An object counts as seen with at least this many pixels in the smaller image."""
 SEEN_M = 6.0
-"""Pixels count up to this distance."""
+"""Pixels of an object that are farther away do not count."""
 NEVER, BEFORE, NOW = 0, 1, 2
 """Values of `Views.seen`."""
 _KEY = 31  # added to the seed of the start pose, so that it differs from other draws
@@ -61,7 +62,7 @@ _KEY = 31  # added to the seed of the start pose, so that it differs from other 
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """Views of one or more houses; `t` counts the objects of `looks.CATEGORIES`.
+    """Views of one or more houses: n views, t kinds of object (`looks.CATEGORIES`).
 
     Attributes:
         png: (n,) object, the encoded images, BGR as OpenCV writes them.
@@ -69,7 +70,7 @@ class Views:
         count: (n,) uint8, number of marks, at least 1.
         marks: (n, MAX_MARKS, 4) float32: u and v [px], bearing [rad], distance [m]; 0 beyond
             `count`.
-        path_m: (n, MAX_MARKS) float32, driving distance to the mark on the robot's own map.
+        path_m: (n, MAX_MARKS) float32, driving distance from the robot to the mark on its own map.
         gain_m2: (n, MAX_MARKS) float32, expected unknown area at the mark.
         others: (n, 3) float32, figures of the frontiers without a mark: number, least `path_m` (0
             if there are none), largest `gain_m2`.
@@ -77,7 +78,8 @@ class Views:
             of the kind; inf if there is none.
         else_m: (n, t) float32, least `left_m` of all frontiers without a mark.
         else_path_m: (n, t) float32, least `path_m` + `left_m` of these frontiers.
-        here_m: (n, t) float32, true driving distance from the robot.
+        here_m: (n, t) float32, true driving distance from the robot to the nearest object of the
+            kind.
         seen: (n, t) uint8, when an object of the kind was seen: `NEVER`, `BEFORE` or `NOW`.
         lift: (n, MAX_MARKS, t) float32, likelihood ratio of `edge.loop.prior` for each mark, from
             the objects seen so far. Only in held-out houses, since it takes time; 1 elsewhere.
@@ -106,15 +108,26 @@ class Views:
 
 
 class _Collector:
-    """Sink that stores views."""
+    """Sink of the service that stores a view at each tick whose image shows a frontier.
+
+    Args:
+        seed: seed of the house.
+        world: the house.
+        radius_m: radius of the robot.
+
+    Attributes:
+        loop: the running service and robot; set before the first tick.
+        rows: views so far, in the order of the fields of `Views`.
+    """
 
     def __init__(self, seed: int, world: World, radius_m: float) -> None:
         self._seed, self._world = seed, world
         self._camera = Camera(height_px=HW[0], width_px=HW[1]).intrinsics()
         self.loop: ClosedLoop | None = None
-        self._seen = np.zeros(len(looks.CATEGORIES), bool)
+        self._seen = np.zeros(len(looks.CATEGORIES), bool)  # kinds seen so far
         labels = [names.canonical(o.label) for o in world.objects]
         self._kind = np.array([looks.CATEGORIES.index(label) for label in labels])
+        # For each kind, the driving distance from every cell; None if the house has no such object.
         self._fields = [
             geodesic.distance_field(
                 world.plan, [o for o, k in zip(world.objects, self._kind, strict=True) if k == t],
@@ -130,16 +143,16 @@ class _Collector:
         observation, loop = result.observation, self.loop
         if observation is None or loop is None:
             return
-        now = self._kinds_in_view(loop.rig.ids, loop.rig.depth_m)
+        in_view = self._kinds_in_view(loop.rig.ids, loop.rig.depth_m)
         c = loop.service.map.pool.candidates
-        open_ = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
-        open_ = np.flatnonzero(open_[: c.n])
-        xy_m, ids = c.xy_m[open_], c.id[open_]
+        is_frontier = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
+        frontiers = np.flatnonzero(is_frontier[: c.n])
+        xy_m, ids = c.xy_m[frontiers], c.id[frontiers]
         marks = visible_marks(observation, xy_m, ids)
         if marks:
             at = np.array([int(np.flatnonzero(ids == mark.id)[0]) for mark in marks])
-            self._store_view(marks, at, xy_m, c.path_m[open_], c.gain_m2[open_], now)
-        self._seen |= now
+            self._store_view(marks, at, xy_m, c.path_m[frontiers], c.gain_m2[frontiers], in_view)
+        self._seen |= in_view
 
     def close(self) -> None:
         """Do nothing."""
@@ -153,9 +166,9 @@ class _Collector:
         """
         near = ids[depth_m < SEEN_M]
         px = np.bincount(near, minlength=1 + len(self._kind))[1:]
-        now = np.zeros(len(looks.CATEGORIES), bool)
-        now[self._kind[px >= SEEN_PX]] = True
-        return now
+        in_view = np.zeros(len(looks.CATEGORIES), bool)
+        in_view[self._kind[px >= SEEN_PX]] = True
+        return in_view
 
     def _store_view(
         self,
@@ -164,7 +177,7 @@ class _Collector:
         xy_m: np.ndarray,
         path_m: np.ndarray,
         gain_m2: np.ndarray,
-        now: np.ndarray,
+        in_view: np.ndarray,
     ) -> None:
         """Add the row of a view, in the order of the fields of `Views`.
 
@@ -174,49 +187,53 @@ class _Collector:
             xy_m: (k, 2), the frontiers.
             path_m: (k,), driving distances to the frontiers.
             gain_m2: (k,), expected unknown areas at the frontiers.
-            now: (t,) bool, kinds of object in the image.
+            in_view: (t,) bool, kinds of object in the image.
         """
         loop, t = self.loop, len(looks.CATEGORIES)
         assert loop is not None
         rig, pose = loop.rig, loop.drive.motion.pose
+        # The robot's own image is smaller and has no colours: render the scene again.
         rgb, T_map_camera = np.empty((*HW, 3), np.uint8), pose.matrix() @ rig.T_base_camera
-        unread = np.empty(HW, np.float32), np.empty(HW, np.uint16)
-        self._world.render(self._camera, T_map_camera, rgb, *unread)
+        unused = np.empty(HW, np.float32), np.empty(HW, np.uint16)  # depth and ids
+        self._world.render(self._camera, T_map_camera, rgb, *unused)
         bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
         png = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
         left_m = self._left_m(xy_m)
-        n, others = len(marks), np.setdiff1d(np.arange(len(xy_m)), at)
-        shown, shown_path, shown_gain, shown_left = (
+        n, others = len(marks), np.setdiff1d(np.arange(len(xy_m)), at)  # frontiers without a mark
+        mark, mark_path, mark_gain, mark_left = (
             np.zeros((MAX_MARKS, 4), np.float32), np.zeros(MAX_MARKS, np.float32),
             np.zeros(MAX_MARKS, np.float32), np.full((MAX_MARKS, t), np.inf, np.float32),
         )  # fmt: skip
-        shown[:n] = [mark[1:] for mark in marks]
-        shown[:n, :2] = (shown[:n, :2] + 0.5) * COARSE - 0.5
-        shown_path[:n], shown_gain[:n], shown_left[:n] = path_m[at], gain_m2[at], left_m[at]
+        mark[:n] = [one[1:] for one in marks]  # without the id
+        mark[:n, :2] = (mark[:n, :2] + 0.5) * COARSE - 0.5  # pixels of the larger image
+        mark_path[:n], mark_gain[:n], mark_left[:n] = path_m[at], gain_m2[at], left_m[at]
         least_m = path_m[others].min() if len(others) else 0.0
-        rest = (len(others), least_m, gain_m2[others].max(initial=0.0))
-        whole_m = left_m + path_m[:, None]
+        other_figures = (len(others), least_m, gain_m2[others].max(initial=0.0))
+        total_m = left_m + path_m[:, None]  # from the robot to the object, by way of a frontier
         row = (
-            png, self._seed, n, shown, shown_path, shown_gain, rest, shown_left,
+            png, self._seed, n, mark, mark_path, mark_gain, other_figures, mark_left,
             left_m[others].min(axis=0, initial=np.inf),
-            whole_m[others].min(axis=0, initial=np.inf),
+            total_m[others].min(axis=0, initial=np.inf),
             self._left_m(np.array([[pose.x_m, pose.y_m]]))[0],
-            np.where(now, NOW, np.where(self._seen, BEFORE, NEVER)),
+            np.where(in_view, NOW, np.where(self._seen, BEFORE, NEVER)),
             self._likelihood_ratios(xy_m[at]),
         )  # fmt: skip
         self.rows.append(row)
 
     def _likelihood_ratios(self, xy_m: np.ndarray) -> np.ndarray:
-        """Return the prior's likelihood ratios, (MAX_MARKS, t) float32."""
+        """Return the prior's likelihood ratios at the marks, (MAX_MARKS, t) float32."""
         n, out = len(xy_m), np.ones((len(looks.CATEGORIES), MAX_MARKS), np.float32)
         prior = self.loop.service.map.prior
         if prior is not None:
-            for word, lift in zip(looks.CATEGORIES, out, strict=True):
-                prior.likelihood_ratio(word, np.ascontiguousarray(xy_m, np.float32), n, lift)
+            for category, ratio in zip(looks.CATEGORIES, out, strict=True):
+                prior.likelihood_ratio(category, np.ascontiguousarray(xy_m, np.float32), n, ratio)
         return out.T
 
     def _left_m(self, xy_m: np.ndarray) -> np.ndarray:
-        """Return the distances from places to objects, (n, t) float32."""
+        """Return the true driving distances from places (n, 2) to each kind of object, (n, t).
+
+        A place may be too near to an obstacle for the robot: it drives from a cell within `SNAP_M`.
+        """
         plan, out = self._world.plan, np.full((len(xy_m), len(self._fields)), np.inf, np.float32)
         resolution_m = plan.grid.resolution_m
         reach = round(SNAP_M / resolution_m)
@@ -258,12 +275,12 @@ def collect(seed: int) -> Views:
     try:
         while loop.seconds < EXPLORE_S and not loop.service.status.done:
             loop.step()
-            for _ in range(LOOK_EVERY - 1):
+            for _ in range(TICK_EVERY - 1):
                 _drive_on(loop)
     finally:
         loop.close()
-    columns = list(zip(*collector.rows, strict=True)) or [()] * len(fields(Views))
-    return _as_views(columns)
+    values = list(zip(*collector.rows, strict=True)) or [()] * len(fields(Views))
+    return _as_views(values)
 
 
 def _drive_on(loop: ClosedLoop) -> None:
@@ -277,6 +294,7 @@ def _drive_on(loop: ClosedLoop) -> None:
     loop.drive.step(STEP_S, command.v_mps, command.w_radps)
 
 
+# Types of the arrays of `Views` but for the first.
 _TYPES = {
     "house": np.int32, "count": np.uint8, "marks": np.float32, "path_m": np.float32,
     "gain_m2": np.float32, "others": np.float32, "left_m": np.float32, "else_m": np.float32,
@@ -284,11 +302,12 @@ _TYPES = {
 }  # fmt: skip
 
 
-def _as_views(columns: Sequence[Sequence]) -> Views:
-    png = np.empty(len(columns[0]), object)
-    png[:] = list(columns[0])
-    named = zip(fields(Views)[1:], columns[1:], strict=True)
-    rest = (np.array(column, _TYPES[f.name]) for f, column in named)
+def _as_views(values: Sequence[Sequence]) -> Views:
+    """Return views from the values of each field, in the order of the fields of `Views`."""
+    png = np.empty(len(values[0]), object)
+    png[:] = list(values[0])
+    named = zip(fields(Views)[1:], values[1:], strict=True)
+    rest = (np.array(value, _TYPES[f.name]) for f, value in named)
     return Views(png, *rest)
 
 
@@ -308,6 +327,7 @@ def make_views(seeds: Sequence[int], folder: Path, workers: int = 1) -> list[Pat
 
 
 def _write(job: tuple[int, Path]) -> None:
+    """Write the file of one house; a job is its seed and path. The images lie one after another."""
     cv2.setNumThreads(1)
     seed, path = job
     views = collect(seed)
@@ -327,6 +347,7 @@ def load_views(paths: Sequence[Path]) -> Views:
 
 
 def _read(path: Path) -> Views:
+    """Return the views of a file that `_write` has written."""
     with np.load(path) as data:
         ends, encoded = data["ends"], data["encoded"]
         png = np.empty(len(ends) - 1, object)

@@ -1,7 +1,8 @@
 """Evaluation of the direction-choice model on held-out houses.
 
-For each view, every reachable target that the robot has not seen is asked for, if two or more marks
-exist and differ. A choice is right if it is at most `labels.RIGHT_M` worse than the best mark.
+A question is a view and a target. For each view, every reachable target that the robot has not seen
+is asked for, if two or more marks exist and differ. A choice is right if the way from its mark is
+at most `labels.RIGHT_M` longer than from the best mark.
 Confidence intervals resample whole houses, since views of one house are not independent.
 """
 
@@ -28,21 +29,21 @@ Logits = tuple[np.ndarray, np.ndarray]
 """(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN for pairs not asked."""
 
 
-def asked_at(views: Views) -> np.ndarray:
-    """Return (n, t) bool: the targets that count."""
-    return labels.asked(views) & (views.seen == NEVER)
+def is_counted(views: Views) -> np.ndarray:
+    """Return (n, t) bool: True for a question that counts."""
+    return labels.is_asked(views) & (views.seen == NEVER)
 
 
 def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
-    """Return the net's answers from stored features, for all targets that count."""
-    counts = asked_at(views)
+    """Return the net's answers from stored features, to all questions that count."""
+    counts = is_counted(views)
     directions = np.full((*counts.shape, MAX_MARKS + 1), np.nan, np.float32)
     scene = np.full(counts.shape, np.nan, np.float32)
     for i in np.flatnonzero(counts.any(axis=1)):
         targets = np.flatnonzero(counts[i])
         with torch.no_grad():
-            found, whole = answers(net, data.batch(np.array([i]), targets[None]))
-        directions[i, targets], scene[i, targets] = found[0].numpy(), whole[0].numpy()
+            of_marks, of_scene = answers(net, data.batch(np.array([i]), targets[None]))
+        directions[i, targets], scene[i, targets] = of_marks[0].numpy(), of_scene[0].numpy()
     return directions, scene
 
 
@@ -55,7 +56,7 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
         words: (t, text_dim) of `looks.CATEGORIES`.
         logits: see `logits_of`.
     """
-    session, marks, counts = cpu_session(model, 1), labels.marks_of(views), asked_at(views)
+    session, marks, counts = cpu_session(model, 1), labels.marks_of(views), is_counted(views)
     asked = np.argwhere(counts)
     chosen = np.random.default_rng(0).permutation(len(asked))[:PARITY_QUESTIONS]
     worst = 0.0
@@ -64,15 +65,18 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
             "images": as_input(views.rgb(i)), "txt_feats": words[t : t + 1],
             "marks": marks[i : i + 1], "others": views.others[i : i + 1],
         }  # fmt: skip
-        found, whole = session.run(["directions", "scene"], feed)
-        is_option = np.append(labels.shown(views)[i], True)
-        off = np.abs(found[0] - logits[0][i, t])[is_option].max()
-        worst = max(worst, float(off), abs(float(whole[0, 0] - logits[1][i, t])))
+        of_marks, of_scene = session.run(["directions", "scene"], feed)
+        is_option = np.append(labels.is_mark(views)[i], True)  # "elsewhere" always is
+        off = np.abs(of_marks[0] - logits[0][i, t])[is_option].max()
+        worst = max(worst, float(off), abs(float(of_scene[0, 0] - logits[1][i, t])))
     return worst
 
 
-def choosers(views: Views, logits: Logits) -> dict[str, np.ndarray]:
-    """Return each chooser's scores of the marks, (n, t, MAX_MARKS); it chooses the highest."""
+def chooser_scores(views: Views, logits: Logits) -> dict[str, np.ndarray]:
+    """Return the scores of the marks by several choosers, (n, t, MAX_MARKS) each, by name.
+
+    A chooser takes the mark with the highest score: the model, the nearest mark, and the prior.
+    """
     shape = logits[0][..., :MAX_MARKS].shape
     near = np.broadcast_to(-views.path_m[:, None], shape)
     return {
@@ -88,14 +92,14 @@ def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
     The entries `in_view_…` count only questions in which no frontier without a mark is better than
     the best mark.
     """
-    left_m = np.where(labels.shown(views)[:, None], views.left_m.transpose(0, 2, 1), np.inf)
+    left_m = np.where(labels.is_mark(views)[:, None], views.left_m.transpose(0, 2, 1), np.inf)
     best_m = left_m.min(axis=2)
     right = (left_m <= best_m[..., None] + labels.RIGHT_M) & np.isfinite(left_m)
-    n_marks, n_right = labels.shown(views).sum(axis=1)[:, None], right.sum(axis=2)
-    counts = asked_at(views) & np.isfinite(best_m) & (n_right < n_marks)
+    n_marks, n_right = labels.is_mark(views).sum(axis=1)[:, None], right.sum(axis=2)
+    counts = is_counted(views) & np.isfinite(best_m) & (n_right < n_marks)
     hits = {"at_random": n_right / n_marks}
-    for name, score in choosers(views, logits).items():
-        score = np.nan_to_num(np.where(labels.shown(views)[:, None], score, -np.inf), nan=-np.inf)
+    for name, score in chooser_scores(views, logits).items():
+        score = np.nan_to_num(np.where(labels.is_mark(views)[:, None], score, -np.inf), nan=-np.inf)
         pick = score.argmax(axis=2)[..., None]
         hits[name] = np.take_along_axis(right, pick, 2)[..., 0].astype(float)
     for name in ("nearest_mark", "cooccurrence"):
@@ -113,18 +117,23 @@ def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
 
 def scene_auc(views: Views, logits: Logits) -> float:
     """Return the area under the ROC curve of the scene's answer."""
-    counts = asked_at(views)
+    counts = is_counted(views)
     return auc(logits[1][counts], labels.scene(views)[counts])
 
 
 def by_house(values: np.ndarray, houses: np.ndarray) -> Interval:
-    """Return the mean over questions and its 95 % interval; `houses` are seeds."""
+    """Return the mean over questions and its 95 % interval.
+
+    Args:
+        values: (n,) 1 for a right answer, 0 for a wrong one, or a difference of two.
+        houses: (n,) seed of each question's house.
+    """
     cluster = np.unique(houses, return_inverse=True)[1]
     return bootstrap(values[None], np.ones((1, len(values))), cluster)[0]
 
 
 def latency_ms(model: Path, runs: int = 100) -> dict[str, float]:
-    """Time one view on 2 threads."""
+    """Time the model on one view on 2 threads; return median and 95th percentile."""
     session, rng = cpu_session(model, 2), np.random.default_rng(0)
     shapes = {value.name: value.shape for value in session.get_inputs()}
     feed = {name: rng.random(shape, np.float32) for name, shape in shapes.items()}

@@ -1,7 +1,8 @@
-"""Export of trunk and net as one ONNX file, with its card.
+"""Export of the direction-choice model as one ONNX file, with its card.
 
-The trunk stays INT8, as the quantizer made the detector. The net stays float32: it has a tenth of
-the weights, and was trained on the INT8 trunk's output.
+The file joins the detector's trunk and the trained net. The trunk stays INT8, as the quantizer made
+the detector. The net stays float32: it has a tenth of the weights, and was trained on the INT8
+trunk's output.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ NAME, DETECTOR, TEXT = "mini-house-choice", "mini-house-256x320-int8-cpu", "mini
 DETECTOR_FILE, TEXT_FILE = MODELS / f"{DETECTOR}.onnx", MODELS / f"{TEXT}.onnx"
 NOTE = "Knows only the built-in world. Written by exporters.training.choice."
 MAX_LOGIT_ERROR = 0.05
-"""Largest allowed difference of the joined file from the net on stored features (8-bit scores)."""
-_PREFIX, _INPUTS = "net/", ("txt_feats", "marks", "others")
+"""Largest allowed difference of the joined file's logits from the net's. The net reads stored
+features, whose scores have 8 bits."""
+_PREFIX = "net/"  # of the names of the net's nodes and tensors in the joined file
+_INPUTS = ("txt_feats", "marks", "others")  # of the file, in addition to the trunk's
 
 
 class Head(nn.Module):
@@ -58,8 +61,20 @@ class Head(nn.Module):
         marks: Tensor,
         others: Tensor,
     ) -> tuple[Tensor, Tensor]:
+        """Return the logits of directions and scene.
+
+        Args:
+            fine: (1, EMBED_DIM, h / 8, w / 8), first of `features.HEADS`.
+            mid: (1, EMBED_DIM, h / 16, w / 16), second of `features.HEADS`.
+            coarse: (1, EMBED_DIM, h / 32, w / 32), third of `features.HEADS`.
+            near: (1, NEAR, h / 16, w / 16), first of `features.NECK`.
+            far: (1, FAR, h / 32, w / 32), second of `features.NECK`.
+            txt_feats: (1, EMBED_DIM) embedding of the target.
+            marks: (1, MAX_MARKS, MARK_FIELDS), see `MarksCard`.
+            others: (1, OTHERS_FIELDS), see `MarksCard`.
+        """
         words = torch.cat([self.words, txt_feats])
-        best = None
+        best = None  # highest score of each word in each cell of the feature grid
         for grid in (fine, mid, coarse):
             h, w = grid.shape[2:]
             score = (words @ grid.flatten(2)).reshape(1, -1, h, w)
@@ -107,6 +122,7 @@ def _at_version(model: onnx.ModelProto, like: onnx.ModelProto) -> onnx.ModelProt
 
 
 def _rename(model: onnx.ModelProto, names: dict[str, str]) -> None:
+    """Rename tensors of a model in place, from key to value."""
     graph = model.graph
     for value in (*graph.input, *graph.output):
         value.name = names.get(value.name, value.name)
@@ -128,10 +144,16 @@ def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
 
 
 def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> dict[str, Any]:
-    """Return the card's figures of a file, measured on the views of these files.
+    """Return the card's figures on held-out houses.
+
+    Args:
+        net: the trained net.
+        trunk: the detector's trunk.
+        model: the joined ONNX file.
+        paths: files of the held-out views.
 
     Raises:
-        ExportError: its answers differ from the net's.
+        ExportError: the file's answers differ from the net's.
     """
     views = load_views(paths)
     data = Data(views, make_features(paths, trunk), trunk.scales, trunk.words)
@@ -152,10 +174,10 @@ def held_out(net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]) -> di
 
 
 def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
-    """Export the run of a folder, measure it on the views in `held-out`, and publish it.
+    """Export the trained model, measure it on the views in `held-out`, and publish it.
 
     Args:
-        run: folder of the run.
+        run: folder of the training run.
         out: folder for the model and its card.
         command: command that repeats the training.
         houses: number of training houses.

@@ -23,22 +23,22 @@ from exporters.training.choice.collect import load_views
 GRID_HW = (8, 10)
 """Rows and columns of the feature grid."""
 HEADS = tuple(f"/heads.{k}/text/text.2/Conv_output_0_DequantizeLinear_Output" for k in range(3))
+"""Names of the detector's tensors with the embeddings of strides 8, 16 and 32."""
 NECK = tuple(
     f"/neck/{level}/out/out.2/Relu_output_0_DequantizeLinear_Output" for level in ("low16", "low32")
 )
-"""Tensors of the detector, from which the embeddings of strides 16 and 32 are computed. `HEADS` are
-the embeddings of strides 8, 16 and 32."""
+"""Names of the tensors from which the embeddings of strides 16 and 32 are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Features of n views, as seen and mirrored (the second axis).
+    """Features of n views; the second axis has the image as it is (0) and mirrored (1).
 
     Attributes:
         evidence: (n, 2, c, 8, 10) uint8, 255 times the detector's score of each of
             `looks.CATEGORIES`, the highest in a cell.
-        near: (n, 2, 96, 8, 10) uint16, the first of `NECK` as quantized, summed over 2x2 cells.
-        far: (n, 2, 128, 8, 10) uint8, the second of `NECK`.
+        near: (n, 2, 96, 8, 10) uint16, levels of the first of `NECK`, summed over 2x2 cells.
+        far: (n, 2, 128, 8, 10) uint8, levels of the second of `NECK`.
     """
 
     evidence: np.ndarray
@@ -50,31 +50,37 @@ class Features:
 
 
 class Trunk:
-    """The detector up to its embeddings.
+    """The small detector up to its embeddings, as an ONNX model.
+
+    Args:
+        detector: ONNX file of the detector.
+        text: ONNX file of the phrase encoder.
 
     Attributes:
         model: `images` → `HEADS` and `NECK`.
         scale: factor in the detector's scores: sigmoid(scale · embedding · text + bias).
         bias: offset in the detector's scores.
-        scales: factors from `near` and `far` to the values of `NECK` (for `near`, to the mean of
-            four).
+        scales: factors from the levels in `Features.near` and `far` to values; for `near`, to the
+            mean of four cells.
         words: (c, 64) float32, unit rows of `looks.CATEGORIES`.
     """
 
     def __init__(self, detector: Path, text: Path) -> None:
         from exporters.training.mini import looks
 
-        whole = onnx.load(detector)
-        values = {t.name: t for t in whole.graph.initializer}
+        full = onnx.load(detector)
+        values = {t.name: t for t in full.graph.initializer}
 
         def number(name: str) -> float:
+            """Return a constant of the model."""
             return float(numpy_helper.to_array(values[name]))
 
-        self.model = Extractor(onnx.shape_inference.infer_shapes(whole)).extract_model(
+        self.model = Extractor(onnx.shape_inference.infer_shapes(full)).extract_model(
             ["images"], [*HEADS, *NECK]
         )
         self.scale, self.bias = float(np.exp(number("scale"))), number("bias")
-        makers = {node.output[0]: node for node in whole.graph.node}
+        # The inputs of a DequantizeLinear node are the levels, their scale, and their zero point.
+        makers = {node.output[0]: node for node in full.graph.node}
         near, far = (number(makers[name].input[1]) for name in NECK)
         self.scales = near / 4.0, far
         for name in NECK:
@@ -85,7 +91,11 @@ class Trunk:
         self._session = cpu_session(self.model.SerializeToString(), 1)
 
     def read(self, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return one image's `Features`, without the first two axes."""
+        """Return the arrays of `Features` for one image, without the first two axes.
+
+        Args:
+            rgb: (h, w, 3) uint8.
+        """
         *heads, near, far = self._session.run([*HEADS, *NECK], {"images": as_input(rgb)})
         logits = (self.scale * np.einsum("kd,dhw->khw", self.words, e[0]) for e in heads)
         best = np.max([_fold(x, np.max) for x in logits], axis=0) + self.bias
@@ -94,11 +104,11 @@ class Trunk:
         return evidence, near, np.round(far[0] / self.scales[1])
 
 
-def _fold(x: np.ndarray, how: Callable) -> np.ndarray:
-    """Reduce (c, h, w) to a grid of 8 rows and 10 columns of cells."""
+def _fold(x: np.ndarray, reduce: Callable) -> np.ndarray:
+    """Reduce (c, h, w) to (c, 8, 10), the feature grid, by a function such as `np.max`."""
     c, h, w = x.shape
     rows, columns = GRID_HW
-    return how(x.reshape(c, rows, h // rows, columns, w // columns), axis=(2, 4))
+    return reduce(x.reshape(c, rows, h // rows, columns, w // columns), axis=(2, 4))
 
 
 def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
@@ -109,10 +119,11 @@ def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
     )
 
 
-_TYPES = (np.uint8, np.uint16, np.uint8)
+_TYPES = (np.uint8, np.uint16, np.uint8)  # of the arrays of `Features`
 
 
 def _read_or_make(path: Path, trunk: Trunk) -> Features:
+    """Return the features of one file of views; compute and store them if they are not stored."""
     stored = path.with_suffix(".features.npz")
     if not stored.is_file():
         views = load_views([path])

@@ -1,4 +1,7 @@
-"""Labels of a view: the directions that lead to a target, and if any does."""
+"""Labels for training and evaluation: the directions of a view that lead to a target, if any does.
+
+Shapes: n views, t kinds of object.
+"""
 
 from __future__ import annotations
 
@@ -20,33 +23,37 @@ RIGHT_M = 0.5
 
 
 def marks_of(views: Views) -> np.ndarray:
-    """Return (n, MAX_MARKS, MARK_FIELDS) float32, in the form of `MarksCard`."""
+    """Return the marks in the form of `MarksCard`: (n, MAX_MARKS, MARK_FIELDS) float32.
+
+    The fields are u, v (shares of the image), bearing, distance, path, gain, and 1; all are 0 for a
+    mark that does not exist.
+    """
     out = np.zeros((len(views), MAX_MARKS, MARK_FIELDS), np.float32)
     out[..., 0] = (views.marks[..., 0] + 0.5) / HW[1]
     out[..., 1] = (views.marks[..., 1] + 0.5) / HW[0]
     out[..., 2:4] = views.marks[..., 2:]
     out[..., 4] = np.minimum(views.path_m, FAR_M)
-    out[..., 5], out[..., -1] = views.gain_m2, shown(views)
+    out[..., 5], out[..., -1] = views.gain_m2, is_mark(views)
     return out * out[..., -1:]
 
 
-def shown(views: Views) -> np.ndarray:
+def is_mark(views: Views) -> np.ndarray:
     """Return (n, MAX_MARKS) bool, True for an existing mark."""
     return np.arange(MAX_MARKS) < views.count[:, None]
 
 
-def asked(views: Views) -> np.ndarray:
-    """Return (n, t) bool: True if the target is reachable and was not seen before."""
-    reaches = np.isfinite(np.minimum(views.left_m.min(axis=1), views.else_m))
-    return (views.seen != BEFORE) & reaches
+def is_asked(views: Views) -> np.ndarray:
+    """Return (n, t) bool: True if the target is reachable and was not seen before this view."""
+    is_reachable = np.isfinite(np.minimum(views.left_m.min(axis=1), views.else_m))
+    return (views.seen != BEFORE) & is_reachable
 
 
 def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
-    """Return soft labels from the remaining distances.
+    """Return soft labels of the directions: the shorter the remaining way, the higher.
 
     Args:
-        left_m: (…, m) from each mark, inf if there is none.
-        else_m: (…) from the best frontier without a mark.
+        left_m: (…, m) remaining distance from each mark, inf if there is none.
+        else_m: (…) remaining distance from the best frontier without a mark.
 
     Returns:
         (…, m + 1) float32 with a sum of 1, or 0 if nothing leads to the target; the last is

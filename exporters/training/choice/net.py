@@ -1,9 +1,10 @@
-"""Network over the trunk's features: which marked frontier leads to the target, if any.
+"""Network of the direction-choice model: rates the marked frontiers of an image for a target.
 
-A few convolutions make a map of keys and values from an image, for all targets. Each mark, and one
-more token for "elsewhere" and the scene, queries it with the target's text. Attention
-(arXiv:1706.03762) goes over the map's cells, by their content and their position relative to the
-mark, then over the other marks. The network is so small that it stays in float32.
+It reads the features of the detector's trunk. A few convolutions make a map of keys and values from
+an image, for all targets. There is a token for each mark, and one more for "elsewhere" and the
+scene; they query the map with the target's text. Attention (arXiv:1706.03762) goes over the map's
+cells, by their content and their position relative to the mark, then over the other tokens. The
+network is so small that it stays in float32.
 """
 
 from __future__ import annotations
@@ -18,10 +19,19 @@ NEAR, FAR = 96, 128
 """Channels of the two tensors `features.NECK`."""
 _FAR_M, _WIDE_M2 = 8.0, 10.0  # scales of distances and areas in the features
 _BIG = 1e4  # subtracted from the logit of a missing mark
+# Numbers of features of a mark, and of the frontiers without a mark.
+_MARK_FEATURES, _OTHERS_FEATURES = 17, 6
 
 
 class ChoiceNet(nn.Module):
-    """Map, text and marks → logits of the directions ("elsewhere" last) and of the scene."""
+    """The network: map, text and marks → logits of the directions ("elsewhere" last) and the scene.
+
+    Args:
+        kinds: number of kinds of object, whose scores are in the features.
+        width: channels of the map and the tokens.
+        heads: number of attention heads.
+        layers: number of attention layers.
+    """
 
     def __init__(self, kinds: int, width: int = 64, heads: int = 4, layers: int = 2) -> None:
         super().__init__()
@@ -29,8 +39,8 @@ class ChoiceNet(nn.Module):
         self.kinds = Conv(kinds, width, 1)
         self.map = nn.Sequential(Conv(3 * width, width, 1), Conv(width, width))
         self.place = nn.Parameter(0.02 * torch.randn(width, *GRID_HW))
-        self.mark = nn.Linear(width + _GEOMETRY, width)
-        self.rest = nn.Linear(_REST, width)
+        self.mark = nn.Linear(width + _MARK_FEATURES, width)
+        self.rest = nn.Linear(_OTHERS_FEATURES, width)
         self.text = nn.Sequential(nn.Linear(EMBED_DIM, width), nn.ReLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(_Layer(width, heads) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
@@ -57,8 +67,8 @@ class ChoiceNet(nn.Module):
 
         Args:
             seen: (v, width, 8, 10), the map of v images.
-            target: (v, t, 80) scores of t targets in the cells.
-            text: (v, t, 64) their embeddings.
+            target: (v, t, 80) the detector's scores of t targets in the cells.
+            text: (v, t, 64) embeddings of the targets.
             marks: (v, m, MARK_FIELDS), see `MarksCard`.
             others: (v, OTHERS_FIELDS), see `MarksCard`.
 
@@ -67,12 +77,12 @@ class ChoiceNet(nn.Module):
         """
         v, t, m = text.shape[0], text.shape[1], marks.shape[1]
         cells = seen.flatten(2).transpose(1, 2)  # (v, 80, width)
-        near = tents(marks[..., :2]) @ cells  # (v, m, width)
-        tokens = self.mark(torch.cat([self.drop(near), geometry(marks)], -1))
-        rest = self.rest(of_others(others))[:, None]
+        near = bilinear_weights(marks[..., :2]) @ cells  # (v, m, width), the map at the marks
+        tokens = self.mark(torch.cat([self.drop(near), mark_features(marks)], -1))
+        rest = self.rest(others_features(others))[:, None]
         tokens = torch.cat([tokens, rest], 1)[:, None] + self.text(text)[:, :, None]
         is_mark = torch.cat([marks[..., -1], torch.ones_like(marks[:, :1, -1])], 1)  # (v, m + 1)
-        middle = torch.full_like(marks[:, :1, :2], 0.5)
+        middle = torch.full_like(marks[:, :1, :2], 0.5)  # position of the token for "elsewhere"
         away = torch.cat([marks[..., :2], middle], 1)[:, :, None] - self.cells  # (v, m + 1, 80, 2)
         for layer in self.layers:
             tokens = layer(tokens, cells, away, target, is_mark)
@@ -101,6 +111,15 @@ class _Layer(nn.Module):
     def forward(
         self, x: Tensor, cells: Tensor, away: Tensor, target: Tensor, is_mark: Tensor
     ) -> Tensor:
+        """Return the new tokens.
+
+        Args:
+            x: (v, t, n, width) tokens of v images and t targets.
+            cells: (v, 80, width) the map.
+            away: (v, n, 80, 2) position of each token minus that of each cell.
+            target: (v, t, 80) scores of the targets in the cells.
+            is_mark: (v, n) 1 for a token that exists.
+        """
         v, t, n, width = x.shape
         h, d = self.heads, width // self.heads
         ask = self.ask(self.norms[0](x)).reshape(v, t * n, h, d).transpose(1, 2)
@@ -121,24 +140,22 @@ class _Layer(nn.Module):
         return x + self.step(self.norms[2](x))
 
 
-_GEOMETRY, _REST = 17, 6  # number of features of a mark, and of the frontiers without a mark
-
-
-def geometry(marks: Tensor) -> Tensor:
-    """Return features of a mark's position, (…, _GEOMETRY)."""
+def mark_features(marks: Tensor) -> Tensor:
+    """Return features of marks, (…, _MARK_FEATURES), from (…, MARK_FIELDS)."""
     u, v, bearing, distance, path, gain, is_mark = marks.unbind(-1)
     waves = [wave(k * torch.pi * u) for k in (1, 2) for wave in (torch.sin, torch.cos)]
     offset = [u, v, bearing, bearing.abs(), distance / _FAR_M, torch.log1p(distance), *waves]
-    return torch.stack([*offset, (path - distance) / _FAR_M, *_worth(path, gain), is_mark], -1)
+    worth = _path_and_gain_features(path, gain)
+    return torch.stack([*offset, (path - distance) / _FAR_M, *worth, is_mark], -1)
 
 
-def of_others(others: Tensor) -> Tensor:
-    """Return features of all frontiers without a mark, (…, _REST)."""
+def others_features(others: Tensor) -> Tensor:
+    """Return features of all frontiers without a mark, (…, _OTHERS_FEATURES)."""
     count, path, gain = others.unbind(-1)
-    return torch.stack([torch.log1p(count), *_worth(path, gain)], -1)
+    return torch.stack([torch.log1p(count), *_path_and_gain_features(path, gain)], -1)
 
 
-def _worth(path: Tensor, gain: Tensor) -> list[Tensor]:
+def _path_and_gain_features(path: Tensor, gain: Tensor) -> list[Tensor]:
     """Return features of a path's length and gain, and the score of `edge.policies.search`."""
     wide = torch.sqrt(gain.clamp(min=0.0) + 1e-6)
     return [path / _FAR_M, torch.log1p(path), gain / _WIDE_M2, wide, wide / (1.0 + path)]
@@ -151,8 +168,8 @@ def cell_centres() -> Tensor:
     return torch.stack([u, v], -1).reshape(-1, 2)
 
 
-def tents(at: Tensor) -> Tensor:
-    """Return bilinear weights, (…, 80), at positions (…, 2), which are shares of the image."""
+def bilinear_weights(at: Tensor) -> Tensor:
+    """Return weights (…, 80) that interpolate the cells at positions (…, 2)."""
     h, w = GRID_HW
     columns = torch.arange(w, dtype=at.dtype, device=at.device) + 0.5
     rows = torch.arange(h, dtype=at.dtype, device=at.device) + 0.5

@@ -1,4 +1,7 @@
-"""Training loop of the direction-choice model: views with several targets each."""
+"""Training loop of the direction-choice model: each step has a few views with several targets.
+
+Shapes: v views, t targets of each, m marks.
+"""
 
 from __future__ import annotations
 
@@ -24,19 +27,22 @@ log = logging.getLogger(__name__)
 
 DROP = 0.25
 """Probability that a mark is left out, for more variety in the questions."""
-CLIP = 5.0
-"""Largest norm of the gradients."""
+MAX_GRADIENT_NORM = 5.0
+"""Longer gradients are shortened to it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
         steps: number of steps.
         views: views in a step.
         targets: targets for each view.
-        rate: see `learning.LearningRates`, which also describes `decay`, `warm_up` and `average`.
+        rate: see `learning.LearningRates`.
+        decay: see `learning.LearningRates`.
+        warm_up: see `learning.LearningRates`.
+        average: see `learning.LearningRates`.
         keep_every: steps between two checkpoints.
         seed: seed of weights and batches.
     """
@@ -53,7 +59,20 @@ class Plan:
 
 
 class Batch(NamedTuple):
-    """Inputs of `ChoiceNet`, and the labels: `direction`, `among` (of the marks only), `scene`."""
+    """Inputs of `ChoiceNet`, and the labels.
+
+    Attributes:
+        near: see `ChoiceNet.read`.
+        far: see `ChoiceNet.read`.
+        evidence: see `ChoiceNet.read`.
+        target: see `ChoiceNet.forward`.
+        text: see `ChoiceNet.forward`.
+        marks: see `ChoiceNet.forward`.
+        others: see `ChoiceNet.forward`.
+        direction: (v, t, m + 1) see `labels.directions`.
+        among: (v, t, m) the same if there were no frontier without a mark.
+        scene: (v, t) 1 if the best mark lies near a shortest path.
+    """
 
     near: Tensor
     far: Tensor
@@ -75,13 +94,16 @@ class Data:
         features: features of the views.
         scales: see `features.Trunk`.
         words: see `features.Trunk`.
+
+    Attributes:
+        rows: indices of the views with a target to ask for.
     """
 
     def __init__(
         self, views: Views, features: Features, scales: tuple[float, float], words: np.ndarray
     ) -> None:
         self._views, self._features, self._scales, self._words = views, features, scales, words
-        self._marks, self._asked = labels.marks_of(views), labels.asked(views)
+        self._marks, self._asked = labels.marks_of(views), labels.is_asked(views)
         self._scene = labels.scene(views)
         self.rows = np.flatnonzero(self._asked.any(axis=1))
 
@@ -91,12 +113,12 @@ class Data:
         Args:
             rows: (v,) indices of views.
             targets: (v, t) indices of `looks.CATEGORIES`.
-            sides: (v,) 1 for mirrored views.
+            sides: (v,) 1 for mirrored views, 0 for others.
         """
         sides = np.broadcast_to(sides, rows.shape)
         return self._batch(rows, targets, sides, self._marks[rows, :, -1] > 0.0)
 
-    def disturbed(self, plan: Plan, first: int) -> Iterator[Batch]:
+    def augmented(self, plan: TrainingPlan, first: int) -> Iterator[Batch]:
         """Yield an augmented batch for each step from `first` on.
 
         Views and targets are random, half of the views are mirrored, and some marks are left out.
@@ -114,6 +136,7 @@ class Data:
     def _batch(
         self, rows: np.ndarray, targets: np.ndarray, sides: np.ndarray, is_mark: np.ndarray
     ) -> Batch:
+        """Return a batch, see `batch`; `is_mark` (v, m) is False for marks that are left out."""
         views, f, each = self._views, self._features, np.arange(len(rows))[:, None]
         near, far = (
             torch.from_numpy(x[rows, sides].astype(np.float32) * scale)
@@ -121,8 +144,10 @@ class Data:
         )
         evidence = torch.from_numpy(f.evidence[rows, sides].astype(np.float32) / 255.0)
         marks = self._marks[rows] * is_mark[..., None]
+        # Mirrored: u and the bearing of a mark change sides.
         marks[..., 0] = np.where(sides[:, None] & is_mark, 1.0 - marks[..., 0], marks[..., 0])
         marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
+        # A mark that is left out is a frontier without a mark.
         others = _with_hidden(views.others[rows], self._marks[rows], ~is_mark)
         left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
         hidden_m = np.where(is_mark[:, None], np.inf, left_m).min(axis=-1)
@@ -140,7 +165,16 @@ class Data:
 
 
 def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Return (v, OTHERS_FIELDS) float32: dropped marks count as frontiers without a mark."""
+    """Return the figures of the frontiers without a mark, with the marks that were left out.
+
+    Args:
+        others: (v, OTHERS_FIELDS) number, least path [m], largest gain [m²].
+        marks: (v, m, MARK_FIELDS), see `labels.marks_of`.
+        hidden: (v, m) True for a mark that was left out, or does not exist.
+
+    Returns:
+        (v, OTHERS_FIELDS) float32.
+    """
     hidden = hidden & (marks[..., -1] > 0.0)
     count, least_m, most_m2 = others.T
     least_m = np.where(count > 0.0, least_m, np.inf)
@@ -152,13 +186,13 @@ def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> n
 
 
 def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the logits; see `ChoiceNet.forward`."""
+    """Return the logits of directions and scene; see `ChoiceNet.forward`."""
     seen = net.read(batch.near, batch.far, batch.evidence)
     return net(seen, batch.target, batch.text, batch.marks, batch.others)
 
 
 def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the cross-entropies of directions, of the marks only, and of the scene.
+    """Return the cross-entropies of directions, of the marks among themselves, and of the scene.
 
     The second is needed because a view teaches little about its marks if "elsewhere" is far better.
     """
@@ -170,10 +204,11 @@ def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _cross_entropy(logits: Tensor, right: Tensor) -> Tensor:
+    """Return the mean cross-entropy of soft labels."""
     return -(right * logits.log_softmax(-1)).sum(-1).mean()
 
 
-def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
+def train(data: Data, plan: TrainingPlan, kinds: int, checkpoint: Path) -> ChoiceNet:
     """Train, or continue from `checkpoint`; return the averaged weights.
 
     Args:
@@ -194,10 +229,10 @@ def train(data: Data, plan: Plan, kinds: int, checkpoint: Path) -> ChoiceNet:
     net = ChoiceNet(kinds)
     learner = Learner(net, plan, plan.steps, checkpoint, run)
     sums = torch.zeros(3)
-    for step, batch in enumerate(data.disturbed(plan, learner.done), learner.done + 1):
+    for step, batch in enumerate(data.augmented(plan, learner.done), learner.done + 1):
         torch.manual_seed(plan.seed * 1_000_003 + step)  # same dropout if the run continues
         parts = losses(net, batch)
-        learner.step(sum(parts), CLIP)
+        learner.step(sum(parts), MAX_GRADIENT_NORM)
         sums += torch.stack(parts).detach()
         if step % plan.keep_every == 0 or step == plan.steps:
             shown = (step, plan.steps, *(sums / plan.keep_every).tolist())

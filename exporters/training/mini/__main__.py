@@ -23,6 +23,7 @@ SEED, HOUSES, CORES = 0, 3000, 2  # defaults of the options
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
+    """Parse the command line, train, and publish the model."""
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.mini",
         description="train the small detector on images of random houses",
@@ -59,13 +60,14 @@ def main(argv: list[str] | None) -> None:
 
 
 def _train(args: argparse.Namespace) -> None:
+    """Render the images, train, and put the model's files in place."""
     import torch
 
     from exporters.training import checkpoint as checkpoints
     from exporters.training.mini import export, training, views
 
     device = args.device or ("cuda" if torch.cuda.is_available() else "cpu")
-    plan, checkpoint = training.Plan(seed=args.seed), args.out / "checkpoint.pt"
+    plan, checkpoint = training.TrainingPlan(seed=args.seed), args.out / "checkpoint.pt"
     ranks = args.cores if device == "cpu" else 1
     training.check_cores(plan, ranks)
     # Check this before minutes of rendering.
@@ -73,13 +75,14 @@ def _train(args: argparse.Namespace) -> None:
         checkpoint, checkpoints.run_identity(plan, args.houses * views.PER_HOUSE, ranks, device)
     )
     houses, data = range(args.houses), args.out / "data"
-    make = partial(views.make_frames, houses, views.PER_HOUSE, data, args.cores)
-    frames = make()
+    make_frames = partial(views.make_frames, houses, views.PER_HOUSE, data, args.cores)
+    frames = make_frames()
     logging.info("%d frames, %d things", len(frames), len(frames.objects))
     if device == "cpu":
-        training.train_on_cores(make, plan, checkpoint, ranks)
+        training.train_on_cores(make_frames, plan, checkpoint, ranks)
     else:
         training.train(frames, plan, checkpoint, device)
+    # The card tells the command, with the options that are not the defaults.
     usual = {"seed": SEED, "houses": HOUSES, "cores": CORES}
     given = {name: getattr(args, name) for name in usual if getattr(args, name) != usual[name]}
     options = "".join(f" --{name} {value}" for name, value in given.items())

@@ -2,9 +2,10 @@
 
     python -m exporters.training.mini.evaluate MODEL.onnx [--text TEXT.onnx]
 
-There are three measurements: average precision at IoU 0.5 per category, for objects of at least 12
-px that are half visible; the share of attribute phrases that score higher on the right one of two
-objects of a kind in one view; latency.
+It measures three things. First, the average precision at IoU 0.5 of each category, for objects of
+at least 12 px that are half visible. Second, questions about two objects of a category in one image
+(which one is the red chair?): the share of phrases that score higher on the right one. Third, the
+latency.
 """
 
 from __future__ import annotations
@@ -27,15 +28,17 @@ from exporters.images import as_input
 from exporters.onnx_format import cpu_session
 from exporters.training.mini import looks
 from exporters.training.mini.houses import HELD_OUT
-from exporters.training.mini.views import Frames, make_frames, whole
+from exporters.training.mini.views import Frames, is_inside_image, make_frames
 from exporters.training.results import took_ms
 
 SEEDS = range(HELD_OUT, HELD_OUT + 100)
 """Seeds of the held-out houses."""
 PER_HOUSE = 6
 """Images of each house."""
-MIN_SIDE_PX, MIN_VISIBLE = 12, 0.5
-"""Smaller objects, and objects with a smaller visible share, do not count."""
+MIN_SIDE_PX = 12
+"""Objects with a shorter side do not count."""
+MIN_VISIBLE = 0.5
+"""Objects with a smaller visible share do not count."""
 IOU = 0.5
 """Least overlap of a detection with its object."""
 MIN_SCORE = 0.01
@@ -43,25 +46,25 @@ MIN_SCORE = 0.01
 DEPLOYED: float = PerceptionConfig.model_fields["tau_det"].default
 """The service's default score threshold for a detection."""
 TOLD_APART = ("color", "size")
-"""Kinds of questions that a model is judged by; the size of a cut-off object is a guess."""
-
-
+"""Kinds of questions that a model is judged by. Questions about the size of an object that the
+image cuts off ("cut_off_size") are not among them: the answer is a guess."""
 FLOORS = {"ap50": 0.7, "pairs_told_apart": 0.8}
-"""Least values of a card's figures on held-out houses."""
+"""Smallest allowed values of a card's figures on held-out houses."""
 MAX_BYTES = 2_900_000
 """Largest size of the INT8 file."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """Figures on the test set.
+    """Figures of a model on the held-out houses.
 
     Attributes:
-        ap50: by category.
+        ap50: average precision at IoU 0.5, by category.
         things: number of objects that count, by category.
-        pairs: (right, asked) by kind of question: "color", "size" (both objects are wholly in view)
-            and "cut_off_size" (at least one is not, so its size is a guess).
-        phrases: (n, 2) scores (right one, wrong one) of each question of the kinds `TOLD_APART`.
+        pairs: (number of right answers, number of questions) by kind of question: "color", "size"
+            (both objects are wholly in the image) and "cut_off_size" (at least one is not).
+        phrases: (n, 2) scores of the phrase on the right object and on the wrong one, for each
+            question of the kinds `TOLD_APART`.
         latency_ms: median and 95th percentile on 2 threads, 8 phrases.
     """
 
@@ -73,6 +76,7 @@ class Report:
 
     @property
     def map50(self) -> float:
+        """Mean of `ap50` over the categories."""
         return float(np.mean(list(self.ap50.values())))
 
     def pair_share(self, kind: str | None = None) -> float:
@@ -100,6 +104,7 @@ class Report:
         }
 
     def table(self) -> str:
+        """Return the figures as text: a line for each category, worst first, then the summary."""
         rows = [f"{v:6.3f}  {self.things[k]:5d}  {k}" for k, v in
                 sorted(self.ap50.items(), key=lambda kv: kv[1])]  # fmt: skip
         rows += [f"{name:24s} {value}" for name, value in self.summary().items()]
@@ -108,12 +113,18 @@ class Report:
 
 
 def held_out_frames(folder: Path) -> Frames:
-    """Return the test set; it is rendered the first time."""
+    """Return the images of the held-out houses; they are rendered the first time."""
     return make_frames(SEEDS, PER_HOUSE, folder)
 
 
 def measure(model: Path, text: Path, frames: Frames) -> Report:
-    """Run the whole test set."""
+    """Run the detector on all images.
+
+    Args:
+        model: ONNX file of the detector.
+        text: ONNX file of the phrase encoder.
+        frames: images to measure on.
+    """
     detector, encoder = cpu_session(model, 2), cpu_session(text, 1)
     categories = np.zeros((len(looks.CATEGORIES), 3), np.int64)
     categories[:, 0] = np.arange(1, 1 + len(categories))
@@ -122,16 +133,16 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
     pairs = {"color": [0, 0], "size": [0, 0], "cut_off_size": [0, 0]}
     phrases: list[tuple[float, float]] = []
     for index in range(len(frames)):
-        objects = frames.of(index)
+        objects = frames.objects_in(index)
         questions = _questions(objects)
         tokens = np.concatenate([categories, *(q.phrase[None] for q in questions)])
-        rows = encoder.run(None, {"tokens": tokens})[0][None]
-        feed = {"images": as_input(frames.rgb[index]), "txt_feats": rows}
+        features = encoder.run(None, {"tokens": tokens})[0][None]
+        feed = {"images": as_input(frames.rgb[index]), "txt_feats": features}
         boxes, scores = (out[0] for out in detector.run(None, feed))
-        counts = _counts(objects)
+        does_count = _does_count(objects)
         for c in range(len(categories)):
-            things[c] += int((counts & (objects["category"] == c + 1)).sum())
-            found[c] += _match(boxes, scores[:, c], objects, counts, c + 1)
+            things[c] += int((does_count & (objects["category"] == c + 1)).sum())
+            found[c] += _match(boxes, scores[:, c], objects, does_count, c + 1)
         for k, question in enumerate(questions):
             score = scores[:, len(categories) + k]
             right, wrong = (
@@ -147,13 +158,20 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
         {looks.CATEGORIES[c]: n for c, n in things.items() if n},
         {k: (v[0], v[1]) for k, v in pairs.items()},
         np.array(phrases).reshape(-1, 2),
-        _latency(detector, frames, rows[:, :8]),
+        _latency(detector, frames, features[:, :8]),
     )
 
 
 @dataclass(frozen=True)
 class _Question:
-    """A phrase that fits one (`right`) and not the other (`wrong`) of two objects of a kind."""
+    """A phrase that is true of one of two objects of a category, and not of the other one.
+
+    Attributes:
+        kind: key of `Report.pairs`.
+        phrase: (3,) int64, see `looks`.
+        right: index of the object that it is true of.
+        wrong: index of the other one.
+    """
 
     kind: str
     phrase: np.ndarray
@@ -161,8 +179,8 @@ class _Question:
     wrong: int
 
 
-def _counts(objects: np.ndarray) -> np.ndarray:
-    """Return (o,) bool: large and visible enough to be measured."""
+def _does_count(objects: np.ndarray) -> np.ndarray:
+    """Return (o,) bool: True if an object is large and visible enough to be measured."""
     box = objects["box"]
     side = np.minimum(box[:, 2] - box[:, 0], box[:, 3] - box[:, 1])
     return (side >= MIN_SIDE_PX) & (objects["visible"] >= MIN_VISIBLE)
@@ -171,15 +189,18 @@ def _counts(objects: np.ndarray) -> np.ndarray:
 def _questions(objects: np.ndarray) -> list[_Question]:
     """Return all questions about pairs of objects of one category in an image."""
     questions = []
-    usable, uncut = np.flatnonzero(_counts(objects)), whole(objects)
+    usable, uncut = np.flatnonzero(_does_count(objects)), is_inside_image(objects)
     for i in usable:
         for j in usable:
             if i == j or objects["category"][i] != objects["category"][j]:
                 continue
-            size = "size" if uncut[i] and uncut[j] else "cut_off_size"
-            for kind, field, place in (("color", "color", 1), (size, "size", 2)):
-                yes, no = objects[field][i], objects[field][j]
-                for word in np.flatnonzero((yes[1:] == looks.YES) & (no[1:] == looks.NO)) + 1:
+            size_kind = "size" if uncut[i] and uncut[j] else "cut_off_size"
+            # A phrase is (category, colour, size); `place` is the index of the word.
+            for kind, field, place in (("color", "color", 1), (size_kind, "size", 2)):
+                right, wrong = objects[field][i], objects[field][j]
+                # Entry 0 is the answer for no word.
+                fits = (right[1:] == looks.YES) & (wrong[1:] == looks.NO)
+                for word in np.flatnonzero(fits) + 1:
                     phrase = np.zeros(3, np.int64)
                     phrase[0], phrase[place] = objects["category"][i], word
                     questions.append(_Question(kind, phrase, int(i), int(j)))
@@ -187,18 +208,26 @@ def _questions(objects: np.ndarray) -> list[_Question]:
 
 
 def _score_at(boxes: np.ndarray, scores: np.ndarray, box: np.ndarray) -> float:
-    """Return the best score of any anchor whose box matches this one."""
+    """Return the best score of the detector's boxes that match this one."""
     on = overlaps(boxes, box[None])[0][:, 0] >= IOU
     return float(scores[on].max()) if on.any() else 0.0
 
 
 def _match(
-    boxes: np.ndarray, scores: np.ndarray, objects: np.ndarray, counts: np.ndarray, category: int
+    boxes: np.ndarray,
+    scores: np.ndarray,
+    objects: np.ndarray,
+    does_count: np.ndarray,
+    category: int,
 ) -> list[tuple[float, int]]:
-    """Return (score, 1 right / 0 wrong) of each detection.
+    """Match the boxes with the objects of a category in one image.
 
-    Detections on objects that do not count are left out, and so are those on kinds of the category
-    or on its broader name.
+    Of overlapping boxes, the one with the highest score is a detection. Detections on objects that
+    do not count are left out. So are detections on objects for which the category is UNSURE, such
+    as an armchair for the category chair.
+
+    Returns:
+        The score of each detection, and 1 if it is right, 0 if it is wrong.
     """
     keep = np.flatnonzero(scores > MIN_SCORE)
     keep = keep[np.argsort(-scores[keep], kind="stable")][:300]
@@ -209,18 +238,18 @@ def _match(
             kept.append(n)
     chosen = keep[kept]
     answers = looks.KINDS[objects["category"], category]
-    counted = np.flatnonzero((answers == looks.YES) & counts)
-    other = np.flatnonzero(((answers == looks.YES) & ~counts) | (answers == looks.UNSURE))
-    on_mine = overlaps(boxes[chosen], objects["box"][counted])[0]
-    on_other = overlaps(boxes[chosen], objects["box"][other])[0]
+    counted = np.flatnonzero((answers == looks.YES) & does_count)
+    ignored = np.flatnonzero(((answers == looks.YES) & ~does_count) | (answers == looks.UNSURE))
+    on_counted = overlaps(boxes[chosen], objects["box"][counted])[0]
+    on_ignored = overlaps(boxes[chosen], objects["box"][ignored])[0]
     taken = np.zeros(len(counted), bool)
     result = []
     for row, index in enumerate(chosen):
-        free = np.where(taken, 0.0, on_mine[row])
+        free = np.where(taken, 0.0, on_counted[row])
         if len(counted) and free.max() >= IOU:
             taken[free.argmax()] = True
             result.append((float(scores[index]), 1))
-        elif not (len(other) and on_other[row].max() >= IOU):
+        elif not (len(ignored) and on_ignored[row].max() >= IOU):
             result.append((float(scores[index]), 0))
     return result
 
@@ -237,9 +266,10 @@ def _average_precision(found: list[tuple[float, int]], count: int) -> float:
 
 
 def _latency(
-    detector: InferenceSession, frames: Frames, rows: np.ndarray, runs: int = 150
+    detector: InferenceSession, frames: Frames, features: np.ndarray, runs: int = 150
 ) -> tuple[float, float]:
-    feeds = [{"images": as_input(rgb), "txt_feats": rows} for rgb in frames.rgb[:runs]]
+    """Return median and 95th percentile [ms] of the detector's runs with these text features."""
+    feeds = [{"images": as_input(rgb), "txt_feats": features} for rgb in frames.rgb[:runs]]
     took = took_ms(lambda index: detector.run(None, feeds[index % len(feeds)]), runs)
     return took["p50_ms"], took["p95_ms"]
 
@@ -266,6 +296,7 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
+    """Parse the command line, measure a model, and print its figures."""
     parser = argparse.ArgumentParser(
         prog="python -m exporters.training.mini.evaluate",
         description="measure the small detector on images of houses that it was not trained on",

@@ -31,8 +31,10 @@ DETECTOR, TEXT, SIMILARITY = (
 )  # fmt: skip
 LICENSE = "Apache-2.0"
 NOTE = "Knows only the built-in world. Written by exporters.training.mini."
-CALIBRATION_SEEDS, CALIBRATION_FRAMES = range(90_000, 90_032), 2
-"""Houses used neither for training nor for evaluation."""
+CALIBRATION_SEEDS = range(90_000, 90_032)
+"""Seeds of the houses to calibrate the quantization on; no others use them."""
+CALIBRATION_FRAMES = 2
+"""Images of each of these houses."""
 
 
 def load_model(checkpoint: Path) -> tuple[Model, dict[str, Any]]:
@@ -45,7 +47,7 @@ def export_detector(detector: nn.Module, out: Path) -> None:
     """Write FP32 ONNX with a static image size and a free number of phrases."""
     images = torch.zeros(1, 3, *FULL_HW)
     text = nn.functional.normalize(torch.ones(1, 3, EMBED_DIM), dim=-1)
-    free = {"txt_feats": {1: "prompts"}, "scores": {2: "prompts"}}
+    free = {"txt_feats": {1: "prompts"}, "scores": {2: "prompts"}}  # axes of any length
     export_module(detector, out, {"images": images, "txt_feats": text}, ("boxes", "scores"), free)
 
 
@@ -73,23 +75,28 @@ def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list
 
 
 def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
-    """Return the three cards, with the hashes of the ONNX files in `folder`."""
+    """Return the cards of the detector, the phrase encoder, and the similarity of names.
+
+    Args:
+        folder: folder with the ONNX files, whose hashes the cards have.
+        measured: figures for the detector's card.
+    """
     common = {
         "family": FAMILY, "sources": [], "license": LICENSE, "derived_from": None, "parity": None,
     }  # fmt: skip
-    of_file = {
+    file_keys = {
         name: {"file": f"{name}.onnx", "sha256": sha256_of(folder / f"{name}.onnx")}
         for name in (DETECTOR, TEXT)
     }
     return [
         {
-            "name": DETECTOR, "task": "detect", **common, **of_file[DETECTOR],
+            "name": DETECTOR, "task": "detect", **common, **file_keys[DETECTOR],
             "precision": "int8-cpu", "input": {"height": FULL_HW[0], "width": FULL_HW[1]},
             "preprocess": {"color": "rgb", "scale": 1 / 255, "letterbox_pad": PAD},
             "text_dim": EMBED_DIM, "text_encoder": TEXT, "measured": measured,
         },
         {
-            "name": TEXT, "task": "text", **common, **of_file[TEXT],
+            "name": TEXT, "task": "text", **common, **file_keys[TEXT],
             "precision": "fp32", "dim": EMBED_DIM, "tokenizer": {"kind": "attributes"},
         },
         {"name": SIMILARITY, "task": "similarity", **common, "detector": DETECTOR},
@@ -97,7 +104,12 @@ def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
 
 
 def training_figures(state: dict[str, Any], command: str) -> dict[str, float | int | str]:
-    """Return the training entry of the detector's card; `command` repeats the training."""
+    """Return the training entry of the detector's card.
+
+    Args:
+        state: the checkpoint.
+        command: command that repeats the training.
+    """
     return {
         "command": command, "seed": state["plan"]["seed"], "houses": state["frames"] // PER_HOUSE,
         "frames": state["frames"], "processes": state["ranks"], "device": state["device"],
@@ -131,7 +143,13 @@ def make_files(run: Path, model: Model) -> dict[str, float | int]:
 
 
 def put_in_place(run: Path, out: Path, command: str, gate: bool) -> None:
-    """Export the run of a folder, measure it, and put files and cards into `out`.
+    """Export the trained model, measure it, and put its files and cards into `out`.
+
+    Args:
+        run: folder of the training run.
+        out: folder for the files and cards.
+        command: command that repeats the training.
+        gate: False to publish also a model that misses the required figures.
 
     Raises:
         ExportError: the model misses the required figures, and `gate` is True.

@@ -1,8 +1,8 @@
-"""Words for the looks of objects: colours, sizes, and whether a phrase is true of an object.
+"""Words of the small detector's phrases, and the answers to the question if a phrase is true.
 
-A phrase is three numbers (category, colour, size), 0 for no word. It is YES, NO or UNSURE for an
-object. Unsure answers are neither taught nor measured (is a teal object blue? is a tall one
-large?).
+A phrase is three numbers (category, colour, size), each an index into the words from 1, or 0 for no
+word. The answer for an object is YES, NO or UNSURE. Unsure answers are neither taught nor measured
+(is a teal object blue? is a tall one large?).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from edge import names
 from edge.lab.sim import assemblies
 from edge.perception.embedding.attributes import ALIKE, Vocabulary
 
+# Colour word -> its typical r, g, b.
 PALETTE: dict[str, tuple[float, float, float]] = {
     "red": (200, 48, 44),
     "orange": (236, 140, 38),
@@ -36,7 +37,7 @@ STYLES: dict[str, tuple[float, float, float, float]] = {
     "large": (1.25, 1.5, 1.25, 1.5),
     "small": (0.55, 0.75, 0.55, 0.75),
 }
-"""Size word → range of factors on the width, range of factors on the height."""
+"""Size word → smallest and largest factor on the width, and on the height."""
 
 CATEGORIES: tuple[str, ...] = tuple(names.canonical(name) for name in assemblies.CATEGORIES)
 COLORS: tuple[str, ...] = tuple(PALETTE)
@@ -48,8 +49,8 @@ NO, YES, UNSURE = 0, 1, -1
 """Answers to the question if a phrase is true of an object."""
 
 NEARLY_AS_NEAR = (1.35, 3.0)
-"""A second colour at a distance of at most 1.35 d + 3 [CIE76] is as good a name as the nearest, at
-d."""
+"""If the nearest colour of the palette is at the distance d [CIE76], others up to 1.35 d + 3 are as
+good a name: then the answer for all of them is UNSURE."""
 
 _NOT_SAID: dict[str, tuple[str, ...]] = {
     "rug": ("tall", "short", "wide", "narrow"),
@@ -64,7 +65,8 @@ _NOT_SAID: dict[str, tuple[str, ...]] = {
     "table": ("short", "small"),
     "coffee table": ("tall", "large"),
 }
-"""Sizes that are not asked for, or that make another kind of object: a wide armchair is a sofa."""
+"""Category → size words that nobody uses for it, or that make another kind of object of it: a wide
+armchair is a sofa."""
 
 
 def _lab(rgb: np.ndarray) -> np.ndarray:
@@ -81,12 +83,16 @@ def has_color(category: str) -> bool:
 
 
 def styles_of(category: str) -> tuple[str, ...]:
-    """Return the size words that apply to a category."""
+    """Return the size words that people use for a category."""
     return tuple(s for s in SIZES if s not in _NOT_SAID.get(category, ()))
 
 
 def color_answers(rgb: np.ndarray) -> np.ndarray:
-    """Return (1 + colours,) int8: is an object of this colour red, orange, …? Entry 0 is YES."""
+    """Return (1 + colours,) int8, the answers for all colour words; entry 0, for no word, is YES.
+
+    Args:
+        rgb: (3,) the object's colour.
+    """
     distance = np.linalg.norm(_PALETTE_LAB - _lab(np.asarray(rgb)[None]), axis=1)
     near = NEARLY_AS_NEAR[0] * distance.min() + NEARLY_AS_NEAR[1]
     answers = np.where(distance <= near, UNSURE, NO).astype(np.int8)
@@ -96,14 +102,19 @@ def color_answers(rgb: np.ndarray) -> np.ndarray:
 
 
 def unsure_color() -> np.ndarray:
-    """Return the answers of an object without a single colour."""
+    """Return the answers for all colour words, for an object without a single colour."""
     answers = np.full(1 + len(COLORS), UNSURE, np.int8)
     answers[0] = YES
     return answers
 
 
 def size_answers(style: str | None, category: str) -> np.ndarray:
-    """Return (1 + sizes,) int8: is an object of this style tall, short, …? None: usual size."""
+    """Return (1 + sizes,) int8, the answers for all size words; entry 0, for no word, is YES.
+
+    Args:
+        style: size word that the object was made with; None for the usual size.
+        category: its category.
+    """
     answers = np.zeros(1 + len(SIZES), np.int8)
     answers[0] = YES
     for index, word in enumerate(SIZES, 1):
@@ -135,21 +146,27 @@ def kinds() -> np.ndarray:
 
 
 KINDS = kinds()
+"""See `kinds`."""
 
 
 def answers(
     category: np.ndarray, color: np.ndarray, size: np.ndarray, phrases: np.ndarray
 ) -> np.ndarray:
-    """Return (objects, phrases) int8 YES, NO or UNSURE.
+    """Return the answers to phrases, for each object.
+
+    An answer is NO if one word is wrong, else UNSURE if one is unsure, else YES.
 
     Args:
         category: (o,) int, from 1.
         color: (o, 1 + colours) int8 from `color_answers`.
         size: (o, 1 + sizes) int8 from `size_answers`.
         phrases: (k, 3) int (category, colour, size).
+
+    Returns:
+        (o, k) int8.
     """
-    three = np.stack(
+    words = np.stack(
         [KINDS[category][:, phrases[:, 0]], color[:, phrases[:, 1]], size[:, phrases[:, 2]]]
-    )
-    unsure = np.where((three == UNSURE).any(axis=0), UNSURE, YES)
-    return np.where((three == NO).any(axis=0), NO, unsure).astype(np.int8)
+    )  # (3, o, k)
+    unsure = np.where((words == UNSURE).any(axis=0), UNSURE, YES)
+    return np.where((words == NO).any(axis=0), NO, unsure).astype(np.int8)

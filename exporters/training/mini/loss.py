@@ -1,4 +1,7 @@
-"""Loss of the detector: the assignment of anchors to objects, and the error of their outputs.
+"""Loss of the small detector: the assignment of anchors to objects, and the error of the outputs.
+
+An anchor is a cell of one of the detector's heads; it has a box and a score for each phrase.
+Shapes: b images, a anchors, o objects, k phrases.
 
 Task-aligned assignment (TOOD, arXiv:2108.07755, section 3.2), distribution focal loss
 (arXiv:2006.04388, eq. 6) and complete IoU (arXiv:1911.08287, eq. 10).
@@ -23,18 +26,18 @@ SCORE_POWER, IOU_POWER = 0.5, 4.0
 BOX_WEIGHT, EDGE_WEIGHT = 7.5, 1.5
 """Weights of the loss of boxes, and of the loss of edge distributions."""
 HARD_WEIGHT = 2.0
-"""Weight of calling an object by its category with the wrong colour or size."""
+"""Weight of the error of a phrase that names an object's category with a wrong colour or size."""
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Objects in a batch of images; o objects per image, padded.
+    """Objects in a batch of images, and the answers to the phrases; o objects per image, padded.
 
     Attributes:
         boxes: (b, o, 4) float32 x0 y0 x1 y1 in input pixels.
         taught: (b, o) bool; False for padding, and for objects that are too small or hidden.
         answers: (b, o, k) int8 YES, NO, UNSURE per phrase; NO for padding.
-        hard: (b, o, k) bool, the phrase names its category but not its colour or size.
+        hard: (b, o, k) bool, True if the phrase names the category with a wrong colour or size.
     """
 
     boxes: Tensor
@@ -44,7 +47,11 @@ class Labels:
 
 
 def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
-    """Return the (complete) intersection over union of boxes (…, 4)."""
+    """Return the intersection over union of boxes (…, 4).
+
+    With `complete`, it is reduced by the distance of the centres and the difference of the shapes
+    (complete IoU).
+    """
     wh = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(0)
     inter = wh[..., 0] * wh[..., 1]
     a_wh, b_wh = a[..., 2:] - a[..., :2], b[..., 2:] - b[..., :2]
@@ -69,28 +76,31 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tu
 
     Args:
         scores: (b, a, k) in 0..1.
-        boxes: (b, a, 4).
-        anchors: (a, 2).
+        boxes: (b, a, 4) boxes of the anchors.
+        anchors: (a, 2) centres of the anchors [px].
         labels: the objects.
 
     Returns:
-        owner (b, a) int64, -1 for none, and quality (b, a) in 0..1.
+        Index of the object (b, a) int64, -1 for none, and quality (b, a) in 0..1.
     """
     inside = _inside(anchors, labels.boxes) & labels.taught[:, None]
-    overlap = iou(boxes[:, :, None], labels.boxes[:, None]).clamp(0) * inside
-    named = (labels.answers == YES).to(scores.dtype)
-    count = named.sum(-1)[:, None]
-    score = torch.bmm(scores, named.transpose(1, 2)) / count.clamp(1)
+    overlap = iou(boxes[:, :, None], labels.boxes[:, None]).clamp(0) * inside  # (b, a, o)
+    # The score of an anchor for an object: the mean over the phrases that are true of the object.
+    is_true = (labels.answers == YES).to(scores.dtype)
+    count = is_true.sum(-1)[:, None]
+    score = torch.bmm(scores, is_true.transpose(1, 2)) / count.clamp(1)
     score = torch.where(count > 0, score, torch.ones_like(score))
     metric = score.clamp(1e-6) ** SCORE_POWER * overlap**IOU_POWER
     # An object that no box overlaps yet gets some of the anchors inside it.
     metric = metric + 1e-9 * inside
     top = metric.topk(min(TOP_K, metric.shape[1]), dim=1)
     chosen = torch.zeros_like(metric).scatter_(1, top.indices, 1.0) * (metric > 0)
+    # An anchor that several objects have chosen goes to the one that its box overlaps most.
     best, owner = (overlap * chosen + 1e-6 * chosen).max(-1)
     owner = torch.where(best > 0, owner, torch.full_like(owner, -1))
     is_owner = chosen * F.one_hot(owner.clamp(0), metric.shape[2]) * (owner >= 0)[..., None]
     metric = metric * is_owner
+    # The best anchor of an object gets the object's largest overlap as its quality (TOOD).
     most = metric.amax(1, keepdim=True).clamp(1e-12)
     quality = metric / most * (overlap * is_owner).amax(1, keepdim=True)
     return owner, quality.amax(-1)
@@ -105,23 +115,24 @@ def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
 def detection_loss(
     box: Tensor, decoded: Tensor, logits: Tensor, anchors: Tensor, stride: Tensor, labels: Labels
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the loss of a batch and its parts.
+    """Return the loss of a batch, and its parts by name.
 
     Args:
-        box: (b, a, 4, BINS) edge distributions as logits.
-        decoded: (b, a, 4) their boxes.
+        box: (b, a, 4, BINS) distributions of the box edges as logits.
+        decoded: (b, a, 4) the boxes that these mean.
         logits: (b, a, k) scores before the sigmoid.
-        anchors: (a, 2).
-        stride: (a, 1).
+        anchors: (a, 2) centres of the anchors [px].
+        stride: (a, 1) sizes of the anchors' cells [px].
         labels: the objects.
     """
     owner, quality = assign(logits.sigmoid(), decoded, anchors, labels)
     at = owner.clamp(0)[..., None]
-    has = (owner >= 0)[..., None]
+    has_owner = (owner >= 0)[..., None]
     k = logits.shape[2]
-    answers = labels.answers.gather(1, at.expand(-1, -1, k)) * has
-    hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has
+    answers = labels.answers.gather(1, at.expand(-1, -1, k)) * has_owner
+    hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has_owner
     target = quality[..., None] * (answers == YES)
+    # A phrase is not taught inside an object for which it is unsure, or that is not taught.
     inside = _inside(anchors, labels.boxes).to(logits.dtype)
     ignored = labels.answers == UNSURE
     ignored |= (labels.answers == YES) & ~labels.taught[..., None]
@@ -138,6 +149,7 @@ def detection_loss(
         boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * box_weight).sum() / share
         a = anchors.expand(len(box), -1, -1)[owner >= 0]
         s = stride.expand(len(box), -1, -1)[owner >= 0]
+        # Distribution focal loss: each edge lies between two bins, which share its weight.
         edges = torch.cat([a - wanted[:, :2], wanted[:, 2:] - a], -1) / s
         edges = edges.clamp(0, BINS - 1.01)
         low = edges.long()
@@ -149,6 +161,6 @@ def detection_loss(
         each = -((1 - f) * at_low + f * at_high).reshape(-1, 4).mean(-1)
         spread = (each * box_weight).sum() / share
     else:
-        boxes = spread = decoded.sum() * 0.0
+        boxes = spread = decoded.sum() * 0.0  # a zero that has gradients
     loss = classes + BOX_WEIGHT * boxes + EDGE_WEIGHT * spread
     return loss, {"classes": classes.detach(), "boxes": boxes.detach(), "edges": spread.detach()}

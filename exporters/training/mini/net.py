@@ -1,4 +1,6 @@
-"""Network of the small detector, and the encoder of phrases to its text features.
+"""Network of the small detector, and the network that encodes phrases as its text features.
+
+Shapes: b images, h x w cells, a anchors (the cells of all heads), n phrases.
 
 A small YOLO: a CSP trunk, a PAN neck, and a head for each stride. A head has a box (distribution
 focal loss, arXiv:2006.04388) and an embedding that is compared with the text, as in YOLO-World
@@ -16,14 +18,22 @@ from torch import Tensor, nn
 EMBED_DIM = 64
 """Length of text features and embeddings."""
 STRIDES = (8, 16, 32)
-"""Sizes of a cell of the three heads [px]."""
+"""Size of a cell of each of the three heads [px]."""
 BINS = 8
 """Bins of a box edge's distribution; an edge lies at most BINS - 1 strides from its anchor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Widths:
-    """Channels of the trunk's stages, of the neck's levels and of the heads."""
+    """Size of the network: channels, and residual blocks.
+
+    Attributes:
+        trunk: channels of the trunk's stages.
+        blocks: residual blocks of the trunk's stages after the first.
+        neck: channels of the neck's levels.
+        box_head: channels inside a head, for the box.
+        text_head: channels inside a head, for the embedding.
+    """
 
     trunk: tuple[int, int, int, int, int] = (16, 32, 64, 128, 256)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 1)
@@ -148,7 +158,10 @@ class Head(nn.Module):
 
 
 class MiniDetector(nn.Module):
-    """Images (b, 3, h, w) in 0..1 and text features (b, n, EMBED_DIM) → boxes and scores."""
+    """The detector: images (b, 3, h, w) in 0..1 and text features (b, n, EMBED_DIM) in.
+
+    It returns boxes (b, a, 4) in input pixels and scores (b, a, n).
+    """
 
     def __init__(self, widths: Widths | None = None) -> None:
         super().__init__()
@@ -179,7 +192,10 @@ class MiniDetector(nn.Module):
         return embeddings @ (text * self.scale.exp()).transpose(1, 2) + self.bias
 
     def decode(self, box: Tensor, anchors: Tensor, stride: Tensor) -> Tensor:
-        """Return x0 y0 x1 y1 in input pixels, (b, a, 4), from the distributions' means."""
+        """Return boxes x0 y0 x1 y1 in input pixels, (b, a, 4): the means of the distributions.
+
+        A distribution is over an edge's distance from the anchor, in strides.
+        """
         edges = box.softmax(-1) @ self.bins
         low = anchors - edges[..., :2] * stride
         return torch.cat([low, anchors + edges[..., 2:] * stride], -1)
@@ -204,7 +220,7 @@ def anchor_points(height: int, width: int, device=None) -> tuple[Tensor, Tensor]
 
 
 class PhraseEncoder(nn.Module):
-    """Phrases (…, 3) int64 (category, colour, size; 0 = no word) → unit rows (…, EMBED_DIM)."""
+    """Encoder of phrases, (…, 3) int64 as in `looks`, to unit vectors (…, EMBED_DIM)."""
 
     def __init__(self, categories: int, colors: int, sizes: int, width: int = 128) -> None:
         super().__init__()

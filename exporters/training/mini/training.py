@@ -1,4 +1,4 @@
-"""Training loop of the detector: one learning-rate curve, with images that grow in stages."""
+"""Training loop of the small detector: one learning-rate curve, with images that grow in stages."""
 
 from __future__ import annotations
 
@@ -26,23 +26,24 @@ from exporters.training.mini.views import Frames
 
 log = logging.getLogger(__name__)
 
-FULL_HW = (256, 320)
-CLIP = 10.0
-"""Largest norm of the gradients."""
+FULL_HW = (256, 320)  # height and width of the detector's input [px]
+MAX_GRADIENT_NORM = 10.0  # longer gradients are shortened to it
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
-        stages: (steps, (height, width), plain phrases) one after another; see
-            `batches.sample_phrases`.
+        stages: (steps, (height, width) of the images, number of plain phrases), one after another.
+            A plain phrase has no colour or size; see `batches.sample_phrases`.
         batch: images in a step.
         seed: seed of weights and batches.
         rate: peak of the learning rate after `warm_up` steps; then the rate falls as half a cosine.
-            `learning.LearningRates` describes `decay`, `warm_up` and `average`.
+        decay: see `learning.LearningRates`.
+        warm_up: see `learning.LearningRates`.
+        average: see `learning.LearningRates`.
         keep_every: steps between two checkpoints.
     """
 
@@ -61,7 +62,7 @@ class Plan:
 
     @property
     def steps(self) -> list[tuple[tuple[int, int], int]]:
-        """Size and plain phrases of every step."""
+        """((height, width), number of plain phrases) of every step."""
         return [(hw, plain) for steps, hw, plain in self.stages for _ in range(steps)]
 
 
@@ -75,22 +76,30 @@ class Model(nn.Module):
         self.encoder = PhraseEncoder(*counts)
 
 
-def train_on_cores(frames: Callable[[], Frames], plan: Plan, checkpoint: Path, cores: int) -> None:
+def train_on_cores(
+    frames: Callable[[], Frames], plan: TrainingPlan, checkpoint: Path, cores: int
+) -> None:
     """Train with one process per core; the weights are in `checkpoint` afterwards.
 
     Each process takes its share of every batch, and the gradients are averaged once a step. Threads
     would synchronise after every layer, and wait for the slowest core each time.
+
+    Args:
+        frames: picklable function that returns the images; each process calls it.
+        plan: length and learning rates.
+        checkpoint: file to continue from and to write.
+        cores: number of processes.
 
     Raises:
         ExportError: a batch cannot be divided by the number of processes.
     """
     check_cores(plan, cores)
     with tempfile.TemporaryDirectory() as folder:
-        args = (cores, f"file://{folder}/meet", frames, plan, checkpoint)
+        args = (cores, f"file://{folder}/rendezvous", frames, plan, checkpoint)
         torch.multiprocessing.spawn(_train_rank, args, cores)
 
 
-def check_cores(plan: Plan, cores: int) -> None:
+def check_cores(plan: TrainingPlan, cores: int) -> None:
     """Raise ExportError unless `cores` processes can share a batch evenly."""
     if cores < 1 or plan.batch % cores:
         raise ExportError(
@@ -99,21 +108,27 @@ def check_cores(plan: Plan, cores: int) -> None:
 
 
 def _train_rank(
-    rank: int, cores: int, meet: str, frames: Callable[[], Frames], plan: Plan, checkpoint: Path
+    rank: int,
+    cores: int,
+    rendezvous: str,
+    frames: Callable[[], Frames],
+    plan: TrainingPlan,
+    checkpoint: Path,
 ) -> None:
+    """Train as one of `cores` processes; they find each other by the URL `rendezvous`."""
     logging.basicConfig(
         level=logging.INFO if rank == 0 else logging.WARNING, format="%(asctime)s %(message)s"
     )
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # end together with the parent
     torch.set_num_threads(1)
-    distributed.init_process_group("gloo", init_method=meet, rank=rank, world_size=cores)
+    distributed.init_process_group("gloo", init_method=rendezvous, rank=rank, world_size=cores)
     train(frames(), plan, checkpoint, share=(rank, cores))
     distributed.destroy_process_group()
 
 
 def train(
     frames: Frames,
-    plan: Plan,
+    plan: TrainingPlan,
     checkpoint: Path,
     device: str = "cpu",
     share: tuple[int, int] = (0, 1),
@@ -135,21 +150,24 @@ def train(
     torch.manual_seed(plan.seed)
     model = Model().to(device).to(memory_format=torch.channels_last)
     steps = plan.steps
+    # The phrase encoder is mainly tables of words, which have no weight decay.
     learner = Learner(
         model, plan, len(steps), checkpoint, run, tables=model.encoder, betas=(0.9, 0.99)
     )
-    first = began = learner.done
-    since = time.monotonic()
-    stream = batches(frames, plan.batch // ranks, steps, plan.seed * ranks + rank, first)
+    share_gradients = partial(_share_gradients, model, ranks) if ranks > 1 else None
+    first = logged_step = learner.done
+    logged_s = time.monotonic()
+    seed = plan.seed * ranks + rank  # each process has its own images and noise
+    stream = batches(frames, plan.batch // ranks, steps, seed, first)
     for step, batch in enumerate(stream, first + 1):
-        generator = torch.Generator().manual_seed((plan.seed * ranks + rank) * 1_000_003 + step)
+        generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
         loss, parts = _loss(model, batch, generator, device)
-        learner.step(loss, CLIP, partial(_share_gradients, model, ranks) if ranks > 1 else None)
+        learner.step(loss, MAX_GRADIENT_NORM, share_gradients)
         if step % 50 == 0 or step == len(steps):
-            pace = (time.monotonic() - since) / (step - began)
+            pace = (time.monotonic() - logged_s) / (step - logged_step)
             shown = " ".join(f"{name} {float(value):.3f}" for name, value in parts.items())
             log.info("step %d/%d, %.3f s each: losses: %s", step, len(steps), pace, shown)
-            since, began = time.monotonic(), step
+            logged_s, logged_step = time.monotonic(), step
         if rank == 0 and (step % plan.keep_every == 0 or step == len(steps)):
             learner.keep()
     return learner.averaged
@@ -167,6 +185,7 @@ def _share_gradients(model: nn.Module, ranks: int) -> None:
 def _loss(
     model: Model, batch: Batch, generator: torch.Generator, device: str
 ) -> tuple[Tensor, dict[str, Tensor]]:
+    """Return the loss of a batch and its parts by name; the images get noise from `generator`."""
     images = disturb(batch.images.to(device), generator)
     images = images.contiguous(memory_format=torch.channels_last)
     labels = Labels(

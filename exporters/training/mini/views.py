@@ -1,8 +1,8 @@
-"""Images of random houses with their contents.
+"""Images of random houses with the objects that each shows, to train and evaluate the detector.
 
-    frames = make_frames(range(1200), per_house=12, folder=Path("..."), workers=2)
+    frames = make_frames(range(3000), PER_HOUSE, folder=Path("..."), workers=2)
 
-Frames take 246 kB each, so they are stored as one array on disk.
+An image takes 246 kB, so all are stored as one array on disk.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ import numpy as np
 from edge.config import parse
 from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.host.files import replace_atomically
-from edge.lab.sim import assemblies, kernels
+from edge.lab.sim import assemblies, generator, kernels
 from edge.lab.sim.boxworld import BoxWorld
-from edge.lab.sim.generator import contents
 from edge.lab.sim.house import House, build_house
-from edge.perception.detection import kernels as perception
+from edge.perception.detection import kernels as detection_kernels
 from exporters.files import ExportError
 from exporters.training.mini import houses, looks
-from exporters.training.mini.houses import Look, extent_m, random_house
+from exporters.training.mini.houses import Appearance, extent_m, random_house
 
-HEIGHT_PX, WIDTH_PX = 256, 320
+HEIGHT_PX, WIDTH_PX = 256, 320  # of every image
 PER_HOUSE = 11
 """Images of each house to train on."""
 MIN_PIXELS = 40
@@ -38,16 +37,17 @@ MIN_PIXELS = 40
 CLEARANCE_M = 0.28
 """Least free space around the camera."""
 COLORED = 0.15
-"""Least visible share of an object in its colour for the colour to count: a plant's pot may be
-hidden."""
-_PREVIEW = 4  # factor by which the image is smaller in which the worth of a view is computed
-_CANDIDATES = 3  # views of which the best is taken
+"""The colour of an object is known only if at least this share of its visible pixels has it. A
+plant, for example, has its colour only at the pot, which may be hidden."""
+_PREVIEW = 4  # the worth of a view is computed in an image smaller by this factor
+_PREVIEW_PIXELS = 8  # an object with more pixels in the smaller image counts
+_CANDIDATES = 3  # random views of which mostly the best is taken
 _SOURCES = (
     *(Path(path) for path in (houses.__file__, looks.__file__, __file__)),
     *sorted(Path(assemblies.__file__).parent.glob("*.py")),
-    *sorted(Path(contents.__file__).parent.glob("*.py")),
+    *sorted(Path(generator.__file__).parent.glob("*.py")),
 )
-"""Code that the images depend on."""
+"""Code that the images depend on; if it changes, they are rendered again."""
 
 OBJECT = np.dtype(
     [
@@ -59,18 +59,25 @@ OBJECT = np.dtype(
         ("visible", np.float32),
     ]
 )
-"""One object in a frame: answers as in `looks`, box x0 y0 x1 y1 of the visible pixels (x1, y1
-exclusive), number of visible pixels, and their share of the pixels without occlusion."""
+"""One object in an image.
+
+category: index into `looks.CATEGORIES`, from 1.
+color, size: as in `houses.Appearance`; one answer for each word of `looks` (yes, no or unsure).
+    Entry 0 is the answer for no word.
+box: x0 y0 x1 y1 of the visible pixels; x1 and y1 are exclusive.
+pixels: number of visible pixels.
+visible: their share of the pixels that it would have if nothing stood in front of it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Images and their contents.
+    """Images and the objects that they show.
 
     Attributes:
         rgb: (n, 256, 320, 3) uint8.
-        objects: (m,) `OBJECT`, frame after frame.
-        start: (n + 1,) int64; frame i has objects[start[i]:start[i + 1]].
+        objects: (m,) `OBJECT`, image after image.
+        start: (n + 1,) int64; image i shows objects[start[i]:start[i + 1]].
     """
 
     rgb: np.ndarray
@@ -80,20 +87,20 @@ class Frames:
     def __len__(self) -> int:
         return len(self.rgb)
 
-    def of(self, frame: int) -> np.ndarray:
-        """Return the objects of one frame."""
+    def objects_in(self, frame: int) -> np.ndarray:
+        """Return the objects of one image, (o,) `OBJECT`."""
         return self.objects[self.start[frame] : self.start[frame + 1]]
 
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """A camera and its optical pose, (4, 4) in m."""
+    """A camera, and the (4, 4) pose of its optical frame."""
 
     model: CameraModel
     T_map_camera: np.ndarray
 
 
-def whole(objects: np.ndarray) -> np.ndarray:
+def is_inside_image(objects: np.ndarray) -> np.ndarray:
     """Return (o,) bool: True if the object touches no edge of the image, so its size is known."""
     box = objects["box"]
     return (box[:, :2] > 0).all(1) & (box[:, 2:] < (WIDTH_PX, HEIGHT_PX)).all(1)
@@ -114,17 +121,17 @@ def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int
         ExportError: the images do not fit on the disk.
     """
     name = f"{seeds[0]}-{seeds[-1]}x{per_house}-{_digest(seeds, per_house)}"
-    pictures, contents = folder / f"{name}.u8", folder / f"{name}.npz"
+    images_file, objects_file = folder / f"{name}.u8", folder / f"{name}.npz"
     shape = (len(seeds) * per_house, HEIGHT_PX, WIDTH_PX, 3)
-    if not contents.is_file():
-        with replace_atomically(pictures) as part:
+    if not objects_file.is_file():
+        with replace_atomically(images_file) as part:
             _reserve(part, math.prod(shape))
             rows = _render(seeds, per_house, part, shape, workers)
         start = np.concatenate([[0], np.cumsum([len(objects) for objects in rows])])
-        with replace_atomically(contents) as part:  # written last: then the images are complete
+        with replace_atomically(objects_file) as part:  # written last: then the images are complete
             np.savez(part, objects=np.concatenate(rows), start=start.astype(np.int64))
-    with np.load(contents) as data:
-        return Frames(np.memmap(pictures, np.uint8, "r", shape=shape), data["objects"],
+    with np.load(objects_file) as data:
+        return Frames(np.memmap(images_file, np.uint8, "r", shape=shape), data["objects"],
                       data["start"])  # fmt: skip
 
 
@@ -149,10 +156,10 @@ def _reserve(path: Path, size: int) -> None:
 
 
 def _render(
-    seeds: Sequence[int], per_house: int, pictures: Path, shape: tuple[int, ...], workers: int
+    seeds: Sequence[int], per_house: int, images_file: Path, shape: tuple[int, ...], workers: int
 ) -> list[np.ndarray]:
-    """Fill the file with all houses' views; return the objects of each."""
-    jobs = [(pictures, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
+    """Fill the file with the images of all houses; return the objects of each image."""
+    jobs = [(images_file, shape, k * per_house, seed, per_house) for k, seed in enumerate(seeds)]
     if workers > 1:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             made = list(pool.map(_write_house, jobs, chunksize=8))
@@ -162,38 +169,44 @@ def _render(
 
 
 def _write_house(job: tuple[Path, tuple[int, ...], int, int, int]) -> list[np.ndarray]:
-    pictures, shape, first, seed, count = job
-    rgb = np.memmap(pictures, np.uint8, "r+", shape=shape)
+    """Write the images of one house into the file; return the objects of each image.
+
+    A job is the file, the shape of its array, the first index, the seed, and the number of images.
+    """
+    images_file, shape, first, seed, count = job
+    rgb = np.memmap(images_file, np.uint8, "r+", shape=shape)
     return render_house(seed, count, rgb[first : first + count])
 
 
 def render_house(seed: int, count: int, out_rgb: np.ndarray) -> list[np.ndarray]:
-    """Fill `out_rgb` (count, 256, 320, 3) with views of one house; return their objects."""
+    """Fill `out_rgb` (count, 256, 320, 3) with images of one house; return the objects of each."""
     house, appearances = random_house(seed)
     world = build_house(house, parse({"perception": {"detector": {"kind": "sim"}}}))
     rng = np.random.default_rng([8, seed])
     depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     ids = np.empty((HEIGHT_PX, WIDTH_PX), np.uint16)
-    tinted, found = _tinted(house, world), []
+    has_own_color, found = _has_own_color(house, world), []
     for k in range(count):
         camera = _choose_view(world, extent_m(house), appearances, rng)
         world.render(camera.model, camera.T_map_camera, out_rgb[k], depth, ids)
-        found.append(_contents(world, appearances, tinted, camera, ids, depth))
+        found.append(_visible_objects(world, appearances, has_own_color, camera, ids, depth))
     return found
 
 
-def _tinted(house: House, world: BoxWorld) -> np.ndarray:
-    """Return (primitives,) bool: True for a part in the object's colour, or in a derived one."""
-    tinted = np.zeros(len(world.owner), bool)
-    for k, thing in enumerate(house.objects, 1):
-        rows = assemblies.CATEGORIES[thing.category].rows
-        tinted[world.owner == k] = [row[3] in ("main", "dark", "light") for row in rows]
-    return tinted
+def _has_own_color(house: House, world: BoxWorld) -> np.ndarray:
+    """Return (primitives,) bool: True if a primitive has its object's colour, or a derived one."""
+    has_own_color = np.zeros(len(world.owner), bool)
+    for k, item in enumerate(house.objects, 1):
+        rows = assemblies.CATEGORIES[item.category].rows
+        materials = [material for _shape, _center, _size, material, *_texture in rows]
+        has_own_color[world.owner == k] = [m in ("main", "dark", "light") for m in materials]
+    return has_own_color
 
 
 def _random_camera(
     world: BoxWorld, extent: tuple[float, float], rng: np.random.Generator
 ) -> _Camera:
+    """Return a camera of random height, field of view and pose inside the house."""
     rows, cols = np.nonzero(world.plan.clearance_m > CLEARANCE_M)
     while True:
         pick = int(rng.integers(len(rows)))
@@ -212,10 +225,10 @@ def _random_camera(
 def _choose_view(
     world: BoxWorld,
     extent: tuple[float, float],
-    appearances: list[Look],
+    appearances: list[Appearance],
     rng: np.random.Generator,
 ) -> _Camera:
-    """Return mostly the best of a few views: with many objects, and several of a kind."""
+    """Return mostly the best of a few random views: with many objects, and several of a kind."""
     cameras = [_random_camera(world, extent, rng) for _ in range(_CANDIDATES)]
     worth = [_worth(world, appearances, camera) for camera in cameras]
     if rng.random() < 0.25:  # sometimes any view that shows more than a wall
@@ -223,44 +236,56 @@ def _choose_view(
     return cameras[int(np.argmax(worth))]
 
 
-def _worth(world: BoxWorld, appearances: list[Look], camera: _Camera) -> float:
-    """Return the worth of a view: its categories, and more for several objects of one."""
+def _worth(world: BoxWorld, appearances: list[Appearance], camera: _Camera) -> float:
+    """Return the number of categories in a view, plus 2.5 for each further object of a category."""
     h, w = HEIGHT_PX // _PREVIEW, WIDTH_PX // _PREVIEW
     m, depth, prim = camera.model, np.empty((h, w), np.float32), np.empty((h, w), np.int32)
     kernels.render_depth(
-        world.shape, world.pose, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
+        world.shape, world.geometry, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
         m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
     )  # fmt: skip
     count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(appearances) + 1)[1:]
-    seen = [appearances[k].category for k in np.flatnonzero(count > 8)]
+    seen = [appearances[k].category for k in np.flatnonzero(count > _PREVIEW_PIXELS)]
     return len(set(seen)) + 2.5 * (len(seen) - len(set(seen)))
 
 
-def _contents(
+def _visible_objects(
     world: BoxWorld,
-    appearances: list[Look],
-    tinted: np.ndarray,
+    appearances: list[Appearance],
+    has_own_color: np.ndarray,
     camera: _Camera,
     ids: np.ndarray,
     depth: np.ndarray,
 ) -> np.ndarray:
-    """Return the objects that an image shows, (o,) `OBJECT`."""
+    """Return the objects that an image shows, (o,) `OBJECT`.
+
+    Args:
+        world: the house.
+        appearances: of all its objects.
+        has_own_color: see `_has_own_color`.
+        camera: camera of the image.
+        ids: (h, w) object ids of the image.
+        depth: (h, w) depth of the image.
+    """
     n = len(appearances)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
-    perception.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
-    alone_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    detection_kernels.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
+    scratch_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
     lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
-    kernels.render_depth(world.shape, world.pose, *lens, alone_depth, prim)
+    # Pixels of each object in its colour: `ids` tells objects apart, but not their primitives.
+    kernels.render_depth(world.shape, world.geometry, *lens, scratch_depth, prim)
     seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
-    colored = np.bincount(world.owner, seen * tinted, minlength=n + 1)[1:]
-    rows = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
-    for row, k in zip(rows, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
+    colored = np.bincount(world.owner, seen * has_own_color, minlength=n + 1)[1:]
+    objects = np.zeros(int((pixels >= MIN_PIXELS).sum()), OBJECT)
+    for item, k in zip(objects, np.flatnonzero(pixels >= MIN_PIXELS), strict=True):
+        # Render the object alone, to count its pixels without occlusion.
         is_own = world.owner == k + 1
-        kernels.render_depth(world.shape[is_own], world.pose[is_own], *lens, alone_depth, prim)
-        row["category"], row["size"] = appearances[k].category, appearances[k].size
-        named = colored[k] >= COLORED * pixels[k]
-        row["color"] = appearances[k].color if named else looks.unsure_color()
-        row["box"], row["pixels"] = box[k], pixels[k]
-        row["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
-    return rows
+        own = (world.shape[is_own], world.geometry[is_own])
+        kernels.render_depth(*own, *lens, scratch_depth, prim)
+        item["category"], item["size"] = appearances[k].category, appearances[k].size
+        is_color_known = colored[k] >= COLORED * pixels[k]
+        item["color"] = appearances[k].color if is_color_known else looks.unsure_color()
+        item["box"], item["pixels"] = box[k], pixels[k]
+        item["visible"] = pixels[k] / max(1, int((prim >= 0).sum()))
+    return objects

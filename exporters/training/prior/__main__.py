@@ -20,14 +20,14 @@ from edge.perception.prior.table import parse
 from exporters.files import ExportError, exit_on_user_error
 from exporters.training.prior import learn
 from exporters.training.prior.counts import count, count_kinds
-from exporters.training.prior.house import Plan, read_plan
+from exporters.training.prior.house import HousePlan, read_plan
 from exporters.training.prior.samples import Samples, gather
 
 _BLANK = {"evidence": 1.0, "power": [1.0, 1.0]}
 """Fitted values of the part `kinds` before they are fitted."""
 
 
-def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
+def read_plans(path: Path) -> tuple[list[dict[str, Any]], list[HousePlan]]:
     """Return the houses of a file, and their plans.
 
     Raises:
@@ -41,18 +41,28 @@ def read(path: Path) -> tuple[list[dict[str, Any]], list[Plan]]:
         raise ExportError(f"{path}: not a file of ProcTHOR houses: {error!r}") from None
 
 
-def counted(houses: list[dict[str, Any]], plans: list[Plan]) -> dict[str, Any]:
+def count_tables(houses: list[dict[str, Any]], plans: list[HousePlan]) -> dict[str, Any]:
     """Return the part of a table that is counted, not fitted."""
     table = count(houses)
     kinds = sorted({kind for plan in plans for kind in plan.kinds})
     return {**table, "kinds": {**count_kinds(plans, table["things"], kinds), **_BLANK}}
 
 
-def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dict[int, learn.Fit]]:
-    """Return the whole table, counted and fitted parts, and the fit of each target."""
+def fit_table(
+    data: dict[str, Any], samples: Samples
+) -> tuple[dict[str, Any], dict[int, learn.Fit]]:
+    """Fit the weights of a table to samples.
+
+    Args:
+        data: the counted part of the table.
+        samples: samples to fit to.
+
+    Returns:
+        The whole table, and the fit of each target by its index in `things`.
+    """
     things = tuple(data["things"])
-    each = ((target, learn.cross_fit(samples, target)) for target in range(len(things)))
-    fits = {target: fit for target, fit in each if fit is not None}
+    found = ((target, learn.cross_fit(samples, target)) for target in range(len(things)))
+    fits = {target: fit for target, fit in found if fit is not None}
     data = {**data, "near": learn.near_part(fits, things)}
     kinds = data["kinds"] = dict(data["kinds"])
     kinds["evidence"] = learn.fit_evidence(samples, parse(data))
@@ -63,13 +73,13 @@ def learned(data: dict[str, Any], samples: Samples) -> tuple[dict[str, Any], dic
 
 
 def print_scores(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
-    """Print how well the held-out houses were predicted."""
+    """Print for each target how well the held-out houses were predicted."""
     print("target               houses  share   base   loss  gained     auc  opinion")
     for target, fit in sorted(fits.items(), key=lambda item: item[1].score.loss):
         s = fit.score
         gained = f"{s.base - s.loss:+.4f} ±{s.error:.4f}"
         print(f"{things[target]:20} {s.houses:6} {s.share:6.3f} {s.base:6.3f} {s.loss:6.3f} "
-              f"{gained} {s.auc:6.3f}  {'yes' if fit.opinion else 'no'}")  # fmt: skip
+              f"{gained} {s.auc:6.3f}  {'yes' if fit.has_opinion else 'no'}")  # fmt: skip
     print("predicted → observed likelihood ratio (places)")
     for predicted, observed, n in learn.reliability(
         samples, fits, np.array([0.5, 0.7, 0.9, 1.1, 1.5, 2])
@@ -88,11 +98,11 @@ def main(argv: list[str] | None) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="table to write (.json; required)")
     args = parser.parse_args(argv)
-    houses, plans = read(args.file)
-    data = counted(houses, plans)
+    houses, plans = read_plans(args.file)
+    data = count_tables(houses, plans)
     kinds = data["kinds"]["names"]
     samples = gather(plans, data["things"], kinds)
-    data, fits = learned(data, samples)
+    data, fits = fit_table(data, samples)
     print_scores(fits, samples, data["things"])
     about = {
         "about": "Where things stand by what stands around; see edge/perception/prior/table.py.",

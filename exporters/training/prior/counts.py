@@ -1,4 +1,7 @@
-"""Counts in furnished houses: objects in the same room, objects by kind of room, doors by kind."""
+"""Counts in furnished houses for the prior's table.
+
+They are objects in the same room, objects by kind of room, and doors between kinds of room.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from edge import names
-from exporters.training.prior.house import Plan
+from exporters.training.prior.house import HousePlan
 
 _RARE = 5
-"""Objects in fewer rooms are left out: such counts mean nothing."""
+"""Categories that fewer rooms have are left out: such counts mean nothing."""
 
 
 def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
@@ -31,47 +34,52 @@ def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
     for house in houses:
         for room in house["rooms"]:
             n_rooms += 1
-            held = sorted(
+            categories = sorted(
                 {
                     names.canonical(item["category"])
                     for item in house["objects"]
                     if inside(room["polygon"], *item["center"][:2])
                 }
             )
-            single.update(held)
-            pairs.update(combinations(held, 2))
+            single.update(categories)
+            pairs.update(combinations(categories, 2))
     things = sorted(name for name, rooms in single.items() if rooms >= _RARE)
-    both = [
+    rooms_with_both = [
         [pairs[other, name] for other in things[:i]] + [single[name]]
         for i, name in enumerate(things)
     ]
-    return {"rooms": n_rooms, "things": things, "rooms_with_both": both}
+    return {"rooms": n_rooms, "things": things, "rooms_with_both": rooms_with_both}
 
 
-def count_kinds(plans: Sequence[Plan], things: Sequence[str], kinds: Sequence[str]) -> dict:
-    """Count the visible objects by kind of room, and the doors between kinds.
+def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequence[str]) -> dict:
+    """Count the rooms with each visible object by kind of room, and the doors between kinds.
+
+    Args:
+        plans: the houses.
+        things: names of the objects to count.
+        kinds: kinds of room.
 
     Returns:
         `names`; `rooms` of each kind; `rooms_with` each object, by kind; `doors` between two kinds
         and `pairs` of two kinds in a house, symmetric.
     """
     k, m = len(kinds), len(things)
-    rooms, held = np.zeros(k, int), np.zeros((k, m), int)
+    rooms, rooms_with = np.zeros(k, int), np.zeros((k, m), int)
     doors, pairs = np.zeros((k, k), int), np.zeros((k, k), int)
     for plan in plans:
-        kind = [kinds.index(name) for name in plan.kinds]
-        for i, of in enumerate(kind):
-            rooms[of] += 1
-            names_here = {plan.words[w] for w in plan.word[plan.thing_room == i]}
-            held[of, [things.index(name) for name in names_here if name in things]] += 1
-        for a, b in combinations(range(len(kind)), 2):
-            for i, j in ((kind[a], kind[b]), (kind[b], kind[a])):
+        room_kinds = [kinds.index(name) for name in plan.kinds]
+        for room, kind in enumerate(room_kinds):
+            rooms[kind] += 1
+            names_here = {plan.words[w] for w in plan.word[plan.thing_room == room]}
+            rooms_with[kind, [things.index(name) for name in names_here if name in things]] += 1
+        for a, b in combinations(range(len(room_kinds)), 2):
+            for i, j in ((room_kinds[a], room_kinds[b]), (room_kinds[b], room_kinds[a])):
                 pairs[i, j] += 1
                 doors[i, j] += (a, b) in plan.doors
     return {
         "names": list(kinds),
         "rooms": rooms.tolist(),
-        "rooms_with": held.tolist(),
+        "rooms_with": rooms_with.tolist(),
         "doors": doors.tolist(),
         "pairs": pairs.tolist(),
     }

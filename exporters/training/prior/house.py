@@ -1,4 +1,7 @@
-"""A furnished house as a plan: obstacles for the robot, obstacles for the view, and objects."""
+"""Floor plan of a furnished house for the training of the prior.
+
+It has the obstacles for the robot, the obstacles for its view, and the objects.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,9 @@ from edge import names
 CELL_M = 0.1
 """Side of a cell of the plan."""
 _MARGIN_M = 0.5  # around the rooms
-_EYE_M = 0.85
+_CAMERA_M = 0.85
 """Higher objects hide what is behind them."""
-_KNEE_M = 0.1
+_FLOOR_M = 0.1
 """Lower objects count as floor."""
 _DETAIL = 25.0
 """Detection range of an object, as a multiple of its size."""
@@ -26,7 +29,7 @@ _FARTHEST_M = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class HousePlan:
     """A house on a grid of `CELL_M`; row = y, column = x.
 
     Attributes:
@@ -36,12 +39,12 @@ class Plan:
         room: (h, w) int16, index of the room, -1 outside.
         kinds: kind of each room.
         doors: pairs of rooms with a line of sight between them.
-        word: (n,) int32 of each visible object, index into `words`.
+        word: (n,) int32, name of each visible object, as an index into `words`.
         xy_m: (n, 2) float64, centre of each object, in the house's frame.
         half_m: (n,) float64, half the smaller side of each object, seen from above.
         range_m: (n,) float64, detection range of each object.
         thing_room: (n,) int16, room of each object.
-        words: canonical names.
+        words: canonical names of objects.
     """
 
     origin_xy_m: np.ndarray
@@ -58,7 +61,7 @@ class Plan:
     words: tuple[str, ...]
 
 
-def read_plan(house: dict[str, Any]) -> Plan:
+def read_plan(house: dict[str, Any]) -> HousePlan:
     """Return the plan of one parsed line of a file of houses.
 
     Args:
@@ -66,7 +69,9 @@ def read_plan(house: dict[str, Any]) -> Plan:
             z1) and `objects` (`category`, `center`, `size`, `yaw`).
 
     Raises:
-        KeyError, TypeError, ValueError: a field is missing or is something else.
+        KeyError: a field is missing.
+        TypeError: a field has the wrong type.
+        ValueError: a field has the wrong length.
     """
     corners = np.concatenate([np.asarray(r["polygon"], float) for r in house["rooms"]])
     origin = corners.min(0) - _MARGIN_M
@@ -76,20 +81,20 @@ def read_plan(house: dict[str, Any]) -> Plan:
         _fill(room, r["polygon"], origin, i)
     wall = np.zeros((h, w), np.uint8)
     for x0, y0, x1, y1, z0, z1 in house["walls"]:
-        if z0 < _EYE_M < z1:
+        if z0 < _CAMERA_M < z1:
             a, b = (_pixel(point, origin) for point in ((x0, y0), (x1, y1)))
             cv2.line(wall, a, b, 1, 1)
     doors = _doors(room, wall)
     closed = wall.copy()
     for item in house["objects"]:
         low, high = _span(item)
-        if low < _EYE_M and high > _KNEE_M:
+        if low < _CAMERA_M and high > _FLOOR_M:
             footprint = _footprint(item)
             _fill(closed, footprint, origin, 1)
-            if high > _EYE_M:
+            if high > _CAMERA_M:
                 _fill(wall, footprint, origin, 1)
     closed[room < 0] = 1
-    return Plan(
+    return HousePlan(
         origin,
         wall.astype(bool),
         closed.astype(bool),
@@ -101,15 +106,15 @@ def read_plan(house: dict[str, Any]) -> Plan:
 
 
 def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndarray) -> tuple:
-    """Return the fields of `Plan` for objects; objects inside others are hidden."""
-    shown = [item for item in objects if not any(_inside(item, other) for other in objects)]
-    name = [names.canonical(item["category"]) for item in shown]
+    """Return the last fields of `HousePlan`, from `word` on; objects inside others are left out."""
+    visible = [item for item in objects if not any(_inside(item, other) for other in objects)]
+    name = [names.canonical(item["category"]) for item in visible]
     words = tuple(sorted(set(name)))
-    xy = np.array([item["center"][:2] for item in shown], float).reshape(-1, 2)
-    size = np.array([item["size"] for item in shown], float).reshape(-1, 3)
+    xy = np.array([item["center"][:2] for item in visible], float).reshape(-1, 2)
+    size = np.array([item["size"] for item in visible], float).reshape(-1, 3)
     x, y = np.floor((xy - origin) / CELL_M).astype(int).T
     h, w = room.shape
-    side = np.sqrt(np.sort(size, 1)[:, 1:].prod(1))
+    side = np.sqrt(np.sort(size, 1)[:, 1:].prod(1))  # of a square as large as the largest face
     return (
         np.array([words.index(n) for n in name], np.int32),
         xy,
@@ -131,11 +136,13 @@ def _inside(item: dict[str, Any], other: dict[str, Any]) -> bool:
 
 
 def _span(item: dict[str, Any]) -> tuple[float, float]:
+    """Return the heights of an object's underside and top."""
     z, high = item["center"][2], item["size"][2]
     return z - 0.5 * high, z + 0.5 * high
 
 
 def _footprint(item: dict[str, Any]) -> np.ndarray:
+    """Return the corners of an object's box seen from above, (4, 2)."""
     c, s = math.cos(item["yaw"]), math.sin(item["yaw"])
     corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * np.divide(item["size"][:2], 2)
     return corners @ np.array([(c, s), (-s, c)]) + item["center"][:2]
@@ -154,12 +161,13 @@ def _doors(room: np.ndarray, wall: np.ndarray) -> frozenset[tuple[int, int]]:
 
 
 def _pixel(point: Sequence[float], origin: np.ndarray) -> tuple[int, int]:
+    """Return column and row of the cell with a point."""
     x, y = np.floor((np.asarray(point) - origin) / CELL_M).astype(int).tolist()
     return x, y
 
 
 def _fill(grid: np.ndarray, polygon: Sequence[Sequence[float]], origin: np.ndarray, v: int) -> None:
     """Write a value into the cells whose centre lies in a polygon."""
-    shift = 10
+    shift = 10  # OpenCV's fixed-point coordinates have 10 bits after the point
     points = ((np.asarray(polygon) - origin) / CELL_M - 0.5) * (1 << shift)
     cv2.fillPoly(grid, [np.rint(points).astype(np.int32)], v, shift=shift)

@@ -1,4 +1,8 @@
-"""Fit of the prior's weights to samples, with validation on other houses."""
+"""Fit of the prior's weights to samples, with validation on other houses.
+
+Each target has a logistic model: the log-odds that it stands near a place are a bias plus a weight
+for each object seen near the place.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,12 @@ from exporters.training.results import auc
 
 FOLDS = 4
 """Parts of the houses for the validation: each is predicted by a model of the other parts."""
-_LOOKS = 8.0
+_HOUSE_WEIGHT = 8.0
 """Total weight of a house's samples, since they are many views of the same objects."""
 _RIDGE = 10.0  # penalty on the squared weights
 _DROPOUT = 0.4  # share of the objects that are left out in a second copy of each sample
-_MOST_STEPS, _SMALL_STEP = 15, 0.02  # end of Newton's method: steps, and largest change of a weight
+_MOST_STEPS = 15  # of Newton's method
+_SMALL_STEP = 0.02  # Newton's method ends when no weight changes by more
 _SLIGHT = 5
 """Smaller weights, in hundredths, are left out."""
 _LEAST_HOUSES = 40
@@ -51,20 +56,20 @@ class Fit(NamedTuple):
     """A target's model.
 
     Attributes:
-        beta: (m + 1,) weights, and the bias.
+        beta: (m + 1,) weight of each object, and the bias (last).
         score: quality in held-out houses.
-        rows: samples that count for the target.
-        log_lift: log likelihood ratio of each of these, by a model of other houses; 0 for a place
+        rows: indices of the samples that count for the target.
+        log_ratio: log likelihood ratio of each of these, by a model of other houses; 0 for a place
             without information.
     """
 
     beta: np.ndarray
     score: Score
     rows: np.ndarray
-    log_lift: np.ndarray
+    log_ratio: np.ndarray
 
     @property
-    def opinion(self) -> bool:
+    def has_opinion(self) -> bool:
         """True if the model predicts other houses better than the target's share does."""
         return self.score.base - self.score.loss > self.score.error
 
@@ -75,7 +80,7 @@ def folds(n_houses: int) -> np.ndarray:
 
 
 def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> np.ndarray:
-    """Return weights (m,) and bias of one target's logistic model (`ObjectPrior.near_weight`).
+    """Return the weights of one target's model (`ObjectPrior.near_weight`), see `Fit.beta`.
 
     Args:
         samples: samples to fit to.
@@ -101,15 +106,15 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
     beta = fit_near(samples, target)
     fold = folds(int(samples.house.max()) + 1)[house]
     found, weight = _truth(samples, wanted, target)
-    p, base, log_lift = np.empty(len(wanted)), np.empty(len(wanted)), np.empty(len(wanted))
+    p, base, log_ratio = np.empty(len(wanted)), np.empty(len(wanted)), np.empty(len(wanted))
     for k in range(FOLDS):
         held_out = fold == k
         other = fit_near(_only(samples, wanted[~held_out]), target, beta)
         p[held_out] = _sigmoid(samples.near[wanted[held_out]] @ other[:-1] + other[-1])
         base[held_out] = np.average(found[~held_out], weights=weight[~held_out])
-        log_lift[held_out] = np.log(p[held_out]) - np.log(_sigmoid(other[-1]))
+        log_ratio[held_out] = np.log(p[held_out]) - np.log(_sigmoid(other[-1]))
     gain = _loss(base, found) - _loss(p, found)
-    by_house = np.bincount(house, gain * weight)[np.unique(house)] / _LOOKS
+    by_house = np.bincount(house, gain * weight)[np.unique(house)] / _HOUSE_WEIGHT
     score = Score(
         len(by_house),
         float(np.average(found, weights=weight)),
@@ -118,18 +123,22 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
         float(by_house.std() / np.sqrt(len(by_house))),
         auc(p, found),
     )
-    return Fit(beta, score, wanted, log_lift)
+    return Fit(beta, score, wanted, log_ratio)
 
 
 def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
     """Return the `near` part of a table's file.
 
-    A target has no weights (no opinion) unless its model predicts held-out houses better than its
-    share, by a standard error.
+    A target has weights only if its model predicts held-out houses better than the target's share
+    does, by a standard error (`Fit.has_opinion`).
+
+    Args:
+        fits: fit of each target, by its index.
+        things: names of the objects.
     """
     bias, weights = [0] * len(things), {}
     for target, fit in fits.items():
-        if fit.opinion:
+        if fit.has_opinion:
             hundredths = np.rint(SCALE * fit.beta).astype(int).tolist()
             bias[target] = hundredths.pop()
             weights[things[target]] = {
@@ -140,24 +149,24 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
 
 def fit_evidence(samples: Samples, table: ObjectPrior) -> float:
     """Return the `ObjectPrior.evidence` that best predicts the kind of regions with objects."""
-    chance = rooms.object_given_room(table)
-    informative = (samples.kind >= 0) & samples.held.any(1)
-    held, kind = samples.held[informative].astype(np.float32), samples.kind[informative]
+    p_object_given_kind = rooms.object_given_room(table)
+    informative = (samples.kind >= 0) & samples.in_region.any(1)
+    seen, kind = samples.in_region[informative].astype(np.float32), samples.kind[informative]
     weight = _weights(samples.house[informative])
 
     def loss(evidence: float) -> float:
-        p = rooms.room_posterior(replace(table, evidence=evidence), chance, held)
+        p = rooms.room_posterior(replace(table, evidence=evidence), p_object_given_kind, seen)
         return float(np.average(-np.log(p[np.arange(len(p)), kind]), weights=weight))
 
     return float(min(_GRID[1:], key=loss))
 
 
-def room_log_lift(samples: Samples, table: ObjectPrior, target: int) -> np.ndarray:
+def room_log_ratio(samples: Samples, table: ObjectPrior, target: int) -> np.ndarray:
     """Return the log likelihood ratio of each sample from the rooms only: (n,) float64."""
-    chance, prior = rooms.object_given_room(table), rooms.room_prior(table)
-    held, beside = (part.astype(np.float32) for part in (samples.held, samples.beside))
-    kind = rooms.room_posterior_at(table, chance, held, beside)
-    return np.log(rooms.likelihood_ratio(chance, prior, target, kind))
+    p_object_given_kind, p_kind = rooms.object_given_room(table), rooms.room_prior(table)
+    seen = (part.astype(np.float32) for part in (samples.in_region, samples.in_adjacent))
+    posterior = rooms.room_posterior_at(table, p_object_given_kind, *seen)
+    return np.log(rooms.likelihood_ratio(p_object_given_kind, p_kind, target, posterior))
 
 
 def fit_powers(
@@ -168,11 +177,11 @@ def fit_powers(
     The likelihood ratio of near objects comes from models of other houses. That of the rooms comes
     from the table, whose counts are few and coarse.
     """
-    gain = np.zeros((2, len(_GRID)))
+    gain = np.zeros((2, len(_GRID)))  # of the rooms alone, and on top of what is near
     for target, fit in fits.items():
-        room = room_log_lift(_only(samples, fit.rows), table, target)
+        room = room_log_ratio(_only(samples, fit.rows), table, target)
         found, weight = _truth(samples, fit.rows, target)
-        near = fit.log_lift * fit.opinion
+        near = fit.log_ratio * fit.has_opinion
         for row, start in enumerate((np.zeros_like(near), near)):
             loss = [_offset_loss(start + power * room, found, weight) for power in _GRID]
             base = _offset_loss(0.0 * room, found, weight)
@@ -192,29 +201,30 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
     """
     predicted, true, weights = [], [], []
     for target, fit in fits.items():
-        if not fit.opinion:
+        if not fit.has_opinion:
             continue
         found, weight = _truth(samples, fit.rows, target)
-        lift = np.exp(fit.log_lift)
-        predicted.append(lift / np.average(lift, weights=weight))
+        ratio = np.exp(fit.log_ratio)
+        predicted.append(ratio / np.average(ratio, weights=weight))
         true.append(found / np.average(found, weights=weight))
         weights.append(weight)
     if not predicted:
         return
-    s, t, w = map(np.concatenate, (predicted, true, weights))
-    bins = np.digitize(s, edges)
+    p, t, w = map(np.concatenate, (predicted, true, weights))
+    bins = np.digitize(p, edges)
     for k in np.unique(bins):
         at = bins == k
-        yield np.average(s[at], weights=w[at]), np.average(t[at], weights=w[at]), int(at.sum())
+        yield np.average(p[at], weights=w[at]), np.average(t[at], weights=w[at]), int(at.sum())
 
 
 def _only(samples: Samples, rows: np.ndarray) -> Samples:
+    """Return these samples only."""
     return Samples(*(getattr(samples, field)[rows] for field in Samples.__slots__))
 
 
 def _weights(house: np.ndarray) -> np.ndarray:
     """Return sample weights that give each house the same total weight."""
-    return _LOOKS / np.bincount(house)[house]
+    return _HOUSE_WEIGHT / np.bincount(house)[house]
 
 
 def _truth(samples: Samples, rows: np.ndarray, target: int) -> tuple[np.ndarray, np.ndarray]:
@@ -227,12 +237,13 @@ def _sigmoid(odds: np.ndarray | float) -> np.ndarray:
 
 
 def _loss(p: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Return the log loss of each prediction in nats."""
     p = np.clip(p, 1e-6, 1.0 - 1e-6)
     return -(found * np.log(p) + (1.0 - found) * np.log(1.0 - p))
 
 
 def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> float:
-    """Return the log loss of a fitted intercept on top of given log-odds."""
+    """Return the log loss of given log-odds plus an intercept that is fitted here."""
     bias = 0.0
     for _ in range(20):
         p = _sigmoid(offset + bias)
@@ -243,7 +254,14 @@ def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> f
 def _logistic(
     near: np.ndarray, found: np.ndarray, weight: np.ndarray, begin: np.ndarray | None
 ) -> np.ndarray:
-    """Fit a logistic model by Newton's method, with a ridge on all but the intercept (last)."""
+    """Fit a logistic model by Newton's method, with a ridge on all weights but the bias (last).
+
+    Args:
+        near: (n, m) inputs.
+        found: (n,) 1 or 0, the outcome.
+        weight: (n,) weight of each sample.
+        begin: start value; None for the share of the outcome.
+    """
     x = np.hstack((near, np.ones((len(near), 1), np.float32)))
     share = np.average(found, weights=weight)
     beta = np.zeros(x.shape[1])

@@ -27,6 +27,7 @@ NOTE = "Written by exporters.training.translator."
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
+    """Parse the command line, train, and publish the model."""
     from exporters.training.translator.training import COMPOSED, PEOPLE
 
     parser = argparse.ArgumentParser(
@@ -70,6 +71,7 @@ def main(argv: list[str] | None) -> None:
 
 
 def _train(args: argparse.Namespace) -> None:
+    """Train on composed sentences, then on the corpora, measure, and publish."""
     import torch
     import yaml
 
@@ -82,34 +84,35 @@ def _train(args: argparse.Namespace) -> None:
     torch.set_num_threads(1)  # more threads do not help with such small tensors
     args.out.mkdir(parents=True, exist_ok=True)
     phrases, cases = load(), corpora(args.lang2ltl, args.clean_up)
-    pairs = {name: human_pairs(some, phrases) for name, some in cases.items()}
-    words = vocabulary_of(phrases, args.seed)
+    pairs = {name: human_pairs(corpus, phrases) for name, corpus in cases.items()}
+    composed_words = vocabulary_of(phrases, args.seed)
     plan = replace(COMPOSED, steps=args.steps, seed=args.seed)
-    base = train(phrases, [], words, plan, args.out / "composed.pt")
+    base = train(phrases, [], composed_words, plan, args.out / "composed.pt")
 
-    def learned(seen: list[str], name: str) -> tuple[Path, float]:
+    def train_on(seen: list[str], name: str) -> tuple[Path, float]:
         """Return the file of a network that also learned these corpora, and its logit error."""
         human = [pair for corpus in seen for pair in pairs[corpus]]
-        vocabulary, plan = extended(words, human), replace(PEOPLE, steps=args.people_steps)
-        plan = replace(plan, seed=args.seed, human=min(PEOPLE.human, len(human) / MANY))
+        vocabulary = extended(composed_words, human)
+        plan = replace(PEOPLE, steps=args.people_steps, seed=args.seed)
+        plan = replace(plan, human=min(PEOPLE.human, len(human) / MANY))
         net = train(phrases, human, vocabulary, plan, args.out / f"{name}.pt", start=base)
         path = args.out / f"{name}.onnx"
         return path, export(net, vocabulary, path)
 
     measured: dict[str, dict[str, Any]] = {}
     for corpus in cases:
-        path, _ = learned([other for other in cases if other != corpus], f"without-{corpus}")
+        path, _ = train_on([other for other in cases if other != corpus], f"without-{corpus}")
         for kind, translator in evaluate.translators(path).items():
             counts = evaluate.outcomes(cases[corpus], translator)
             measured[f"{corpus}, not seen, {kind}"] = counts
             logging.info("%s, not seen, %s: %s", corpus, kind, counts)
-    path, off = learned(list(cases), NAME)
-    everything = [case for some in cases.values() for case in some]
+    path, off = train_on(list(cases), NAME)
+    all_cases = [case for corpus_cases in cases.values() for case in corpus_cases]
     figures: dict[str, Any] = {"logit_error": round(off, 4), "bytes": path.stat().st_size}
-    if everything:
+    if all_cases:
         translator = evaluate.translators(path)["model"]
-        figures |= evaluate.latency_ms(everything, translator)
-    measured = {"training": _how(args, pairs), "file": figures, **measured}
+        figures |= evaluate.latency_ms(all_cases, translator)
+    measured = {"training": _training_figures(args, pairs), "file": figures, **measured}
     card = {
         "name": NAME, "task": "translate", "family": NAME, "sources": [], "license": "Apache-2.0",
         "derived_from": None, "parity": None, "file": f"{NAME}.onnx", "sha256": sha256_of(path),
@@ -119,7 +122,8 @@ def _train(args: argparse.Namespace) -> None:
     print(yaml.safe_dump(measured, sort_keys=False))
 
 
-def _how(args: argparse.Namespace, pairs: dict[str, list]) -> dict[str, Any]:
+def _training_figures(args: argparse.Namespace, pairs: dict[str, list]) -> dict[str, Any]:
+    """Return the training entry of the card; `pairs` are the sentences of each corpus."""
     import torch
 
     tables = " ".join(f"--{name} TABLE" for name in pairs)
@@ -127,7 +131,7 @@ def _how(args: argparse.Namespace, pairs: dict[str, list]) -> dict[str, Any]:
         "command": f"python -m exporters.training.translator --out RUN --seed {args.seed} "
         f"--steps {args.steps} --people-steps {args.people_steps} {tables}".rstrip(),
         "torch": str(torch.__version__),
-        **{f"{name}_sentences": len(some) for name, some in pairs.items()},
+        **{f"{name}_sentences": len(corpus) for name, corpus in pairs.items()},
     }
 
 

@@ -1,7 +1,8 @@
 """Composed sentences with their formulas: most of the small translator's training data.
 
 `phrases.yaml` has templates for each kind of formula. This module fills them, joins them to longer
-instructions, and adds the noise of speech and haste.
+instructions, and adds the noise of speech and haste. In a template, $a to $e stand for names of
+targets, {slot} for a phrase of a table, and (one|another) for a choice.
 """
 
 from __future__ import annotations
@@ -20,19 +21,24 @@ from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS = "abcde"
-"""Names in templates and formulas."""
-_AFTER = "fghij"  # names of the second of two joined instructions
+"""Letters that stand for names in templates and formulas."""
+_SECOND_LETTERS = "fghij"  # those of the second of two joined instructions
 REFUSED_SHARE = 0.12
 """Share of sentences that no formula expresses."""
 JOINED_SHARE = 0.18
 """Share of sentences that join two instructions."""
 _SLOT = re.compile(r"\{(\w+)\}")
 _CHOICE = re.compile(r"\(([^()]*)\)")
-_HOLE = re.compile(r"\$([a-e])")
+_NAME = re.compile(r"\$([a-e])")
 
 
 class Pair(NamedTuple):
-    """Words of a delexicalised instruction (names replaced), and the formula in compact tokens."""
+    """An instruction and its formula.
+
+    Attributes:
+        words: the instruction, delexicalised: placeholders instead of names.
+        tokens: the formula in prefix notation (`edge.mission.language.prefix_notation`).
+    """
 
     words: tuple[str, ...]
     tokens: tuple[str, ...]
@@ -40,7 +46,13 @@ class Pair(NamedTuple):
 
 @dataclass(slots=True)
 class Family:
-    """A kind of formula over letters, and its templates."""
+    """A kind of formula, and the templates of sentences that mean it.
+
+    Attributes:
+        tokens: the formula over letters, in prefix notation.
+        weight: relative frequency of the family.
+        templates: sentences.
+    """
 
     tokens: tuple[str, ...]
     weight: float
@@ -48,12 +60,21 @@ class Family:
 
     @property
     def letters(self) -> list[str]:
+        """The letters in the formula."""
         return [letter for letter in LETTERS if letter in self.tokens]
 
 
 @dataclass(slots=True)
 class Phrases:
-    """Tables of `phrases.yaml`."""
+    """Tables of `phrases.yaml`.
+
+    Attributes:
+        slots: phrases for each slot.
+        families: all families.
+        refused: templates of sentences that no formula expresses.
+        goals: families whose formula says what to reach.
+        bans: families whose formula forbids or orders.
+    """
 
     slots: dict[str, list[str]]
     families: list[Family]
@@ -82,6 +103,7 @@ def load(path: Path = PHRASES) -> Phrases:
     return Phrases(slots, families, tables["refused"].splitlines())
 
 
+# Table of verbs -> names of the slots for the forms of a verb, in the order of the table.
 _FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
 
 
@@ -97,10 +119,10 @@ class Composer:
     def pair(self) -> Pair:
         """Return one sentence and its formula."""
         rng, phrases = self._rng, self._phrases
-        drawn = rng.random()
-        if drawn < REFUSED_SHARE:
+        share = rng.random()
+        if share < REFUSED_SHARE:
             return self._refused_pair()
-        if drawn < REFUSED_SHARE + JOINED_SHARE:
+        if share < REFUSED_SHARE + JOINED_SHARE:
             return self._join_two()
         family = rng.choices(phrases.families, self._weights)[0]
         return delexicalised(self._add_noise(self._fill_template_of(family)), family.tokens)
@@ -121,7 +143,7 @@ class Composer:
         return template
 
     def _join_two(self) -> Pair:
-        """Return two instructions in one or two sentences."""
+        """Return two instructions in one or two sentences: a goal, and a rule or another goal."""
         rng = self._rng
         goal = rng.choices(self._phrases.goals, self._goal_weights)[0]
         other, weights = (
@@ -133,21 +155,22 @@ class Composer:
         shared = rng.random() < 0.15 and rule.tokens[0] != "G"
         first, second = (
             self._fill_template_of(goal),
-            _shift_sentence(self._fill_template_of(rule), goal, rule, shared),
+            _sentence_with_other_letters(self._fill_template_of(rule), goal, rule, shared),
         )
-        tokens = ("&", *goal.tokens, *_shift(rule.tokens, goal, rule, shared))
+        tokens = ("&", *goal.tokens, *_with_other_letters(rule.tokens, goal, rule, shared))
         if rng.random() < 0.2:
             first, second = second, first
         joint = rng.choice((" . ", " . ", " , ", " , and ", " and ", " . also , ", " but "))
-        if len(set(tokens) & set(LETTERS + _AFTER)) > MOST_NAMES:
-            return self.pair()
+        if len(set(tokens) & set(LETTERS + _SECOND_LETTERS)) > MOST_NAMES:
+            return self.pair()  # too many names for the network: draw again
         return delexicalised(self._add_noise(f"{first}{joint}{second}"), tokens)
 
     def _refused_pair(self) -> Pair:
+        """Return a sentence that no formula expresses, sometimes together with a goal."""
         sentence = self.filled(self._rng.choice(self._phrases.refused))
         if self._rng.random() < 0.3:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
-            other = _shift_sentence(
+            other = _sentence_with_other_letters(
                 self._fill_template_of(goal), Family(tuple("abc"), 0, ()), goal, False
             )
             sentence = self._rng.choice((f"{sentence} . {other}", f"{other} , then {sentence}"))
@@ -170,15 +193,20 @@ class Composer:
 
 
 def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
-    """Replace names by placeholders in the order of their first use, as `delexicalise_text`."""
-    order: dict[str, str] = {}
+    """Replace letters by placeholders in the order of their first use, as `delexicalise_text` does.
+
+    Args:
+        sentence: sentence with $a for the letter a.
+        tokens: its formula over the same letters.
+    """
+    order: dict[str, str] = {}  # letter -> placeholder
     words: list[str] = []
     for word in sentence.split():
-        hole = re.fullmatch(r"\$(\w)", word)
-        if hole:
-            if hole[1] not in order:
-                order[hole[1]] = NAMES[len(order)]
-            words.append(order[hole[1]])
+        name = re.fullmatch(r"\$(\w)", word)
+        if name:
+            if name[1] not in order:
+                order[name[1]] = NAMES[len(order)]
+            words.append(order[name[1]])
         else:
             words += expand_word(word)
     return Pair(tuple(words), tuple(order.get(token, token) for token in tokens))
@@ -188,20 +216,26 @@ def _split(options: str) -> list[str]:
     return options.split("|")
 
 
-def _shift(tokens: Sequence[str], goal: Family, rule: Family, shared: bool) -> tuple[str, ...]:
-    """Return the rule's formula over other letters than the goal's; one letter may be shared."""
-    moved = dict(zip(LETTERS, _AFTER, strict=True))
+def _with_other_letters(
+    tokens: Sequence[str], goal: Family, rule: Family, shared: bool
+) -> tuple[str, ...]:
+    """Return a rule's formula over other letters than the goal's.
+
+    With `shared`, the rule's first letter is the goal's last one.
+    """
+    new_letter = dict(zip(LETTERS, _SECOND_LETTERS, strict=True))
     if shared:
-        moved[rule.letters[0]] = goal.letters[-1]
-    return tuple(moved.get(token, token) for token in tokens)
+        new_letter[rule.letters[0]] = goal.letters[-1]
+    return tuple(new_letter.get(token, token) for token in tokens)
 
 
-def _shift_sentence(sentence: str, goal: Family, rule: Family, shared: bool) -> str:
-    words = sentence.split()
-    named = [word[1:] if _HOLE.fullmatch(word) else word for word in words]
-    marks = ["$" if _HOLE.fullmatch(word) else "" for word in words]
-    moved = [
-        mark + (_shift([word], goal, rule, shared)[0] if mark else word)
-        for mark, word in zip(marks, named, strict=True)
-    ]
-    return " ".join(moved)
+def _sentence_with_other_letters(sentence: str, goal: Family, rule: Family, shared: bool) -> str:
+    """Return a rule's sentence with the letters of `_with_other_letters`."""
+
+    def replaced(word: str) -> str:
+        name = _NAME.fullmatch(word)
+        if name is None:
+            return word
+        return "$" + _with_other_letters([name[1]], goal, rule, shared)[0]
+
+    return " ".join(map(replaced, sentence.split()))

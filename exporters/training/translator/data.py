@@ -44,6 +44,7 @@ class Vocabulary:
     tokens: tuple[str, ...]
 
     def ids(self) -> dict[str, int]:
+        """Return the id of each token."""
         return {token: i for i, token in enumerate(self.tokens)}
 
 
@@ -60,18 +61,19 @@ def extended(vocabulary: Vocabulary, human: Sequence[Pair]) -> Vocabulary:
 
 
 def _with_words(vocabulary: Vocabulary, counts: Counter[str]) -> Vocabulary:
+    """Return the vocabulary with the words of `counts` that are not rare."""
     known = set(vocabulary.tokens)
     words = sorted(word for word, n in counts.items() if n >= RARE and word not in known)
     return Vocabulary((*vocabulary.tokens, *words))
 
 
 def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair]:
-    """Return human sentences with their formulas in compact tokens.
+    """Return human sentences with their formulas in prefix notation.
 
-    A sentence is left out if its formula has no compact form, or if its names differ from its
-    formula's.
+    A sentence is left out if no family of `phrases` has an equivalent formula, if its names differ
+    from its formula's, or if it is too long.
     """
-    skeletons = _Skeletons(phrases)
+    matcher = _FormulaMatcher(phrases)
     pairs = []
     for case in cases:
         try:
@@ -81,14 +83,14 @@ def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair
         wanted = set(propositions(case.formula))
         if wanted != set(text.names) or len(text.words) > MOST_WORDS:
             continue
-        tokens = skeletons.tokens_of(case.formula, text.names)
+        tokens = matcher.tokens_of(case.formula, text.names)
         if tokens is not None:
             pairs.append(Pair(text.words, tokens))
     return pairs
 
 
-class _Skeletons:
-    """Search for the family whose formula is equivalent to another formula."""
+class _FormulaMatcher:
+    """Search for the family whose formula is equivalent to a given formula."""
 
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
@@ -99,12 +101,19 @@ class _Skeletons:
         self._known: dict[Formula, tuple[str, ...] | None] = {}
 
     def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
-        key = _over(formula, names)
+        """Return the family's formula over placeholders; None if no family matches.
+
+        Args:
+            formula: formula over names.
+            names: the names, in the order of their first use.
+        """
+        key = _with_plain_names(formula, names)
         if key not in self._known:
             self._known[key] = self._search(key, len(names))
         return self._known[key]
 
     def _search(self, formula: Formula, n: int) -> tuple[str, ...] | None:
+        """Try all families with `n` names, and all orders of the names."""
         for tokens, count in self._families:
             if count != n:
                 continue
@@ -123,7 +132,8 @@ PLAIN = tuple(f"x{i}" for i in range(MOST_NAMES))
 """Names instead of an instruction's own, so that formulas can be compared."""
 
 
-def _over(formula: Formula, names: Sequence[str]) -> Formula:
+def _with_plain_names(formula: Formula, names: Sequence[str]) -> Formula:
+    """Return the formula with `PLAIN` instead of the names, and with weak untils."""
     return with_weak_untils(renamed(formula, dict(zip(names, PLAIN, strict=False)).__getitem__))
 
 
@@ -139,7 +149,14 @@ def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Tran
 
 @dataclass(slots=True)
 class Source:
-    """Endless source of pairs: composed ones, and a share of human ones."""
+    """Endless source of pairs: composed ones, and a share of human ones.
+
+    Attributes:
+        composer: source of composed pairs.
+        human: human pairs to draw from.
+        share: share of human pairs.
+        rng: draws them.
+    """
 
     composer: Composer
     human: Sequence[Pair]
@@ -147,6 +164,7 @@ class Source:
     rng: Random
 
     def draw(self) -> Pair:
+        """Return a pair that is not too long for the network."""
         if self.human and self.rng.random() < self.share:
             return self._disturbed(self.rng.choice(self.human))
         while True:
@@ -163,7 +181,12 @@ class Source:
 
 
 class Batcher:
-    """Maker of padded tensors from pairs with similar lengths."""
+    """Makes batches of pairs with similar lengths, and padded tensors of them.
+
+    Args:
+        vocabulary: tokens and their ids.
+        unknown_share: share of the words that are replaced by the token for unknown words.
+    """
 
     def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:
         self._ids = vocabulary.ids()
@@ -173,28 +196,33 @@ class Batcher:
         """Yield batches endlessly; `ahead` batches are drawn at once and sorted by length."""
         while True:
             drawn = sorted((source.draw() for _ in range(size * ahead)), key=lambda p: len(p.words))
-            cut = [drawn[i : i + size] for i in range(0, len(drawn), size)]
-            source.rng.shuffle(cut)
-            yield from cut
+            batches = [drawn[i : i + size] for i in range(0, len(drawn), size)]
+            source.rng.shuffle(batches)
+            yield from batches
 
     def tensors(self, pairs: Sequence[Pair], rng: Random) -> list[tuple[Tensor, Tensor]]:
-        """Return sources and targets, each (b, n) int64: to formulas, then to words."""
+        """Return (source, target) of both directions, each (b, n) int64: to formulas, to words.
+
+        Sentences without a formula have no direction to words; if all are such, it is left out.
+        """
         words = [[self._word(word, rng) for word in pair.words] for pair in pairs]
         tokens = [[self._ids[token] for token in pair.tokens] for pair in pairs]
-        begin, back, end = (self._ids[token] for token in (TO_FORMULA, TO_WORDS, END))
-        forward = [[begin, *row, end] for row in tokens]
-        reverse = [[back, *row, end] for row in words]
+        to_formula, to_words, end = (self._ids[token] for token in (TO_FORMULA, TO_WORDS, END))
+        formula_targets = [[to_formula, *row, end] for row in tokens]
+        word_targets = [[to_words, *row, end] for row in words]
+        tensors = [(self._padded(words), self._padded(formula_targets))]
         kept = [i for i, pair in enumerate(pairs) if pair.tokens != (REFUSED,)]
-        made = [(self._padded(words), self._padded(forward))]
         if kept:
-            picked = [tokens[i] for i in kept], [reverse[i] for i in kept]
-            made.append((self._padded(picked[0]), self._padded(picked[1])))
-        return made
+            sources, targets = [tokens[i] for i in kept], [word_targets[i] for i in kept]
+            tensors.append((self._padded(sources), self._padded(targets)))
+        return tensors
 
     def _word(self, word: str, rng: Random) -> int:
+        """Return the id of a word; sometimes that of an unknown word."""
         known = self._ids.get(word, self._ids[UNKNOWN])
         return self._ids[UNKNOWN] if rng.random() < self._unknown_share else known
 
     def _padded(self, rows: Sequence[Sequence[int]]) -> Tensor:
+        """Return rows of different lengths as one tensor."""
         longest = max(map(len, rows))
         return torch.tensor([[*row, *[self._ids[PAD]] * (longest - len(row))] for row in rows])

@@ -1,4 +1,7 @@
-"""Evaluation of a translator file on human sentences, alone and after the grammar."""
+"""Evaluation of a translator's file on human sentences.
+
+The model is measured alone, and for the sentences that the grammar cannot read.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,11 @@ TIMED = 300
 
 
 def translators(path: Path) -> dict[str, Translator]:
-    """Return the translators that use the file, by kind."""
+    """Return translators that use a file: `model` alone, and `auto`, which tries the grammar first.
+
+    Args:
+        path: ONNX file of the model.
+    """
     small = small_model_backend(NeuralTranslator(TranslationNetwork.from_file(path)))
     return {
         "model": Translator("model", small),
@@ -33,6 +40,6 @@ def outcomes(cases: Sequence[TranslationCase], translator: Translator) -> dict[s
 
 
 def latency_ms(cases: Sequence[TranslationCase], translator: Translator) -> dict[str, float]:
-    """Time one sentence, with all checks of its translation."""
-    some = cases[:: max(1, len(cases) // TIMED)]
-    return took_ms(lambda index: score(some[index], translator), len(some))
+    """Time the translation of a sentence with all its checks; return median and 95th percentile."""
+    timed = cases[:: max(1, len(cases) // TIMED)]
+    return took_ms(lambda index: score(timed[index], translator), len(timed))

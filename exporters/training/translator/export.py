@@ -1,4 +1,7 @@
-"""Export of the network as one ONNX file of INT8 weights, with the vocabulary in its metadata."""
+"""Export of the small translator as one ONNX file of INT8 weights.
+
+The file's metadata has the vocabulary.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,14 @@ class EncoderDecoder(nn.Module):
 
 
 def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, Tensor]:
-    """Return random inputs of these lengths."""
+    """Return random inputs of `EncoderDecoder`, by name.
+
+    Args:
+        net: the network.
+        words: number of source words.
+        tokens: number of new tokens of the target.
+        past: number of earlier tokens of the target.
+    """
     size, rows = net.size, 2
     parts, width = 2 * size.decoder_layers, size.width // size.heads
     most = net.table.num_embeddings
@@ -49,7 +59,12 @@ def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, 
 
 
 def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
-    """Write the file.
+    """Write the network as ONNX.
+
+    Args:
+        net: the network.
+        vocabulary: its tokens.
+        out: file to write.
 
     Returns:
         The largest difference of a logit from the network's.
@@ -57,8 +72,8 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
     Raises:
         ExportError: the difference is above `MAX_LOGIT_ERROR`.
     """
-    halves = EncoderDecoder(net.eval())
-    free = {
+    module = EncoderDecoder(net.eval())
+    free = {  # axes of any length
         "source": {1: "n"}, "target": {0: "b", 1: "m"}, "past": {1: "b", 3: "p"},
         "across_in": {3: "k"}, "across": {3: "n"}, "logits": {0: "b", 1: "m"},
         "present": {1: "b", 3: "q"},
@@ -66,7 +81,7 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
     with replace_atomically(out) as part:
         traced = part.with_suffix(".fp32")
         outputs = ("across", "logits", "present")
-        trace_module(halves, traced, inputs_of(net, 9, 4, 3), outputs, free)
+        trace_module(module, traced, inputs_of(net, 9, 4, 3), outputs, free)
         model = quantize_weights(onnx.load(traced), "int8")
         traced.unlink()
         entry = model.metadata_props.add()
@@ -86,11 +101,11 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
 @torch.no_grad()
 def parity(net: Translator, path: Path) -> float:
     """Return the largest difference between the file's logits and the network's."""
-    session, halves = cpu_session(path, 1), EncoderDecoder(net.eval())
+    session, module = cpu_session(path, 1), EncoderDecoder(net.eval())
     off = 0.0
     for words, tokens, past in ((3, 1, 0), (24, 1, 12), (MOST_WORDS - 1, 5, 40)):
         feeds = inputs_of(net, words, tokens, past)
-        wanted = halves(*feeds.values())
+        wanted = module(*feeds.values())
         found = session.run(None, {name: value.numpy() for name, value in feeds.items()})
         off = max(
             off, *(float(np.abs(f - w.numpy()).max()) for f, w in zip(found, wanted, strict=True))

@@ -1,4 +1,4 @@
-"""Network of the small translator: a transformer from words to a formula, or the reverse.
+"""Network of the small translator: a transformer from words to a formula, and back.
 
 Encoder and decoder share one table of words and formula tokens (Vaswani et al., "Attention is all
 you need", 2017; with norms before the sublayers). One network does both directions; the decoder's
@@ -14,12 +14,21 @@ import torch
 from torch import Tensor, nn
 
 MASKED = -1e4
-"""Added to the attention score of masked positions."""
+"""Added to the attention score of positions that must not be seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Size of the network: width, heads, layers, and the most tokens on either side."""
+    """Size of the network.
+
+    Attributes:
+        width: length of a token's vector.
+        heads: number of attention heads.
+        encoder_layers: number of layers.
+        decoder_layers: number of layers.
+        longest: largest number of tokens of a source or a target.
+        dropout: share of the values that are dropped in training.
+    """
 
     width: int = 128
     heads: int = 4
@@ -58,6 +67,8 @@ class Attention(nn.Module):
 
 
 class _Feed(nn.Sequential):
+    """Feed-forward step for each token."""
+
     def __init__(self, size: Size) -> None:
         super().__init__(
             nn.Linear(size.width, 4 * size.width), nn.GELU(), nn.Linear(4 * size.width, size.width)
@@ -65,6 +76,8 @@ class _Feed(nn.Sequential):
 
 
 class EncoderLayer(nn.Module):
+    """Attention over the source, and a feed-forward step."""
+
     def __init__(self, size: Size) -> None:
         super().__init__()
         self.attention, self.feed = Attention(size), _Feed(size)
@@ -78,6 +91,8 @@ class EncoderLayer(nn.Module):
 
 
 class DecoderLayer(nn.Module):
+    """Attention over the target so far, attention over the source, and a feed-forward step."""
+
     def __init__(self, size: Size) -> None:
         super().__init__()
         self.attention, self.across, self.feed = Attention(size), Attention(size), _Feed(size)
@@ -88,7 +103,15 @@ class DecoderLayer(nn.Module):
         self, x: Tensor, past: tuple[Tensor, Tensor] | None, causal: Tensor,
         across: tuple[Tensor, Tensor], mask: Tensor | None,
     ) -> tuple[Tensor, tuple[Tensor, Tensor]]:  # fmt: skip
-        """Return the new `x`, and its keys and values appended to those of the past."""
+        """Return the new `x`, and its keys and values appended to those of the past.
+
+        Args:
+            x: (b, n, width) new tokens of the target.
+            past: keys and values of earlier tokens; None for none.
+            causal: mask, which hides later tokens.
+            across: keys and values of the source.
+            mask: hides padding of the source.
+        """
         y = self.norms[0](x)
         own = self.attention.keys_and_values(y)
         if past is not None:
@@ -99,7 +122,10 @@ class DecoderLayer(nn.Module):
 
 
 class Translator(nn.Module):
-    """Both directions; see `Encoder` and `Decoder` for the two exported parts."""
+    """The network in training, for both directions.
+
+    `Encoder` and `Decoder` are its exported parts.
+    """
 
     def __init__(self, tokens: int, size: Size) -> None:
         super().__init__()
@@ -114,6 +140,7 @@ class Translator(nn.Module):
         nn.init.normal_(self.places.weight, std=0.02)
 
     def embedded(self, tokens: Tensor, first: int | Tensor = 0) -> Tensor:
+        """Return the vectors (b, n, width) of tokens (b, n), the first at position `first`."""
         places = torch.arange(tokens.shape[1]) + first
         scale = math.sqrt(self.size.width)
         return self.drop(self.table(tokens) * scale + self.places(places))

@@ -19,22 +19,26 @@ from exporters.training.translator.net import Size, Translator
 
 log = logging.getLogger(__name__)
 
-CLIP = 1.0
-"""Largest norm of the gradients."""
+MAX_GRADIENT_NORM = 1.0
+"""Longer gradients are shortened to it."""
 SMOOTHING = 0.05
 """Label smoothing, so that ambiguous sentences keep a low confidence."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
         steps: number of steps.
-        rate: see `learning.LearningRates`, which also describes `decay`, `warm_up` and `average`.
+        rate: see `learning.LearningRates`.
         human: share of human sentences.
         pairs: sentences in a step, each in both directions.
+        decay: see `learning.LearningRates`.
+        warm_up: see `learning.LearningRates`.
+        average: see `learning.LearningRates`.
         keep_every: steps between two checkpoints.
+        seed: seed of weights and sentences.
     """
 
     steps: int
@@ -48,13 +52,14 @@ class Plan:
     seed: int = 0
 
 
-COMPOSED = Plan(steps=6000, rate=2e-3, human=0.0)
-PEOPLE = Plan(steps=1500, rate=6e-4, human=0.15, warm_up=50)
+# Plans of the two parts of a training: composed sentences first, then also human ones.
+COMPOSED = TrainingPlan(steps=6000, rate=2e-3, human=0.0)
+PEOPLE = TrainingPlan(steps=1500, rate=6e-4, human=0.15, warm_up=50)
 
 
 def train(
-    phrases: Phrases, human: Sequence[Pair], vocabulary: Vocabulary, plan: Plan, checkpoint: Path,
-    start: Translator | None = None,
+    phrases: Phrases, human: Sequence[Pair], vocabulary: Vocabulary, plan: TrainingPlan,
+    checkpoint: Path, start: Translator | None = None,
 ) -> Translator:  # fmt: skip
     """Train, or continue from `checkpoint`; return the averaged weights.
 
@@ -72,10 +77,10 @@ def train(
     torch.manual_seed(plan.seed)
     net = Translator(len(vocabulary.tokens), Size())
     if start is not None:
-        learned = start.state_dict()
-        rows = learned.pop("table.weight")
-        net.load_state_dict(learned, strict=False)
-        net.table.weight.data[: len(rows)] = rows
+        weights = start.state_dict()
+        rows = weights.pop("table.weight")
+        net.load_state_dict(weights, strict=False)
+        net.table.weight.data[: len(rows)] = rows  # the new vocabulary only has further tokens
     run = checkpoints.run_identity(plan, len(human), 1, "cpu")
     learner = Learner(net.train(), plan, plan.steps, checkpoint, run, tables=net.table)
     rng = Random(f"{plan.seed} {learner.done}")
@@ -87,7 +92,7 @@ def train(
         tensors = batcher.tensors(next(drawn), rng)
         with torch.autocast("cpu", torch.bfloat16, enabled=has_bfloat16()):
             parts = [_loss(net, *pair, padding) for pair in tensors]
-        learner.step(parts[0] + 0.5 * sum(parts[1:]), CLIP)
+        learner.step(parts[0] + 0.5 * sum(parts[1:]), MAX_GRADIENT_NORM)
         sums[: len(parts)] += torch.stack(parts).detach()
         if learner.done % plan.keep_every == 0 or learner.done == plan.steps:
             shown = (learner.done, plan.steps, *(sums / plan.keep_every).tolist())
@@ -104,6 +109,7 @@ def has_bfloat16() -> bool:
 
 
 def _loss(net: Translator, source: Tensor, target: Tensor, padding: int) -> Tensor:
+    """Return the cross-entropy of each next token of the targets."""
     logits = net(source, target[:, :-1], padding)
     return nn.functional.cross_entropy(
         logits.flatten(0, 1), target[:, 1:].flatten(), ignore_index=padding,

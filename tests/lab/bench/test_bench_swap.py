@@ -41,14 +41,14 @@ def bench(monkeypatch):
         running.source.counters["observations"] += 1
         running.service.latency.begin_tick(0)
         running.service.latency.end_tick(int(tick_ms * MS))
-        bench.beat()
+        bench.after_iteration()
 
     bench.after, bench.swapper, bench.running = after, swapper, running
     return bench
 
 
 def test_nothing_is_asked_before_anything_is_seen(bench):
-    bench.beat()
+    bench.after_iteration()
     assert bench.swapper.asked == []
     with pytest.raises(
         UserError, match=r"the swap to new was not complete at the end .state: idle.; give more"

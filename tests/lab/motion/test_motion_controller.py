@@ -294,7 +294,7 @@ def test_a_held_robot_recovers_once_and_then_fails():
     walk.goal(1, SE2(5.0, 2.0, 0.0))
     commands = []
     while walk.answers[-1].state == "accepted" and len(commands) < 1000:
-        commands.append(walk.controller._last.v_mps)
+        commands.append(walk.controller._last_command.v_mps)
         walk.step()
     ahead, behind = (1.2, 2.0), (0.8, 2.0)  # at its rim
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck", ahead)

@@ -27,14 +27,14 @@ def chart(page):
 
 
 def test_without_a_story_or_steps_there_is_no_picture(run):
-    assert gantt.spans(run) == []
+    assert gantt.pursuit_intervals(run) == []
     assert gantt.draw(run) is None
     assert gantt.draw(told(run, ())) is None
     assert gantt.draw(told(run, ((0.0, "start", "", "mission"),))) is None
 
 
 def test_spans(long_run):
-    spans = [(s.label, s.start_s, s.end_s, s.settled) for s in gantt.spans(long_run)]
+    spans = [(s.label, s.start_s, s.end_s, s.settled) for s in gantt.pursuit_intervals(long_run)]
     assert spans == [
         ("sofa", 0.0, 6.0, False),
         ("chair", 6.0, 12.0, True),
@@ -47,7 +47,9 @@ def test_the_picture_shows_what_happened(long_run):
     drawn = chart(gantt.draw(long_run))
     assert [t.get_text() for t in drawn.get_yticklabels()] == ["sofa", "bed", "chair", "tv"]
     (bars,) = drawn.containers
-    colours = [palette.target_colour(s.label, long_run.targets) for s in gantt.spans(long_run)]
+    colours = [
+        palette.target_colour(s.label, long_run.targets) for s in gantt.pursuit_intervals(long_run)
+    ]
     assert [to_hex(bar.get_facecolor()) for bar in bars] == colours
     assert [bar.get_width() for bar in bars] == pytest.approx([6.0, 6.0, 7.0, 5.0])
     (switch,) = (text for text in drawn.texts if not text.get_text())
@@ -62,7 +64,7 @@ def test_forty_targets_and_a_thousand_steps(run):
     labels = [f"thing {k}" for k in range(50)]
     steps = [(0.1 * k, "target", labels[k % 50], "why " * 200) for k in range(1000)]
     record = told(run, steps, "F a", tuple(labels))
-    assert len(gantt.spans(record)) == 1000
+    assert len(gantt.pursuit_intervals(record)) == 1000
     page = gantt.draw(record)
     assert "10 more targets are not shown" in words(page)
     assert page.figure.get_figheight() * 72 < 40 * gantt.ROW + 100

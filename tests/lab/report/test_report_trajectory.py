@@ -9,7 +9,7 @@ from task_scenes import STREET, street
 
 from edge.config import load
 from edge.lab.report import trajectory_map
-from edge.lab.report.camera_picture import REFINED_RGB, drawn
+from edge.lab.report.camera_picture import REFINED_RGB, draw_trajectory
 from edge.tasks.refine import refine
 from edge.tasks.value_map import PathMargins, value_map
 from edge.trajectory.pursuit import MotionLimits
@@ -18,14 +18,14 @@ AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)
 
 
 def test_without_a_camera_there_is_no_picture():
-    assert drawn(street(), None, AHEAD_M, 0.3) is None
+    assert draw_trajectory(street(), None, AHEAD_M, 0.3) is None
 
 
 @pytest.mark.parametrize("poses_m", [None, AHEAD_M[:0], AHEAD_M - (9.0, 0.0, 0.0)])
 def test_what_is_not_before_the_camera_is_not_drawn(poses_m):
     """But for the ground at its feet, where a way from behind may end."""
     scene = street(picture=True)
-    image = drawn(scene, None, poses_m, 0.3)
+    image = draw_trajectory(scene, None, poses_m, 0.3)
     assert image.shape == (800, 1280, 3)
     assert (image == 90).all()
 
@@ -39,7 +39,9 @@ def test_behind_a_thing_the_strip_is_faint():
     thing = replace(van.objects[1], points_m=points)
     outline = [np.array([[0, 0], [319, 0], [319, 199], [0, 199]], np.int32)]
     before = replace(open_way, objects={1: thing}, contours={1: outline})
-    strong, faint = (drawn(scene, None, AHEAD_M[20:], 0.5) for scene in (open_way, before))
+    strong, faint = (
+        draw_trajectory(scene, None, AHEAD_M[20:], 0.5) for scene in (open_way, before)
+    )
     assert faint[..., 0].sum() < strong[..., 0].sum()
     assert not (faint == REFINED_RGB).all(axis=2).all()
 

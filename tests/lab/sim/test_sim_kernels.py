@@ -99,7 +99,7 @@ def test_name_hits_agrees_with_a_plain_one(seed: int):
     depth = rng.uniform(0.0, 9.0, hit.shape).astype(np.float32)
     depth[rng.random(hit.shape) < 0.2] = np.inf
     before, ids = depth.copy(), np.empty(hit.shape, np.uint16)
-    kernels.name_hits(hit, owner, 0.5, 6.0, depth, ids)
+    kernels.write_object_ids(hit, owner, 0.5, 6.0, depth, ids)
     np.testing.assert_array_equal(ids, np.where(hit < 0, 0, owner[hit]))
     given = (before >= np.float32(0.5)) & (before <= np.float32(6.0))
     np.testing.assert_array_equal(depth, np.where(given, before, np.nan))

@@ -29,7 +29,7 @@ def test_what_a_seed_means_does_not_change():
     for seed in range(200):
         drawn = street(seed, 0)
         rows = [(g.id, g.label, g.rect.x0, g.rect.y0, g.rect.x1, g.rect.y1) for g in drawn.grounds]
-        rows += [(t.label, t.colour, t.x_m, t.y_m, t.yaw_rad, *t.size_m) for t in drawn.things]
+        rows += [(t.label, t.colour, t.x_m, t.y_m, t.yaw_rad, *t.size_m) for t in drawn.objects]
         rows.append((drawn.start.x_m, drawn.start.y_m, drawn.start.yaw_rad))
         rounded = [[round(v, 6) if isinstance(v, float) else v for v in row] for row in rows]
         digest.update(json.dumps(rounded).encode())
@@ -39,14 +39,14 @@ def test_what_a_seed_means_does_not_change():
 def test_streets_differ_in_what_they_have():
     drawn = [street(seed) for seed in range(60)]
     assert {len(s.grounds) for s in drawn} == {3, 4, 5}
-    labels = {thing.label for s in drawn for thing in s.things}
+    labels = {thing.label for s in drawn for thing in s.objects}
     assert labels == {"house", "car", "van", "tree", "pole", "trash can", "bench"}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_stands_on_anything(seed):
     drawn = street(seed)
-    rects = [thing.rect for thing in drawn.things]
+    rects = [thing.rect for thing in drawn.objects]
     robot = Rect(drawn.start.x_m - 1, drawn.start.y_m - 1, drawn.start.x_m + 1, drawn.start.y_m + 1)
     for k, rect in enumerate(rects):
         assert not any(rect.meets(other) for other in [robot, *rects[:k]])
@@ -56,7 +56,7 @@ def test_it_is_a_world_for_the_robot():
     drawn = street(1)
     config = parse({"perception": {"detector": {"kind": "sim"}}, "sim": {"world": WORLD}})
     world = load_world(config)
-    assert len(world.objects) == len(drawn.things)
+    assert len(world.objects) == len(drawn.objects)
     assert world.plan.clearance_at(0.0, 0.0) > 0.5
     ahead = drawn.to_map(30.0, 0.0)
     reached = world.plan.reachable(0.0, 0.0, 0.4)

@@ -70,7 +70,7 @@ class RunFolder:
             poses_m = None if refined is None else refined.poses[:, :3]
             half_m = outcome.config.robot.radius_m
             self._write_picture(
-                CAMERA, camera_picture.drawn(scene, coarse_on_ground_m, poses_m, half_m)
+                CAMERA, camera_picture.draw_trajectory(scene, coarse_on_ground_m, poses_m, half_m)
             )
         self._write(MAP, trajectory_map.png(scene, coarse_m, refined, outcome.costmap))
         self._write(PAGE, _bytes(_page(outcome, coarse_on_ground_m)))

@@ -7,16 +7,18 @@ from dataclasses import dataclass
 from edge.lab.sim.generator.layout import BATHROOM, BEDROOM, HALLWAY, KITCHEN, LIVING, OFFICE
 
 SUPPORTS = ("desk", "table", "tv stand", "cabinet", "dresser", "nightstand", "coffee table")
-"""Furniture that other objects are put on."""
+"""Furniture on which other objects are placed."""
 ON_TOP = ("laptop", "vase", "microwave", "television", "ball", "box", "plant")
-"""Objects that are put on them."""
+"""Objects that are placed on such furniture."""
 USUAL_ON = {"tv stand": "television", "desk": "laptop"}
 """Support → the object that is usually on it."""
 
+# r, g, b, each 0 to 255.
 FLOOR_COLORS = ((176, 132, 88), (150, 108, 72), (206, 202, 194), (168, 158, 150), (188, 206, 214),
                 (196, 156, 108), (120, 92, 70), (140, 142, 146))  # fmt: skip
 WALL_COLORS = ((226, 222, 212), (214, 220, 210), (208, 214, 222), (222, 214, 198), (228, 220, 200),
                (222, 204, 204), (196, 206, 196), (178, 190, 206), (238, 238, 236))  # fmt: skip
+# Materials of the floor by kind of room (names as in `house.FLOORS`); a frequent one is repeated.
 FLOORS = {
     LIVING: ("wood", "wood", "carpet"), KITCHEN: ("tiles", "tiles", "plain"),
     BEDROOM: ("carpet", "wood"), BATHROOM: ("tiles",), OFFICE: ("wood", "carpet", "plain"),
@@ -26,18 +28,18 @@ FLOORS = {
 
 @dataclass(frozen=True, slots=True)
 class FurnitureRule:
-    """Rule for an object in rooms of a kind.
+    """Rule for placing objects of one category in rooms of a kind.
 
     Attributes:
-        category: of `edge.lab.sim.assemblies`.
-        p: probability that the object is wanted.
+        category: key of `edge.lab.sim.assemblies.CATEGORIES`.
+        p: probability that the room gets the object; 1 for a necessary one.
         where: a key of `furnish.PLACES`.
-        by: categories that it belongs to, for places relative to another object. Without any of
-            them in the room the object is left out.
-        most: most objects of this rule in a room.
+        by: categories that it is placed next to, on, or in front of, if `where` needs that. Without
+            any of them in the room the object is left out.
+        most: largest number of objects by this rule in a room.
         more: probability of another object after each one that was placed.
         gap_m: gap on the floor to the object that it belongs to.
-        from_m2: least floor area of the room.
+        from_m2: smallest floor area of a room that gets the object.
     """
 
     category: str
@@ -147,6 +149,7 @@ CONTENTS: dict[str, tuple[FurnitureRule, ...]] = {
 }
 """Rules in the order of placing: necessary and large objects come first."""
 
+# Objects that may stand in a room of any kind.
 STRAY_P = 0.2
 STRAYS = (
     FurnitureRule("ball", 1.0, "anywhere"), FurnitureRule("box", 1.0), FurnitureRule("backpack",

@@ -16,8 +16,8 @@ from edge.lab.sim.generator.layout import WALL_M, WallSegment, draw_layout
 from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.house import House, HouseObject, Opening, Room, Wall, build_house
 
-HELD_OUT = 1000
-_RNG_KEY = 12
+HELD_OUT = 1000  # first seed that is for evaluation only
+_RNG_KEY = 12  # separates these random numbers from others with the same seed
 _DOOR_HEIGHT_M = 2.05
 
 
@@ -36,40 +36,42 @@ def generated_house(seed: int) -> House:
         >>> generated_house(7).name
         'generated-7'
     """
-    dice = PortableRng(_RNG_KEY, seed)
-    layout = draw_layout(dice)
-    rooms, things, starts = [], [], []
+    rng = PortableRng(_RNG_KEY, seed)
+    layout = draw_layout(rng)
+    rooms, objects, starts = [], [], []
     for k, room in enumerate(layout.rooms):
         doors = [door for door in layout.doors if k in door.rooms]
-        furnisher = RoomFurnisher(dice, room.kind, room.rect, doors)
-        things += furnisher.furnish()
+        furnisher = RoomFurnisher(rng, room.kind, room.rect, doors)
+        objects += furnisher.furnish()
         starts.append(furnisher.draw_start())
         r, kind = room.rect, room.kind
         rooms.append(
-            Room(name=f"{kind} {k}", rect=(r.x0, r.y0, r.x1, r.y1), floor=dice.pick(FLOORS[kind]),
-                 color=_paint(dice, FLOOR_COLORS))
+            Room(name=f"{kind} {k}", rect=(r.x0, r.y0, r.x1, r.y1), floor=rng.pick(FLOORS[kind]),
+                 color=_paint(rng, FLOOR_COLORS))
         )  # fmt: skip
     return House(
         name=f"generated-{seed}",
-        start=dice.pick(starts),
-        wall_height_m=round(dice.between(2.45, 2.9), 2),
+        start=rng.pick(starts),
+        wall_height_m=round(rng.between(2.45, 2.9), 2),
         wall_thickness_m=WALL_M,
         rooms=tuple(rooms),
-        walls=tuple(_wall(dice, stretch) for stretch in layout.walls),
-        objects=tuple(_thing(placed) for placed in things),
+        walls=tuple(_wall(rng, segment) for segment in layout.walls),
+        objects=tuple(_house_object(placed) for placed in objects),
     )
 
 
-def _wall(dice: PortableRng, s: WallSegment) -> Wall:
+def _wall(rng: PortableRng, s: WallSegment) -> Wall:
+    """Return a segment of the plan as a wall of the house format, in a random colour."""
     openings: tuple[Opening, ...] = ()
     if s.door is not None:
-        at_m = (s.door.x_m - s.x0) + (s.door.y_m - s.y0)
+        at_m = (s.door.x_m - s.x0) + (s.door.y_m - s.y0)  # one of the two is 0
         openings = (Opening(at_m=round(at_m, 2), width_m=s.door.width_m, height_m=_DOOR_HEIGHT_M),)
-    color = _paint(dice, WALL_COLORS)
+    color = _paint(rng, WALL_COLORS)
     return Wall(start=(s.x0, s.y0), end=(s.x1, s.y1), color=color, openings=openings)
 
 
-def _thing(placed: PlacedItem) -> HouseObject:
+def _house_object(placed: PlacedItem) -> HouseObject:
+    """Return a placed object in the house format."""
     return HouseObject(
         category=placed.category,
         at=(placed.x_m, placed.y_m),
@@ -80,6 +82,7 @@ def _thing(placed: PlacedItem) -> HouseObject:
     )
 
 
-def _paint(dice: PortableRng, colors: tuple[tuple[int, int, int], ...]) -> tuple[float, ...]:
-    shade = dice.between(0.85, 1.05)
-    return tuple(round(min(max(v * shade, 5.0), 250.0), 1) for v in dice.pick(colors))
+def _paint(rng: PortableRng, colors: tuple[tuple[int, int, int], ...]) -> tuple[float, ...]:
+    """Return one of the colours, a little lighter or darker."""
+    shade = rng.between(0.85, 1.05)
+    return tuple(round(min(max(v * shade, 5.0), 250.0), 1) for v in rng.pick(colors))

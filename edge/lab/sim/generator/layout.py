@@ -1,4 +1,4 @@
-"""Floor plans: rooms that fill a footprint, and the doors between them.
+"""Floor plans of generated houses: rooms that fill a footprint, and the doors between them.
 
 Large homes have a hallway with rooms on both sides; in small ones, rooms open into each other. Part
 of the footprint may be missing. Doors follow real homes: every room opens to the hallway or the
@@ -14,7 +14,7 @@ from itertools import combinations, pairwise
 
 from edge.lab.sim.generator.rng import PortableRng, Rect
 
-MOST_ROOMS = 10
+MOST_ROOMS = 10  # of a house
 FEWEST_ROOMS = 4
 DOOR_M = (0.8, 1.0)  # smallest and largest width of a door
 WALL_M = 0.12  # thickness of a wall
@@ -22,15 +22,17 @@ WALL_M = 0.12  # thickness of a wall
 LIVING, KITCHEN, BEDROOM, BATHROOM, OFFICE, HALLWAY = KINDS = (
     "living room", "kitchen", "bedroom", "bathroom", "office", "hallway",
 )  # fmt: skip
+# Smallest and largest area of a room.
 AREA_M2 = {
     LIVING: (17, 29), KITCHEN: (9, 15), BEDROOM: (10.5, 17), BATHROOM: (4.8, 8), OFFICE: (7.5, 12),
 }  # fmt: skip
+# Shortest side of a room.
 LEAST_SIDE_M = {
     LIVING: 3.2, KITCHEN: 2.4, BEDROOM: 2.8, BATHROOM: 1.8, OFFICE: 2.4, HALLWAY: 1.1,
 }  # fmt: skip
-MOST_OF_A_KIND = {LIVING: 2, BEDROOM: 4, BATHROOM: 3, OFFICE: 2}
+MOST_OF_A_KIND = {LIVING: 2, BEDROOM: 4, BATHROOM: 3, OFFICE: 2}  # rooms in a house
 _MORE = (BEDROOM, BEDROOM, BEDROOM, BATHROOM, BATHROOM, OFFICE, OFFICE, LIVING)
-"""Kinds that further rooms are drawn from."""
+"""Kinds of the rooms beyond the first four; a frequent kind is repeated."""
 _MAX_RATIO = 2.6
 """Largest ratio of length to width of a room other than the hallway."""
 _OUTSIDE = "outside"  # kind of a part of the footprint that is missing
@@ -46,7 +48,8 @@ _DOOR_COST = {
         ((OFFICE,), 6.0), ((OFFICE, BATHROOM), 7.0), ((BEDROOM,), 8.0), ((BATHROOM,), 12.0),
     )
 }  # fmt: skip
-"""Cost of a door between two kinds of room. Each room is joined by its cheapest door."""
+"""Cost of a door between two kinds of room; one kind alone stands for two rooms of this kind. All
+rooms are joined by the doors that cost least in all."""
 _SECOND_DOOR = {
     frozenset(pair): p
     for pair, p in (
@@ -54,10 +57,10 @@ _SECOND_DOOR = {
         ((LIVING,), 0.6), ((BEDROOM, BATHROOM), 0.2), ((LIVING, OFFICE), 0.15),
     )
 }  # fmt: skip
-"""Probability of a second way between two kinds of room, so that some paths form loops."""
-# Kinds of two rooms that may be joined by a wide opening, and its smallest and largest width.
+"""Probability of a further door between two kinds of room, so that some paths form loops."""
+# Kinds of two rooms that may be joined by a wide opening.
 _WIDE = {frozenset((LIVING, KITCHEN)), frozenset((LIVING, HALLWAY)), frozenset((LIVING,))}
-_WIDE_M = (1.2, 1.8)
+_WIDE_M = (1.2, 1.8)  # smallest and largest width of a wide opening
 _BESIDE_DOOR_M = 0.12  # least length of wall on each side of a door
 
 
@@ -96,7 +99,10 @@ class Door:
 
 @dataclass(frozen=True, slots=True)
 class WallSegment:
-    """A piece of wall along an axis, from its lower end, with its door if it has one."""
+    """A piece of wall along x or y, with its door if it has one.
+
+    x0, y0 is the end with the smaller coordinate, x1, y1 the other one, in metres.
+    """
 
     x0: float
     y0: float
@@ -107,48 +113,53 @@ class WallSegment:
 
 @dataclass(frozen=True, slots=True)
 class HouseLayout:
+    """Floor plan of a house; the walls include those with doors."""
+
     rooms: tuple[PlannedRoom, ...]
     doors: tuple[Door, ...]
     walls: tuple[WallSegment, ...]
 
 
-def draw_layout(dice: PortableRng) -> HouseLayout:
-    """Return rooms of usual sizes, all connected by doors."""
-    kinds = draw_kinds(dice)
+def draw_layout(rng: PortableRng) -> HouseLayout:
+    """Return a plan with rooms of usual sizes, all connected by doors.
+
+    Draws that come out badly are drawn again.
+    """
+    kinds = draw_kinds(rng)
     while True:
-        rooms = _draw_rooms(dice, kinds)
+        rooms = _draw_rooms(rng, kinds)
         if rooms is None:
             continue
         shared = _shared_walls(rooms)
-        joined = _choose_doors(dice, rooms, shared)
+        joined = _choose_doors(rng, rooms, shared)
         if joined is None:
             continue
-        doors = {pair: _draw_door(dice, rooms, pair, shared[pair]) for pair in joined}
+        doors = {pair: _draw_door(rng, rooms, pair, shared[pair]) for pair in joined}
         walls = [WallSegment(s.x0, s.y0, s.x1, s.y1, doors.get(pair)) for pair, s in shared.items()]
         walls += _outer_walls(rooms, list(shared.values()))
         return HouseLayout(tuple(rooms), tuple(doors.values()), tuple(walls))
 
 
-def draw_kinds(dice: PortableRng) -> list[str]:
+def draw_kinds(rng: PortableRng) -> list[str]:
     """Return the kinds of a home's rooms."""
-    count = dice.count(FEWEST_ROOMS, MOST_ROOMS)
+    count = rng.count(FEWEST_ROOMS, MOST_ROOMS)
     kinds = [LIVING, KITCHEN, BEDROOM, BATHROOM]
-    if count >= 6 or (count == 5 and dice.chance(0.5)):
+    if count >= 6 or (count == 5 and rng.chance(0.5)):
         kinds.append(HALLWAY)
     while len(kinds) < count:
-        kind = dice.pick(_MORE)
+        kind = rng.pick(_MORE)
         if kinds.count(kind) < MOST_OF_A_KIND[kind]:
             kinds.append(kind)
     return kinds
 
 
-def _draw_rooms(dice: PortableRng, kinds: Sequence[str]) -> list[PlannedRoom] | None:
+def _draw_rooms(rng: PortableRng, kinds: Sequence[str]) -> list[PlannedRoom] | None:
     """Return the rooms; None if one came out too small or too slim."""
-    wanted = [(kind, dice.between(*AREA_M2[kind])) for kind in kinds if kind != HALLWAY]
-    if dice.chance(0.3):
-        wanted.append((_OUTSIDE, dice.between(5.0, 12.0)))
-    placed = _along_hallway(dice, wanted) if HALLWAY in kinds else _in_block(dice, wanted)
-    turn, rooms = dice.chance(0.5), []
+    wanted = [(kind, rng.between(*AREA_M2[kind])) for kind in kinds if kind != HALLWAY]
+    if rng.chance(0.3):
+        wanted.append((_OUTSIDE, rng.between(5.0, 12.0)))
+    placed = _along_hallway(rng, wanted) if HALLWAY in kinds else _in_block(rng, wanted)
+    turn, rooms = rng.chance(0.5), []  # with `turn`, x and y are exchanged
     for kind, r in placed:
         rect = Rect(r.y0, r.x0, r.y1, r.x1) if turn else r
         rect = Rect(*(round(v, 2) for v in (rect.x0, rect.y0, rect.x1, rect.y1)))
@@ -162,25 +173,27 @@ def _draw_rooms(dice: PortableRng, kinds: Sequence[str]) -> list[PlannedRoom] | 
 
 
 Wanted = Sequence[tuple[str, float]]
+"""Kind and area [m²] of each room."""
 
 
-def _in_block(dice: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
+def _in_block(rng: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
+    """Return rooms that fill one rectangle."""
     area = sum(a for _, a in wanted)
-    width = math.sqrt(area * dice.between(1.0, 1.7))
-    return _cut(Rect(0.0, 0.0, width, area / width), dice.shuffled(wanted))
+    width = math.sqrt(area * rng.between(1.0, 1.7))
+    return _cut(Rect(0.0, 0.0, width, area / width), rng.shuffled(wanted))
 
 
-def _along_hallway(dice: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
+def _along_hallway(rng: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
     """Return rooms on both sides of a hallway; sometimes the living room lies across its end."""
     wanted = list(wanted)
-    across = wanted.pop(0) if dice.chance(0.5) else None
+    across = wanted.pop(0) if rng.chance(0.5) else None  # the living room is the first
     sides: tuple[list, list] = ([], [])
-    for item in dice.shuffled(wanted):
+    for item in rng.shuffled(wanted):
         lighter = min(sides, key=lambda side: sum(a for _, a in side))
         lighter.append(item)
     areas = [sum(a for _, a in side) for side in sides]
-    length = sum(areas) / (2 * dice.between(3.2, 4.6))
-    wide = dice.between(1.15, 1.6)
+    length = sum(areas) / (2 * rng.between(3.2, 4.6))
+    wide = rng.between(1.15, 1.6)
     low, high = areas[0] / length, areas[0] / length + wide
     top = high + areas[1] / length
     placed = [(HALLWAY, Rect(0.0, low, length, high))]
@@ -192,7 +205,10 @@ def _along_hallway(dice: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
-    """Divide a rectangle by area, repeatedly across its longer side."""
+    """Divide a rectangle into rooms of the wanted areas: in two across its longer side, and so on.
+
+    The first cut is where the two parts are most nearly of the same area.
+    """
     if len(wanted) <= 1:
         return [(kind, rect) for kind, _ in wanted]
     total = sum(a for _, a in wanted)
@@ -208,7 +224,7 @@ def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], WallSegment]:
-    """Return the piece of wall between each two rooms that share one."""
+    """Map each pair of rooms that touch to the piece of wall between them."""
     shared = {}
     for i, j in combinations(range(len(rooms)), 2):
         a, b = rooms[i].rect, rooms[j].rect
@@ -220,39 +236,41 @@ def _shared_walls(rooms: list[PlannedRoom]) -> dict[tuple[int, int], WallSegment
 
 
 def _choose_doors(
-    dice: PortableRng, rooms: list[PlannedRoom], shared: dict[tuple[int, int], WallSegment]
+    rng: PortableRng, rooms: list[PlannedRoom], shared: dict[tuple[int, int], WallSegment]
 ) -> list[tuple[int, int]] | None:
     """Return the pairs of rooms with a door: a spanning tree of the cheapest ones, and some more.
 
-    None if there is no such tree, because a room has no wall that is long enough for a door.
+    The tree is Kruskal's. None if there is no tree, because a room has no wall that is long enough
+    for a door.
     """
     least_m = DOOR_M[1] + 2 * _BESIDE_DOOR_M + WALL_M
     pairs = [pair for pair, wall in shared.items() if _length(wall) >= least_m]
     kinds = {pair: frozenset(rooms[i].kind for i in pair) for pair in pairs}
-    cost = {pair: _DOOR_COST.get(kinds[pair], 0.0) + 0.9 * dice.unit() for pair in pairs}
-    group = list(range(len(rooms)))
+    cost = {pair: _DOOR_COST.get(kinds[pair], 0.0) + 0.9 * rng.unit() for pair in pairs}
+    group = list(range(len(rooms)))  # rooms that are joined so far have the same number
     joined = []
     for pair in sorted(pairs, key=cost.__getitem__):
         a, b = (group[i] for i in pair)
         if a != b:
             group = [a if g == b else g for g in group]
             joined.append(pair)
-        elif dice.chance(_SECOND_DOOR.get(kinds[pair], 0.0)):
+        elif rng.chance(_SECOND_DOOR.get(kinds[pair], 0.0)):
             joined.append(pair)
     return joined if len(set(group)) == 1 else None
 
 
 def _draw_door(
-    dice: PortableRng, rooms: list[PlannedRoom], pair: tuple[int, int], wall: WallSegment
+    rng: PortableRng, rooms: list[PlannedRoom], pair: tuple[int, int], wall: WallSegment
 ) -> Door:
-    width, room_m = dice.between(*DOOR_M), _length(wall) - WALL_M - 2 * _BESIDE_DOOR_M
-    wide = frozenset(rooms[i].kind for i in pair) in _WIDE and dice.chance(0.4)
-    if wide and room_m >= _WIDE_M[1]:
-        width = dice.between(*_WIDE_M)
+    """Return a door, or a wide opening, at a random place of the wall between two rooms."""
+    width, space_m = rng.between(*DOOR_M), _length(wall) - WALL_M - 2 * _BESIDE_DOOR_M
+    wide = frozenset(rooms[i].kind for i in pair) in _WIDE and rng.chance(0.4)
+    if wide and space_m >= _WIDE_M[1]:
+        width = rng.between(*_WIDE_M)
     least = 0.5 * (WALL_M + width) + _BESIDE_DOOR_M
     most = _length(wall) - least
     # Most doors are near a corner, so that a wall is left for furniture.
-    at = dice.pick((least, most)) if dice.chance(0.6) else dice.between(least, most)
+    at = rng.pick((least, most)) if rng.chance(0.6) else rng.between(least, most)
     upright = wall.x0 == wall.x1
     x, y = (wall.x0, wall.y0 + at) if upright else (wall.x0 + at, wall.y0)
     return Door(pair, round(x, 2), round(y, 2), round(width, 2), upright)
@@ -275,6 +293,7 @@ def _outer_walls(rooms: list[PlannedRoom], shared: list[WallSegment]) -> list[Wa
 
 
 def _parts_outside(side: WallSegment, shared: list[WallSegment]) -> list[WallSegment]:
+    """Return the parts of a room's side that no shared wall covers."""
     upright = side.x0 == side.x1
     taken = []
     for s in shared:

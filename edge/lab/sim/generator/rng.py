@@ -1,7 +1,7 @@
-"""Random draws and rectangles that are the same on every computer.
+"""Random draws and rectangles for generated worlds that are the same on every computer.
 
 Draws use uniform doubles only, because NumPy does not keep other streams stable between versions.
-Yaws are quarter turns, so that no sine differs by a bit.
+Objects are turned by quarter turns only, because a sine may differ in its last bit.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 T = TypeVar("T")
 
 QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""Facing direction after 0 … 3 quarter turns from +x."""
+"""(x, y) of the direction after 0 … 3 quarter turns from +x."""
 
 
 class PortableRng:
-    """Random draws that depend only on the key."""
+    """Random numbers that depend only on the key, a sequence of integers such as a seed."""
 
     def __init__(self, *key: int) -> None:
         self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))
@@ -29,9 +29,11 @@ class PortableRng:
         return float(self._generator.random())
 
     def between(self, low: float, high: float) -> float:
+        """Draw from [low, high), uniformly."""
         return low + self.unit() * (high - low)
 
     def chance(self, p: float) -> bool:
+        """Draw True with the probability `p`."""
         return self.unit() < p
 
     def count(self, low: int, high: int) -> int:
@@ -39,9 +41,11 @@ class PortableRng:
         return low + int(self.unit() * (high - low + 1))
 
     def pick(self, choices: Sequence[T]) -> T:
+        """Draw one of the choices, each with the same probability."""
         return choices[self.count(0, len(choices) - 1)]
 
     def shuffled(self, items: Sequence[T]) -> list[T]:
+        """Return the items in random order."""
         keys = [self.unit() for _ in items]
         return [items[k] for k in sorted(range(len(items)), key=keys.__getitem__)]
 
@@ -64,6 +68,7 @@ class Rect:
         return self.y1 - self.y0
 
     def grown(self, by_m: float) -> Rect:
+        """Return the rectangle with each side moved outwards; inwards if `by_m` is negative."""
         return Rect(self.x0 - by_m, self.y0 - by_m, self.x1 + by_m, self.y1 + by_m)
 
     def meets(self, other: Rect) -> bool:
@@ -73,6 +78,7 @@ class Rect:
         )
 
     def holds(self, other: Rect) -> bool:
+        """Return True if the other rectangle lies inside this one."""
         return (
             self.x0 <= other.x0
             and self.y0 <= other.y0
@@ -82,12 +88,19 @@ class Rect:
 
 
 def wall_span_m(room: Rect, side: int) -> float:
-    """Return the length of the wall whose furniture faces `QUARTERS[side]`."""
+    """Return the length of a wall; `side` is the quarter turn that furniture along it faces."""
     return room.width_m if side % 2 else room.depth_m
 
 
 def at_wall(room: Rect, side: int, along_m: float, off_m: float) -> tuple[float, float]:
-    """Return x and y of a place `off_m` from that wall, `along_m` from its lower end."""
+    """Return x and y of a place in a room, relative to one of its walls.
+
+    Args:
+        room: the room.
+        side: the wall, as in `wall_span_m`.
+        along_m: distance from the wall's end with the smaller coordinate.
+        off_m: distance from the wall.
+    """
     return (
         (room.x0 + off_m, room.y0 + along_m),
         (room.x0 + along_m, room.y0 + off_m),

@@ -1,4 +1,4 @@
-"""Legend of the report's map, which lies next to the map."""
+"""Legend next to the map of a report."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ if TYPE_CHECKING:
 
 
 def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None:
-    """Draw the legend downwards from `corner`, which is in fractions of the figure."""
+    """Draw the legend; its upper left corner is `corner`, in fractions of the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    end = palette.outcome_colour(record.mission.phase)
+    end_colour = palette.outcome_colour(record.mission.phase)
 
     def mark(label: str, marker: Any, face: str, edge: str, size: float = 9) -> Line2D:
+        """Return an entry with a marker: its label, shape, fill, rim and size."""
         style = {"markerfacecolor": face, "markeredgecolor": edge, "markersize": size}
         return Line2D([], [], ls="", marker=marker, markeredgewidth=1.6, label=label, **style)
 
     seen = [
         mark("target seen here", "o", palette.TARGET, "white", 8),
-        mark("other instance", "o", palette.INSTANCE, "white", 7),
+        mark("other instance", "o", palette.OBJECT, "white", 7),
     ]
     if path_plot.is_coloured_by_target(record):
         reached = palette.OUTCOME["reached"]
@@ -45,7 +46,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         *seen,
         mark("rejected", "o", palette.MUTED, "white", 7),
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
-        mark("robot at the end", dart(math.pi / 2), end, "white", 13),
+        mark("robot at the end", dart(math.pi / 2), end_colour, "white", 13),
     ]
     handles += more_lines(record)
     legend = figure.legend(
@@ -61,7 +62,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
 
 
 def more_lines(record: RunRecord) -> list[Artist]:
-    """Return the lines of the legend that not every report has: a task's, places and zones."""
+    """Return the entries that not every report has: a task's trajectories, rooms, places, zones."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -81,6 +82,6 @@ def more_lines(record: RunRecord) -> list[Artist]:
         colour, label = palette.ZONES[kind], f"{kind.replace('_', '-')} zone"
         lines.append(Patch(facecolor=f"{colour}24", edgecolor=colour, ls="--", label=label))
     if record.objects:
-        style = {"markerfacecolor": "white", "markeredgecolor": palette.INSTANCE, "markersize": 6}
+        style = {"markerfacecolor": "white", "markeredgecolor": palette.OBJECT, "markersize": 6}
         lines.append(Line2D([], [], ls="", marker="s", label="remembered object", **style))
     return lines
