@@ -157,17 +157,22 @@ _RELATED = re.compile(
     rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
-# "we need the mug. Please find it."
+# "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug, find either"
 _INTRODUCED = re.compile(
-    r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
-    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
-    rf"(?P<thing>{NAME})(?: {phrase_of('standing')})?(?: (?P<relation>{phrase_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?"
-    r"(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
-    r"(?:so |please |and |(?:can|could|would|will) you )*"
-    r"(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
+    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
+    rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
+    r" (?:(?:should|must|ought to|will) be|is|are|was|were)(?: still| probably)*)?"
+    rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
+    r"(?: (?:somewhere|anywhere|again))?"
+    r"(?:[,.;!:]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |kindly |and |(?:can|could|would|will) you )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them|that|(?P<there>there)|(?P<any>either(?: of them)?|"
+    r"one of (?:them|these|those|this)|whichever(?: (?:one )?you (?:can )?find)?))(?: there)?"
+    r"(?=[,.;!?]|$)",
     re.I,
 )
+_GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
 _FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
 # "find the mug, it should be on the desk"
 _HINTED = re.compile(
@@ -272,6 +277,8 @@ _UNCLEAR = (
     ),
 )
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
+_NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
+_BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
@@ -331,6 +338,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         for pattern in patterns:
             text = _rewrite_outside_quotes(pattern, change, text)
     text = _EXPLORED_TWICE.sub(r"\1", text)
+    _refuse_unknown_names(text)
     text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     for unclear, hint in _UNCLEAR:
@@ -339,6 +347,32 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
     refuse_impossible(text.strip())
     return text.strip()
+
+
+def _refuse_unknown_names(text: str) -> None:
+    """Refuse a quoted proposition with a word that is no known object, such as a typing error.
+
+    Raises:
+        UnclearError: there is such a word.
+    """
+    for phrase in text.split('"')[1::2]:
+        if _NO_OBJECT.match(phrase):
+            continue
+        for name in _BETWEEN_NAMES.split(phrase.removeprefix(f"{CHECK} ")):
+            if not _is_name(name):
+                words = name.split()
+                odd = words[nouns.unknown_in(words) or 0]
+                slip = f" ({meant}?)" if (meant := nouns.meant(odd)) else ""
+                hint = f'not a known object{slip}; if it is one, write "{phrase}" in double quotes'
+                raise UnclearError(f"instruction: {name!r}: {hint}", name)
+
+
+def _is_name(name: str) -> bool:
+    """Return True for a known name, or a new one for a kind of a known thing: "crash trolley"."""
+    words = bare(name).partition(" of ")[0].split()
+    if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
+        return True
+    return nouns.is_noun(words[-1]) and all(map(_modifies, words[:-1]))
 
 
 def _rewrite_outside_quotes(
@@ -369,8 +403,16 @@ def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
 
 def _rewrite_introduced(found: re.Match[str]) -> str | None:
     """Put the thing that the first clause names in place of the second clause's pronoun."""
-    where = _relation_text(found["relation"], found["anchor"])
-    return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
+    slots = found.groupdict()
+    thing, where = bare(found["thing"]), _relation_text(found["relation"], found["anchor"])
+    known = slots["opening"] or (_is_name(thing) and TABLE.get((thing.split()[0],)) != "verb")
+    if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
+        return None
+    other = f" or the {bare(slots['other'])}" if slots["other"] else ""
+    order = _GO_THERE.sub("go to", found["order"]) if slots["there"] else found["order"]
+    if slots["there"] and order == found["order"]:
+        return None
+    return f" {order} the {thing}{where}{other}"
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:
