@@ -17,14 +17,15 @@ from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
-_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
+_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
+           "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
 _APOSTROPHE_IS = re.compile(
     r"(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
     r"fine|enough|good|"
     r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
-    rf"{phrase_of('relation')} )",
+    rf"(?:the|an?|my|our) |{phrase_of('relation')} )",
     re.I,
 )
 """An `'s` that means "is": "the kitchen's closed"."""
@@ -61,7 +62,7 @@ _OPENING = re.compile(
     rf"(?:(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
-    r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
+    r"do (?=(?:go|come|find|check|look|hunt|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
     re.I,
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{phrase_of('closing')})+[ .!?]*$", re.I)
@@ -124,6 +125,7 @@ def tidy_up(said: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
+    text = text.replace(",:", ":")
     once = _REPEATED.sub(r"\1\2", text)
     uncorrected = strip_politeness(_LIKE.sub("", once))
     corrected = _apply_corrections(uncorrected)

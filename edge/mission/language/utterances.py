@@ -12,7 +12,7 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|
+        this (morning|afternoon|evening)|or (not|(did|has|have|was|is|are) ...)|(when|while|as) you [last] (were|was|drove|went|looked|
             came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
@@ -27,10 +27,11 @@ PARTS = {
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
         [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
-            around|about|there|in there|out|last|earlier|this way|over there]*]
+            around|about|there|in there|out|last|earlier|this way|over there|the (place|house)]*]
         [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|
             show me|do you [still] (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
+        [i wonder|any idea|i want to know|remind me|you remember|i was wondering|
+            (do you|you would not|would you) happen to (know|remember|recall)|
         have you any idea])
         """,
     "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
@@ -49,7 +50,7 @@ PARTS = {
             "set|keep in mind|know) [that|down]",
     "go": """
         [to|even|also]
-            (use|access|go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+            (use|access|go|going|went|drive|driving|enter|entering|come|coming|move|moving|step|roll|
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
         """,
@@ -68,11 +69,11 @@ PARTS = {
             [from]|no [more]|
         it is (forbidden|prohibited|not allowed|not permitted) [for you|that you]|forbidden|
         (i|we) (do not want|will not have) you|
-        (i|we) would (rather|prefer) [that] you (did not|do not|not))
+        (i|we) would (rather|prefer) [that] you (did not|do not|not|never))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever|always)|(it|starting|from) today|if you do not mind|from now on|anymore|any more|again|
             ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|forever [and ever]|
@@ -84,7 +85,7 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|hold on|hold it|wait|stop|"
-             "everything|where you are|what you are doing|the robot|robot|okay]*",
+             "everything|all|[no] i said (stop|wait)|like a statue|where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
@@ -142,7 +143,8 @@ QUESTIONS = {
         {tell} where ((can|could|do|should|would|will|might) (i|we)|(i|we) (can|could)) (find|see|
             get|look for|go for)
             <thing>
-        {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
+        {tell} [in] (which|what) (room|aisle|bay|ward|cupboard|drawer) [there] (is|are|was|were)
+            <thing> [in] {last}
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
@@ -160,7 +162,7 @@ QUESTIONS = {
         (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
         any <thing> [left|still]* <relation> <anchor> {last}
-        (do you know if|do you know whether) there (is|are) <thing> {in} {last}
+        {tell} (if|whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
@@ -169,7 +171,6 @@ QUESTIONS = {
         {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor>
             [(in|inside) <within>] {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
-        do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
         you have not {seen} [any|my]* <thing> {in} {last}
@@ -190,6 +191,7 @@ ORDERS = {
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        [to|for] you is (forbidden|prohibited|not allowed) <room> {while}
         no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
         (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
         <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|of there|there]|
@@ -206,7 +208,7 @@ ORDERS = {
         {may} {go} <room> (again|freely|as before|as you like) [now|again]* {reason}
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
-            [for you|to enter] again [for you|now]*
+            [for you|to enter] again [for you|now]* [, (the|that|this) ban is (lifted|over|gone)]
         <room> (is|are) (open|free|okay|ok|fine|clear|clean|dry|empty|done|finished|ready)
             [again|now]* {may} [go|drive|come|enter|get|be|back]*
             [there|in there|in it|in|it|inside] again
@@ -219,7 +221,7 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn) [about]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|scrap|drop) [about]
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
@@ -277,7 +279,7 @@ CONTROL = {
             do not (go|drive|rush|run) (on|off|away|any further|further|anywhere)|
             remain (there|where you are)|
             stop it|stop that) {there} {reason}
-        (pause|interrupt|suspend) {task} {there} [for] [<span>]
+        (pause|interrupt|suspend) {task} {there} [for a (bit|moment|second|sec|tick|while)] [for] [<span>]
         [make a|come to a] {halt} {there} [{halt} {there}]* {reason}
         (wait|stay|stop|do not move|stand|
             stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
@@ -286,7 +288,7 @@ CONTROL = {
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
             [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
             still|please|just|stop|in this (spot|place)|at this (spot|place)|exactly|
-            for a (bit|moment|second|while)|a (bit|moment|second|sec|while)]*
+            for a (bit|moment|second|sec|tick|while)|a (bit|moment|second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
 }
@@ -307,7 +309,12 @@ IDIOMS = """
     [and|then|after that]* you are (done|finished|free)
     (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
-    you (pick|choose|decide)
+    [you are allowed to] (you|) (pick|choose|decide)
+    [and] whichever you (please|like|prefer)
+    [it] is all one to (me|us)
+    (i|we) want to (show|tell|give) you ...
+    thank (you|heavens|goodness|god) [for ...]
+    [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|
             emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
