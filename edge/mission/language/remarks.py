@@ -53,12 +53,12 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
     """
     if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
         return True
-    if _MAY_DIRECT.search(clause) or _has_order(clause.lower().split()):
+    if _MAY_DIRECT.search(clause) or has_order(clause.lower().split()):
         return False
     return first_match(_templates(REMARKS + STATES * states), clause) is not None
 
 
-def _has_order(words: list[str]) -> bool:
+def has_order(words: list[str]) -> bool:
     """Return True if a verb comes in its base form: "go", but not "a walk" or "is clean"."""
     return any(
         TABLE.get((word,)) in ("verb", "avoid")

@@ -21,7 +21,7 @@ from edge.mission.language.everyday_words import (
     is_vague,
     phrase_of,
 )
-from edge.mission.language.remarks import is_remark
+from edge.mission.language.remarks import has_order, is_remark
 from edge.mission.language.spans import seconds_of
 from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
@@ -153,19 +153,21 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
         'keep_out'
     """
     speech = tidy_up(said)
-    if (kind := _classify(_without_punctuation(speech.text), sites)) is not None:
+    if (kind := _classify(speech.text, sites)) is not None:
         return kind
     question, _, order = speech.text.partition("?")
     if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
-        asked = _classify(_without_punctuation(f"{question}?"), sites)
+        asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
             thing, room = asked.about, asked.room
             check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
             return MissionOrder(replace(speech, text=check))
     pieces = [strip_politeness(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
-    kinds = [_classify(_without_punctuation(piece), sites) for piece in pieces]
+    kinds = [_classify(piece, sites) for piece in pieces]
     known = [kind for kind in kinds if kind is not None]
+    if Control("pause") in known and not any(map(_may_be_order, pieces, kinds)):
+        return Control("pause")  # "Oh dear, stop, I nearly fell over you!"
     if not known or (None in kinds and all(_may_be_in_a_mission(kind) for kind in known)):
         return MissionOrder(speech)
     if None not in kinds and all(kind == known[0] for kind in known):
@@ -180,26 +182,47 @@ def _may_be_in_a_mission(kind: UtteranceKind) -> bool:
     return isinstance(kind, (SiteOrder, Control)) and kind.do in _IN_A_MISSION
 
 
+def _may_be_order(piece: str, kind: UtteranceKind | None) -> bool:
+    """Return True if a piece may say more than to stop."""
+    if kind is not None:
+        return kind != Control("pause")
+    words = piece.lower().split()
+    return has_order(words) or not {"to", "into", "in", "then", "not", "but"}.isdisjoint(words)
+
+
+def _as_question(text: str) -> str:
+    """Return a question with the word order of questions; other texts stay as they are.
+
+    Without its question mark "There is a mug?" would be a statement: it becomes "is there a mug".
+    "My keys, are they on the desk?" becomes "are My keys on the desk".
+    """
+    for stated, asked in _QUESTION_REWRITES:
+        text = stated.sub(asked, text)
+    return text
+
+
 def _without_punctuation(text: str) -> str:
     """Return the text without commas and without its final mark.
 
     A full stop within the text becomes a separate word ".", so that no slot extends over it.
-    First, questions get the word order of questions, because without its question mark "There is a
-    mug?" would be a statement: "is there a mug". "My keys, are they on the desk?" becomes "are My
-    keys on the desk".
     """
-    for stated, asked in _QUESTION_REWRITES:
-        text = stated.sub(asked, text)
     text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
     return " ".join(text.split())
 
 
 def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
-    """Return the first kind whose template fits the whole text; None for a mission."""
+    """Return the first kind whose template fits the whole text; None for a mission.
+
+    No slot extends over a comma: "it is over, room 6 is open again" is not about "over room 6".
+    """
+    asked = _as_question(text)
+    plain = _without_punctuation(asked)
     for kind, patterns in _templates().items():
         for pattern in patterns:
-            slots = first_match([pattern], text)
-            if slots is not None and _slots_fit(slots, sites if kind in _ZONE_KINDS else ()):
+            slots = first_match([pattern], plain)
+            if slots is None or not all(slot in asked for slot in slots.values()):
+                continue
+            if _slots_fit(slots, sites if kind in _ZONE_KINDS else ()):
                 return _make_kind(kind, slots)
     return None
 
