@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Union
 
+from edge.mission.language import nouns
 from edge.mission.language.everyday_words import (
     NAME,
     NOWHERE,
@@ -21,6 +22,7 @@ from edge.mission.language.everyday_words import (
     is_vague,
     phrase_of,
 )
+from edge.mission.language.places import is_marked
 from edge.mission.language.remarks import has_order, is_remark
 from edge.mission.language.spans import seconds_of
 from edge.mission.language.templates import compile_templates, first_match
@@ -187,7 +189,7 @@ def _may_be_order(piece: str, kind: UtteranceKind | None) -> bool:
     if kind is not None:
         return kind != Control("pause")
     words = piece.lower().split()
-    return has_order(words) or not {"to", "into", "in", "then", "not", "but"}.isdisjoint(words)
+    return has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)
 
 
 def _as_question(text: str) -> str:
@@ -222,22 +224,34 @@ def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
             slots = first_match([pattern], plain)
             if slots is None or not all(slot in asked for slot in slots.values()):
                 continue
-            if _slots_fit(slots, sites if kind in _ZONE_KINDS else ()):
+            if _slots_fit(kind, slots, sites):
                 return _make_kind(kind, slots)
     return None
 
 
-def _slots_fit(slots: Mapping[str, str], sites: Collection[str]) -> bool:
+def _is_place_name(name: str) -> bool:
+    """Return True if "this is the tea corner" names a place, unlike "this is fun"."""
+    plain = bare(name)
+    definite = re.match(r"(?:the|our|my|your) ", name, re.I) and plain.split()[-1] not in NOWHERE
+    return bool(definite or nouns.is_place(plain) or is_marked(plain)) or bool(
+        re.fullmatch(phrase_of("room of"), plain)
+    )
+
+
+def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
     """Return True if each slot has a name of its kind.
 
     Args:
+        kind: topic or `do` of the template.
         slots: slot -> its text.
-        sites: names that are allowed in the slot `room` besides kinds of rooms.
+        sites: names that are allowed in the slot `room` of a zone besides kinds of rooms.
     """
     room = bare(slots.get("room", ""))
-    if room and not is_room(room) and room not in sites:
+    if room and not is_room(room) and not (kind in _ZONE_KINDS and room in sites):
         return False
     if "within" in slots and not is_room(bare(slots["within"])):
+        return False
+    if kind == "stated" and not _is_place_name(slots["name"]):
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
@@ -265,6 +279,6 @@ def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
         span = slots.get("span")
         return Control(kind, seconds_of(span) if span else None)  # type: ignore[arg-type]
     name = bare(slots.get("site", slots.get("name", ""))) or room
-    if kind == "place" and is_room(name):
-        kind = "room"
+    if kind in ("place", "stated"):
+        kind = "room" if is_room(name) else "place"
     return SiteOrder(kind, name)  # type: ignore[arg-type]

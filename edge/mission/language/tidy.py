@@ -20,9 +20,9 @@ _FIRST_MARK = 0xE000  # private characters stand for quotations
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
            "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
 _APOSTROPHE_IS = re.compile(
-    r"(?<=\d)'s (?=\w+ed\b)|"
+    r"(?<=\w)'s (?=\w+ed\b(?! \w))|(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
-    r"fine|enough|good|"
+    r"fine|enough|good|over|up|"
     r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
     rf"(?:the|an?|my|our) |{phrase_of('relation')} )",

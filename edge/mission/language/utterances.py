@@ -40,8 +40,7 @@ PARTS = {
     # Orders to learn.
     "here": """
         ((the|this|this here) (spot|place|position|location|point|corner|area|aisle|bay)|this|
-            here|it|where (you|
-            we) are|
+            here|where (you|we) are|what you are [standing] in|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -242,9 +241,12 @@ ORDERS = {
         the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
-        {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
+        {here} (is called|is named|will be called|shall be called) <name>
         make {here} <name>
         (we|i) call {here} <name>
+    """,
+    "stated": """
+        {here} (is|will be|shall be) [now|from now on] <name>
     """,
 }
 """`do` of `SiteOrder` → its templates."""
