@@ -40,7 +40,7 @@ PARTS = {
         (round|tour|turn|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
-    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
+    "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] [again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
@@ -51,7 +51,7 @@ PARTS = {
         (do|run|drive|make) (laps|loops|circles|a (lap|loop|circle|circuit))|
         circle|loop|cycle|shuttle|alternate|
         (drive|go|run|move|walk) (around|round|up and down)|(go|drive|walk) between)
-        [between|of|in|through|around|from|at|to|on]
+        [between|of|in|through|around|round|from|at|to|on]
         """,
     "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
     "back": """

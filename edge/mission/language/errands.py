@@ -36,7 +36,7 @@ from edge.mission.language.places import (
     mark_places,
     restore_places,
 )  # fmt: skip
-from edge.mission.language.spans import number_of, seconds_of
+from edge.mission.language.spans import COUNT, DURATION, number_of, seconds_of
 from edge.mission.language.templates import END, STOP, compile_templates
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.unsupported import BEYOND_NAMES
@@ -102,16 +102,19 @@ _PATROLS = compile_templates(
     """
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
-    {patrol} <stops> , [for|during] <span> [long]
+    {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
     {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
             all (day|night|the time)|over and over [again]|again and again)
+    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* keep (doing|repeating) (it|that|this)
+            [forever|over and over|again]*
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,
     PARTS,
 )
 _ROUNDS_FIRST = compile_templates(
-    "<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS
+    "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
+    "<stops>", PARTS
 )
 _ERRAND_AND_BACK = compile_templates(
     """
@@ -226,10 +229,15 @@ _FIRST_REWRITES = (
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(rf"[.;](?= (?:for )?{COUNT} (?:rounds|laps|loops|times)[.!]*$)", re.I), ","),
+    (re.compile(rf"^ (?:for|during) (?P<span>{DURATION}),? (?P<order>(?:patrol|explore|guard)\b"
+                r"[^.;!?]*)", re.I), r" \g<order> for \g<span>"),
+    (re.compile(r",? and (?:when|once|after) you (?:are|have) (?:finish|finished|done|ready),?"
+                r"(?= (?:go|come|drive|return|find|look|visit)\b)", re.I), ", then"),
     (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
-    (re.compile(r"(?:,|,? and) after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),

@@ -13,7 +13,7 @@ from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 _MAY_DIRECT = re.compile(
     r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
     r"except|unless|if|until|"
-    r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
+    r"before|after|instead|but|first|second|third|next|(?<!at )last|then|avoid|never|allow|allowed|"
     r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"

@@ -318,8 +318,9 @@ IDIOMS = """
     thank (you|heavens|goodness|god) [for ...]
     [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
-            (secret|cold|dark|late|urgent|important|
-            emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
+            (secret|cold|dark|late|urgent|important|packed|crowded|slippery|
+            occupied|full|raining|noisy|emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
+            [now|today|again]*
     (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
     [so|so that] you (know|learn|remember|will know|get to know) (what|who|where|your|the place|
@@ -342,8 +343,10 @@ REMARKS = """
     [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
             really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
             upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
-            waiting|here)
+            waiting|here|over|starting|beginning|arriving|gone|full|packed|crowded)
             ...
+    <thing> (starts|begins|arrives|ends) [now|soon|today]*
+    it (has|had) (got|been) ...
 """
 """Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
 ASSENTS = """
