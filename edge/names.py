@@ -166,7 +166,8 @@ NEAR: dict[str, tuple[str, ...]] = {
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
 # Words for `singular`: irregular plurals, nouns without a singular, endings of singular nouns.
-_PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
+_PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch",
+            "cookies": "cookie"}  # fmt: skip
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
 _NO_PLURAL = ("ss", "us", "is")

@@ -125,7 +125,7 @@ _ERRAND_AND_BACK = compile_templates(
 )
 _STARTS = compile_templates(
     """
-    {then} ((come|go|get|drive|head|run|return|move) [back|home]*|back) to {home}
+    {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
     """,
@@ -163,7 +163,7 @@ _RELATED = re.compile(
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug, find either"
 _INTRODUCED = re.compile(
     r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
-    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
+    r"are missing|am missing|miss|(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
     rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
     r" (?:(?:should|must|ought to|will) be|is|are|was|were)(?: still| probably)*)?"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
@@ -172,7 +172,7 @@ _INTRODUCED = re.compile(
     r"(?:so |please |kindly |and |(?:can|could|would|will) you )*"
     r"(?P<order>[^,.;!?]*?) (?:it|them|that|(?P<there>there)|(?P<any>either(?: of them)?|"
     r"one of (?:them|these|those|this)|whichever(?: (?:one )?you (?:can )?find)?))(?: there)?"
-    r"(?=[,.;!?]|$)",
+    rf"(?: (?P<later>{phrase_of('relation')}) (?P<at>{NAME}))?(?=[,.;!?]|$)",
     re.I,
 )
 _GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
@@ -238,6 +238,7 @@ _FIRST_REWRITES = (
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
     (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -412,8 +413,13 @@ def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
 def _rewrite_introduced(found: re.Match[str]) -> str | None:
     """Put the thing that the first clause names in place of the second clause's pronoun."""
     slots = found.groupdict()
-    thing, where = bare(found["thing"]), _relation_text(found["relation"], found["anchor"])
-    known = slots["opening"] or (_is_name(thing) and TABLE.get((thing.split()[0],)) != "verb")
+    thing = bare(found["thing"])
+    relation, anchor = slots["relation"] or slots["later"], slots["anchor"] or slots["at"]
+    where = _relation_text(relation, anchor)
+    verb = thing == slots["thing"].lower() and TABLE.get((thing.split()[0],)) == "verb"
+    known = slots["opening"] or (_is_name(thing) and not verb)
+    if slots["relation"] and slots["later"]:
+        return None
     if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
         return None
     other = f" or the {bare(slots['other'])}" if slots["other"] else ""

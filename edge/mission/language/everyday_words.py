@@ -66,11 +66,10 @@ _ROWS: dict[str, str] = {
         (boy|robot|lad|girl|chap|fellow); to charge; (it|) starting (now|today); as of (now|today);
         (from|) end to end; (from|) top to bottom; of course; if (your|the) battery allows;
         whichever you (like|please|prefer); (while|when) you are at it; (all|) by yourself; yes;
-        (and|then) report; (and|) (tell|give|say|show|report) (to|) (me|us) the (result|answer);
+        (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|us) the (result|answer);
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
-        (to|do|try to|you have to|) (remember|memorize|memorise) (it|that|);
         as far as you (know|remember);
         every (bit|part|inch|corner) of it;
         like a (guard|policeman|robot|spy)

@@ -35,7 +35,7 @@ _BEFORE_NO_VERB = re.compile(
 SUBORDINATE = (
     r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
     r"(?:i|we|he|she|they|somebody|someone|people|there|my|our)\b|"
-    r"(?:because|cause|since) (?:it|that|the)\b|"
+    r"(?:because|cause|since) (?:it|that|the|\w+ (?:is|are|was|has|have))\b|"
     r"so (?:can|could|will|would) you\b|so (?:go|come|drive|find|check|look)\b|"
     r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
     r"(?:for|in order) to (?:know|learn|get to know) )"

@@ -64,7 +64,7 @@ PARTS = {
     "not": """
         [you|robot|robots|the robot] (do not [you dare|you|ever|dare]|never [ever]|
         (must|may|can|should|shall|will) not|not [may|can|should]|
-        (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
+        (are|have) (not|never [ever]) (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
         it is (forbidden|prohibited|not allowed|not permitted) [for you|that you]|forbidden|
         (i|we) (do not want|will not have) you|
@@ -146,6 +146,8 @@ QUESTIONS = {
             <thing> [in] {last}
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
+        {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <thing> (is|are) in
+        {tell} when {you} {seen} <thing> {last}
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
             misplaced|am looking for|
@@ -182,7 +184,7 @@ QUESTIONS = {
 ORDERS = {
     "stay_inside": """
         [you|must|should|have to|only|just|always]* (stay|remain|keep|drive|move|be)
-            [only|just|always] (inside|in|within) ({this_room}|<room>) [only] {while}
+            [only|just|always]* (inside|in|within) ({this_room}|<room>) [only] {while}
         {not} (leave|leaving|go out of|going out of|go outside|go outside of|get out of|exit|
             drive out of) ({this_room}|<room>) {while}
     """,
@@ -241,6 +243,7 @@ ORDERS = {
         the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
+        {here} is <name> , [so|and|now|do|to|try to|you have to]* {keep} [it|this|that]
         {here} (is called|is named|will be called|shall be called) <name>
         make {here} <name>
         (we|i) call {here} <name>
@@ -266,7 +269,7 @@ CONTROL = {
     """,
     "cancel": """
         {quit} [, {quit}]*
-            [, you are (done|finished)|, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+            [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|somewhere else)]
         do nothing (more|else|further)
         [you (can|may)] forget [about] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
