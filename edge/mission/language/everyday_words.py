@@ -70,6 +70,7 @@ _ROWS: dict[str, str] = {
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
+        (to|do|try to|you have to|) (remember|memorize|memorise) (it|that|);
         as far as you (know|remember);
         every (bit|part|inch|corner) of it;
         like a (guard|policeman|robot|spy)

@@ -22,6 +22,9 @@ _PLACES = """
     roof room shed shop sidewalk stair stairs staircase station storeroom street studio study
     terrace aisle bay ward suite sector lane terminal cell block slot level
     storey
+    kitchenette washroom canteen stockroom mailroom cloakroom ballroom boardroom darkroom showroom
+    staffroom lunchroom guestroom stairwell sunroom mezzanine sluice loft carport parlor parlour
+    workroom hideout
     toilet|room wall waypoint wc workshop yard zone area region
     airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
     cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest

@@ -232,7 +232,7 @@ def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
 def _is_place_name(name: str) -> bool:
     """Return True if "this is the tea corner" names a place, unlike "this is fun"."""
     plain = bare(name)
-    definite = re.match(r"(?:the|our) ", name, re.I) and plain.split()[-1] not in NOWHERE
+    definite = re.match(r"the ", name, re.I) and plain.split()[-1] not in NOWHERE
     return bool(definite or nouns.is_place(plain) or is_marked(plain)) or bool(
         re.fullmatch(phrase_of("room of"), plain)
     )

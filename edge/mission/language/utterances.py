@@ -243,7 +243,6 @@ ORDERS = {
         the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
-        {here} is <name> , [so|and|now|do|to|try to|you have to]* {keep} [it|this|that]
         {here} (is called|is named|will be called|shall be called) <name>
         make {here} <name>
         (we|i) call {here} <name>
