@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 PARTS = {
-    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but]",
+    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but] "
+            "[you (must|have to|should|need to)]",
     "drive": """
         (go|drive|run|head|move|roll|walk|come|get|pop|nip|hurry|travel|return|hop|step|zip|swing|
         ride|rush|dash)

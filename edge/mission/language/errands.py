@@ -54,6 +54,7 @@ _CHECKS = compile_templates(
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
             {still} (there|in there)
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing> there
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
@@ -163,7 +164,7 @@ _RELATED = re.compile(
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug, find either"
 _INTRODUCED = re.compile(
     r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
-    r"are missing|am missing|miss|(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
+    r"are missing|am missing|miss|can not (?:think|remember) where (?:i|we) (?:put|left)|(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
     rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
     r" (?:(?:should|must|ought to|will) be|is|are|was|were)(?: still| probably)*)?"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
@@ -177,6 +178,10 @@ _INTRODUCED = re.compile(
 )
 _GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
 _FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
+# "reception, but not through the hall", "room 3 first, then room 5"
+_ROOM_FIRST = re.compile(
+    rf"^ (?P<name>{NAME})(?=(?: first)?(?:,? (?:and )?then |,? but |,? without )| first, )", re.I
+)
 # "find the mug, it should be on the desk"
 _HINTED = re.compile(
     rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
@@ -318,10 +323,11 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     for pattern, plain in _FIRST_REWRITES:
         text = pattern.sub(plain, text)
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
-        ([_INTRODUCED], _rewrite_introduced),
         ([_HINTED], _rewrite_hinted),
         ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
+        ([_INTRODUCED], _rewrite_introduced),
+        ([_ROOM_FIRST], _rewrite_room_first),
         (_SEARCHES, _rewrite_search),
         (_PATROLS, _rewrite_patrol),
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
@@ -427,6 +433,12 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     if slots["there"] and order == found["order"]:
         return None
     return f" {order} the {thing}{where}{other}"
+
+
+def _rewrite_room_first(found: re.Match[str]) -> str | None:
+    """Put "go to" before a room or place at the beginning."""
+    name = bare(found["name"])
+    return f" go to {_with_article(found['name'])}" if is_room(name) else None
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:

@@ -21,7 +21,7 @@ _ROWS: dict[str, str] = {
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
         quickly; yes;
-        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
+        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you (go|toddle|trot|pop|run);
         buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
         watch out; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
@@ -40,7 +40,7 @@ _ROWS: dict[str, str] = {
         mind (that|) you;
         i (wonder|was wondering) (if|whether) you (could|would|might)
         (be so kind|be so good|) (as to|); i (would be|am) (much obliged|grateful|glad|happy) if you
-        (could|would); (perhaps|maybe) you (could|would|might|can); you might (like|want) to;
+        (could|would|); (perhaps|maybe) you (could|would|might|can); you might (like|want) to;
         i dare you to; is it possible; is possible (that|) you; wow; oops; goodness; dear me;
         vroom; beep; whee; yay; (if it is|unless it is) not too much (bother|trouble);
         (forgive|pardon|excuse) me (for asking|) (again|) (but|); (i am|) sorry to (ask|bother you)
@@ -131,7 +131,7 @@ _ROWS: dict[str, str] = {
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
         (in|at|by|near|next to); go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to);
-        go visit; pay a visit to; take a trip to; go have a look at;
+        go visit; (pay|paid) a visit to; take a trip to; go have a look at;
         (take|get|bring|off) yourself (off|down|up|along) to;
         (go|move|drive|get|come) (close|closer|next|up) to; (move|drive|get|come) near
     """,

@@ -18,7 +18,7 @@ _MAY_DIRECT = re.compile(
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"
     r"insist|order|ask|tell|call|called|name|"
-    r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
+    r"named|remember|find|which|whichever|whatever|either|order|ones?(?! \w+$| \w+ (?:is|are|has|have) )|both|twice|times|rounds?|"
     r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
     r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"
@@ -64,6 +64,7 @@ def has_order(words: list[str]) -> bool:
         TABLE.get((word,)) in ("verb", "avoid")
         and word not in PAST
         and not word.endswith(("ed", "ing"))
+        and not (word.endswith("s") and TABLE.get((word[:-1],)) == "verb")
         and not _BEFORE_NO_VERB.match(before)
         for before, word in zip(["", *words], words, strict=False)
     )

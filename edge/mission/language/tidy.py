@@ -34,7 +34,7 @@ _HESITATION = re.compile(
 )
 # Words of which a speaker says one twice, and words with which a repeated clause begins.
 _SMALL = (
-    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
+    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|am|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|not|never|me|from|ever)"
 )
@@ -50,7 +50,7 @@ _REPEATED = re.compile(
 """One to four words that a speaker says twice: "where is the where is the"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
-    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
+    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
     re.I,
 )
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""

@@ -318,6 +318,8 @@ IDIOMS = """
     [it] is all one to (me|us)
     (i|we) want to (show|tell|give) you ...
     thank (you|heavens|goodness|god) [for ...]
+    you have done [quite|more than]* (enough|well) [today|now|already]*
+    (i|we) [do] not know where (it|he|she|they) ...
     [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|packed|crowded|slippery|
