@@ -222,7 +222,7 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|scrap|drop) [about]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|(scrap|drop) (the|this) name) [about]
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
