@@ -17,7 +17,7 @@ PARTS = {
     "check": """
         (check|see|look|look see|look and see|verify|find out|control|have a look|take a look|have
         a quick look|confirm|
-        double check|peek|inspect|have a peek|take a peek|tell me)
+        double check|peek|inspect|have a peek|take a peek|tell me|let me know)
         """,
     "still": "[still|really|actually|also|now|already|always]*",
     "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} "

@@ -133,6 +133,10 @@ _GO_AND_LOOK = re.compile(
     re.I,
 )
 """The order, after a question, to go and look for the answer."""
+_REMEMBER = re.compile(
+    rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
+)
+"""An order to remember that does not say as what; the grammar would read a visit."""
 _SEVERAL_KINDS = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
 
@@ -162,6 +166,10 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
     speech = tidy_up(said)
     if (kind := _classify(speech.text, sites)) is not None:
         return kind
+    if _REMEMBER.fullmatch(speech.text):
+        raise UnclearError(
+            "instruction: unclear what to remember; say 'remember this as the …', or 'go to the …'"
+        )
     question, _, order = speech.text.partition("?")
     if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
         asked = _classify(f"{question}?", sites)
@@ -194,7 +202,8 @@ def _may_be_order(piece: str, kind: UtteranceKind | None) -> bool:
     if kind is not None:
         return kind != Control("pause")
     words = piece.lower().split()
-    return has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)
+    named = is_room(bare(piece)) or nouns.unknown_in(bare(piece).split()) is None
+    return named or has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)
 
 
 def _as_question(text: str) -> str:

@@ -12,7 +12,7 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|or (not|(did|has|have|was|is|are) ...)|(when|while|as) you [last] (were|was|drove|went|looked|
+        this (morning|afternoon|evening)|yes or no|or (not|(did|has|have) ...)|(when|while|as) you [last] (were|was|drove|went|looked|
             came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
