@@ -44,7 +44,7 @@ _ROWS: dict[str, str] = {
         i dare you to; is it possible; is possible (that|) you; wow; oops; goodness; dear me;
         vroom; beep; whee; yay; (if it is|unless it is) not too much (bother|trouble);
         (forgive|pardon|excuse) me (for asking|) (again|) (but|); (i am|) sorry to (ask|bother you)
-        (again|) (but|); why do not you; why do n't you; time to; in your memory;
+        (again|); but; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
         as far as you (know|remember); be the guard and; be a guard and; come on;
         follow the plan and; please to
@@ -181,7 +181,7 @@ _ROWS: dict[str, str] = {
     "clock": """
         at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
         (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon);
-        (after|before) (lunch|dinner|breakfast|supper); (half|quarter) (past|to); o'clock; oclock;
+        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to); o'clock; oclock;
         on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
     """,
 }  # fmt: skip

@@ -11,7 +11,7 @@ from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _MAY_DIRECT = re.compile(
-    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! (?:just|got|has|had))|"
     r"except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|(?<!at )last|then|avoid|never|allow|allowed|"
     r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"

@@ -36,7 +36,7 @@ _HESITATION = re.compile(
 _SMALL = (
     "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|am|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
-    "wait|no|not|never|me|from|ever)"
+    "wait|no|not|never|me|from|ever|with|without)"
 )
 _BEGINS = (
     "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait|check|explore|visit|"
@@ -72,7 +72,7 @@ _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.
-_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I)
+_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again|is that)\b", re.I)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ def tidy_up(said: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    text = text.replace(",:", ":")
+    text = re.sub(r"[ ,]+:(?= )", ":", text)
     once = _REPEATED.sub(r"\1\2", text)
     uncorrected = strip_politeness(_LIKE.sub("", once))
     corrected = _apply_corrections(uncorrected)

@@ -31,7 +31,7 @@ PARTS = {
         [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|
             show me|do you [still] (know|remember)|you know|
         [i wonder|any idea|i want to know|remind me|you remember|i was wondering|
-            (do you|you would not|would you) happen to (know|remember|recall)|
+            [do|would] [you] [would] [not] happen to (know|remember|recall)|
         have you any idea])
         """,
     "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
