@@ -1,4 +1,4 @@
-"""Client for OpenAI-compatible chat servers.
+"""Client for OpenAI-compatible chat servers, for the translator `llm`, scorers and task writer.
 
 It follows no redirects and no proxy settings of the environment, so the API key goes to the
 configured server only. The package `openai` is not used because it limits only each read of a
@@ -114,7 +114,7 @@ class ChatClient:
 
         Raises:
             ChatError: no usable answer within the limits; `TokenLimitError` if the token limit
-            ended it.
+                ended the answer.
         """
         return self._parse_content(self._reply(messages, left_s, options))
 
@@ -150,13 +150,14 @@ class ChatClient:
     def close(self) -> None:
         """Cancel running requests at once; later requests fail."""
         with self._lock:
-            self._closed, exchanges = True, tuple(self._under_way)
-        for exchange in exchanges:
+            self._closed, running = True, tuple(self._under_way)
+        for exchange in running:
             exchange.cancel(RequestCancelledError())
 
     def _reply(
         self, messages: list[dict[str, Any]], left_s: float | None, options: dict[str, Any]
     ) -> HttpReply:
+        """Send a request and return its reply; for arguments and errors see `ask`."""
         left_s = self.time_limit_s if left_s is None else left_s
         if left_s <= 0:
             raise self._timeout_error()
@@ -177,6 +178,11 @@ class ChatClient:
         return reply
 
     def _exchange(self, body: bytes, left_s: float) -> HttpReply:
+        """Send the body and return the reply, of any HTTP status; `close` cancels it.
+
+        Raises:
+            ChatError: the client is closed, or no complete reply came.
+        """
         exchange, request = CancellableRequest(), self._request(body, left_s)
         with self._lock:
             if self._closed:
@@ -193,6 +199,7 @@ class ChatClient:
                 self._under_way.discard(exchange)
 
     def _request(self, body: bytes, left_s: float) -> httpx.Request:
+        """Return the HTTP request for a body, with a timeout for each step of it."""
         parts = self._parts
         url = parts._replace(path=f"{parts.path.rstrip('/')}/chat/completions", fragment="")
         headers = {
@@ -206,6 +213,7 @@ class ChatClient:
         )
 
     def _parse_content(self, reply: HttpReply) -> str:
+        """Return the text of the answer; for errors see `ask`."""
         answer, shown = self._parse_json(reply), self._quote(reply.body)
         try:
             choice = answer["choices"][0]
@@ -225,6 +233,7 @@ class ChatClient:
         return content
 
     def _parse_log_probabilities(self, reply: HttpReply) -> list[tuple[str, float]]:
+        """Return the first token's alternatives; see `next_tokens`."""
         answer = self._parse_json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]

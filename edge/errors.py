@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 
 FAILED = 1
+"""Exit code of a failed mission or check."""
 EXIT_CODES = {
     os.EX_OK: "done, or stopped by request",
     FAILED: "the mission failed, or a check did not pass",

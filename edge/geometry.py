@@ -54,6 +54,7 @@ class SE2:
         return se3(self.x_m, self.y_m, z_m, yaw_rad=self.yaw_rad)
 
     def distance_to(self, x_m: float, y_m: float) -> float:
+        """Return the distance to a point, in metres."""
         return math.hypot(x_m - self.x_m, y_m - self.y_m)
 
     def ahead(self, distance_m: float) -> tuple[float, float]:
@@ -133,7 +134,7 @@ def downsample(grid: Grid, max_side: int) -> Grid:
     k is the smallest factor that keeps both sides within `max_side` cells.
     """
     h, w = grid.cells.shape
-    k = max(1, -(-max(h, w) // max_side))
+    k = max(1, -(-max(h, w) // max_side))  # `-(-a // b)` rounds up
     if k == 1:
         return grid
     padded = np.full((-(-h // k) * k, -(-w // k) * k), -1, dtype=np.int8)
@@ -244,6 +245,14 @@ class CameraModel:
 
     Code that computes strides or rays from a camera need not check the numbers again.
 
+    Attributes:
+        width_px: Width of the image.
+        height_px: Height of the image.
+        fx_px: Focal length in x.
+        fy_px: Focal length in y.
+        cx_px: Column of the principal point.
+        cy_px: Row of the principal point.
+
     Raises:
         ValueError: The numbers are outside the limits (`MIN_FOCAL`, `MAX_FOCAL`, `MAX_ASIDE`,
             `MAX_SIDE_PX`).
@@ -289,6 +298,7 @@ class CameraModel:
 
     @property
     def hfov_rad(self) -> float:
+        """Horizontal field of view."""
         return 2.0 * math.atan(0.5 * self.width_px / self.fx_px)
 
     def bearing_of(self, u_px: np.ndarray | float) -> np.ndarray:
@@ -331,11 +341,15 @@ def optical_yaw_rad(T: np.ndarray) -> float:
 
 
 def overlaps(a_xyxy: np.ndarray, b_xyxy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much two sets of boxes overlap, (n, 4) and (m, 4).
+    """Return how much the boxes of two sets overlap.
+
+    Args:
+        a_xyxy: (n, 4), the first boxes.
+        b_xyxy: (m, 4), the second boxes.
 
     Returns:
         Two (n, m) arrays: intersection over union, and intersection over the area of the first
-        box. Both are 0 if the area is empty.
+        box. A ratio is 0 if its divisor is 0.
     """
     low = np.maximum(a_xyxy[:, None, :2], b_xyxy[None, :, :2])
     high = np.minimum(a_xyxy[:, None, 2:], b_xyxy[None, :, 2:])

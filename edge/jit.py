@@ -18,7 +18,7 @@ def _ignore_stale_indexes(load: Any) -> Any:
     """Return numba's reader of cached kernels, without its crash after an update of this package.
 
     The index of the kernels that an older version compiled may name a class that is gone. Numba
-    reads the names before it notices that the source is another, and raises AttributeError.
+    reads these names before it notices that the source has changed, and raises AttributeError.
     """
 
     @wraps(load)

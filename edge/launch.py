@@ -61,7 +61,12 @@ _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 @dataclass
 class LaunchedService(RunningService):
-    """A running service with its Zenoh session and its sinks."""
+    """A running service with its Zenoh session and its sinks.
+
+    Attributes:
+        session: The open session.
+        sinks: All sinks of the service.
+    """
 
     session: zenoh.Session
     sinks: Sequence[Sink]
@@ -71,7 +76,7 @@ class LaunchedService(RunningService):
 def open_service(
     config: Config,
     sinks: Sequence[Sink],
-    asked: str | None = None,
+    instruction: str | None = None,
     formula: str | None = None,
     task: str | None = None,
     stop: threading.Event | None = None,
@@ -87,10 +92,10 @@ def open_service(
     Args:
         config: The configuration.
         sinks: Sinks in addition to those of the configuration.
-        asked: The mission of the configuration, if the command line set it.
+        instruction: The mission of the configuration, if the command line set it; else None.
         formula: A formula that replaces the mission of the configuration.
         task: A task that replaces the mission of the configuration (`edge.tasks.mission_spec`). If
-            `asked`, `formula` and `task` are all None, the unfinished mission of a checkpoint
+            `instruction`, `formula` and `task` are all None, the unfinished mission of a checkpoint
             continues. It then takes precedence over the configuration.
         stop: Event that cancels the start. A step that cannot be interrupted, such as compiling,
             is left to a background thread (`edge.host.interruptible`).
@@ -124,11 +129,11 @@ def open_service(
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))
         stack.callback(site.close)
         if mission.checkpoint is not None:
-            named = next((text for text in (task, formula, asked) if text is not None), None)
-            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), named)
+            given = next((text for text in (task, formula, instruction) if text is not None), None)
+            checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), given)
             stack.callback(checkpoint.close)
             spec = checkpoint.saved_spec()
-        idle = mission.on_request and spec is None and {asked, formula, task} == {None}
+        idle = mission.on_request and spec is None and {instruction, formula, task} == {None}
         if spec is None:
             progress("understanding the mission")
             spec = prepare_mission(config, task, site.known, formula=formula)
@@ -284,8 +289,8 @@ def child_processes(
                         arguments, env=environ, start_new_session=True, pass_fds=(file.fileno(),)
                     )
                 except OSError as error:
-                    named = " ".join([command, *options])
-                    raise UserError(f"cannot start `edge {named}`: {error.strerror}") from None
+                    shown = " ".join([command, *options])
+                    raise UserError(f"cannot start `edge {shown}`: {error.strerror}") from None
                 started.append(child)
             with _watch(started, stop):
                 yield started

@@ -165,14 +165,15 @@ NEAR: dict[str, tuple[str, ...]] = {
 }
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
-# Words for `singular`: irregular plurals, nouns without a singular, endings of singular nouns.
+# For `singular`: irregular plural → singular.
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch",
             "cookies": "cookie"}  # fmt: skip
+# Nouns without a singular; "glasses" is one only as eyeglasses.
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
-_NO_PLURAL = ("ss", "us", "is")
+_NO_PLURAL = ("ss", "us", "is")  # endings of singular nouns
 _ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
-# Words that end the name in a phrase: the rest describes where or how the object is.
+# Words after which a phrase describes the place or the state of its object.
 _AFTER_HEAD = re.compile(
     r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
     r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
@@ -189,9 +190,12 @@ _SMALL_NUMBERS = """
 """
 _ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth"
 SMALL_NUMBERS = tuple(_SMALL_NUMBERS.split())
+"""Words for 0 to 19."""
+# Words for 20, 30, …
 TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
 ORDINALS = tuple(_ORDINALS.split())
-STOREYS = ("floor", "level", "storey", "story")
+"""Words for 1st to 10th."""
+STOREYS = ("floor", "level", "storey", "story")  # "floor 2" is the "second floor"
 _MOST_SPELLED = 10  # largest number that a normalised name has as a word
 
 _CANONICAL: dict[str, str] = {name: name for name in ALIASES}
@@ -233,6 +237,7 @@ def normalise(word: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _tidy(word: str) -> str:
+    """Do one pass of `normalise`."""
     text = _VARIANT_LETTER.sub("", _VARIANT.sub("", word.strip()))
     text = " ".join(_CAMEL.sub(" ", re.sub(r"[_\-]+", " ", text)).split())
     text = text.lower().strip(" .,;:!?'\"")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from edge.geometry import SE2, wrap_angle
 
 STUCK_M = 0.05
-"""Default of `stuck_m`: a robot that moves less than this has not moved."""
+"""Default of `stuck_m`: a shorter movement does not count."""
 TURN_RAD = 0.2
-"""Turn that counts as movement, like a distance of `stuck_m`."""
+"""Smallest turn that counts as movement."""
 
 
 class StuckDetector:
-    """A detector of a pose that stays within `stuck_m` and 0.2 rad while motion is commanded.
+    """A detector of a pose that stays within `stuck_m` and `TURN_RAD` while motion is commanded.
 
     The robot is stuck after `stuck_s` of commanded motion. Time without a motion command does not
     count. Nor does it restart the wait, because a blocked robot may get one goal after another,

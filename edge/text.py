@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 MAX_CHARS = 200
+"""Default limit of `one_line`."""
 
 # Scheme, user and password, host and path, query and fragment. No scheme is longer than 32
 # characters. Without a limit, a long word would be scanned again from each of its letters.
@@ -57,6 +58,7 @@ def bounded_repr(value: object, limit: int = 80) -> str:
     return line if len(line) <= limit else line[: limit - 1] + "…"
 
 
+# Container → its brackets in `repr`.
 _BRACKETS: dict[type, tuple[str, str]] = {
     list: ("[", "]"), tuple: ("(", ")"), set: ("{", "}"), dict: ("{", "}")
 }  # fmt: skip

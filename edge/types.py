@@ -16,9 +16,11 @@ from edge.geometry import SE2, CameraModel, se2_of
 class Slot(Protocol):
     """A reference-counted slot in a frame pool (see `edge.sources.pool`)."""
 
-    def hold(self) -> None: ...
+    def hold(self) -> None:
+        """Add a reference, so that the slot is not reused."""
 
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Remove a reference; without references, the slot may be reused."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +62,7 @@ class Observation:
 
     @property
     def pose(self) -> SE2:
+        """Pose of the robot in the plane at `stamp_ns`."""
         return se2_of(self.T_map_base)
 
     def hold(self) -> None:
@@ -68,6 +71,7 @@ class Observation:
             self.slot.hold()
 
     def release(self) -> None:
+        """Allow the reuse of the arrays again; see `hold`."""
         if self.slot is not None:
             self.slot.release()
 
@@ -139,8 +143,8 @@ class Detections:
     def __len__(self) -> int:
         return len(self.score)
 
-    def around(self) -> Detections | None:
-        """Return the context boxes as detections with its words as prompts.
+    def context_detections(self) -> Detections | None:
+        """Return the context boxes as detections, with `context.words` as prompts.
 
         Return None if there is no context.
         """
@@ -300,6 +304,7 @@ class MissionStatus:
 
     @property
     def done(self) -> bool:
+        """True if the mission has ended."""
         return self.phase in ("reached", "failed")
 
 

@@ -73,6 +73,7 @@ SIM = {"perception": {"detector": {"kind": "sim"}}}
 FAULTS = [
     ({"mision": {}}, "f.yaml: mision: unknown key (did you mean 'mission'?)"),
     ({"robot": {"radius": 1}}, "f.yaml: robot.radius: unknown key (did you mean 'radius_m'?)"),
+    ({"robot": {"": 1}}, "f.yaml: robot.'': unknown key (choices: height_m, "),
     (
         {"policy": {"kind": "hvl", "w_dst": 1}},
         "f.yaml: policy.w_dst: unknown key (did you mean 'w_dist'?)",

@@ -19,7 +19,7 @@ from edge.cli.mission import PATIENCE_S, as_text
 from edge.cli.service_request import ANSWER_S
 from edge.config import MissionConfig, ZenohConfig, load
 from edge.errors import FAILED, UserError
-from edge.fleet.dispatch import LOOK_S, Dispatcher, FleetPlan, plan
+from edge.fleet.dispatch import POLL_S, Dispatcher, FleetPlan, plan
 from edge.fleet.orders import PartOutcome
 from edge.fleet.roster import Robot, open_roster
 from edge.host.signals import stop_on_signals
@@ -124,7 +124,7 @@ def _watch(args: argparse.Namespace) -> int:
                 )
             if robots is not None:
                 before = _changes(before, robots, args.json)
-            roster.wait(LOOK_S)
+            roster.wait(POLL_S)
     return 0
 
 

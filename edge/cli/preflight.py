@@ -27,7 +27,7 @@ from edge.config import (
 )
 from edge.errors import UserError
 from edge.host.credentials import read_token
-from edge.mission.planning.planner import find_own_planner
+from edge.mission.planning.planner import find_plugin_planner
 from edge.mission.translate import make_translator
 from edge.perception.embedding.encoders import check_text_encoder, make_text_encoder
 from edge.perception.embedding.text import PromptError
@@ -103,7 +103,7 @@ def _policy(config: Config) -> None:
 
 def _planner(config: Config) -> None:
     if isinstance(config.mission.planner, PlannerPlugin):
-        find_own_planner(config.mission.planner, config.locate("mission.planner"))
+        find_plugin_planner(config.mission.planner, config.locate("mission.planner"))
 
 
 def _bus(config: Config) -> None:

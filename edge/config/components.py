@@ -1,4 +1,7 @@
-"""Components that a configuration names: ours by short name, plugins as `module:Class`."""
+"""Construction of components that a configuration names, such as sinks and policies.
+
+Our components have short names; plugins of the user are named `module:Class`.
+"""
 
 from __future__ import annotations
 

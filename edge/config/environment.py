@@ -18,6 +18,7 @@ from edge.text import bounded_repr, one_line, redact
 log = logging.getLogger("edge.config")
 
 PREFIX = "EDGE__"
+"""First characters of the variables that set a key."""
 KNOWN_VARIABLES = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE")
 """Variables that `edge` reads in addition to those that set a key."""
 
@@ -58,12 +59,15 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         }
 
     def _sources(self, path: str, key: tuple[str, ...]) -> list[str]:
+        """Return the sources of one key: an override of it, else the file and related overrides."""
         starts = [key[:n] for n in range(len(key), 0, -1)]  # the key, then the sections around it
-        if (own := next(filter(None, map(self.get, starts)), None)) is not None:
-            return [own]
+        if (origin := next(filter(None, map(self.get, starts)), None)) is not None:
+            return [origin]
         # A key may be wrong because an override chose the kind of its section.
         kinds = {(*start, "kind") for start in starts}
-        parts = [by for set_, by in self.items() if set_[: len(key)] == key or set_ in kinds]
+        parts = [
+            origin for other, origin in self.items() if other[: len(key)] == key or other in kinds
+        ]
         return parts if key in self.added_sections else [path, *parts]
 
 

@@ -1,4 +1,8 @@
-"""Error messages for a wrong configuration, with the keys that the user wrote."""
+"""Error messages for wrong YAML files, with the keys that the user wrote.
+
+The configuration and the model cards are checked by pydantic, whose list of faults becomes one line
+for each fault here.
+"""
 
 from __future__ import annotations
 
@@ -46,30 +50,31 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
     loc = [part for part in fault["loc"] if part != "[key]"]  # pydantic's mark of a wrong key
     *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
-    key = one_line(".".join([*shown, str(leaf)])) or "it"
+    key = one_line(".".join([*shown, one_line(leaf) or "''"]))
     kind, context = fault["type"], fault.get("ctx", {})
     tag = ("kind",) if kind == "union_tag_invalid" else ()
     path = origin(path, (*shown, str(leaf), *tag))
+    where = f"{path}: {key}" if loc else path  # without a key: a fault of the whole file
     given = redact(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
-        return f"{path}: {key}.kind: unknown {bounded_repr(context['tag'])} (choices: {choices})"
+        return f"{where}.kind: unknown {bounded_repr(context['tag'])} (choices: {choices})"
     no_section = kind == "union_tag_not_found" and not isinstance(fault["input"], dict)
     if no_section or kind in ("model_type", "model_attributes_type"):
-        return f"{path}: {key}: expected a section of keys, got {bounded_repr(given)}"
+        return f"{where}: expected a section of keys, got {bounded_repr(given)}"
     if kind in ("missing", "union_tag_not_found"):
-        return f"{path}: {key}{_missing(fault['loc'], models, root)}"
+        return f"{where}{_missing(fault['loc'], models, root)}"
     if kind == "literal_error":
         choices = context["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{path}: {key}: unknown {bounded_repr(given)} (choices: {choices})"
+        return f"{where}: unknown {bounded_repr(given)} (choices: {choices})"
     if kind == "extra_forbidden":
         names = sorted({name for model in models for name in model.model_fields} - {"path"})
         close = difflib.get_close_matches(str(leaf), names, n=1)
         hint = f"did you mean {close[0]!r}?" if close else f"choices: {', '.join(names)}"
-        return f"{path}: {key}: unknown key ({hint})"
+        return f"{where}: unknown key ({hint})"
     message = fault["msg"].removeprefix("Value error, ")
     got = "" if isinstance(given, dict) else f", got {bounded_repr(given)}"
-    return f"{path}: {key}: {message[0].lower()}{message[1:]}{got}"
+    return f"{where}: {message[0].lower()}{message[1:]}{got}"
 
 
 def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:

@@ -53,7 +53,7 @@ class ZenohConfig(Section):
 
     @field_validator("endpoint")
     @classmethod
-    def _holds_no_key(cls, endpoint: str) -> str:
+    def _check_endpoint(cls, endpoint: str) -> str:
         if KEY_IN_ENDPOINT in endpoint:
             raise ValueError(
                 f"holds a private key ({KEY_IN_ENDPOINT}), which is not allowed here: put the key "
@@ -63,7 +63,7 @@ class ZenohConfig(Section):
 
     @field_validator("topics")
     @classmethod
-    def _are_apart(cls, topics: dict[str, str]) -> dict[str, str]:
+    def _check_keys_differ(cls, topics: dict[str, str]) -> dict[str, str]:
         taken: dict[str, str] = {}
         for name in get_args(TopicName):
             key = topics.get(name, name)
@@ -173,7 +173,7 @@ class HttpConfig(Section):
     token_file: FilePath | None = None
 
     @model_validator(mode="after")
-    def _asks_who_is_there(self) -> HttpConfig:
+    def _check_token(self) -> HttpConfig:
         if self.port is not None and self.token_file is None and not is_loopback(self.host):
             raise ValueError(
                 f"other machines can reach host {one_line(self.host)}: set token_file "

@@ -1,4 +1,4 @@
-"""The section of the occupancy map."""
+"""The section `mapping`: the occupancy map."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class MappingConfig(Section):
     bump_memory_s: Positive = 600.0
 
     @model_validator(mode="after")
-    def _fits(self) -> MappingConfig:
+    def _check_sizes(self) -> MappingConfig:
         least_m = 2 * (self.range_m + 2 * self.inflation_m) + 1.0
         if self.extent_m < least_m:
             raise ValueError(

@@ -16,6 +16,7 @@ from edge.config.section import (
 )
 
 SMALL_TRANSLATOR = "mini-translator"
+"""Card of the small translation network."""
 
 
 class TranslatorLtl(Section):

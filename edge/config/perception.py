@@ -118,7 +118,8 @@ class ModelProcessConfig(Section):
 class SwapConfig(Section):
     """Conditions for a model that replaces another one in the running service.
 
-    It is tried on the last images. Its output must be valid and its median time within the budget.
+    The new model is tried on the last images. Its output must be valid, and its median time within
+    the budget.
     If both are of one family, it must find half of the old model's boxes above `tau_det`. The old
     model stays loaded until the new one has passed the probation.
 
@@ -143,7 +144,7 @@ class DegradationLevel(Section):
     pause: Literal["similarity", "choice"] | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> DegradationLevel:
+    def _check_one_choice(self) -> DegradationLevel:
         if (self.model is None) == (self.pause is None):
             raise ValueError("set exactly one: model (a cheaper detector), or pause (a scorer)")
         return self
@@ -258,7 +259,7 @@ class PerceptionConfig(Section):
         detector: object detector.
         segmenter: finds the pixels of a target in its box, so that its place is right although
             another object stands before it. It runs in the background, after the detector.
-        prior: estimate of where a target is likely that is not in view: by objects nearby
+        prior: estimate of the likely places of a target that is not in view: by objects nearby
             (`cooccurrence`), by the kind of room (`rooms`), or both. Policies weigh it.
         tau_det: a box of at least this score starts a new object; weaker boxes count only for
             objects that are known.
@@ -314,7 +315,7 @@ class PerceptionConfig(Section):
     reject_radius_m: NonNegative = 0.6
 
     @model_validator(mode="after")
-    def _isolable(self) -> PerceptionConfig:
+    def _check_isolation(self) -> PerceptionConfig:
         if self.isolation == "process" and self.detector.kind != "onnx":
             raise ValueError(
                 f"isolation: process needs perception.detector.kind: onnx; the detector "
@@ -323,7 +324,7 @@ class PerceptionConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _has_what_load_shedding_drops(self) -> PerceptionConfig:
+    def _check_load_shedding(self) -> PerceptionConfig:
         for i, level in enumerate(self.load_shedding.levels):
             key = f"load_shedding: levels: {i}"
             if level.model is not None and self.detector.kind != "onnx":

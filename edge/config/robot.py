@@ -38,7 +38,7 @@ class RobotConfig(Section):
 
     @field_validator("self_filter_m")
     @classmethod
-    def _as_wide_as_itself(cls, value: float | None, info: ValidationInfo) -> float | None:
+    def _default_to_radius(cls, value: float | None, info: ValidationInfo) -> float | None:
         return info.data.get("radius_m") if value is None else value
 
 
@@ -94,7 +94,7 @@ class Camera(SensorMount):
     depth_max_m: Positive = 8.0
 
     @model_validator(mode="after")
-    def _is_one(self) -> Camera:
+    def _check_intrinsics(self) -> Camera:
         try:
             self.intrinsics()
         except ValueError as error:

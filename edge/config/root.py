@@ -101,7 +101,7 @@ class Config(Section):
 
     @field_validator("mapping", "tasks", mode="before")
     @classmethod
-    def _fit_the_robot(cls, section: Any, info: ValidationInfo) -> Any:
+    def _default_to_robot_size(cls, section: Any, info: ValidationInfo) -> Any:
         """Set defaults that depend on the robot's size.
 
         These are `mapping.inflation_m`, `mapping.obstacle_max_m` and

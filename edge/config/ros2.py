@@ -18,6 +18,7 @@ RosTopic = Literal[
     "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
 ]  # fmt: skip
 
+# Our name of a topic or action → its default name in ROS.
 DEFAULT_TOPICS: dict[str, str] = {
     "camera/rgb": "/camera/color/image_raw",
     "camera/depth": "/camera/aligned_depth_to_color/image_raw",
@@ -98,7 +99,7 @@ class Ros2Config(Section):
     adapter: Ros2AdapterConfig = Ros2AdapterConfig()
 
     @model_validator(mode="after")
-    def _docks_need_actions(self) -> Ros2Config:
+    def _check_docks(self) -> Ros2Config:
         if self.docks and (self.via == "adapter" or self.goals == "topic"):
             raise ValueError(
                 "docks: needs ros2.goals: navigate_to_pose, and ros2.via: rmw_zenoh or bridge"

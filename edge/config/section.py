@@ -1,4 +1,4 @@
-"""Base class and types of all sections."""
+"""Base class of all sections of the configuration, and types of their values."""
 
 from __future__ import annotations
 

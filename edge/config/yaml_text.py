@@ -82,17 +82,18 @@ class _Loader(yaml.SafeLoader):
     def __init__(self, text: str | bytes) -> None:
         super().__init__(text)
         self._path: list[Any] = []  # keys and indices of the current node
-        self._nodes = self._height = 0
-        self._known: dict[
-            int, tuple[int, int]
-        ] = {}  # id of a node → (number of nodes below it, height)
+        self._nodes = 0  # nodes so far
+        self._height = 0  # levels below the current node, so far
+        # Id of a finished node → number of nodes in it, and levels below it; for aliases of it.
+        self._known: dict[int, tuple[int, int]] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose a node as PyYAML does, but count its nodes and levels, and refuse too many."""
         is_alias = self.check_event(yaml.AliasEvent)
         line = self.peek_event().start_mark.line + 1
         if index is not None:
             self._path.append(index.value if isinstance(index, yaml.ScalarNode) else index)
-        before, outer, self._height = self._nodes, self._height, 0
+        before, outer_height, self._height = self._nodes, self._height, 0
         if len(self._path) > MAX_DEPTH:
             raise YamlTooLargeError(_TOO_DEEP)
         node = super().compose_node(parent, index)
@@ -114,12 +115,13 @@ class _Loader(yaml.SafeLoader):
         if len(self._path) + height > MAX_DEPTH:
             raise YamlTooLargeError(_TOO_DEEP)
         self._known[id(node)] = self._nodes - before, height
-        self._height = max(outer, height + 1)
+        self._height = max(outer_height, height + 1)
         if index is not None:
             self._path.pop()
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        """Compose a mapping as PyYAML does, but refuse a key that is given twice."""
         node = super().compose_mapping_node(anchor)
         first: dict[Any, int] = {}
         for key, _ in node.value:

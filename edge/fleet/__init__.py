@@ -1,5 +1,5 @@
-"""Fleet: several robots over one router. It lists robots, assigns missions and follows them.
+"""Fleet: several robots over one router. Lists the robots, assigns missions and follows them.
 
-It uses only the requests that a single robot serves (`edge.bus.client`). It does not control how a
-robot does its mission.
+This package uses only the requests that a single robot serves (`edge.bus.client`). It does not
+control the way in which a robot does its mission.
 """

@@ -14,6 +14,7 @@ from functools import partial
 from edge.bus.client import RefusedError, RequestError
 from edge.config import MissionConfig
 from edge.fleet.orders import (
+    AGAIN,
     DUPLICATE_REASON,
     Assignment,
     Cancellation,
@@ -30,9 +31,9 @@ from edge.mission.spec import MissionSpec
 from edge.mission.split import required_propositions, split
 from edge.text import one_line
 
-LOOK_S = 1.0
-"""Period of polls of the robots, in seconds."""
-GIVE_S = 10.0
+POLL_S = 1.0
+"""Period of the polls of the robots, in seconds."""
+REQUEST_S = 10.0
 """Timeout of a request that gives or cancels a part, in seconds."""
 _DIGITS = 8  # of the digest of a mission
 
@@ -42,7 +43,9 @@ class FleetPlan:
     """A mission and its parts.
 
     Attributes:
-        id: Id of the mission. The same mission gets another id when it is given again later.
+        id: Id of the mission: a digest of its formula and options, a dot, and the id of the run. So
+            the same mission gets another id when it is given again later. The id of a part is this
+            id, a dot, and the part's number.
         parts: Parts of the mission.
         unsplit_reason: Reason why the mission was not split; "" if it was split, or if no split was
             requested.
@@ -80,15 +83,15 @@ def plan(
     mission_split = split(formula, limits) if share else None
     formulas = (formula,) * max(len(to), 1) if mission_split is None else mission_split.parts
     digest = _digest(formula, to, share)
-    make = partial(_parts, formulas, to, limits)
-    run = None if restart else _unfinished(digest, robots, make)
-    id = f"{digest}.{run or secrets.token_hex(4)}"
+    make_parts = partial(_make_parts, formulas, to, limits)
+    run_id = None if restart else _find_unfinished_run(digest, robots, make_parts)
+    id = f"{digest}.{run_id or secrets.token_hex(4)}"
     return FleetPlan(
-        id, make(id), mission_split.unsplit_reason if mission_split is not None else ""
+        id, make_parts(id), mission_split.unsplit_reason if mission_split is not None else ""
     )
 
 
-def _parts(
+def _make_parts(
     formulas: Sequence[Formula], to: Sequence[str], limits: MissionConfig, id: str
 ) -> tuple[MissionPart, ...]:
     return tuple(
@@ -104,15 +107,21 @@ def _digest(*values: object) -> str:
     return hashlib.sha256(repr([str(value) for value in values]).encode()).hexdigest()[:_DIGITS]
 
 
-def _unfinished(
-    digest: str, robots: Mapping[str, Robot], make: Callable[[str], tuple[MissionPart, ...]]
+def _find_unfinished_run(
+    digest: str, robots: Mapping[str, Robot], make_parts: Callable[[str], tuple[MissionPart, ...]]
 ) -> str | None:
-    """Return the run id of an unfinished mission with this digest that robots report, if any."""
+    """Return the run id of an unfinished mission with this digest that robots report, or None.
+
+    Args:
+        digest: Digest of the mission.
+        robots: Robots by name, with their status.
+        make_parts: Returns the parts of the mission with an id.
+    """
     replies = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
     ids = [id for reply in replies for id in (reply.id, *(p.id for p in reply.past))]
     runs = {m[1] for id in ids if (m := re.match(rf"{digest}\.([0-9a-f]+)\.", id))}
     for run in sorted(runs):
-        parts = make(f"{digest}.{run}")
+        parts = make_parts(f"{digest}.{run}")
         orders = decide(parts, robots, {})
         if not _is_over(parts, orders):
             return run
@@ -129,7 +138,7 @@ class Dispatcher:
     Args:
         roster: The fleet.
         mission: The mission and its parts.
-        tell: Function that is called with each progress line.
+        report: Function that is called with each progress line.
         patience_s: Time to wait for a robot that is offline or reports no status, counted from the
             first poll without it. A part that no online robot can do also fails only after this
             time, because one poll may miss a robot.
@@ -143,21 +152,21 @@ class Dispatcher:
         self,
         roster: Roster,
         mission: FleetPlan,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         patience_s: float,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._roster, self._plan, self._print = roster, mission, tell
+        self._roster, self._plan, self._print = roster, mission, report
         self._patience_s, self._clock = patience_s, clock
         self._assigned: dict[str, str] = {}  # part id: robot last known to work on it
-        self._offline_since: dict[str, float] = {}  # robot: since when it reports no status
-        self._lost: dict[str, float] = {}  # part id: since when no online robot can do it
+        self._offline_since: dict[str, float] = {}  # robot: time since it reports no status
+        self._lost: dict[str, float] = {}  # part id: time since no online robot can do it
         self._n_refused: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
         self._n_forgot: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
-        self._had: set[tuple[str, str]] = set()  # (part id, robot): accepted or reported
-        self._settled: dict[str, PartOutcome] = {}
-        self._given: set[tuple[str, str]] = set()
-        self._printed: dict[str, object] = {}
+        self._holders: set[tuple[str, str]] = set()  # (part id, robot): accepted or reported
+        self._final: dict[str, PartOutcome] = {}  # part id: its final outcome
+        self._given_here: set[tuple[str, str]] = set()  # (part id, robot): given by this dispatcher
+        self._printed: dict[str, object] = {}  # key of a progress line: its last text
         self.ended_ns: dict[str, int] = {}
 
     def run(self) -> Mapping[str, PartOutcome]:
@@ -166,7 +175,7 @@ class Dispatcher:
             orders = self.step()
             if orders is not None and self._is_over(orders):
                 return orders.outcomes
-            self._roster.wait(LOOK_S)
+            self._roster.wait(POLL_S)
 
     def step(self) -> Orders | None:
         """Poll the robots once and carry out the orders; return None if the router is gone."""
@@ -184,15 +193,15 @@ class Dispatcher:
                 del self._n_refused[pair]  # the robot refused because it was busy
         self._count_forgotten(robots)
         orders = decide(
-            self._plan.parts, robots, self._find_away(robots), self._n_refused, self._settled,
+            self._plan.parts, robots, self._find_away(robots), self._n_refused, self._final,
             self._n_forgot,
         )  # fmt: skip
-        self._settled = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
+        self._final = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
         provisional = self._provisional_outcomes(orders)
         outcomes = {k: o for k, o in orders.outcomes.items() if k not in provisional}
         orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(provisional))
         self._report(orders, robots, provisional)
-        self._roster.each(
+        self._roster.run_all(
             [*(partial(self._give_part, g) for g in orders.give),
              *(partial(self._cancel_duplicate, c) for c in orders.cancel)]
         )  # fmt: skip
@@ -210,9 +219,9 @@ class Dispatcher:
         for part in self._plan.parts:
             for name, robot in robots.items():
                 if has_part(part, robot):
-                    self._had.add((part.id, name))
-                elif robot.status_reply is not None and (part.id, name) in self._had:
-                    self._had.remove((part.id, name))
+                    self._holders.add((part.id, name))
+                elif robot.status_reply is not None and (part.id, name) in self._holders:
+                    self._holders.remove((part.id, name))
                     self._n_forgot[part.id, name] += 1
                     self._print(f"{_safe(name)} no longer knows its part: {part.english}")
 
@@ -234,7 +243,7 @@ class Dispatcher:
                 continue
             self._offline_since.pop(name, None)
             if reply.phase not in OVER:
-                self._assigned[reply.id.partition("~")[0]] = name
+                self._assigned[reply.id.partition(AGAIN)[0]] = name
         for id, name in self._assigned.items():
             silent = name not in robots or robots[name].status_reply is None
             if silent and now_s - self._offline_since.setdefault(name, now_s) < self._patience_s:
@@ -254,7 +263,7 @@ class Dispatcher:
                 self.ended_ns.setdefault(part.id, time.time_ns())
                 line = f"{what}: {outcome.phase} by {_safe(outcome.by)}: {one_line(outcome.reason)}"
             elif (name := orders.under_way.get(part.id)) is not None:
-                gave = (part.id, name) in self._given
+                gave = (part.id, name) in self._given_here
                 line = None if gave else f"{what}: {_safe(name)} is working on it"
                 if name not in robots:
                     line = (f"{what}: {_safe(name)} is offline; another robot gets the part unless "
@@ -290,22 +299,22 @@ class Dispatcher:
     def _give_part(self, give: Assignment) -> None:
         request = {"do": "new", "formula": give.part.formula, "id": give.id, "if_free": True}
         try:
-            self._roster.send(give.robot, request, GIVE_S)
+            self._roster.send(give.robot, request, REQUEST_S)
         except RequestError as error:
             # A late robot may still have begun; the next poll shows that.
             self._n_refused[give.part.id, give.robot] += 1
             refused = "" if isinstance(error, RefusedError) else "no answer: "
             self._print(f"{refused}{one_line(error)}")
         else:
-            self._given.add((give.part.id, give.robot))
-            self._had.add((give.part.id, give.robot))
+            self._given_here.add((give.part.id, give.robot))
+            self._holders.add((give.part.id, give.robot))
             self._assigned[give.part.id] = give.robot
             self._print(f"{_safe(give.robot)} gets: {give.part.english}: {give.why}")
 
     def _cancel_duplicate(self, cancel: Cancellation) -> None:
         request = {"do": "cancel", "id": cancel.id, "why": DUPLICATE_REASON}
         try:
-            self._roster.send(cancel.robot, request, GIVE_S)
+            self._roster.send(cancel.robot, request, REQUEST_S)
         except RequestError as error:
             self._print(one_line(error))
         else:
@@ -313,4 +322,5 @@ class Dispatcher:
 
 
 def _safe(name: str) -> str:
+    """Return a robot's name for output: printable, and at most 80 characters."""
     return one_line(name, 80)

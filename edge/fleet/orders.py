@@ -1,6 +1,6 @@
 """Assignment of mission parts to robots, from the status that the robots report.
 
-The decision is stateless: each part has an id, which its robot reports during and after the part.
+Robots report the id of a part during and after the part, so the decision needs no memory here.
 Every dispatcher comes to the same orders, also after a restart or next to another dispatcher.
 """
 
@@ -22,6 +22,8 @@ DUPLICATE_REASON = "another robot is working on it"
 
 It is not a failure: the robot may get the part again.
 """
+AGAIN = "~"
+"""Separates the id of a part from the number of times that its robot had the part before."""
 MAX_TRIES = 3
 """A robot that refused or forgot a part this many times does not get it again."""
 
@@ -78,7 +80,12 @@ class Assignment(NamedTuple):
 
 
 class Cancellation(NamedTuple):
-    """An order to cancel the mission `id` of a robot."""
+    """An order to cancel a robot's mission.
+
+    Attributes:
+        robot: Name of the robot.
+        id: Id of the mission on the robot.
+    """
 
     robot: str
     id: str
@@ -112,7 +119,7 @@ class Orders:
 
 
 class _PartOnRobot(NamedTuple):
-    """State of a part, as one robot reports it."""
+    """State of a part, as one robot reports it; for the fields see `StatusReply`."""
 
     robot: str
     id: str
@@ -147,18 +154,24 @@ def decide(
     waiting: dict[str, list[str]] = {}
     for part in parts:
         reports = list(_reports_of(part, robots))
-        running = sorted((h for h in reports if h.phase not in OVER), key=lambda h: -h.elapsed_s)
-        done = [h for h in reports if h.phase == "reached"]
+        running = sorted(
+            (report for report in reports if report.phase not in OVER),
+            key=lambda report: -report.elapsed_s,
+        )
+        reached_reports = [report for report in reports if report.phase == "reached"]
         failed = {
-            h.robot: h.reason
-            for h in reports
-            if h.phase == "failed" and h.reason != DUPLICATE_REASON
+            report.robot: report.reason
+            for report in reports
+            if report.phase == "failed" and report.reason != DUPLICATE_REASON
         }
         outcome = settled.get(part.id)
-        if outcome is None and done:
-            outcome = PartOutcome("reached", done[0].robot, done[0].reason)
+        if outcome is None and reached_reports:
+            outcome = PartOutcome("reached", reached_reports[0].robot, reached_reports[0].reason)
         reached = outcome is not None and outcome.phase == "reached"
-        cancel += [Cancellation(h.robot, h.id) for h in (running if reached else running[1:])]
+        cancel += [
+            Cancellation(report.robot, report.id)
+            for report in (running if reached else running[1:])
+        ]
         if outcome is not None:
             outcomes[part.id] = outcome
         elif running:
@@ -194,9 +207,9 @@ def _reports_of(part: MissionPart, robots: Mapping[str, Robot]) -> Iterator[_Par
         if (reply := robot.status_reply) is None:
             continue
         for past in reply.past:
-            if past.id.partition("~")[0] == part.id:
+            if past.id.partition(AGAIN)[0] == part.id:
                 yield _PartOnRobot(name, past.id, past.phase, past.reason, 0.0)
-        if reply.id.partition("~")[0] == part.id:
+        if reply.id.partition(AGAIN)[0] == part.id:
             yield _PartOnRobot(name, reply.id, reply.phase, reply.reason, reply.elapsed_s)
 
 
@@ -260,10 +273,15 @@ def _assign(
         *_, name, part = min(pairs, key=lambda pair: pair[:-1])
         reply = robots[name].status_reply
         n_duplicates = sum(
-            1 for h in _reports_of(part, {name: robots[name]}) if h.reason == DUPLICATE_REASON
+            1
+            for report in _reports_of(part, {name: robots[name]})
+            if report.reason == DUPLICATE_REASON
         )
         yield Assignment(
-            part, name, f"{part.id}~{n_duplicates}" if n_duplicates else part.id, _why(part, reply)
+            part,
+            name,
+            f"{part.id}{AGAIN}{n_duplicates}" if n_duplicates else part.id,
+            _reason_to_give(part, reply),
         )
         left.remove(part)
         free.remove(name)
@@ -285,7 +303,7 @@ def _known_distances(part: MissionPart, reply: StatusReply) -> dict[str, float]:
     return found
 
 
-def _why(part: MissionPart, reply: StatusReply) -> str:
+def _reason_to_give(part: MissionPart, reply: StatusReply) -> str:
     distances = _known_distances(part, reply)
     if not distances:
         return "it is free"

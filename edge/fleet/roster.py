@@ -35,7 +35,7 @@ _FINITE = ConfigDict(allow_inf_nan=False)
 
 @dataclass(frozen=True)
 class PastMission:
-    """Result of a finished mission that had an id."""
+    """Result of a finished mission that had an id; for the fields see `StatusReply`."""
 
     id: str
     phase: Literal["reached", "failed"]
@@ -133,7 +133,7 @@ class Roster:
         self.pattern = f"{parent}/*" if parent else "*"
         self._session, self._settings = session, settings
         self._changed = threading.Event()
-        self._last_prefixes: Set[str] = set()
+        self._last_prefixes: Set[str] = set()  # prefixes in the last list of online robots
         self._pool = ThreadPoolExecutor(_MAX_PARALLEL, thread_name_prefix="robot")
         self._subscriber = session.liveliness().declare_subscriber(
             f"{self.pattern}/{topics.ALIVE}/*", lambda sample: self._changed.set()
@@ -146,6 +146,7 @@ class Roster:
         return bool([*info.routers_zid(), *info.peers_zid()])
 
     def names(self) -> list[str]:
+        """Return the names of the online robots, sorted."""
         return sorted(self._sessions())
 
     def ask_status(self) -> dict[str, Robot]:
@@ -180,7 +181,7 @@ class Roster:
         """Send the same request to each robot; return the robots with their replies, in order."""
         return dict(self._pool.map(lambda name: (name, self._ask(name, request, timeout_s)), names))
 
-    def each(self, calls: Iterable[Callable[[], None]]) -> None:
+    def run_all(self, calls: Iterable[Callable[[], None]]) -> None:
         """Run the calls in parallel and wait for all."""
         for done in [self._pool.submit(call) for call in calls]:
             done.result()
@@ -200,10 +201,12 @@ class Roster:
         self._changed.clear()
 
     def close(self) -> None:
+        """Stop watching the robots; requests that have not begun are dropped."""
         self._subscriber.undeclare()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _sessions(self) -> dict[str, set[str]]:
+        """Return the ids of the Zenoh sessions of each online robot, by name."""
         found = presence.online_sessions(self._session, self.pattern)
         if self._last_prefixes - found.keys():
             # The list sometimes lacks a robot that is online, while another one comes or goes.
@@ -213,6 +216,7 @@ class Roster:
         return {prefix.rpartition("/")[2]: found[prefix] for prefix in sorted(found)}
 
     def _ask(self, name: str, request: Mapping[str, Any], timeout_s: float) -> Robot:
+        """Return a robot with its reply to a request, or with the reason why there is none."""
         try:
             answer = self.send(name, request, timeout_s)
         except UserError as error:
@@ -226,7 +230,7 @@ class Roster:
 
 
 def settings_of_robot(settings: ZenohConfig, name: str) -> ZenohConfig:
-    """Return the settings for the robot with this name, the last word of a liveliness token."""
+    """Return the settings for the robot with this name, the last word of its prefix."""
     parent = settings.prefix.rpartition("/")[0]
     return settings.model_copy(update={"prefix": f"{parent}/{name}" if parent else name})
 

@@ -241,7 +241,7 @@ def _boxes(detections: Detections, targets: Sequence[str]) -> tuple[Box, ...]:
     if rgb is None:
         return ()
     height, width = rgb.shape[:2]
-    for entries in (detections, detections.around()):
+    for entries in (detections, detections.context_detections()):
         if entries is not None:
             shares = (entries.xyxy_px / np.float32([width, height, width, height])).tolist()
             rows = zip(entries.class_id.tolist(), entries.score.tolist(), shares, strict=True)

@@ -19,7 +19,7 @@ from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
 from edge.loop import crop_checkpoint
 from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, MapParts, StampedPose
 from edge.memory import CropStore
-from edge.mission.checkpoint import MISSION, OF_TRANSLATION, MissionState, state_of
+from edge.mission.checkpoint import MISSION, TRANSLATION_ATTRIBUTES, MissionState, state_of
 from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionError, MissionSpec, spec_of
@@ -79,7 +79,7 @@ class ServiceCheckpoint:
         try:
             if saved.task:
                 return prepare_task(self._config, saved.instruction)
-            known = {name: getattr(saved, name) for name in OF_TRANSLATION}
+            known = {name: getattr(saved, name) for name in TRANSLATION_ATTRIBUTES}
             translation = Translation(formula=ltl.parse(saved.formula), **known)
             return spec_of(self._config.mission, translation)
         except UserError as error:

@@ -27,7 +27,7 @@ from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, PolicyInput
-from edge.policies.select import STOP_M, CurrentGoal, choose, ranked
+from edge.policies.select import STOP_M, CurrentGoal, choose, rank_candidates
 from edge.text import one_line
 from edge.types import CandidateKind, Goal, GoalStatus, Instance, MissionPhase
 
@@ -312,7 +312,7 @@ class GoalTracker:
         c, policy, search = context.candidates, self._config.policy, self._search
         tracked, held = self._tracked, None
         min_distance_m, first = policy.delta_reached_m, policy.confirmed_first
-        order = ranked(c, score, context.pose, min_distance_m, first)
+        order = rank_candidates(c, score, context.pose, min_distance_m, first)
         if search.exhausted:
             lasting = c.first_seen_ns[order] <= c.stamp_ns - LASTING_NS
             order = order[lasting | (c.kind[order] == INSTANCE)]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from edge import names
 from edge.bus.verbs import Request, Verb, check_text, shown
 from edge.errors import UserError
-from edge.memory import known_objects, similar_is, where_is
+from edge.memory import describe_location, describe_similar, known_objects
 from edge.memory.site import MAX_NAME_CHARS, name_of
 from edge.text import one_line
 
@@ -81,11 +81,11 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     if name:
         asked = (*service.mission.spec.prompts, *sightings.words)
         is_looked_for = any(names.is_kind_of(word, name) for word in asked)
-        text = where_is(name, found, pose, is_looked_for, rooms.room_phrase)
+        text = describe_location(name, found, pose, is_looked_for, rooms.room_phrase)
         if not found:
             words = similar_words(name, sightings.words, service.map.prior)
             similar = {word: seen for word in words if (seen := known(name=word))}
-            text = similar_is(name, similar, pose, is_looked_for, rooms.room_phrase)
+            text = describe_similar(name, similar, pose, is_looked_for, rooms.room_phrase)
             found = [one for seen in similar.values() for one in seen]
     else:
         text = f"{len(found)} objects"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edge.bus.verbs import Request, Verb, check_flag, check_text, shown
 from edge.errors import UserError
-from edge.memory import Place, RoomName, Site, Zone, item_of, merged, site_of, without_mapped
+from edge.memory import Place, RoomName, Site, Zone, item_of, merge_items, site_of, without_mapped
 from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
 from edge.text import bounded_repr, one_line
 
@@ -82,7 +82,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
         done = f"removed: {name_of(fields['name'])}"
     elif request.do == "import":
         start = Site() if fields["replace"] else site
-        service.change_site(merged(start, fields["site"].items), now_ns)
+        service.change_site(merge_items(start, fields["site"].items), now_ns)
         done = f"imported: {len(fields['site'].items)} places and zones"
     if done:
         service.event(done, now_ns)

@@ -1,15 +1,15 @@
 """Memory between missions: seen objects and rooms, and places, zones and room names from people."""
 
 from edge.memory.crops import MAX_CROP_BYTES, CropStore
-from edge.memory.objects import KnownObject, known_objects, similar_is, where_is
-from edge.memory.relations import DescribedTargets, DescribedThing, RelationError, described
+from edge.memory.objects import KnownObject, describe_location, describe_similar, known_objects
+from edge.memory.relations import DescribedTargets, DescribedThing, RelationError, parse_description
 from edge.memory.room_kinds import ROOM_KINDS, is_room_name, kind_of_room
 from edge.memory.room_shapes import (
     NO_SURVEY,
     LostRoom,
     Passage,
     RoomSurvey,
-    outlined,
+    outline_rooms,
     survey_rooms,
 )
 from edge.memory.rooms import (
@@ -32,7 +32,7 @@ from edge.memory.site import (
     Zone,
     item_of,
     memory_geojson,
-    merged,
+    merge_items,
     read_site,
     site_of,
     without_mapped,
@@ -40,11 +40,45 @@ from edge.memory.site import (
 )
 
 __all__ = [
-    "MAX_CROP_BYTES", "NO_SURVEY", "RECOGNISED_KINDS", "ROOM_KINDS", "START", "CropStore",
-    "DescribedTargets", "DescribedThing", "Item", "KnownObject", "LostRoom", "MappedRoom",
-    "Passage", "Place", "RelationError", "RoomMemory", "RoomName", "RoomSurvey", "SeenObjectIndex",
-    "SeenObjects", "Site", "SiteError", "SiteFile", "Zone", "described", "is_room_name", "item_of",
-    "kind_of_room", "kinds_by_region", "known_objects", "memory_geojson", "merged",
-    "objects_by_region", "outlined", "read_site", "similar_is", "site_of", "survey_rooms",
-    "where_is", "without_mapped", "write_site",
+    "MAX_CROP_BYTES",
+    "NO_SURVEY",
+    "RECOGNISED_KINDS",
+    "ROOM_KINDS",
+    "START",
+    "CropStore",
+    "DescribedTargets",
+    "DescribedThing",
+    "Item",
+    "KnownObject",
+    "LostRoom",
+    "MappedRoom",
+    "Passage",
+    "Place",
+    "RelationError",
+    "RoomMemory",
+    "RoomName",
+    "RoomSurvey",
+    "SeenObjectIndex",
+    "SeenObjects",
+    "Site",
+    "SiteError",
+    "SiteFile",
+    "Zone",
+    "describe_location",
+    "describe_similar",
+    "is_room_name",
+    "item_of",
+    "kind_of_room",
+    "kinds_by_region",
+    "known_objects",
+    "memory_geojson",
+    "merge_items",
+    "objects_by_region",
+    "outline_rooms",
+    "parse_description",
+    "read_site",
+    "site_of",
+    "survey_rooms",
+    "without_mapped",
+    "write_site",
 ]  # fmt: skip

@@ -51,7 +51,7 @@ class CropStore:
         self._lock = threading.Lock()
         self._jpeg: _Stored = {}
         self._n_bytes = 0
-        self._best: dict[int, float] = {}
+        self._best: dict[int, float] = {}  # best quality so far, stored or waiting, by object id
 
     def __len__(self) -> int:
         return len(self._jpeg)
@@ -114,7 +114,7 @@ class CropStore:
         return lambda: _arrays_of(jpeg)
 
     def state_dict(self) -> Arrays:
-        """Return all pictures, one after the other."""
+        """Return all pictures as arrays: ids, qualities and sizes, and the JPEG bytes in a row."""
         return self.snapshot()()
 
     def load_state_dict(self, state: Arrays) -> None:
@@ -123,9 +123,9 @@ class CropStore:
         Raises:
             ValueError: the state is invalid.
         """
-        rows = {("id", "quality", "n_bytes"): MAX_CROPS, ("jpeg",): MAX_CROP_BYTES}
+        max_rows = {("id", "quality", "n_bytes"): MAX_CROPS, ("jpeg",): MAX_CROP_BYTES}
         check_arrays(
-            state, _arrays_of({}), rows, {"n_bytes": MAX_CROP_BYTES, "quality": 2}, ("id",)
+            state, _arrays_of({}), max_rows, {"n_bytes": MAX_CROP_BYTES, "quality": 2}, ("id",)
         )
         if state["n_bytes"].sum() != len(state["jpeg"]):
             raise ValueError("pictures: the sum of n_bytes is not the size of jpeg")

@@ -1,4 +1,4 @@
-"""Questions to the object map: what was seen, where and when."""
+"""Questions to the object map: which objects were seen, at which place, and when."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edge.geometry import SE2
 from edge.perception.tracking.sightings import TrackedObjects
 from edge.text import one_line
 
-_MAX_TOLD = 5  # largest number of objects that an answer names
+_MAX_NAMED = 5  # largest number of objects that an answer names
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +79,7 @@ def known_objects(
         room_of: returns the title of the room at (x, y); "" if there is none.
     """
     s = sightings
+    # `s.words` are the different names; `s.word` is the index of each object's name.
     is_wanted = np.array([not name or names.is_kind_of(word, name) for word in s.words], np.bool_)
     rows = np.flatnonzero(s.hits[: s.n] >= min_hits)
     rows = rows[is_wanted[s.word[rows]]]
@@ -106,7 +107,7 @@ def known_objects(
     return found
 
 
-def where_is(
+def describe_location(
     name: str,
     found: list[KnownObject],
     pose: SE2 | None,
@@ -127,12 +128,12 @@ def where_is(
     if not found:
         hint = "" if is_looked_for else ": the detector is not looking for it"
         return f"no {name} has been seen{hint}"
-    texts = [_place(obj, pose, room_of) for obj in found[:_MAX_TOLD]]
-    more = f"; {len(found) - _MAX_TOLD} more" if len(found) > _MAX_TOLD else ""
+    texts = [_location_text(obj, pose, room_of) for obj in found[:_MAX_NAMED]]
+    more = f"; {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
     return f"{name}: {'; '.join(texts)}{more}"
 
 
-def similar_is(
+def describe_similar(
     name: str,
     similar: dict[str, list[KnownObject]],
     pose: SE2 | None,
@@ -144,18 +145,20 @@ def similar_is(
     Args:
         name: name that was asked for.
         similar: similar name → its known objects, the most similar name first.
-        pose: see `where_is`.
-        is_looked_for: see `where_is`.
-        room_of: see `where_is`.
+        pose: see `describe_location`.
+        is_looked_for: see `describe_location`.
+        room_of: see `describe_location`.
     """
     texts = [
-        f"a {one_line(word)} (similar) {_place(found[0], pose, room_of)}"
+        f"a {one_line(word)} (similar) {_location_text(found[0], pose, room_of)}"
         for word, found in similar.items()
     ]
-    return "; ".join((where_is(name, [], pose, is_looked_for), *texts))
+    return "; ".join((describe_location(name, [], pose, is_looked_for), *texts))
 
 
-def _place(obj: KnownObject, pose: SE2 | None, room_of: Callable[[float, float], str]) -> str:
+def _location_text(
+    obj: KnownObject, pose: SE2 | None, room_of: Callable[[float, float], str]
+) -> str:
     x_m, y_m, _ = obj.xyz_m
     distance = "" if pose is None else f", {pose.distance_to(x_m, y_m):.1f} m away"
     seen = "now" if obj.age_s < 1.0 else f"{_ago(obj.age_s)} ago"
@@ -168,6 +171,7 @@ def _place(obj: KnownObject, pose: SE2 | None, room_of: Callable[[float, float],
 
 
 def _ago(age_s: float) -> str:
+    """Return an age in a fitting unit, such as `5 min`."""
     for limit_s, unit_s, unit in ((120, 1, "s"), (7200, 60, "min"), (172_800, 3600, "h")):
         if age_s < limit_s:
             return f"{age_s / unit_s:.0f} {unit}"

@@ -26,6 +26,7 @@ TOUCHING_M = 0.4
 
 Surfaces are seen from some sides only, so it is more than 0."""
 MOST_DESCRIBED = 64
+"""Largest number of labels whose descriptions are kept."""
 CONTAINERS = frozenset(
     """bag barrel basket bucket buggy cage can case cart crate crib cot cubby drawer folder jar
     locker packet pouch pram rack sack safe tin toolbox tray trolley tub wheelbarrow""".split()
@@ -34,8 +35,11 @@ CONTAINERS = frozenset(
 
 Relation = Literal["", "next to", "nearest to", "on", "under", "in"]
 InstancesOf = Callable[[str], Sequence[Instance]]
+"""Function that returns the instances of a name, best first."""
 IsIn = Callable[[str, float, float], bool]
+"""Function that returns True if the room of a name contains a point (x, y) in `map`."""
 
+# Words of a relation → the relation.
 _WORDS: dict[str, Relation] = {
     "next to": "next to", "beside": "next to", "near": "next to", "close to": "next to",
     "by": "next to", "at": "next to",
@@ -80,7 +84,7 @@ class DescribedThing:
         return (self.noun, self.anchor) if self.anchor else (self.noun,)
 
 
-def described(text: str) -> DescribedThing | None:
+def parse_description(text: str) -> DescribedThing | None:
     """Return the thing that a text describes by a relation; None if the text is a plain name.
 
     Args:
@@ -89,16 +93,16 @@ def described(text: str) -> DescribedThing | None:
     Raises:
         RelationError: the text has a relation that cannot be decided.
 
-    >>> described("the chair next to the desk")
+    >>> parse_description("the chair next to the desk")
     DescribedThing(noun='chair', relation='next to', anchor='desk', room='', nth=0)
-    >>> described("second door").nth, described("office chair")
+    >>> parse_description("second door").nth, parse_description("office chair")
     (2, None)
     """
     phrase = names.normalise(text)
     if names.is_known(phrase):
         return None
     room = ""
-    if (found := _last_room(phrase)) is not None:
+    if (found := _split_off_room(phrase)) is not None:
         phrase, room = found
     split = _SPLIT.match(phrase)
     relation: Relation = ""
@@ -110,13 +114,13 @@ def described(text: str) -> DescribedThing | None:
         anchor = names.normalise(split["anchor"])
         if _SPLIT.match(anchor):
             raise _undecidable(text, "a second relation")
-    nth, noun = _ordinal(noun)
+    nth, noun = _split_off_ordinal(noun)
     if not (relation or room or nth):
         return None
     return DescribedThing(noun, relation, anchor, room, nth)
 
 
-def _last_room(phrase: str) -> tuple[str, str] | None:
+def _split_off_room(phrase: str) -> tuple[str, str] | None:
     """Return the phrase without its last "in ROOM", and the room; None if there is none.
 
     A word for no known thing is the name that a person gave to a room.
@@ -136,7 +140,7 @@ def _is_thing(name: str) -> bool:
     return names.is_known(name) or names.is_known(head) or head in CONTAINERS
 
 
-def _ordinal(noun: str) -> tuple[int, str]:
+def _split_off_ordinal(noun: str) -> tuple[int, str]:
     """Return the number of "second door" and its name; 0 and the noun if it has no number."""
     first, _, rest = noun.partition(" ")
     nth = names.ordinal(first)
@@ -170,7 +174,7 @@ class DescribedTargets:
             if len(self._known) >= MOST_DESCRIBED:
                 self._known.clear()
             try:
-                self._known[label] = described(label)
+                self._known[label] = parse_description(label)
             except RelationError:  # a label of a recording or a checkpoint; it names no instance
                 self._known[label] = None
         return self._known[label]
@@ -197,6 +201,7 @@ class DescribedTargets:
     def _ranked(
         self, thing: DescribedThing, of: InstancesOf, last: bool
     ) -> list[tuple[Instance, str]]:
+        """Return the instances that a thing means, best first, each with the reason."""
         found = [instance for instance in of(thing.noun) if self._is_in(thing.room, instance)]
         why = f"in the {thing.room}" if thing.room else ""
         if not thing.relation:
@@ -206,21 +211,21 @@ class DescribedTargets:
             limit_m = NEXT_TO_M if thing.relation in ("next to", "nearest to") else TOUCHING_M
             if thing.relation == "nearest to" and last:
                 limit_m = math.inf
-            pairs = list(_related(thing, found, anchors, limit_m))
+            pairs = list(_things_near(thing, found, anchors, limit_m))
         if not thing.nth:
             return pairs
-        by_age = sorted(pairs, key=lambda pair: pair[0].id)
+        by_age = sorted(pairs, key=lambda pair: pair[0].id)  # ids grow with the first sighting
         ordinal = f"number {thing.nth} in the order of seeing"
         return [
             (instance, f"{ordinal}{', ' * bool(why)}{why}")
             for instance, why in by_age[thing.nth - 1 :][:1]
         ]
 
-    def _is_in(self, room: str, one: Instance) -> bool:
-        return not room or self._contains(room, *one.center_m[:2].tolist())
+    def _is_in(self, room: str, instance: Instance) -> bool:
+        return not room or self._contains(room, *instance.center_m[:2].tolist())
 
 
-def _related(
+def _things_near(
     thing: DescribedThing, found: Sequence[Instance], anchors: Sequence[Instance], limit_m: float
 ) -> Iterator[tuple[Instance, str]]:
     """Yield the things within a distance of an anchor, with the reason.
@@ -243,7 +248,7 @@ def _related(
     yield from ((instance, why) for _, instance, why in found_near)
 
 
-def _is_level(relation: Relation, one: Instance, other: Instance) -> bool:
+def _is_level(relation: Relation, instance: Instance, other: Instance) -> bool:
     """Return True if the heights of two objects fit "on" or "under"; True for other relations."""
-    z_m, other_z_m = float(one.center_m[2]), float(other.center_m[2])
+    z_m, other_z_m = float(instance.center_m[2]), float(other.center_m[2])
     return {"on": z_m > other_z_m, "under": z_m < other_z_m}.get(relation, True)

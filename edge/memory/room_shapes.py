@@ -1,6 +1,8 @@
 """Rooms as shapes: regions of the map with ids that last, outlines, doors and standing points.
 
-This module only knows arrays. Another thread computes a survey from the map and the last survey.
+A cut is a `RegionMap`: the map divided into regions. A survey gives ids and shapes to the regions
+that are rooms. This module only knows arrays; another thread computes a survey from the map and the
+last survey.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class RoomShape:
     Attributes:
         id: number of the room; it stays while the map grows.
         region: its region in `RoomSurvey.regions`.
-        polygon_m: (k, 2) float64, simplified outline in `map`, k >= 3.
+        polygon_m: (k, 2) float64 [m], simplified outline in `map`, k >= 3.
         area_m2: known floor, with furniture.
         xy_m: the point farthest from the border.
         inside_m: distance from the border from which the robot is inside: `INSIDE_M`, or less in a
@@ -106,6 +108,7 @@ class RoomSurvey(NamedTuple):
         return int(self.ids[self.regions.label[cell]]), float(self.depth_m[cell])
 
 
+# The survey of an empty map.
 NO_SURVEY = RoomSurvey(NO_REGIONS, np.zeros(1, np.int64), 1, (), (), np.zeros((0, 0), np.float32))
 
 
@@ -114,29 +117,35 @@ def survey_rooms(regions: RegionMap, before: RoomSurvey) -> RoomSurvey:
 
     Of two rooms that are now one, the one with the larger overlap remains, and the other is lost.
     Of two parts of a room, the larger keeps its id.
+
+    Args:
+        regions: the new cut.
+        before: the last survey.
     """
     ids = np.zeros(regions.n + 1, np.int64)
     _keep_overlapping(regions, before, ids)
-    lost = [one for one in before.lost if one.id not in ids]
+    lost = [room for room in before.lost if room.id not in ids]
     next_id = before.next_id
     cells = np.bincount(regions.label.ravel(), minlength=regions.n + 1)
     large = cells * regions.grid.resolution_m**2 >= LEAST_ROOM_M2
     large[0] = False
     for region in np.flatnonzero(large & (ids == 0)).tolist():
-        lost_room = next((one for one in reversed(lost) if _holds(regions, region, one)), None)
+        lost_room = next(
+            (room for room in reversed(lost) if _contains(regions, region, room)), None
+        )
         if lost_room is not None:
             lost.remove(lost_room)
             ids[region] = lost_room.id
         else:
             ids[region] = next_id
             next_id += 1
-    lost += [LostRoom(one.id, *one.xy_m) for one in before.shapes if one.id not in ids]
-    return outlined(regions, ids, next_id, tuple(lost[-_MAX_LOST:]))
+    lost += [LostRoom(shape.id, *shape.xy_m) for shape in before.shapes if shape.id not in ids]
+    return outline_rooms(regions, ids, next_id, tuple(lost[-_MAX_LOST:]))
 
 
 def _keep_overlapping(regions: RegionMap, before: RoomSurvey, ids: np.ndarray) -> None:
     """Write the ids of the last survey to the regions that overlap its rooms most."""
-    old, new = _common(before.regions, regions)
+    old, new = _common_cells(before.regions, regions)
     both = (old > 0) & (new > 0)
     if not both.any():
         return
@@ -153,37 +162,46 @@ def _keep_overlapping(regions: RegionMap, before: RoomSurvey, ids: np.ndarray) -
             taken.add(room)
 
 
-def _common(a: RegionMap, b: RegionMap) -> tuple[np.ndarray, np.ndarray]:
+def _common_cells(a: RegionMap, b: RegionMap) -> tuple[np.ndarray, np.ndarray]:
     """Return the labels of two cuts on the cells that both have; empty if there are none."""
     cell_m = b.grid.resolution_m
     if a.grid.resolution_m != cell_m:
         return np.zeros((0, 0), np.int16), np.zeros((0, 0), np.int16)
-    # Origins are whole cells.
-    at = [np.round(np.array(one.grid.origin_xy_m) / cell_m).astype(int) for one in (a, b)]
-    size = [np.array(one.label.shape)[::-1] for one in (a, b)]
+    # Lower corner of each cut, in cells.
+    at = [np.round(np.array(cut.grid.origin_xy_m) / cell_m).astype(int) for cut in (a, b)]
+    size = [np.array(cut.label.shape)[::-1] for cut in (a, b)]
     low, high = np.maximum(*at), np.minimum(at[0] + size[0], at[1] + size[1])
     if (high <= low).any():
         return np.zeros((0, 0), np.int16), np.zeros((0, 0), np.int16)
-    cut = []
-    for one, corner in zip((a, b), at, strict=True):
+    labels = []
+    for cut, corner in zip((a, b), at, strict=True):
         (x0, y0), (x1, y1) = low - corner, high - corner
-        cut.append(one.label[y0:y1, x0:x1])
-    return cut[0], cut[1]
+        labels.append(cut.label[y0:y1, x0:x1])
+    return labels[0], labels[1]
 
 
-def _holds(regions: RegionMap, region: int, room: LostRoom) -> bool:
+def _contains(regions: RegionMap, region: int, room: LostRoom) -> bool:
     cell = regions.grid.cell_of(room.x_m, room.y_m)
     return cell is not None and int(regions.label[cell]) == region
 
 
-def outlined(
+def outline_rooms(
     regions: RegionMap, ids: np.ndarray, next_id: int, lost: tuple[LostRoom, ...]
 ) -> RoomSurvey:
-    """Return the survey of a cut whose rooms have their ids; see `RoomSurvey`."""
+    """Return the survey of a cut, with outlines, doors and standing points.
+
+    A region that is only a line loses its id.
+
+    Args:
+        regions: the cut.
+        ids: see `RoomSurvey`; changed in place.
+        next_id: see `RoomSurvey`.
+        lost: see `RoomSurvey`.
+    """
     depth_m = np.zeros(regions.label.shape, np.float32)
     shapes = []
     for region in np.flatnonzero(ids).tolist():
-        shape = _shape(regions, ids, region, depth_m)
+        shape = _room_shape(regions, ids, region, depth_m)
         if shape is not None:
             shapes.append(shape)
         else:
@@ -192,7 +210,7 @@ def outlined(
     return RoomSurvey(regions, ids, next_id, lost, tuple(shapes), depth_m)
 
 
-def _shape(
+def _room_shape(
     regions: RegionMap, ids: np.ndarray, region: int, depth_m: np.ndarray
 ) -> RoomShape | None:
     """Return the shape of a region, and write its depths; None if it is only a line."""
@@ -243,7 +261,7 @@ def _doors(regions: RegionMap, ids: np.ndarray, region: int) -> tuple[Passage, .
     for other in np.flatnonzero(regions.border[region]).tolist():
         if ids[other] == 0:
             continue
-        points = []
+        points = []  # middles of the cell edges between both regions, as (row, column)
         for a, b, step in (
             (label[1:], label[:-1], (0.5, 0.0)),
             (label[:, 1:], label[:, :-1], (0.0, 0.5)),

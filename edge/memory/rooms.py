@@ -1,4 +1,4 @@
-"""Rooms of the map: kinds by the objects seen, names that people gave, and questions about them."""
+"""Rooms of the map: their kinds by the objects seen in them, names from people, and questions."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from edge.memory.objects import known_objects
 from edge.memory.room_kinds import kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
-from edge.perception.prior import rooms as kinds
+from edge.perception.prior import rooms as kind_model
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
 from edge.perception.tracking.sightings import TrackedObjects
 from edge.text import one_line
 
-SURE = 0.15
-"""A sighting of this confidence has full weight, because the mean includes views from afar."""
+FULL_WEIGHT = 0.15
+"""Confidence from which an object has full weight; low, as the mean includes views from afar."""
 SURE_KIND = 0.7
 """Smallest probability of a kind for a room to count as a room of this kind."""
 _VOTE_M = 1.5  # distance at which an object's vote for the kind of a point has fallen to 1/e
@@ -31,7 +31,7 @@ _MAX_AGAINST = 1.0
 PERIOD_NS = 250_000_000
 """Shortest time between two updates by new objects."""
 _REASONS = 2  # number of objects that an explanation names
-_MAX_ROOMS = 1 << 12
+_MAX_ROOMS = 1 << 12  # in a checkpoint
 
 
 RECOGNISED_KINDS = load().kinds
@@ -47,7 +47,8 @@ _TYPICAL_RATIO = 1.5
 def typical_things(kind: str) -> frozenset[str]:
     """Return the things of the prior's table that are clearly more frequent in a kind of room."""
     table = load()
-    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    # `chance`: P(thing in a room | kind of room), see `object_given_room`.
+    chance, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
     ratio = chance[table.kinds.index(kind)] / (prior @ chance)
     return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
 
@@ -57,8 +58,8 @@ class SeenObjects(NamedTuple):
 
     Attributes:
         xyz_m: (n, 3) float32 in `map`.
-        row: (n,) int32, row of the table; -1 if the object is not in it.
-        weight: (n,) float32 in [0, 1], confidence in the object.
+        row: (n,) int32, row of the prior's table; -1 if the object is not in it.
+        weight: (n,) float32 in [0, 1], confidence in the object over `FULL_WEIGHT`.
     """
 
     xyz_m: np.ndarray
@@ -82,7 +83,7 @@ class SeenObjectIndex:
         s = sightings
         if len(s.words) != len(self._row):
             self._row = np.array([self._words.row(word) for word in s.words], np.int32)
-        weight = np.minimum(s.confidence[: s.n] / np.float32(SURE), np.float32(1.0))
+        weight = np.minimum(s.confidence[: s.n] / np.float32(FULL_WEIGHT), np.float32(1.0))
         return SeenObjects(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
 
 
@@ -106,7 +107,9 @@ def kinds_by_region(
         border: see `edge.mapping.regions.border_lengths`.
         held: see `objects_by_region`.
     """
-    return kinds.room_posterior_at(table, chance, held, held[kinds.neighbours(border, held)])
+    return kind_model.room_posterior_at(
+        table, chance, held, held[kind_model.neighbours(border, held)]
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +163,7 @@ class MappedRoom:
     @property
     def reason(self) -> str:
         """Why the room has its kinds, for people; "" without a reason."""
-        return "named by a person" if self.is_named else _reason(self.kinds, self.held)
+        return "named by a person" if self.is_named else _reason_text(self.kinds, self.held)
 
     @property
     def things(self) -> list[str]:
@@ -204,17 +207,17 @@ class RoomMemory:
         self.survey: RoomSurvey = NO_SURVEY
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
-        self._table, self._chance = table, kinds.object_given_room(table)
-        self._kind_log_ratio = np.log(self._chance / (kinds.room_prior(table) @ self._chance))
+        self._table, self._chance = table, kind_model.object_given_room(table)
+        self._kind_log_ratio = np.log(self._chance / (kind_model.room_prior(table) @ self._chance))
         self._index = SeenObjectIndex(words)
-        self._confidence = np.zeros((1, len(table.things)), np.float32)
-        self._belief = kinds.room_prior(table)[None]
+        # (regions + 1, kinds), P(kind of room | objects seen) of each region at the last update.
+        self._belief = kind_model.room_prior(table)[None]
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
         )
         self._names: tuple[RoomName, ...] = ()
         self._visited: set[int] = set()
-        self._generation = -1  # of the objects
+        self._generation = -1  # `TrackedObjects.generation` of the last update
         self._updated_ns = 0
         self._is_due = False
 
@@ -226,7 +229,7 @@ class RoomMemory:
 
     def on_pose(self, x_m: float, y_m: float) -> None:
         """Mark the room as visited that the robot is in."""
-        if (room := self.entered(x_m, y_m)) and room not in self._visited:
+        if (room := self.entered_room(x_m, y_m)) and room not in self._visited:
             self._visited.add(room)
             self._is_due = True
 
@@ -241,13 +244,13 @@ class RoomMemory:
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
         regions, objects = self.survey.regions, self._index.of(sightings)
-        held = self._confidence = objects_by_region(regions, objects, len(self._table.things))
+        held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
         shapes, named = self.survey.shapes, self._names_by_room()
         region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
-        chance = kinds.included_kinds(self._table, self._chance, held[region], area_m2)
+        chance = kind_model.included_kinds(self._table, self._chance, held[region], area_m2)
         self.rooms = tuple(
             self._room(shape, held[shape.region], row, named.get(shape.id, ()))
             for shape, row in zip(shapes, chance, strict=True)
@@ -281,12 +284,12 @@ class RoomMemory:
     def is_in(self, name: str, x_m: float, y_m: float) -> bool:
         """Return True if a point, or an object at a wall, is in a room that the name may mean."""
         room = self.room_at(x_m, y_m)
-        return room is not None and any(one.id == room.id for one in self.matching(name))
+        return room is not None and any(other.id == room.id for other in self.matching(name))
 
-    def entered(self, x_m: float, y_m: float) -> int:
+    def entered_room(self, x_m: float, y_m: float) -> int:
         """Return the id of the room that a robot at a point is inside of; 0 if it is in none."""
         room_id, depth_m = self.survey.depth_at(x_m, y_m)
-        shape = next((one for one in self.survey.shapes if one.id == room_id), None)
+        shape = next((each for each in self.survey.shapes if each.id == room_id), None)
         return room_id if shape is not None and depth_m >= shape.inside_m else 0
 
     def find(self, name: str) -> list[MappedRoom]:
@@ -310,7 +313,7 @@ class RoomMemory:
     def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
         """Return the rooms in which a thing was seen, the most confident sighting first."""
         found = [
-            self.room_at(*one.xyz_m[:2]) for one in known_objects(sightings, 0, min_hits, name)
+            self.room_at(*obj.xyz_m[:2]) for obj in known_objects(sightings, 0, min_hits, name)
         ]
         return list({room.id: room for room in found if room is not None}.values())
 
@@ -325,7 +328,7 @@ class RoomMemory:
             (n,) float64; see `edge.perception.prior.rooms.room_posterior_at`.
         """
         column = self._table.kinds.index(kind)
-        belief, average = self._belief[:, column], kinds.room_prior(self._table)[column]
+        belief, average = self._belief[:, column], kind_model.room_prior(self._table)[column]
         if len(belief) != self.survey.regions.n + 1:  # a new survey came after the last update
             return np.ones(len(xy_m))
         return belief[self.survey.regions.at(xy_m)] / average
@@ -341,8 +344,8 @@ class RoomMemory:
             kind: a kind of room of the prior's table.
         """
         objects, column = self._objects, self._table.kinds.index(kind)
-        at = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
-        inside = np.flatnonzero(at & (objects.row >= 0))
+        is_inside = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
+        inside = np.flatnonzero(is_inside & (objects.row >= 0))
         others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
         rows = [self._kind_log_ratio[other] for other in others if other != column]
         other_kinds = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
@@ -356,14 +359,14 @@ class RoomMemory:
     # -- frames and checkpoints ----------------------------------------------------------------
 
     def on_pose_jump(self) -> None:
-        """Forget all rooms: the frame has changed. Ids go on."""
+        """Forget all rooms, because the frame has changed. New rooms get new ids."""
         self.survey = NO_SURVEY._replace(next_id=self.survey.next_id)
         self._visited.clear()
         self.rooms, self._is_due = (), True
         self.version += 1
 
     def state_dict(self) -> Arrays:
-        """Return the ids, each with a point inside; the shapes follow from the map."""
+        """Return the ids of the rooms, each with a point inside; the map gives the shapes again."""
         s = self.survey
         rooms = [*s.lost, *(LostRoom(shape.id, *shape.xy_m) for shape in s.shapes)]
         return {
@@ -408,6 +411,14 @@ class RoomMemory:
     def _room(
         self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
     ) -> MappedRoom:
+        """Return a room.
+
+        Args:
+            shape: its shape.
+            held: see `MappedRoom.held`.
+            chance: (kinds,) probability of each kind of the prior's table.
+            named: names from people, newest last.
+        """
         name = named[-1] if named else ""
         by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
         found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
@@ -419,10 +430,10 @@ class RoomMemory:
         )  # fmt: skip
 
 
-def _reason(found: tuple[str, ...], held: np.ndarray) -> str:
+def _reason_text(found: tuple[str, ...], held: np.ndarray) -> str:
     """Return the objects that speak most for some kinds, in words; "" if there are none."""
     table, named = load(), []
-    chance, prior = kinds.object_given_room(table), kinds.room_prior(table)
+    chance, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
     for kind in found:
         weights = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
         best = [at for at in np.argsort(-weights)[:_REASONS].tolist() if weights[at] > 0.0]

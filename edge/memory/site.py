@@ -44,11 +44,14 @@ MAX_FEATURES = 500
 MAX_CORNERS = 500
 """Largest number of corners of a zone."""
 MAX_FILE_BYTES = 16 << 20
+"""Largest size of a file."""
 MAX_NAME_CHARS = 60
+"""Largest number of characters of a name."""
 START = "start"
 """A place that is always known: the first pose of this run."""
 _ARTICLES = ("the", "a", "an", "my", "our", "your")
 ZONE_KINDS = ("keep_out", "stay_inside")
+"""Kinds of zones; see `Zone`."""
 
 Point = tuple[float, float]
 
@@ -78,7 +81,12 @@ def is_same(name: str, other: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A pose with a name."""
+    """A pose with a name.
+
+    Attributes:
+        name: see `name_of`.
+        pose: pose in `map`.
+    """
 
     name: str
     pose: SE2
@@ -117,7 +125,12 @@ class Zone:
 
 @dataclass(frozen=True, slots=True)
 class RoomName:
-    """A person's name for the room around a point."""
+    """A person's name for the room around a point.
+
+    Attributes:
+        name: see `name_of`.
+        xy_m: the point in `map`.
+    """
 
     name: str
     xy_m: Point
@@ -133,6 +146,9 @@ Item = Union[Place, Zone, RoomName]
 @dataclass(frozen=True, slots=True)
 class Site:
     """All places, zones and room names; immutable.
+
+    Attributes:
+        items: all of them, each with its own name.
 
     Example:
         >>> site = Site().with_item(Place("dock", SE2(1.0, 2.0, 0.0)))
@@ -260,14 +276,14 @@ def _feature(
 # -- reading GeoJSON, which is untrusted ----------------------------------------------------------
 
 
-def _checked_name(text: str) -> str:
+def _check_name(text: str) -> str:
     name = name_of(text)
     if not name or any(not (c.isalnum() or c in " -_'.") for c in name):
         raise ValueError("expected letters, digits, spaces and - _ ' .")
     return name
 
 
-Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_checked_name)]
+Name = Annotated[str, Field(max_length=MAX_NAME_CHARS), AfterValidator(_check_name)]
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Position = Annotated[list[Metres], Field(min_length=2, max_length=3)]
 
@@ -341,6 +357,7 @@ class _ZoneFeature(_Model):
 
 
 def _kind(value: Any) -> str:
+    """Return the tag of a feature's class in the union; a feature without a kind is a place."""
     properties = value.get("properties") if isinstance(value, dict) else None
     kind = properties.get("kind", "place") if isinstance(properties, dict) else None
     return "zone" if kind in ZONE_KINDS else "room" if kind == "room" else "place"
@@ -479,6 +496,7 @@ class SiteFile:
     def __post_init__(self) -> None:
         if self.site is None:
             self.site = Site() if self.path is None else read_site(self.path)
+        # The last result of `known`, after the site and the start for which it holds.
         self._known: tuple[Site, Place | None, Site] = self.site, None, self.site
         self._worker: Worker[Site, None] = Worker("site", self._save, finishes=True)
 
@@ -513,7 +531,7 @@ class SiteFile:
             self.on_error(f"{one_line(self.path)}: not saved: {error.strerror}")
 
 
-def merged(site: Site, items: Iterable[Item]) -> Site:
+def merge_items(site: Site, items: Iterable[Item]) -> Site:
     """Return a site with items added. Each item replaces an item of the same name."""
     for item in items:
         site = site.with_item(item)

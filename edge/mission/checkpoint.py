@@ -1,4 +1,4 @@
-"""The state of a mission in a checkpoint."""
+"""The state of a mission in a checkpoint, from which it continues after a restart."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
 
 from edge.errors import UserError
 from edge.host.checkpoint import CheckpointFormat
-from edge.mission.destinations import Destination, of_places
+from edge.mission.destinations import Destination, upgrade_places
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
 from edge.mission.repetition import Repetition
 from edge.mission.run import MissionRun
 from edge.text import bounded_repr
 
-Word = Annotated[str, Field(max_length=1000)]
+# Types that check the file's values.
+ShortText = Annotated[str, Field(max_length=1000)]
 NotNegative = Annotated[float, Field(ge=0)]
-Words = Annotated[tuple[Word, ...], Field(max_length=10_000)]
+Letters = Annotated[tuple[ShortText, ...], Field(max_length=10_000)]
 
 
 @dataclass(frozen=True)
@@ -48,21 +49,21 @@ class MissionState:
         id: see `edge.mission.run.MissionRun`.
         exempt_s: see `edge.mission.run.MissionRun`, which also describes `exempt_m`, `results` and
             `pursued_s`.
-        task: True for a task (`edge.tasks`): `trace` has one `NOTHING` for each driven step.
+        task: True for a task (`edge.tasks`). Its `trace` has one `NOTHING` for each driven step.
     """
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
     instruction: str
     formula: str
-    backend: Word
+    backend: ShortText
     english: str
-    trace: Annotated[Words, Field(validation_alias=AliasChoices("trace", "word"))]
-    reached: Words
-    failed: Words
-    detected: Words
-    target: Word | None
-    phase: Word
+    trace: Annotated[Letters, Field(validation_alias=AliasChoices("trace", "word"))]
+    reached: Letters
+    failed: Letters
+    detected: Letters
+    target: ShortText | None
+    phase: ShortText
     reason: str
     paused: bool
     elapsed_s: NotNegative
@@ -71,40 +72,42 @@ class MissionState:
     readings: tuple[str, ...] = ()
     implied: bool = False
     destinations: Annotated[
-        dict[Word, Destination],
-        BeforeValidator(of_places),
+        dict[ShortText, Destination],
+        BeforeValidator(upgrade_places),
         Field(max_length=100, validation_alias=AliasChoices("destinations", "places")),
     ] = field(default_factory=dict)
-    id: Word = ""
+    id: ShortText = ""
     task: bool = False
     exempt_s: NotNegative = 0.0
     exempt_m: NotNegative = 0.0
     repeat: Repetition | None = None
     round: Annotated[int, Field(ge=1)] = 1
     results: tuple[str, ...] = ()
-    pursued_s: dict[Word, NotNegative] = field(default_factory=dict)
+    pursued_s: dict[ShortText, NotNegative] = field(default_factory=dict)
 
 
-OF_TRANSLATION = (
+TRANSLATION_ATTRIBUTES = (
     "instruction", "backend", "english", "reading", "readings", "implied", "destinations", "repeat",
 )  # fmt: skip
-"""Attributes that `MissionState` has from the mission's `Translation`."""
-_OF_RUN = (
+"""Attributes that `MissionState` takes from the mission's `Translation`."""
+# Attributes that `MissionState` takes unchanged from the `MissionRun`.
+_RUN_ATTRIBUTES = (
     "trace", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
     "exempt_m", "results", "round",
 )  # fmt: skip
 
 
 def state_of(mission: MissionRun, phase: str) -> MissionState:
-    """Return the current state of the mission for a checkpoint."""
+    """Return the current state of the mission for a checkpoint; `phase` is the run's phase."""
     spec = mission.spec
     return MissionState(
         formula=str(spec.automaton.formula), phase=phase,
         task=spec.steps is not None,
         failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
-        **{name: getattr(spec.translation, name) for name in OF_TRANSLATION}
+        **{name: getattr(spec.translation, name) for name in TRANSLATION_ATTRIBUTES}
         | {"destinations": dict(mission.destinations)},
-        **{name: getattr(mission, name) for name in _OF_RUN}, pursued_s=dict(mission.pursued_s),
+        **{name: getattr(mission, name) for name in _RUN_ATTRIBUTES},
+        pursued_s=dict(mission.pursued_s),
     )  # fmt: skip
 
 
@@ -131,3 +134,4 @@ def _letters(formula: str) -> frozenset[str]:
 
 
 MISSION = CheckpointFormat("edge-mission", "checkpoint of a mission", MissionState, 8 << 20, _check)
+"""The format of the checkpoint file."""

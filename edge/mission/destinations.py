@@ -1,7 +1,8 @@
 """Destinations: propositions that are no things to search for, such as places and waits.
 
-The text of a proposition decides what it is; see `destination_of`. So a formula that a person
-wrote and quoted names in an instruction mean the same.
+The text of a proposition decides which destination it is; see `destination_of`. So a proposition
+means the same in a formula that a person wrote, and as a quoted name in an instruction. `kind` of
+each class tells the classes apart in JSON.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from edge.mission.language.places import EXPLORED, HERE, START
 from edge.text import one_line
 
 CALLER = "caller"
-"""The place that a request gives as `from_pose`."""
+"""Name of the place whose pose a request gives as `from_pose`."""
 LONGEST_S = 24 * 3600.0
 """Longest duration of a wait, an exploration or a repetition."""
+# Unit → its length [s].
 _UNITS_S = {"s": 1, "sec": 1, "second": 1, "min": 60, "minute": 60, "h": 3600, "hour": 3600}
 DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
@@ -157,10 +159,10 @@ def destination_of(text: str, site: Site) -> Destination | None:
     if found := _WAIT.fullmatch(text):
         return WaitTarget(found["time"] and duration_s(found["time"]))
     if found := _EXPLORE.fullmatch(text):
-        room = _checked_room(found["room"], site)
+        room = _room_name_of(found["room"], site)
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
-        return CheckTarget(found["name"], _checked_room(found["room"], site))
+        return CheckTarget(found["name"], _room_name_of(found["room"], site))
     return _room_of(text, site)
 
 
@@ -175,8 +177,8 @@ def room_target(text: str) -> RoomTarget:
     return RoomTarget(text)
 
 
-def _checked_room(text: str | None, site: Site) -> str:
-    """Return the name of a room that a phrase has; "" for none.
+def _room_name_of(text: str | None, site: Site) -> str:
+    """Return the name of the room in a phrase, without its article; "" if there is none.
 
     Raises:
         DestinationError: the robot cannot know a room of this name.
@@ -252,16 +254,17 @@ def destinations_json(destinations: Mapping[str, Destination]) -> dict[str, Any]
 
 
 def destinations_of_json(data: Any) -> dict[str, Destination]:
-    """Return destinations from JSON, also from that of `of_places`."""
-    return _DESTINATIONS.validate_python(of_places(data))
+    """Return destinations from JSON, also from that of older recordings."""
+    return _DESTINATIONS.validate_python(upgrade_places(data))
 
 
-def of_places(data: Any) -> Any:
-    """Return the JSON of destinations from that of places, which older recordings hold."""
+def upgrade_places(data: Any) -> Any:
+    """Return the JSON of destinations, from that or from the JSON of places of older recordings."""
     if not isinstance(data, dict):
         return data
 
     def upgrade(name: str, pose: Any) -> Any:
+        """Return the JSON of one destination; a place was a pose, `explored` had none."""
         if isinstance(pose, dict) and "kind" in pose:
             return pose
         if name == EXPLORED and pose is None:
@@ -277,7 +280,7 @@ def duration_s(text: str) -> float:
     """Return the seconds of a text such as `30 s`, `1.5 min` or `two hours`.
 
     Raises:
-        DestinationError: the number is none, or the time too long.
+        DestinationError: there is no number, or the time is too long.
     """
     *number, unit = text.split()
     unit_s = _UNITS_S.get(unit if unit == "s" else unit.rstrip("s"), 0)

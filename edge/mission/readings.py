@@ -1,4 +1,4 @@
-"""The readings of an ambiguous instruction, compared as formal languages."""
+"""Readings of an ambiguous instruction: comparison as formal languages, and the question."""
 
 from __future__ import annotations
 
@@ -12,13 +12,19 @@ from edge.mission.logic.diagnosis import diagnose
 from edge.mission.logic.ltl import Formula, postorder
 from edge.text import one_line
 
-_MAX_STATES, _MAX_STEPS = 2_000, 3_000_000  # of each reading; larger ones are not compared
+# Limits of the compilation of each reading; larger ones are not compared.
+_MAX_STATES, _MAX_STEPS = 2_000, 3_000_000
 _SHOWN = 300  # characters of each reading
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One possible meaning of an instruction, as a formula and in English."""
+    """One possible meaning of an instruction.
+
+    Attributes:
+        formula: the meaning as a formula.
+        english: the formula in English.
+    """
 
     formula: Formula
     english: str
@@ -109,7 +115,7 @@ def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | No
         compiled = [compile_formula(formula, _MAX_STATES, _MAX_STEPS) for formula in formulas]
     except CompileError:
         return formulas, None
-    kept: list[Automaton] = []
+    kept: list[Automaton] = []  # one for each language
     for automaton in [a for a in compiled if a.steps_left[0] > 0] or compiled:
         if not any(implies(automaton, other) and implies(other, automaton) for other in kept):
             kept.append(automaton)

@@ -6,6 +6,7 @@ rounds does not change its size.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Annotated
@@ -64,7 +65,7 @@ class Repetition:
         text = f"round {round_number}" + (f" of {self.rounds}" if self.rounds else "")
         if self.limit_s is None:
             return text
-        return f"{text}, {shown_s(max(0.0, -(-(self.limit_s - elapsed_s) // 1)))} left"
+        return f"{text}, {shown_s(max(0, math.ceil(self.limit_s - elapsed_s)))} left"
 
 
 def split_repetition(instruction: str) -> tuple[str, Repetition | None]:
@@ -97,7 +98,9 @@ def split_repetition(instruction: str) -> tuple[str, Repetition | None]:
 
 
 def recurrence(formula: Formula, given: bool) -> tuple[Formula, bool]:
-    """Return one round of a formula of recurrence, `G F a & G F b`, and if it was one.
+    """Return one round of a formula of recurrence, `G F a & G F b`, and True.
+
+    Return any other formula unchanged, and False.
 
     On a finite trace, two such parts contradict each other, and one means that the trace ends with
     it. So one part alone is a recurrence only if a repetition is given. A round visits the parts in
@@ -108,9 +111,9 @@ def recurrence(formula: Formula, given: bool) -> tuple[Formula, bool]:
         given: True if a repetition is given with the formula.
     """
     parts = formula.args if formula.op == "&" else (formula,)
-    goals = [goal for part in parts for goal in _recurring(part)]
+    goals = [goal for part in parts for goal in _recurring_goals(part)]
     bans = [part for part in parts if part.op == "G" and part.args[0].op == "!"]
-    others = [part for part in parts if not _recurring(part) and part not in bans]
+    others = [part for part in parts if not _recurring_goals(part) and part not in bans]
     if others or len(goals) < (1 if given else 2):
         return formula, False
     chain = ltl.eventually(goals[-1])
@@ -119,7 +122,7 @@ def recurrence(formula: Formula, given: bool) -> tuple[Formula, bool]:
     return ltl.conj(chain, *bans), True
 
 
-def _recurring(part: Formula) -> list[Formula]:
+def _recurring_goals(part: Formula) -> list[Formula]:
     """Return the propositions that `G F a` or `G (F a & F b)` asks for again and again."""
     if part.op != "G":
         return []

@@ -21,7 +21,7 @@ from edge.mission.spec import MissionSpec
 from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
-MAX_STEPS = 1000
+MAX_EVENTS = 1000
 """Largest number of entries in the mission log."""
 _MOST_RESULTS = 20  # results that the reason of the end shows
 _RESULT_CHARS = 400  # longest text of one result
@@ -36,6 +36,7 @@ class MissionRun:
     come.
 
     Attributes:
+        spec: the mission.
         state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
@@ -45,7 +46,7 @@ class MissionRun:
         reached: the set R, in order of reaching.
         round: number of the current round, from 1, of a mission that repeats.
         results: what the mission found out so far, for the reason of its end.
-        log: the mission log, oldest entry first, at most the last `MAX_STEPS`.
+        log: the mission log, oldest entry first, at most the last `MAX_EVENTS`.
         started: True after `start`.
         paused: while True, time and path do not count and no target is pursued.
         retargets: number of times that a new target was set.
@@ -54,9 +55,12 @@ class MissionRun:
         destinations: targets that are no things; `locate` sets poses that were not known before.
         id: the requester's name of the mission; "" if there is none.
         activity: what the robot does for the active target, for the status; "" to say nothing.
+        elapsed_s: time since the first observation, without pauses.
+        path_m: driven path, without pauses.
         exempt_s: part of `elapsed_s` that does not count towards the limit: targets with a duration
-            of their own.
+            of their own, and in a mission that repeats, earlier rounds.
         exempt_m: the same for `path_m`.
+        reason: reason of the end; "" before it.
         pursued_s: for each target, the time for which it was pursued, without pauses, since it was
             last reached, failed or seen again.
     """
@@ -65,7 +69,7 @@ class MissionRun:
         self,
         spec: MissionSpec,
         config: MissionConfig,
-        on_event: Callable[[MissionEvent], None] = lambda step: None,
+        on_event: Callable[[MissionEvent], None] = lambda event: None,
         id: str = "",
     ) -> None:
         """Create the run; call `start` to begin it.
@@ -113,7 +117,7 @@ class MissionRun:
         self._newest_ids: dict[str, int] = dict.fromkeys(known, 0)
         self._stale_ids: dict[str, int] = {}
         self.pursued_s: dict[str, float] = {}
-        self._left_out = 0  # targets left out since one was reached
+        self._n_left_out = 0  # targets left out of rounds since one was reached
         self._last_ns: int | None = None
         self._last_pose: SE2 | None = None
         self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
@@ -152,7 +156,7 @@ class MissionRun:
         return self.pursued_s.get(self.target, 0.0)
 
     @property
-    def _timed(self) -> bool:
+    def _target_is_timed(self) -> bool:
         """True if the active target ends by a time of its own, so that no limit applies."""
         return is_timed(self.destinations.get(self.target))
 
@@ -172,7 +176,7 @@ class MissionRun:
         )
 
     def status(self, phase: MissionPhase) -> MissionStatus:
-        """Return the status of the mission; `phase` applies while it is running."""
+        """Return the status of the mission; `phase` applies while the mission is active."""
         if self._ended is not None:
             phase = self._ended
         elif self.paused:
@@ -243,7 +247,7 @@ class MissionRun:
         step_m = step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
         self.elapsed_s += passed_s
         self.path_m += step_m
-        if self._timed:
+        if self._target_is_timed:
             self.exempt_s += passed_s
             self.exempt_m += step_m
         if searching:
@@ -259,13 +263,13 @@ class MissionRun:
         if not self.active:
             return
         if repeat is not None and repeat.limit_s is not None and self.elapsed_s > repeat.limit_s:
-            self._finish("reached", self._rounds_done(self.round - 1), now_ns)
+            self._finish("reached", self._rounds_text(self.round - 1), now_ns)
             return
         if self.elapsed_s - self.exempt_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)
         elif self.path_m - self.exempt_m > c.path_limit_m:
             self.fail(f"path limit of {c.path_limit_m:g} m", now_ns)
-        elif not self._timed and self.pursued_now_s > (c.search_limit_s or math.inf):
+        elif not self._target_is_timed and self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.detected else "no"
             self.abandon_target(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
 
@@ -311,11 +315,11 @@ class MissionRun:
         No other event of a mission with a formula advances it, except steps without an object.
 
         Args:
-            evidence: how this is known, for the mission log.
+            evidence: reason why the target counts as reached, for the mission log.
             now_ns: time of the loop.
-            result: what the person wants to know at the end of the mission, such as an answer.
+            result: text for the person at the end of the mission, such as an answer.
         """
-        label, self._left_out = self.target, 0
+        label, self._n_left_out = self.target, 0
         if result:
             self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self._advance(label)
@@ -368,11 +372,12 @@ class MissionRun:
     def cancel(self, reason: str, now_ns: int) -> None:
         """End the mission because a person says so.
 
-        It fails, unless it repeats without an end of its own: for that, this is its regular end.
+        The mission then fails. One that repeats without an end is fulfilled: this is its regular
+        end.
         """
         repeat = self.spec.translation.repeat
         if repeat is not None and repeat.endless:
-            self._finish("reached", f"{reason}; {self._rounds_done(self.round - 1)}", now_ns)
+            self._finish("reached", f"{reason}; {self._rounds_text(self.round - 1)}", now_ns)
         else:
             self.fail(reason, now_ns)
 
@@ -398,7 +403,8 @@ class MissionRun:
     ) -> None:
         """Continue from the saved state of a mission with the same formula.
 
-        Call it before `start`.
+        Call it before `start`. The arguments are attributes of this class at the time of saving;
+        `exempt` is the pair of `exempt_s` and `exempt_m`.
         """
         for letter in trace:
             self._advance(letter)
@@ -437,7 +443,7 @@ class MissionRun:
     def _end_round(self, repeat: Repetition, now_ns: int) -> None:
         """Begin the next round, or end the mission after the last one."""
         if self.round == repeat.rounds:
-            self._finish("reached", self._rounds_done(self.round), now_ns)
+            self._finish("reached", self._rounds_text(self.round), now_ns)
             return
         self.round += 1
         self.state, self.trace, self.reached = 0, (), ()
@@ -446,26 +452,27 @@ class MissionRun:
         self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
         self._log_event(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
 
-    def _leave_out(self, now_ns: int) -> bool:
-        """Leave out the failed target in this round of a mission that repeats, if that helps.
+    def _leave_out_failed(self, now_ns: int) -> bool:
+        """Leave out the failed target in this round, as if it had been reached.
 
-        Returns False if every target was left out since one was reached: then the mission fails.
+        Return False, and do nothing, if that is not possible: the mission does not repeat, the
+        target is forbidden now, or all others were left out since one was reached.
         """
         label, automaton = self.target, self.spec.automaton
         if self.spec.translation.repeat is None or label not in self.failed:
             return False
-        if self._left_out >= len(self.spec.targets) - 1:
+        if self._n_left_out >= len(self.spec.targets) - 1:
             return False
         if automaton.is_dead(automaton.step(self.state, label)):
             return False
-        self._left_out += 1
+        self._n_left_out += 1
         self.failed -= {label}
         self._advance(label)
         self._log_event(now_ns, "warning", label, f"left out in round {self.round}: {label}")
         self._accept("left out", now_ns)
         return True
 
-    def _rounds_done(self, rounds: int) -> str:
+    def _rounds_text(self, rounds: int) -> str:
         """Return the reason of the end after some rounds."""
         done = f"{rounds} round{'s' * (rounds != 1)} done"
         return "; ".join((done, *self.results))
@@ -481,7 +488,7 @@ class MissionRun:
         while not self.done:
             current = None if retarget else self.target
             self.plan = self._planner.plan(self.state, self.knowledge, current)
-            if not self.plan.feasible and self._leave_out(now_ns):
+            if not self.plan.feasible and self._leave_out_failed(now_ns):
                 continue
             if not self.plan.feasible:
                 why = [why for label, why in self._why_failed.items() if label in self.failed]
@@ -510,6 +517,6 @@ class MissionRun:
 
     def _log_event(self, now_ns: int, kind: MissionEventKind, label: str, text: str) -> None:
         self.changes += 1
-        step = MissionEvent(now_ns, kind, label, self.state, text)
-        self.log = (*self.log, step)[-MAX_STEPS:]
-        self._on_event(step)
+        event = MissionEvent(now_ns, kind, label, self.state, text)
+        self.log = (*self.log, event)[-MAX_EVENTS:]
+        self._on_event(event)

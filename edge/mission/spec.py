@@ -13,7 +13,7 @@ from edge import names
 from edge.config import MissionConfig, TranslatorLtl
 from edge.errors import UserError
 from edge.geometry import SE2
-from edge.memory import Site, described, is_room_name
+from edge.memory import Site, is_room_name, parse_description
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -29,7 +29,7 @@ from edge.mission.language.english import describe
 from edge.mission.language.errands import CHECK, spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
-from edge.mission.language.nouns import listed
+from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
 from edge.mission.language.said import MissionOrder, NoMissionError, understand
 from edge.mission.language.tokens import UnclearError
@@ -45,6 +45,7 @@ from edge.mission.translate import Translation, TranslationError, make_translato
 from edge.text import one_line
 
 _NO_SITE = Site()
+# Spelled-out text that means more than the words as they were given.
 _MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
 _MOST_SHOWN = 600  # characters of the parts of a contradiction
 
@@ -81,7 +82,7 @@ class MissionSpec:
         """Return the prompt to search for while this target is pursued."""
         destination = self.translation.destinations.get(target)
         wanted = destination.name if isinstance(destination, CheckTarget) else target
-        if wanted not in self.prompts and (thing := described(wanted)) is not None:
+        if wanted not in self.prompts and (thing := parse_description(wanted)) is not None:
             wanted = thing.noun
         if wanted in self.prompts:
             return wanted
@@ -103,8 +104,8 @@ class MissionSpec:
         return tuple(lines)
 
 
-_SMALL_WORDS = frozenset(listed("the next near room and for from here there with wait"))
-"""Words of names that say nothing about the thing."""
+_SMALL_WORDS = frozenset(split_entries("the next near room and for from here there with wait"))
+"""Words in names that a remark may share with a target by chance."""
 
 
 def prepare(
@@ -128,8 +129,8 @@ def prepare(
         reading: the chosen reading of the given instruction, counted from 1. For the
             configuration's own instruction, `config.reading` applies.
         site: a place of the site is a target that needs no search.
-        repeat: the end of a mission that repeats; None: as the instruction or formula says.
         caller: pose of the person who calls the robot, the place `caller`; None if it is not known.
+        repeat: the end of a mission that repeats; None: as the instruction or formula says.
 
     Raises:
         AmbiguousInstructionError: the instruction has several readings, and none was chosen.
@@ -157,7 +158,7 @@ def prepare(
     else:
         reach = ltl.eventually(ltl.ap(config.target))
         translation = Translation(config.target, reach, describe(reach), "target")
-    return spec_of(config, located(repeated(translation, repeat), site))
+    return spec_of(config, with_destinations(with_repetition(translation, repeat), site))
 
 
 def translate(
@@ -167,7 +168,9 @@ def translate(
     reading: int | None = None,
     ask: bool = True,
 ) -> Translation:
-    """Spell out the everyday words of an instruction and translate it; see `prepare`.
+    """Spell out the everyday words of an instruction and translate it; for arguments see `prepare`.
+
+    `ask` is True if the sender can choose a reading.
 
     Raises:
         NoMissionError: it is a question, an order to learn, or about the present mission.
@@ -195,7 +198,7 @@ def translate(
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
     letters = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
-    if letters == {"a"} and '"a"' not in text:
+    if letters == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     for reason in order.speech.reasons:
@@ -236,7 +239,7 @@ def _with_position(error: TranslationError, instruction: str) -> TranslationErro
     return type(error)(message, error.part, at)
 
 
-def repeated(translation: Translation, repeat: Repetition | None) -> Translation:
+def with_repetition(translation: Translation, repeat: Repetition | None) -> Translation:
     """Return a translation to one round of a mission that repeats, if it does.
 
     Args:
@@ -254,12 +257,12 @@ def repeated(translation: Translation, repeat: Repetition | None) -> Translation
     )
 
 
-def located(translation: Translation, site: Site) -> Translation:
-    """Return a translation whose propositions mean the destinations that their text names.
+def with_destinations(translation: Translation, site: Site) -> Translation:
+    """Return a translation with the destinations that its propositions name, also in its English.
 
     Raises:
         DestinationError: see `destination_of`.
-        RelationError: see `described`.
+        RelationError: see `parse_description`.
         MissionError: a zone closes a place, or a thing is in a room that has no such name.
     """
     found: dict[str, Destination] = {}
@@ -273,15 +276,16 @@ def located(translation: Translation, site: Site) -> Translation:
             english = english.replace(f'"{letter}"', plain)
         else:
             _refuse_unknown_room(letter, site)
-    described, orders = describe(translation.formula), orders_of(translation.formula, found)
-    if found and orders and translation.english.startswith(described):
-        english = orders + translation.english[len(described) :]
+    formula_english = describe(translation.formula)
+    orders = orders_of(translation.formula, found)
+    if found and orders and translation.english.startswith(formula_english):
+        english = orders + translation.english[len(formula_english) :]
     return replace(translation, destinations=found, english=english)
 
 
 def _refuse_unknown_room(letter: str, site: Site) -> None:
-    """Refuse a thing in a room that is no kind of room, and has its name from nobody."""
-    room = thing.room if (thing := described(letter)) is not None else ""
+    """Refuse a thing in a room whose name is no kind of room, and which no person gave."""
+    room = thing.room if (thing := parse_description(letter)) is not None else ""
     if room and not is_room_name(room) and site.room_name(room) is None:
         raise MissionError(
             f"mission: {one_line(letter, 80)}: no room or thing is called {one_line(room, 60)!r}; "
@@ -348,7 +352,7 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
         by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
         if destination is None or isinstance(destination, CheckTarget) or by_thing:
             thing = target if destination is None else destination.name
-            relation = described(thing)
+            relation = parse_description(thing)
             for name in (thing,) if relation is None else relation.prompts:
                 found.setdefault(names.canonical(name), name)
     return tuple(found.values())
@@ -389,6 +393,7 @@ def spec_of_task(
     states = np.arange(len(steps) + 1, dtype=np.int32)
     delta = np.repeat(states[:, None], len(targets) + 1, axis=1)
     delta[:-1, -1] += 1
+    # Only NOTHING, the last letter, moves the state, and the last state has no successor.
     chain = Automaton(ltl.TRUE, targets, delta, states == len(steps), np.zeros_like(states))
     return MissionSpec(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 

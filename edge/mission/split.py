@@ -21,8 +21,8 @@ class MissionSplit:
     If each robot's trace fulfils its part, any interleaving of the traces fulfils the whole.
 
     Attributes:
-        parts: one formula for each robot, each with all avoidances. Only the whole formula if it
-            cannot be split.
+        parts: one formula for each robot, each with all avoidances. If the formula cannot be
+            split, it is the only part.
         unsplit_reason: why the formula cannot be split, in one line; "" if it was split.
     """
 
@@ -51,31 +51,33 @@ def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit
         ['F bed & G !dog', 'F sofa & G !dog']
     """
     conjuncts = formula.args if formula.op == "&" else (formula,)
-    automata = [_compiled(part, limits or MissionConfig()) for part in conjuncts]
-    avoided = tuple(a.formula for a in automata if _avoids(a))
-    parts, idle = [], []
-    for group in _sharing(a.formula for a in automata if not _avoids(a)):
-        automaton = _compiled(ltl.conj(*group), limits or MissionConfig())
-        if not _heeds_own_steps_only(automaton):
+    automata = [_compile(part, limits or MissionConfig()) for part in conjuncts]
+    avoided = tuple(a.formula for a in automata if _is_avoidance(a))
+    parts: list[Formula] = []
+    undemanding: list[Formula] = []  # fulfilled without reaching anything
+    for group in _group_by_propositions(a.formula for a in automata if not _is_avoidance(a)):
+        automaton = _compile(ltl.conj(*group), limits or MissionConfig())
+        if not _ignores_other_steps(automaton):
             return MissionSplit(
                 (formula,), f"{one_line(automaton.formula)} counts other robots' steps"
             )
-        (idle if automaton.accepting[0] else parts).append(automaton.formula)
+        (undemanding if automaton.accepting[0] else parts).append(automaton.formula)
     if len(parts) < 2:
-        together = "its parts depend on each other" if len(conjuncts) > 1 else "it has one part"
-        return MissionSplit((formula,), together)
-    parts[0] = ltl.conj(parts[0], *idle)
+        why = "its parts depend on each other" if len(conjuncts) > 1 else "it has one part"
+        return MissionSplit((formula,), why)
+    parts[0] = ltl.conj(parts[0], *undemanding)
     return MissionSplit(tuple(ltl.conj(part, *avoided) for part in parts))
 
 
-def _compiled(formula: Formula, limits: MissionConfig) -> Automaton:
+def _compile(formula: Formula, limits: MissionConfig) -> Automaton:
     """Return the automaton of a formula within the limits of a configuration."""
     return compile_formula(formula, limits.max_states, limits.compile_limit_steps, limits.compiler)
 
 
-def _avoids(automaton: Automaton) -> bool:
+def _is_avoidance(automaton: Automaton) -> bool:
     """Return True if the automaton only forbids reaching some objects."""
     delta, accepting = automaton.delta, automaton.accepting
+    # State 0 accepts and stays in a step without an object. State 1, if any, is dead.
     return bool(
         accepting[0]
         and automaton.n_states <= 2
@@ -85,15 +87,16 @@ def _avoids(automaton: Automaton) -> bool:
     )
 
 
-def _heeds_own_steps_only(automaton: Automaton) -> bool:
+def _ignores_other_steps(automaton: Automaton) -> bool:
     """Return True if a step that reaches none of the automaton's objects never changes its state.
 
-    The automaton is minimal, so equal meaning implies equal state.
+    The automaton is minimal, so a state that means the same is the same state. The last column of
+    `delta` is the step that reaches no object.
     """
     return bool((automaton.delta[:, -1] == np.arange(automaton.n_states)).all())
 
 
-def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
+def _group_by_propositions(formulas: Iterable[Formula]) -> list[list[Formula]]:
     """Group formulas that share propositions, in order of first appearance."""
     given = list(formulas)
     groups: list[tuple[set[str], list[int]]] = []
@@ -108,4 +111,4 @@ def _sharing(formulas: Iterable[Formula]) -> list[list[Formula]]:
 
 def required_propositions(formula: Formula, limits: MissionConfig | None = None) -> tuple[str, ...]:
     """Return the propositions that may have to be reached: all except the forbidden ones."""
-    return _compiled(formula, limits or MissionConfig()).possible
+    return _compile(formula, limits or MissionConfig()).possible

@@ -1,4 +1,4 @@
-"""The dataclass of one step of a task."""
+"""One step of a task, an instruction about the manner of driving; see `edge.tasks`."""
 
 from __future__ import annotations
 

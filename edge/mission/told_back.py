@@ -1,7 +1,7 @@
-"""Description of what a mission asks for as orders, such as "Go to the kitchen, then wait.".
+"""Description of a mission as orders, such as "Go to the kitchen, then wait.".
 
-`edge.mission.language.english` describes any formula by what is reached. This module describes the
-common forms as a person would say them.
+The person who gave the instruction sees it. `edge.mission.language.english` describes any formula
+by what is reached; this module describes the common forms as a person would say them.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from edge.mission.language.english import Chain, alternatives_of, is_too_long
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
+# A name that ends in a number or a letter: "room 12".
 _NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(names.SMALL_NUMBERS)})")
 
 
@@ -42,25 +43,25 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
     if is_too_long(formula):
         return ""
     parts = formula.args if formula.op == "&" else (formula,)
-    bans = [part for part in parts if _banned(part)]
-    found = alternatives_of(conj(*(part for part in parts if not _banned(part))))
-    if found is None or len(found) != 1 or not all(map(_is_plain, found[0])):
+    bans = [part for part in parts if _ban_of(part)]
+    alternatives = alternatives_of(conj(*(part for part in parts if not _ban_of(part))))
+    if alternatives is None or len(alternatives) != 1 or not all(map(_is_plain, alternatives[0])):
         return ""
     chains = [
         ", then ".join(_order(visit.options[0], destinations) for visit in chain)
-        for chain in found[0]
+        for chain in alternatives[0]
     ]
     text = "; and ".join(chains) + (", in any order" if len(chains) > 1 else "")
     for ban in bans:
-        away = "out of" if isinstance(destinations.get(_banned(ban)), RoomTarget) else "away from"
-        text += f". Stay {away} {_the(_banned(ban))}"
+        away = "out of" if isinstance(destinations.get(_ban_of(ban)), RoomTarget) else "away from"
+        text += f". Stay {away} {_with_article(_ban_of(ban))}"
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _banned(part: Formula) -> str:
+def _ban_of(part: Formula) -> str:
     """Return the proposition that `G !x` forbids; "" for other formulas."""
-    bans = part.op == "G" and part.args[0].op == "!" and part.args[0].args[0].op == "ap"
-    return part.args[0].args[0].name if bans else ""
+    is_ban = part.op == "G" and part.args[0].op == "!" and part.args[0].args[0].op == "ap"
+    return part.args[0].args[0].name if is_ban else ""
 
 
 def _is_plain(chain: Chain) -> bool:
@@ -71,7 +72,7 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
     """Return the order to reach one proposition."""
     destination = destinations.get(name)
     if destination is None:
-        return f"look for {_the(name)}"
+        return f"look for {_with_article(name)}"
     if isinstance(destination, ExploreTarget):
         time = "" if destination.limit_s is None else f" for {shown_s(destination.limit_s)}"
         return f"explore {f'the {destination.room}' if destination.room else 'everything'}{time}"
@@ -86,9 +87,9 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         return "come to the caller"
     if isinstance(destination, RoomTarget) and destination.which != "called":
         return f"go to {describe_destination(name, destination)}"
-    return f"go to {_the(name)}"
+    return f"go to {_with_article(name)}"
 
 
-def _the(name: str) -> str:
+def _with_article(name: str) -> str:
     """Return a name with an article, if it has no number: "the kitchen", "room 12"."""
     return name if _NUMBERED.fullmatch(name) else f"the {name}"

@@ -100,6 +100,10 @@ Backend = Callable[[str], ParsedInstruction]
 class Translator:
     """Translator of instructions to formulas.
 
+    Attributes:
+        kind: kind of the configuration's section `mission.translator`.
+        read: the back end that reads instructions.
+
     Example:
         >>> from edge.config import TranslatorGrammar
         >>> read = make_translator(TranslatorGrammar()).translate("Go to the bed or the sofa.")
@@ -129,7 +133,7 @@ class Translator:
         """
         began_s = time.monotonic()
         read = self.read(instruction)
-        formulas, safer = distinct([validated(formula) for formula in read.formulas])
+        formulas, safer = distinct([check_text(formula) for formula in read.formulas])
         readings = tuple(Reading(formula, describe(formula)) for formula in formulas)
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
@@ -155,7 +159,7 @@ class Translator:
         )
 
 
-def validated(formula: Formula) -> Formula:
+def check_text(formula: Formula) -> Formula:
     """Return the formula after checking that its text parses back to it.
 
     Raises:

@@ -1,4 +1,7 @@
-"""Driving distances for the planner, computed in the background."""
+"""Driving distances between the targets of a mission, computed in the background.
+
+A survey is one such computation. The planner uses the distances as weights.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +22,11 @@ if TYPE_CHECKING:
     from edge.perception.tracking.instances import InstanceTracker
 
 PERIOD_NS = 1_000_000_000
-"""Least time between two surveys; a survey computes all distances between the targets once."""
+"""Least time between the starts of two surveys."""
 
 
 class TravelCostEstimator:
-    """Background computation of driving distances: one at a time, at most one a second.
+    """Background computation of surveys: one at a time, at most one a second.
 
     Args:
         inline: compute inside `request`, so that a replay gives identical results.
@@ -51,9 +54,9 @@ class TravelCostEstimator:
         if self.is_due(now_ns):
             letters = mission.spec.automaton.propositions
             places = {
-                name: at.pose
-                for name, at in mission.destinations.items()
-                if isinstance(at, PlaceTarget) and at.pose is not None
+                name: destination.pose
+                for name, destination in mission.destinations.items()
+                if isinstance(destination, PlaceTarget) and destination.pose is not None
             }
             xy_m = [
                 [(places[letter].x_m, places[letter].y_m)]
@@ -61,13 +64,13 @@ class TravelCostEstimator:
                 else [instance.center_m[:2] for instance in tracker.of(letter)]
                 for letter in letters
             ]
-            known = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
-            self.request(grid, pose, known, now_ns)
+            positions = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
+            self.request(grid, pose, positions, now_ns)
 
     def is_due(self, now_ns: int) -> bool:
         """Return True if another survey may start."""
-        rested = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
-        return rested and self._worker.idle
+        is_time = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
+        return is_time and self._worker.idle
 
     def request(
         self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int
@@ -77,18 +80,23 @@ class TravelCostEstimator:
         Args:
             grid: the map; the worker takes the snapshot.
             pose: pose of the robot.
-            positions: for each letter of the automaton, (m, 2) positions of its known instances.
+            positions: for each letter of the automaton, (m, 2) float64 [m], the positions of its
+                known instances in `map`.
             now_ns: time of the loop.
         """
         self._requested_ns = now_ns
 
-        def work() -> np.ndarray:
+        def survey() -> np.ndarray:
+            # Cells that are too near to an obstacle for the robot get the value 50.
             return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), positions)
 
-        self._worker.submit(work)
+        self._worker.submit(survey)
 
     def poll(self) -> np.ndarray | None:
-        """Return a finished survey once; None if there is none."""
+        """Return the distances [m] of a finished survey once; None if there is none.
+
+        For the shape see `MissionKnowledge.distance_m`.
+        """
         return self._worker.poll()
 
     def discard_pending(self) -> None:

@@ -16,6 +16,7 @@ from edge.config import PolicyPlugin
 from edge.config.components import component_factory
 from edge.policies.base import Policy
 
+# Kind of a policy → its class.
 REGISTRY = {
     "hvl": "edge.policies.hvl:HvlPolicy",
     "vlfm": "edge.policies.value_map:ValueMapPolicy",
@@ -43,8 +44,8 @@ def find_policy(
     """
     where, needs = f"{path}: policy", ("score()", "reset()")
     if isinstance(config, PolicyPlugin):
-        own = config.kind, config.options, REGISTRY, where, needs, tuple(given)
-        return partial(component_factory("policy", *own), **given)
+        plugin = config.kind, config.options, REGISTRY, where, needs, tuple(given)
+        return partial(component_factory("policy", *plugin), **given)
     make = component_factory("policy", config.kind, {}, REGISTRY, where, needs, ("config",))
     return partial(make, config=config)
 

@@ -1,4 +1,4 @@
-"""ApexNav's policy: use the value map if its values differ between frontiers, else geometry."""
+"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST_RATIO = 1.2
 MAX_STOPS = 8
 """Largest number of stops in a tour. Of more stops the nearest are used, because the cost of a
 tour grows exponentially."""
-_FIRST, _STEP = 2.0, 0.05
+_FIRST_SCORE, _SCORE_STEP = 2.0, 0.05
 """Score of a tour's first stop, and the decrement for each later stop. Other scores are below 1."""
 
 
@@ -31,7 +31,7 @@ class AdaptivePolicy:
 
     def __init__(self, config: PolicyAdaptive) -> None:
         self.config = config
-        self._make_room(0)
+        self._allocate(0)
         shortest_tour(np.ones(2), np.ones((2, 2), np.float32))  # compile the kernel now
 
     def score(self, context: PolicyInput) -> np.ndarray:
@@ -39,7 +39,7 @@ class AdaptivePolicy:
         candidates = context.candidates
         n = count_frontiers(candidates)
         if len(self._score) < len(candidates.kind):
-            self._make_room(len(candidates.kind))
+            self._allocate(len(candidates.kind))
         score, value, path_m = self._score, self._value, candidates.path_m[:n]
         score[:n] = 1.0 / (1.0 + path_m)
         score[n : candidates.n] = candidates.confidence[n : candidates.n]
@@ -48,11 +48,11 @@ class AdaptivePolicy:
         away_m = np.hypot(xy_m[:n, 0] - pose.x_m, xy_m[:n, 1] - pose.y_m)
         reachable = np.isfinite(path_m) & ~candidates.blocked[:n]
         reachable &= away_m > self.config.delta_reached_m
-        stops = self._promising(np.flatnonzero(reachable & ~np.isnan(value[:n])))
+        stops = self._promising_frontiers(np.flatnonzero(reachable & ~np.isnan(value[:n])))
         if len(stops) > 0:
             stops = stops[np.argsort(path_m[stops], kind="stable")][:MAX_STOPS]
             order = shortest_tour(path_m[stops].astype(np.float64), xy_m[stops])
-            score[stops[order]] = _FIRST - _STEP * np.arange(len(stops))
+            score[stops[order]] = _FIRST_SCORE - _SCORE_STEP * np.arange(len(stops))
         return score
 
     def reset(self, why: Why) -> None:
@@ -73,7 +73,7 @@ class AdaptivePolicy:
             context.prior.likelihood_ratio(context.target, context.candidates.xy_m, n, value)
             value[:n] /= 1.0 + value[:n]
 
-    def _promising(self, scored: np.ndarray) -> np.ndarray:
+    def _promising_frontiers(self, scored: np.ndarray) -> np.ndarray:
         """Return the scored frontiers for the tour; none if geometry decides."""
         config, value = self.config, self._value[scored]
         if len(scored) < 2 or value.std() <= LEAST_SPREAD:
@@ -82,7 +82,7 @@ class AdaptivePolicy:
             return scored[:0]
         return scored[value >= config.keep * value.max()]
 
-    def _make_room(self, capacity: int) -> None:
+    def _allocate(self, capacity: int) -> None:
         self._score, self._value = (np.zeros(capacity, np.float32) for _ in range(2))
 
 
@@ -107,8 +107,9 @@ def shortest_tour(path_m, xy_m):
         for j in range(k):
             straight = math.hypot(xy_m[i, 0] - xy_m[j, 0], xy_m[i, 1] - xy_m[j, 1])
             between_m[i, j] = max(straight, abs(path_m[i] - path_m[j]))
-    # cost[stops, i]: length of the shortest path that begins at stop i and visits all of `stops`.
-    # The tour is built from its end (Held-Karp).
+    # `stops` is a bit set: bit i for stop i. cost[stops, i] is the length of the shortest path that
+    # begins at stop i and visits all of `stops`; after[stops, i] is its second stop. The tour is
+    # built from its end (Held-Karp).
     cost, after = np.full((full, k), np.inf), np.zeros((full, k), np.int64)
     for i in range(k):
         cost[1 << i, i] = 0.0

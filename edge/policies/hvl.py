@@ -1,4 +1,4 @@
-"""Heuristic-vision-language goal scoring (VL-Nav III.D)."""
+"""Policy `hvl`: VL-Nav's heuristic-vision-language score of candidates (III.D)."""
 
 from __future__ import annotations
 

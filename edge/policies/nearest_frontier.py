@@ -1,4 +1,4 @@
-"""Classical baseline: instances by confidence, frontiers by nearness alone."""
+"""Policy `nearest_frontier`, a classical baseline: the nearest frontier, the surest instance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Algorithm 2 of VL-Nav (III.E): choose one of the scored candidates. It has no state.
+"""Choice of one of the scored candidates as the goal: algorithm 2 of VL-Nav (III.E), without state.
 
 With any policy, instances come before frontiers. The current goal stays unless another candidate
 is clearly better.
@@ -24,7 +24,7 @@ one is for an object far back on a table, which the robot cannot get nearer to."
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
-ENOUGH, MOST_POINTS = 0.2, 10
+ENOUGH_SHARE, MOST_POINTS = 0.2, 10
 """Number of surface points that must lie within the stopping distance: this share of all points,
 but at most `MOST_POINTS`. Fewer points may belong to another object in front."""
 
@@ -48,7 +48,7 @@ class CurrentGoal(NamedTuple):
     often_left: Callable[[], bool]
 
 
-def ranked(
+def rank_candidates(
     candidates: Candidates,
     score: np.ndarray,
     pose: SE2,
@@ -94,11 +94,11 @@ def choose(
     Args:
         context: the input of the policy.
         score: (n,) float32, of the context's candidates.
-        order: result of `ranked`.
+        order: result of `rank_candidates`.
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
         instance_of: returns the instance with an id, or None if it is gone.
-        stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH`.
+        stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH_SHARE`.
 
     Returns:
         A goal, the best score of its candidate so far, and True if the candidate is unchanged.
@@ -108,7 +108,7 @@ def choose(
     current = -1 if held is None else _index_of(held.goal, context.candidates)
     is_candidate = current in order
     for index in map(int, order):
-        cell = _cell(context, index, instance_of, stop_m)
+        cell = _goal_cell(context, index, instance_of, stop_m)
         if cell is None:
             continue
         if (
@@ -117,7 +117,7 @@ def choose(
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):
-            kept = _cell(context, current, instance_of, stop_m)
+            kept = _goal_cell(context, current, instance_of, stop_m)
             if kept is not None:
                 index, cell = current, kept
         value = float(score[index])
@@ -178,7 +178,9 @@ def _is_still_valid(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
     return free and goal.pose.distance_to(*cell) < allowed_m
 
 
-def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float) -> Cell | None:
+def _goal_cell(
+    context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float
+) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none.
 
     If no free cell is near enough to an instance, the cell is at the frontier on the shortest way
@@ -192,7 +194,7 @@ def _cell(context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: flo
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
-        enough_points = max(1, min(MOST_POINTS, int(ENOUGH * len(instance.points_m))))
+        enough_points = max(1, min(MOST_POINTS, int(ENOUGH_SHARE * len(instance.points_m))))
         for within_m, points in ((stop_m, enough_points), *((within_m, 1) for within_m in STOP_M)):
             found = context.map.stopping_point(instance.points_m, within_m, points)
             if found is not None:

@@ -1,4 +1,4 @@
-"""Policy of VLFM and ViTL (eq. 9): choose the frontier with the best value near it.
+"""Policies `vlfm` and `directional` (ViTL eq. 9): choose the frontier with the best value near it.
 
 The two differ in the source of the value maps (`Config.value_source`). VLFM writes whole-view
 similarity, weighted towards the centre of the view. ViTL spreads directional scores over the view.

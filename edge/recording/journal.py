@@ -23,7 +23,7 @@ from edge.loop.input_log import LoopInput
 from edge.loop.map_checkpoint import MAP
 from edge.loop.result import TickResult
 from edge.mapping.regions import RegionMap
-from edge.memory import LostRoom, RoomSurvey, Site, outlined, site_of
+from edge.memory import LostRoom, RoomSurvey, Site, outline_rooms, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
@@ -310,7 +310,7 @@ def rooms_of(said: dict[str, Any]) -> RoomSurvey:
     regions = RegionMap(grid, wall, label, said["n"], _array_of(said["border"]))
     ids = _array_of(said["ids"]) if "ids" in said else np.zeros(said["n"] + 1, np.int64)
     lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in said.get("lost", ()))
-    return outlined(regions, ids, said.get("next_id", 1), lost)
+    return outline_rooms(regions, ids, said.get("next_id", 1), lost)
 
 
 def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from edge.host.signals import stop_on_signals
 log = logging.getLogger("edge.ros2_adapter")
 
 HERE = Path(__file__).parent
+# Folder of the node's program, and the file that `--launch-file` prints.
 NODE, LAUNCH_FILE = HERE / "node", HERE / "edge_adapter.launch.py"
 
 # Messages in the queues of ROS, by topic; `_DEPTH` for all others.
@@ -51,7 +52,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_plan(config: Config) -> dict[str, Any]:
-    """Return the node's plan as JSON types (see `edge.ros2_adapter.node`).
+    """Return the node's plan as JSON types.
+
+    Returns:
+        `version`: version of eclipse-zenoh here. `zenoh`: settings of the node's session. `node`:
+        name of the node. `max_bytes`: largest message. `heard`, `said`: topics from ROS and to ROS.
+        `action`: the action for goals, or None. A topic has its ROS name (`ros`), its Zenoh key,
+        its type, and `reliable`, `latched` and `depth` (its queue); the action has the first three.
 
     Raises:
         ConfigError: the service would not receive the messages.
@@ -69,24 +76,33 @@ def make_plan(config: Config) -> dict[str, Any]:
         )
     dialect = dialect_of(settings.via, config.zenoh.prefix)
 
-    def place(name: str) -> dict[str, Any]:
+    def names_of(name: str) -> dict[str, Any]:
+        """Return the ROS name and the Zenoh key of a topic or action."""
         ros = settings.topic(name)
         return {"ros": ros, "key": dialect.data_key(settings.domain, ros, "", NO_HASH)}
 
-    def passed(name: str, kind: str, reliable: bool) -> dict[str, Any]:
+    def topic_plan(name: str, kind: str, reliable: bool) -> dict[str, Any]:
+        """Return the entry of a topic: names, message type and quality of service."""
         latched = name in LATCHED
         quality = {"reliable": reliable or latched, "latched": latched}
-        return {**place(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
+        return {
+            **names_of(name),
+            "type": kind,
+            **quality,
+            "depth": _DEPTHS.get(name, _DEPTH),
+        }
 
     reliable_topics = settings.adapter.reliable
-    received = [passed(name, accepted_types(name, settings.topic(name))[0], name in reliable_topics)
-                for name in SUBSCRIBED]  # fmt: skip
+    received = [
+        topic_plan(name, accepted_types(name, settings.topic(name))[0], name in reliable_topics)
+        for name in SUBSCRIBED
+    ]
     by_action = settings.goals == "navigate_to_pose"
     unused = {"goal"} if by_action else set()
     if not settings.keepout_filter:
         unused |= {"keepout_mask", "keepout_info"}
     if settings.requests:
-        received.append(passed("request", STRING, reliable=True))
+        received.append(topic_plan("request", STRING, reliable=True))
     else:
         unused.add("answer")
     published = [name for name in PUBLISHED if name not in unused]
@@ -96,8 +112,8 @@ def make_plan(config: Config) -> dict[str, Any]:
         "node": f"{settings.node}_adapter",
         "max_bytes": int(config.source.max_message_mb * 1e6),
         "heard": received,
-        "said": [passed(name, PUBLISHED[name], reliable=True) for name in published],
-        "action": {**place("navigate_to_pose"), "type": NAVIGATE_TO_POSE} if by_action else None,
+        "said": [topic_plan(name, PUBLISHED[name], reliable=True) for name in published],
+        "action": {**names_of("navigate_to_pose"), "type": NAVIGATE_TO_POSE} if by_action else None,
     }
 
 

@@ -187,7 +187,7 @@ def open_pipeline(
             if tuple(tags) != detector.prompts:
                 detector.set_prompts(tags)
             found = detector.detect(observation)
-            return _with_context(found.without_suppressed(), found.around()).above(
+            return _with_context(found.without_suppressed(), found.context_detections()).above(
                 perception.tau_det
             )
 

@@ -181,7 +181,7 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
     pose, base_z_m = seen.pose, float(seen.T_map_base[2, 3])
     ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, range_m)
     above = terrain.height_above(ground, points_m)
-    around, sensor_m = found.around(), (seen.T_map_base @ T_base_cloud)[:3, 3]
+    around, sensor_m = found.context_detections(), (seen.T_map_base @ T_base_cloud)[:3, 3]
     keep = above > OFF_GROUND_M
     smallest_px2 = np.full(len(points_m), np.inf)  # area of another object's box around the point
     if around is not None:

@@ -87,7 +87,7 @@ def tiny_model(path: Path, ir: int, opset: int) -> Path:
 
 def test_check_format(tmp_path: Path):
     check_format(tiny_model(tmp_path / "good.onnx", MAX_IR, MAX_OPSET))
-    with pytest.raises(ExportError, match=r"new\.onnx: ONNX IR 11, at most 10"):
+    with pytest.raises(ExportError, match=r"new\.onnx: ONNX IR version 11, at most 10"):
         check_format(tiny_model(tmp_path / "new.onnx", MAX_IR + 1, MAX_OPSET))
     with pytest.raises(ExportError, match="opset 21, must be 1 to 20"):
         check_format(tiny_model(tmp_path / "new.onnx", MAX_IR, MAX_OPSET + 1))

@@ -47,7 +47,7 @@ class Fleet:
     def complete_list(self):
         return self.robots
 
-    def each(self, calls):
+    def run_all(self, calls):
         for call in calls if self.accepts else ():
             call()
 

@@ -35,7 +35,7 @@ THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    monkeypatch.setattr(dispatch, "LOOK_S", 0.05)
+    monkeypatch.setattr(dispatch, "POLL_S", 0.05)
     # Who is only slow to answer is not gone.
     for module in (roster, presence):
         monkeypatch.setattr(module, "ANSWER_S", 20.0)

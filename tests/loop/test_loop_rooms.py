@@ -60,7 +60,7 @@ def test_the_robot_finds_a_room_of_a_kind_and_goes_inside(in_kitchen):
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)
     assert loop.service.status.reason.startswith("inside the kitchen, room 2: refrigerator and")
-    assert loop.service.map.rooms.entered(*loop.drive.motion.pose.matrix()[:2, 3]) == 2
+    assert loop.service.map.rooms.entered_room(*loop.drive.motion.pose.matrix()[:2, 3]) == 2
 
 
 def test_rooms_are_listed_named_and_closed(in_kitchen):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from edge.geometry import SE2
-from edge.memory import known_objects, similar_is, where_is
+from edge.memory import describe_location, describe_similar, known_objects
 from edge.perception.tracking.sightings import TrackedObjects
 
 POSE = SE2(0.0, 0.0, 0.0)
@@ -28,8 +28,8 @@ def seen(*rows: tuple[str, float, int, int]) -> TrackedObjects:
 
 def test_nothing_is_known_at_first():
     assert known_objects(TrackedObjects(4), NOW_NS, 1) == []
-    assert where_is("mug", [], POSE, True) == "no mug has been seen"
-    assert where_is("mug", [], None, False) == (
+    assert describe_location("mug", [], POSE, True) == "no mug has been seen"
+    assert describe_location("mug", [], None, False) == (
         "no mug has been seen: the detector is not looking for it"
     )
 
@@ -70,7 +70,7 @@ def test_of_many_objects_the_most_confident_are_returned(most, ids):
 
 def test_the_answer_says_where_when_and_how_sure():
     found = known_objects(SEEN, NOW_NS, 2, "chair")
-    assert where_is("chair", found, POSE, True) == (
+    assert describe_location("chair", found, POSE, True) == (
         "chair: at (2.0, 0.0), 2.0 m away, seen 60 s ago, confidence 0.80; "
         "at (3.0, 0.0), 3.0 m away, seen 5 min ago, confidence 0.70"
     )
@@ -103,7 +103,7 @@ def test_a_moved_object_says_from_where():
     moved = seen(("mug", 1.0, 5, 0))
     moved.moves[0], moved.came_from_m[0] = 1, (4.0, 2.0)
     found = known_objects(moved, NOW_NS, 2, "mug")
-    assert where_is("mug", found, None, True) == (
+    assert describe_location("mug", found, None, True) == (
         "mug: at (1.0, 0.0), seen now, confidence 0.90, probably moved from (4.0, 2.0)"
     )
     assert found[0].to_json()["came_from"] == [4.0, 2.0]
@@ -111,12 +111,12 @@ def test_a_moved_object_says_from_where():
 
 def test_similar_objects_are_told_as_such():
     similar = {"mug": known_objects(SEEN, NOW_NS, 2, "mug")}
-    assert similar_is("goblet", {}, None, True) == "no goblet has been seen"
-    assert similar_is("goblet", similar, None, True) == (
+    assert describe_similar("goblet", {}, None, True) == "no goblet has been seen"
+    assert describe_similar("goblet", similar, None, True) == (
         "no goblet has been seen; a mug (similar) at (1.0, 0.0), seen now, confidence 0.90"
     )
 
 
 def test_a_long_answer_is_cut():
     found = known_objects(seen(*[("mug", x, 5, 0) for x in range(8)]), NOW_NS, 1, "mug")
-    assert where_is("mug", found, None, True).endswith("; 3 more")
+    assert describe_location("mug", found, None, True).endswith("; 3 more")

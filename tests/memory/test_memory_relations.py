@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.memory import DescribedTargets, DescribedThing, RelationError, described
+from edge.memory import DescribedTargets, DescribedThing, RelationError, parse_description
 from edge.names import NotANameError
 from edge.types import Instance
 
@@ -20,7 +20,7 @@ def in_no_room(name: str, x_m: float, y_m: float) -> bool:
     "name", ["chair", "red chair", "second floor", "first aid kit", "room 12", "chest of drawers"]
 )
 def test_a_plain_name_has_no_relation(name):
-    assert described(name) is None
+    assert parse_description(name) is None
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_a_plain_name_has_no_relation(name):
     ],
 )
 def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
-    found = described(text)
+    found = parse_description(text)
     assert found == (thing or DescribedThing("2nd red chair", room="kitchen"))
     assert found.prompts == tuple(filter(None, (found.noun, found.anchor)))
 
@@ -68,7 +68,7 @@ def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
 )
 def test_what_the_map_cannot_decide_is_refused(text, why):
     with pytest.raises(RelationError, match=why):
-        described(text)
+        parse_description(text)
 
 
 def thing(id, label, x_m, y_m=0.0, z_m=0.5):
@@ -142,7 +142,7 @@ def test_the_choice_is_explained():
 @given(st.text(max_size=30))
 def test_any_text_is_described_plain_or_refused(text):
     try:
-        found = described(text)
+        found = parse_description(text)
     except (NotANameError, RelationError):
         return
     assert found is None or (found.noun and (found.anchor or found.room or found.nth))

@@ -78,7 +78,7 @@ def test_nothing_is_known_at_first():
     rooms = memory()
     assert rooms.rooms == ()
     assert rooms.room_at(0.0, 0.0) is None
-    assert rooms.entered(0.0, 0.0) == 0
+    assert rooms.entered_room(0.0, 0.0) == 0
     assert rooms.find("kitchen") == []
     assert rooms.kind_ratio("kitchen", np.zeros((2, 2), np.float32)).tolist() == [1, 1]
     assert survey_rooms(NO_REGIONS, NO_SURVEY).shapes == ()
@@ -199,8 +199,8 @@ def test_a_name_by_a_person_is_certain():
 
 def test_a_robot_is_inside_away_from_the_border():
     rooms = memory(cut(LEFT, RIGHT))
-    assert rooms.entered(1.5, 2.0) == 1
-    assert rooms.entered(0.3, 2.0) == rooms.entered(-5.0, 2.0) == 0
+    assert rooms.entered_room(1.5, 2.0) == 1
+    assert rooms.entered_room(0.3, 2.0) == rooms.entered_room(-5.0, 2.0) == 0
     rooms.on_pose(1.5, 2.0)
     rooms.update(seen(), 0)
     assert [room.is_visited for room in rooms.rooms] == [True, False]

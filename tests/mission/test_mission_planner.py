@@ -26,7 +26,7 @@ from edge.errors import ConfigError
 from edge.mission.planning import planner as planners
 from edge.mission.planning import vitl
 from edge.mission.planning.planner import MissionKnowledge, TargetPlan, make_planner
-from edge.mission.planning.vitl import working_order
+from edge.mission.planning.vitl import order_of_relaxation
 
 CONSTANT = PlannerVitl()
 NOTHING_KNOWN = MissionKnowledge()
@@ -294,7 +294,7 @@ def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton
 
 def test_work_is_done_from_acceptance_outwards():
     automaton = compiled("F(a & F(b & F c))")
-    left = automaton.steps_left[working_order(automaton)]
+    left = automaton.steps_left[order_of_relaxation(automaton)]
     assert left.tolist() == [1, 2, 3]
 
 

@@ -11,9 +11,9 @@ from edge.mission.translate import (
     Backend,
     ParsedInstruction,
     TranslationError,
+    check_text,
     combined_backend,
     make_translator,
-    validated,
     with_bans,
 )
 from edge.perception.runtime.model_file import ModelError
@@ -57,11 +57,11 @@ def test_an_ambiguous_instruction_is_asked_about() -> None:
 
 def test_a_formula_without_a_text_is_refused() -> None:
     """Whatever a backend makes, its text must mean it."""
-    assert validated(eventually(ap("trash can"))) == eventually(ap("trash can"))
+    assert check_text(eventually(ap("trash can"))) == eventually(ap("trash can"))
     broken = parse("F a & F b")
     object.__setattr__(broken, "args", (broken.args[0],))  # & of one: its text is "F a"
     with pytest.raises(TranslationError, match="changes its meaning"):
-        validated(broken)
+        check_text(broken)
 
 
 def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Backend:

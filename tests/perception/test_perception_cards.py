@@ -135,12 +135,12 @@ def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, t
         (
             "similarity",
             {"detector": None},
-            "set image_encoder and text_encoder, or only detector",
+            "tiny.yaml: set image_encoder and text_encoder, or only detector",
         ),
         (
             "similarity",
             {"text_encoder": "t"},
-            "set image_encoder and text_encoder, or only detector",
+            "tiny.yaml: set image_encoder and text_encoder, or only detector",
         ),
     ],
 )

@@ -23,7 +23,7 @@ from edge.policies.base import (
 )
 from edge.policies.hvl import hvl_scores, relatedness, vl_scores
 from edge.policies.search import SearchPolicy
-from edge.policies.select import ranked
+from edge.policies.select import rank_candidates
 from edge.types import ContextBoxes, Detections, Observation
 
 FOV = math.radians(75)
@@ -154,7 +154,7 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
     ],
 )
 def test_ranking_is_algorithm_2(entries, score, expected):
-    order = ranked(candidates_of(*entries), np.array(score, np.float32), SE2(0, 0, 0), 0.5)
+    order = rank_candidates(candidates_of(*entries), np.array(score, np.float32), SE2(0, 0, 0), 0.5)
     assert order.tolist() == expected
 
 
@@ -163,7 +163,7 @@ def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, 
     candidates = candidates_of((INSTANCE, 2, 0), (INSTANCE, 5, 0), (FRONTIER, 1, 0))
     candidates.confirmed[1] = True
     score = np.array([0.3, 0.2, 0.9], np.float32)
-    order = ranked(candidates, score, SE2(0, 0, 0), 0.5, confirmed_first)
+    order = rank_candidates(candidates, score, SE2(0, 0, 0), 0.5, confirmed_first)
     assert order.tolist() == expected
 
 

@@ -21,9 +21,9 @@ from edge.memory import (
     RECOGNISED_KINDS,
     MappedRoom,
     RoomSurvey,
+    describe_location,
     kind_of_room,
     known_objects,
-    where_is,
 )
 from edge.mission.destinations import (
     CheckTarget,
@@ -38,7 +38,7 @@ from edge.mission.destinations import (
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
-from edge.policies.select import ranked
+from edge.policies.select import rank_candidates
 from edge.text import one_line
 from edge.types import Goal, Instance
 
@@ -214,7 +214,7 @@ class CheckAnswer:
         found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
             return ""
-        return where_is(self.label, found, context.pose, True, self._map.rooms.room_phrase)
+        return describe_location(self.label, found, context.pose, True, self._map.rooms.room_phrase)
 
     def time_is_over(self, now_ns: int) -> bool:
         """Answer no and return True if the search limit is over."""
@@ -335,9 +335,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
             return goals.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._points_m(room), goals.goal, self._map.rooms
-            keep = old is not None and rooms.entered(old.pose.x_m, old.pose.y_m) == room.id
+            keep = old is not None and rooms.entered_room(old.pose.x_m, old.pose.y_m) == room.id
             pose = context.pose
-            if goals.arrived and rooms.entered(pose.x_m, pose.y_m) != room.id:
+            if goals.arrived and rooms.entered_room(pose.x_m, pose.y_m) != room.id:
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
@@ -358,7 +358,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         reached only when it is explored, at a point near the objects that it was recognised by,
         and if the next surveys agree. The goal is such a point, as long as it stays.
         """
-        inside = self._map.rooms.entered(context.pose.x_m, context.pose.y_m) == room.id
+        inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
         if not inside or not self._by_kind(room):
             return inside
         goal = self._goals.goal
@@ -384,7 +384,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
         c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
-        left = ranked(c, c.path_m[: c.n], context.pose, delta_m)
+        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)
         if np.isfinite(c.path_m[left]).any():
             return True
         self._entered, self._explored = 0, room.id

@@ -18,7 +18,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.routes import PASSING, lead, pass_by, take_exception
+from edge.mission.language.routes import PASSING, add_to_route, set_destination, take_exception
 from edge.mission.language.tokens import REASONS, Token, TokenReader
 
 UP = ("up", "down", "over", "on")
@@ -63,9 +63,9 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         clause.verb = avoid.text
         if reader.is_at("you"):  # "go anywhere but you finish at the bed"
             reader.refuse("use two sentences", avoid)
-        says = Clause(avoid)
-        take_mood(reader, says)
-        if says.negated:
+        inner = Clause(avoid)
+        take_mood(reader, inner)
+        if inner.negated:
             reader.refuse_finally("say it without 'not'", avoid)
     if goes_on_to(reader):
         clause.verb = "go"
@@ -106,7 +106,7 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         clause.through, clause.only = passes, False
         token = reader.peek()
         if passes and _take_onward(reader):  # "go through any room but a to b"
-            lead(reader, memory, clause, take_noun_phrase(reader, memory), token)
+            set_destination(reader, memory, clause, take_noun_phrase(reader, memory), token)
     elif starts_noun_phrase(reader):
         take_passed(reader, memory, clause, passes, last)
         if was_negated and clause.things:
@@ -185,9 +185,9 @@ def take_passed(
         if clause.route and len(clause.things.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
-            lead(reader, memory, clause, further, token)
+            set_destination(reader, memory, clause, further, token)
         else:
-            pass_by(reader, clause, clause.things, token)
+            add_to_route(reader, clause, clause.things, token)
         clause.things = further
 
 
@@ -206,7 +206,7 @@ def _may_go_onward(reader: TokenReader, clause: Clause) -> bool:
     return clause.through or (not clause.negated and (onto or moved))
 
 
-LEADING = nouns.listed(
+LEADING = nouns.split_entries(
     """door doorway gate gateway entrance entry exit key path road street way stair stairs staircase
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )

@@ -23,8 +23,8 @@ from edge.mission.language.noun_phrases import (
 )
 from edge.mission.language.routes import (
     PASSING,
-    bound_ahead,
-    pass_by,
+    add_to_route,
+    is_destination_ahead,
     take_bound,
     take_route,
 )
@@ -35,15 +35,15 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
     if token.kind == "always":
-        clause.always = token
+        clause.always = token  # "never go to a, at any moment"
         reader.at += 1
     elif token.kind == "in the end":
-        clause.ends = True
+        clause.ends = True  # "visit a last"
         reader.at += 1
     elif token.text == "directly" and reader.is_at("after", "when", "once", ahead=1):
         clause.next_step = True
         reader.at += 1
-    elif clause.negated and _by_way(reader):
+    elif clause.negated and _is_by_way(reader):
         reader.refuse_finally("to exclude a path, say 'go to … without going through …'", token)
     elif token.text == "now" and clause.negated:
         reader.refuse_finally("say until when", token)
@@ -59,13 +59,13 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         reader.at += 1
     elif token.kind == "comma" and reader.is_at("always", ahead=1) and _ends_sentence(reader, 2):
         reader.at += 1  # "keep away from it, always"
-    elif token.kind in ("whichever", "comma") and _whichever(reader):
+    elif token.kind in ("whichever", "comma") and _take_whichever(reader):
         pass
     elif token.kind == "either" and clause.negated and _ends_sentence(reader, 1):
         reader.at += 1  # "do not visit b either"
     elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
-    elif clause.things and bound_ahead(reader, clause):
+    elif clause.things and is_destination_ahead(reader, clause):
         take_bound(reader, memory, clause)
     elif token.kind in ORDERS:
         several = clause.things and len(clause.things.groups) > 1
@@ -73,8 +73,8 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         reader.at += 1
     elif token.kind == "comma" and reader.is_at(*ORDERS, ahead=1):
         reader.at += 1
-    elif (count := take_count(reader, clause.negated, _of_every(clause))) is not None:
-        clause.count = narrower(reader, clause.count, count, token)
+    elif (count := take_count(reader, clause.negated, _is_about_every(clause))) is not None:
+        clause.count = intersect_counts(reader, clause.count, count, token)
         several = clause.things is not None and len(clause.things.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
             reader.refuse_finally("unclear: this number for each, or for all together?", token)
@@ -84,35 +84,35 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         clause.first = True
         reader.at += 1
     elif token.kind == "again":
-        clause.again = True
+        clause.again = True  # "do not go to a any more"
         reader.at += 1
     elif token.kind == "immediately":
         clause.next_step = True
         clause.instant = token if token.text.startswith(("in ", "at ")) else clause.instant
         reader.at += 1
     elif token.kind == "banned":
-        clause.negated = not clause.negated
-        clause.count = clause.count and _denied(reader, clause.count, token)
+        clause.negated = not clause.negated  # "visiting a is forbidden"
+        clause.count = clause.count and _negate_count(reader, clause.count, token)
         reader.at += 1
     elif token.kind == "after" and reader.is_at("comma", "stop", "end", "and", ahead=1):
         clause.trails = True  # "visit a, and b after"
         reader.at += 1
-    elif token.kind in ("but", "comma", "all of") and _count_ahead(reader, clause):
+    elif token.kind in ("but", "comma", "all of") and _take_count_aside(reader, clause):
         pass
     elif token.kind == "no return":
-        clause.each = 1
+        clause.each = 1  # "visit a, b and c, no revisiting"
         reader.at += 1
     elif token.kind == "out of turn" and clause.negated:
-        clause.out_of_turn = True
+        clause.out_of_turn = True  # "do not visit any place out of order"
         reader.at += 1
-    elif token.kind == "then" and _trails(reader):
+    elif token.kind == "then" and _ends_with_after_that(reader):
         clause.trails = True
         reader.at += 1
     elif token.kind in ("while", "without") or (token.kind == "avoid" and "ing" in token.text):
         take_avoiding(reader, memory, clause)
-    elif token.kind == "comma" and _avoided_aside(reader, memory, clause):
+    elif token.kind == "comma" and _take_avoiding_aside(reader, memory, clause):
         pass
-    elif _condition_ahead(reader, clause):
+    elif _skip_to_condition(reader, clause):
         begin = reader.at
         condition = take_condition(reader, memory, clause)
         joined = any(skipped.kind == "and" for skipped in reader.tokens[start:begin])
@@ -134,7 +134,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     return True
 
 
-def _by_way(reader: TokenReader) -> bool:
+def _is_by_way(reader: TokenReader) -> bool:
     """Return True if "through a" or "except through a" comes, which may belong to a ban or not."""
     ahead = 1 if reader.peek().text in ("except", "but") else 0
     token = reader.peek(ahead)
@@ -146,7 +146,7 @@ def _ends_sentence(reader: TokenReader, ahead: int) -> bool:
     return reader.is_at("comma", "stop", "end", ahead=ahead)
 
 
-def _whichever(reader: TokenReader) -> bool:
+def _take_whichever(reader: TokenReader) -> bool:
     """Skip ", whichever you like" after a choice; return False if it does not come."""
     ahead = 1 if reader.is_at("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
@@ -158,12 +158,12 @@ def _whichever(reader: TokenReader) -> bool:
     return True
 
 
-def _of_every(clause: Clause) -> bool:
+def _is_about_every(clause: Clause) -> bool:
     """Return True if the clause is about all places: "visit each place only once"."""
     return clause.things is not None and clause.things.every != ""
 
 
-def _denied(reader: TokenReader, count: Count, token: Token) -> Count:
+def _negate_count(reader: TokenReader, count: Count, token: Token) -> Count:
     """Return the count of a clause that is forbidden: "visiting a more than once is prohibited"."""
     if count.least == count.most:  # "more or less than once"
         return count
@@ -173,7 +173,7 @@ def _denied(reader: TokenReader, count: Count, token: Token) -> Count:
     return rest
 
 
-def _count_ahead(reader: TokenReader, clause: Clause) -> bool:
+def _take_count_aside(reader: TokenReader, clause: Clause) -> bool:
     """Parse "but at most twice"; return False if it does not come."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
@@ -184,12 +184,12 @@ def _count_ahead(reader: TokenReader, clause: Clause) -> bool:
         return False
     if clause.negated and clause.count:
         reader.refuse_finally("say the counts in two sentences", token)
-    clause.count = narrower(reader, clause.count, count, token)
+    clause.count = intersect_counts(reader, clause.count, count, token)
     clause.count_aside = token.kind == "comma"
     return True
 
 
-def narrower(reader: TokenReader, old: Count | None, new: Count, token: Token) -> Count:
+def intersect_counts(reader: TokenReader, old: Count | None, new: Count, token: Token) -> Count:
     """Return the intersection of two counts."""
     if old is None:
         return new
@@ -200,7 +200,7 @@ def narrower(reader: TokenReader, old: Count | None, new: Count, token: Token) -
     return Count(least, most)
 
 
-def _trails(reader: TokenReader) -> bool:
+def _ends_with_after_that(reader: TokenReader) -> bool:
     """Return True if "after that" ends this clause instead of beginning the next one."""
     if reader.peek().text in ("then", "and then", "followed by", "finally", "and finally"):
         return False
@@ -211,7 +211,7 @@ def _trails(reader: TokenReader) -> bool:
     return reader.is_at("comma", "and", "but", "stop", "end", "then", ahead=1)
 
 
-def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
+def _skip_to_condition(reader: TokenReader, clause: Clause) -> bool:
     """Skip to a condition of this clause, also after "but", "only" or "not".
 
     Return False if none comes.
@@ -227,13 +227,13 @@ def _condition_ahead(reader: TokenReader, clause: Clause) -> bool:
         return False
     if joined and not limited:
         return False  # ", and before that …" begins the next clause
-    if not limited and _leads(reader, clause):
+    if not limited and _belongs_to_next_clause(reader, clause):
         return False
     reader.at += ahead - (1 if limited else 0)
     return True
 
 
-def _leads(reader: TokenReader, clause: Clause) -> bool:
+def _belongs_to_next_clause(reader: TokenReader, clause: Clause) -> bool:
     """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
     return (
         reader.is_at("before", "after", "until")
@@ -243,7 +243,7 @@ def _leads(reader: TokenReader, clause: Clause) -> bool:
     )
 
 
-def _avoided_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
+def _take_avoiding_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse ", avoiding x," before ", then y"; return False, and take nothing, for anything else.
 
     At the end of a sentence it may belong to all clauses before it.
@@ -270,21 +270,21 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     token = reader.take("while", "without", "avoid")
     assert token is not None
     denied = token.kind != "while"
-    says = Clause(reader.peek())
+    inner = Clause(reader.peek())
     begin = reader.at
-    take_mood(reader, says)
+    take_mood(reader, inner)
     if any(done.text in ("have", "has") for done in reader.tokens[begin : reader.at]):
         reader.refuse("say 'do not visit … before …'", token)
     avoid = reader.take("avoid")
-    denied = denied or says.negated or avoid is not None
+    denied = denied or inner.negated or avoid is not None
     skips = avoid is not None and avoid.text == "skipping"
     if skips and reader.is_at("or") and reader.is_at("verb", ahead=1):
         reader.at += 1
     while verb := reader.take("verb"):
-        says.verb = verb.text
-        says.again = says.again or verb.text.startswith(("revisit", "return"))
-        skip_particles(reader, says)
-    if says.again and not starts_noun_phrase(reader):  # "without going back"
+        inner.verb = verb.text
+        inner.again = inner.again or verb.text.startswith(("revisit", "return"))
+        skip_particles(reader, inner)
+    if inner.again and not starts_noun_phrase(reader):  # "without going back"
         clause.each = 1
         return
     if not starts_noun_phrase(reader):
@@ -293,25 +293,25 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         reader.refuse_finally(
             "unclear: none of them, or not both? say for each if to avoid it", reader.peek()
         )
-    if token.text == "with no" and not says.verb:
+    if token.text == "with no" and not inner.verb:
         reader.refuse_finally("say 'without …'", token)  # "the room with no window"
     things = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
     kinds = [t.kind for t in reader.tokens[begin : reader.at]]
     if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(kinds):
         reader.refuse_finally("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.is_at("or", "and") and another_participle(reader):
-        skip_particles(reader, says)
+        skip_particles(reader, inner)
         more = take_noun_phrase(reader, memory, banned=True)
         things = NounPhrase(things.groups + more.groups)  # "without entering a or touching b"
     if denied and not things.every and take_count(reader, negated=False) is not None:
         reader.refuse_finally("unclear how often; use a separate sentence", token)
-    if (reader.take("first") or says.first) and not clause.negated:
+    if (reader.take("first") or inner.first) and not clause.negated:
         if denied:  # "go to a without visiting b first"
             clause.not_first.append(things)
         elif clause.things is None:
             reader.refuse_finally("say 'first …, then …'", token)
         else:
-            pass_by(reader, clause, things, token)  # "go to a while visiting b first"
+            add_to_route(reader, clause, things, token)  # "go to a while visiting b first"
         return
     if not denied and things.every:
         count = take_count(reader, negated=False)
@@ -321,9 +321,9 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         return
     if not denied:
         reader.refuse("only 'while avoiding …' is possible; say what to visit first", token)
-    if things.every and (skips or says.again):
+    if things.every and (skips or inner.again):
         clause.order = "strict order" if skips else clause.order
-        clause.each = 1 if says.again else clause.each
+        clause.each = 1 if inner.again else clause.each
         return
     if things.every == "places":
         reader.refuse("say what to avoid", token)
@@ -333,9 +333,9 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     if reader.peek().text in _EVER:
         reader.at += 1
         ever = True
-    if (says.always or ever) and not says.again:
+    if (inner.always or ever) and not inner.again:
         clause.never.append(things)
-    elif says.again or reader.take("again"):
+    elif inner.again or reader.take("again"):
         clause.not_again.append(things)
     else:
         clause.avoiding.append(things)

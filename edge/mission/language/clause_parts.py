@@ -24,7 +24,12 @@ _NUMBERS = ("number", "times n", "once")  # kinds of token that have a number
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """A range of separate visits; `most` is None without an upper limit."""
+    """A range of separate visits.
+
+    Attributes:
+        least: smallest number of visits.
+        most: largest number of visits; None: no limit.
+    """
 
     least: int
     most: int | None = None
@@ -60,13 +65,13 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
         if token.kind in _MARKERS:
             markers.add(token.kind)
             marker = token.kind
-        elif token.kind in _NUMBERS and not (token.kind == "once" and _joins(reader)):
+        elif token.kind in _NUMBERS and not (token.kind == "once" and _means_as_soon_as(reader)):
             numbers.append(NUMBERS[token.text] if token.text in NUMBERS else int(token.text[:9]))
             times = times or token.kind != "number"
             marked.setdefault(marker, numbers[-1])
         elif token.kind == "times":
             times = True
-        elif not (token.kind in ("or", "and") and (markers or numbers) and _goes_on(reader)):
+        elif not (token.kind in ("or", "and") and (markers or numbers) and _count_goes_on(reader)):
             break
         reader.at += 1
     if not numbers or not times:
@@ -83,7 +88,7 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
         return Count(marked["at least"], marked["at most"])
     if every and not markers and numbers == [1]:
         return Count(1, 1)
-    return _range(reader, markers, numbers, negated, begin)
+    return _count_meant(reader, markers, numbers, negated, begin)
 
 
 def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None:
@@ -106,17 +111,17 @@ def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     clause.count = Count(0 if kind.startswith("max") else n, most)
 
 
-def _joins(reader: TokenReader) -> bool:
+def _means_as_soon_as(reader: TokenReader) -> bool:
     """Return True if "once" here means "as soon as"."""
     return reader.is_at("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
-def _goes_on(reader: TokenReader) -> bool:
+def _count_goes_on(reader: TokenReader) -> bool:
     """Return True if the count continues after "or" or "and"."""
     return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
 
 
-def _range(
+def _count_meant(
     reader: TokenReader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
     """Return the count that markers and numbers mean; see `take_count`.
@@ -165,17 +170,22 @@ MOOD = (
 )  # fmt: skip
 """Kinds of token that may stand before the verb of a clause."""
 AUXILIARIES = frozenset({"be", "must", "can"})
+"""Kinds of token for auxiliary verbs."""
+# After "not", these leave open what is denied: "do not go straight to a".
 _LIMITING = (
     "just", "simply", "always", "also", "now", "only", "directly", "already", "straight",
     "immediately", "right", "solely",
 )  # fmt: skip
+# After "not", these make a duty optional: "you do not have to".
 _NEEDS = (
     "have", "has", "had", "need", "needs", "need to", "required", "are required", "is required",
     "obliged", "are obliged",
 )  # fmt: skip
+# After "no", these make it an answer: "no thanks", "no problem".
 _THANKS = ("thanks", "please", "thank you", "way", "problem")
 _NOT_NEEDED = "this is optional and asks for nothing; leave it out"
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
+"""Kinds of token that may stand between a subject and its verb."""
 
 
 @dataclass(slots=True)
@@ -316,7 +326,7 @@ def _is_statement(reader: TokenReader) -> bool:
     return reader.is_at("verb", "must", "can", "not", "do", "be", "filler", ahead=1)
 
 
-def _acts(reader: TokenReader) -> bool:
+def _is_acting_robot(reader: TokenReader) -> bool:
     """Return True if "it" is the robot here: it goes, must go, never goes."""
     ahead = 1
     while reader.is_at("must", "can", "not", "filler", "to", ahead=ahead):
@@ -353,7 +363,7 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
             reader.refuse_finally(
                 "an instruction is for one robot only", token
             )  # "let the dog go there"
-        if token.text == "it" and _acts(reader):
+        if token.text == "it" and _is_acting_robot(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
             continue

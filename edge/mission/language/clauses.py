@@ -23,7 +23,7 @@ from edge.mission.language.action import (
     take_passed,
     take_until,
 )
-from edge.mission.language.adjuncts import narrower, take_adjunct, take_avoiding
+from edge.mission.language.adjuncts import intersect_counts, take_adjunct, take_avoiding
 from edge.mission.language.clause_parts import (
     AUXILIARIES,
     CONDITIONS,
@@ -47,7 +47,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.routes import lead
+from edge.mission.language.routes import set_destination
 from edge.mission.language.tokens import Token, TokenReader
 
 Bare = Literal["yes", "known", "no"]
@@ -114,11 +114,11 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", clause.token
         )  # "I have a sofa"
-    if reader.peek().text in _PERFORM and _counts(reader, 1):
+    if reader.peek().text in _PERFORM and _is_count(reader, 1):
         reader.at += 1
     count_at = reader.peek()
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
-        clause.count = narrower(reader, clause.count, count, count_at)
+        clause.count = intersect_counts(reader, clause.count, count, count_at)
         reader.skip("to")
         clause.things = take_noun_phrase(reader, memory)
     elif reader.is_at("verb", "avoid") or goes_on_to(reader):
@@ -135,9 +135,9 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         take_until(reader, memory, clause)
     elif starts_noun_phrase(reader):
         _take_passive(reader, memory, clause, bare)
-    elif before.kind == "be" and reader.peek().text in _PLACED:
+    elif before.kind == "be" and reader.peek().text in _PLACE_PREPOSITIONS:
         reader.refuse_finally("this describes a place; say where to go", clause.token)
-    elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACED:
+    elif before.text.endswith(("done", "finished")) and reader.peek().text in _PLACE_PREPOSITIONS:
         reader.refuse_finally("say 'after …'", before)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_noun_phrase(reader, 1):
         reader.at += 1  # "…, and after that at the bank"
@@ -163,7 +163,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
             memory.ask(clause.things)
     asked = memory.asked
     if clause.bound:
-        lead(reader, memory, clause, clause.bound, clause.token)
+        set_destination(reader, memory, clause, clause.bound, clause.token)
     while take_adjunct(reader, memory, clause):
         pass
     if any(word in clause.verb.split() for word in ("last", "final")):
@@ -189,7 +189,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     return clause
 
 
-_PLACED = ("in", "inside", "at", "on", "near")
+_PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
 
 
 def _ends_here(reader: TokenReader) -> bool:
@@ -203,7 +203,7 @@ def _is_there(reader: TokenReader) -> bool:
     if reader.at and before.text.endswith(" from") and before.kind == "not":
         return starts_noun_phrase(reader)
     over = 1 if token.text == "over" else 0
-    placed = reader.peek(over).text in _PLACED and starts_noun_phrase(reader, over + 1)
+    placed = reader.peek(over).text in _PLACE_PREPOSITIONS and starts_noun_phrase(reader, over + 1)
     wanted = before.kind == "ensure" and "careful" not in before.text and "care" not in before.text
     asked = before.text in ("be", "been") or wanted or before.kind in ("not", "can")
     asked = asked or (before.kind == "banned" and "ed" in before.text)
@@ -269,7 +269,7 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
             clause.leads = True
 
 
-def _counts(reader: TokenReader, ahead: int) -> bool:
+def _is_count(reader: TokenReader, ahead: int) -> bool:
     return reader.is_at(*COUNTING, ahead=ahead)
 
 
@@ -284,11 +284,11 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     things = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
         return
-    says = Clause(start)
-    mood_kinds = take_mood(reader, says, PREDICATE)
+    inner = Clause(start)
+    mood_kinds = take_mood(reader, inner, PREDICATE)
     texts = [token.text for token in reader.tokens[begin : reader.at]]
-    if says.first and _ends_here(reader):  # "the bank must be first"
-        clause.first, clause.negated = True, clause.negated != says.negated
+    if inner.first and _ends_here(reader):  # "the bank must be first"
+        clause.first, clause.negated = True, clause.negated != inner.negated
         clause.verb, clause.things = "be", things
         return
     done = "been" in texts and not {"must", "should", "shall"} & set(texts)
@@ -304,7 +304,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         clause.things = take_noun_phrase(reader, memory)
         return
     avoid = reader.take("avoid")
-    if start.kind == "either" and (avoid or says.negated):
+    if start.kind == "either" and (avoid or inner.negated):
         reader.refuse_finally("say which to avoid", start)
     if "be" in mood_kinds and reader.peek().text in STATES:
         reader.refuse_finally(
@@ -313,18 +313,18 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
         reader.refuse_finally("an instruction is for one robot only", start)
-    if "be" in mood_kinds and reader.peek().text in _PLACED:
+    if "be" in mood_kinds and reader.peek().text in _PLACE_PREPOSITIONS:
         reader.refuse_finally("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
-        clause.negated, clause.verb = clause.negated != says.negated, "be"
+        clause.negated, clause.verb = clause.negated != inner.negated, "be"
         clause.things = each_of(things)
         return
-    if avoid and says.mood == "can" and not says.negated:
+    if avoid and inner.mood == "can" and not inner.negated:
         reader.refuse_finally("this is optional and asks for nothing; leave it out", start)
     if verb is not None and (mood_kinds & AUXILIARIES or verb.kind == "happen"):
-        clause.mood = says.mood if says.mood != "do" else clause.mood
-        clause.negated = clause.negated != (says.negated != bool(avoid))
-        clause.only, clause.first = clause.only or says.only, clause.first or says.first
+        clause.mood = inner.mood if inner.mood != "do" else clause.mood
+        clause.negated = clause.negated != (inner.negated != bool(avoid))
+        clause.only, clause.first = clause.only or inner.only, clause.first or inner.first
         clause.verb = verb.text
         clause.things = each_of(things) if clause.negated else things
         return

@@ -47,14 +47,14 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
 
 def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
     """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
-    says = Clause(reader.peek())
-    mood_kinds = take_mood(reader, says)
+    inner = Clause(reader.peek())
+    mood_kinds = take_mood(reader, inner)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)
     if inside and ("be" in mood_kinds or (condition.kind == "when" and not mood_kinds)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
-        _refuse_denied(reader, condition, says)
+        _refuse_denied(reader, condition, inner)
         condition.things = take_noun_phrase(reader, memory)
-        condition.denied = condition.denied or says.negated
+        condition.denied = condition.denied or inner.negated
         return
     been = reader.is_at("to") and reader.tokens[reader.at - 1].text == "been"
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
@@ -63,12 +63,12 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         participle = reader.peek().text.split()[0].endswith("ing")
         condition.going = condition.token.text == "when" and participle
         reader.skip("verb")
-        skip_particles(reader, says)
+        skip_particles(reader, inner)
         if not starts_noun_phrase(reader):
             refuse_missing_name(reader)
         condition.things = take_noun_phrase(reader, memory)
         while participle and another_participle(reader):
-            skip_particles(reader, says)
+            skip_particles(reader, inner)
             more = take_noun_phrase(reader, memory)
             condition.things = NounPhrase(condition.things.groups + more.groups)
         reader.take("happen")
@@ -76,18 +76,18 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         pronoun = reader.take("pronoun")
         assert pronoun is not None
         condition.things = _objects_of_pronoun(reader, memory, pronoun)
-        condition.referred = not _take_predicate(reader, says)
+        condition.referred = not _take_predicate(reader, inner)
     elif starts_noun_phrase(reader):
         condition.things = take_noun_phrase(reader, memory, subject=True)
-        _take_predicate(reader, says)
+        _take_predicate(reader, inner)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
         condition.things = memory.asked  # "do not go to b before": before what was asked
         condition.referred = True
     else:
         reader.refuse("expected a condition here", condition.token)
-    _refuse_denied(reader, condition, says)
-    condition.denied = condition.denied or says.negated
-    first = bool(reader.take("first")) or says.first
+    _refuse_denied(reader, condition, inner)
+    condition.denied = condition.denied or inner.negated
+    first = bool(reader.take("first")) or inner.first
     if first and reader.is_at("then") and not reader.is_at("end", ahead=1):
         reader.refuse_finally("use two sentences", condition.token)
     if first and condition.recurring:
@@ -96,9 +96,9 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
     condition.count = take_count(reader, negated=False)
 
 
-def _refuse_denied(reader: TokenReader, condition: Condition, says: Clause) -> None:
+def _refuse_denied(reader: TokenReader, condition: Condition, inner: Clause) -> None:
     """Refuse "until you have not been to a", "unless you are not in a"."""
-    if says.negated and condition.kind not in ("when", "once"):
+    if inner.negated and condition.kind not in ("when", "once"):
         reader.refuse_finally("say it without 'not'", condition.token)
 
 
@@ -128,10 +128,10 @@ def _objects_of_pronoun(reader: TokenReader, memory: Antecedents, token: Token) 
     return things
 
 
-def _take_predicate(reader: TokenReader, says: Clause) -> bool:
+def _take_predicate(reader: TokenReader, inner: Clause) -> bool:
     """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
-    begin, negated = reader.at, says.negated
-    mood_kinds = take_mood(reader, says, PREDICATE)
+    begin, negated = reader.at, inner.negated
+    mood_kinds = take_mood(reader, inner, PREDICATE)
     if reader.take("happen"):
         return True
     if mood_kinds & AUXILIARIES and reader.is_at("verb"):
@@ -141,7 +141,7 @@ def _take_predicate(reader: TokenReader, says: Clause) -> bool:
         return True
     if "be" in mood_kinds and not _ends(reader):
         reader.refuse_finally("the state of an object cannot be used, only that it is reached")
-    reader.at, says.negated = begin, negated
+    reader.at, inner.negated = begin, negated
     return False
 
 

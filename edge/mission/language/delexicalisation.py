@@ -11,16 +11,17 @@ from dataclasses import dataclass
 
 from edge import names
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expanded
+from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expand_word
 from edge.mission.language.prefix_notation import MOST_NAMES, NAMES
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 MOST_PIECES = 250
 """Largest number of words and marks in an instruction."""
 LONGEST_NAME = 6  # words
+# Articles are removed before a placeholder.
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 # Words after which any known noun is a name.
-_SINGLING = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
+_DETERMINERS = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
 _PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))  # prepositions, longest first
 _OF_NO_NAME = {"of", "between", "against"}  # prepositions that join no two names
 # An ordinal before these is a part of the name.
@@ -31,7 +32,7 @@ _AFTER_LETTER = {*AFTER_VERB, ",", ".", "and", "or", "then", "before", "after", 
 _PHRASE_STARTS = {
     words[0] for words, kind in TABLE.items() if kind not in ("filler", "addressed", "word")
 }
-_CUT_OFF = nouns.listed("don doesn didn isn aren wasn can won shouldn mustn couldn")
+_CUT_OFF = nouns.split_entries("don doesn didn isn aren wasn can won shouldn mustn couldn")
 """First part of a contraction whose `t` lost the apostrophe."""
 _VERBS_TOO = """
     swing drop park dock point ring rest stick tap drill paint book fan bat saw scale tie train
@@ -93,14 +94,14 @@ def delexicalise_text(text: str) -> DelexicalisedText:
         >>> delexicalise_text("Go to the bed, then to the sofa.").words
         ('go', 'to', '<0>', ',', 'then', 'to', '<1>', '.')
     """
-    pieces = _pieces(text)
-    among_letters = _names_letters(pieces)
+    pieces = _split_pieces(text)
+    letters_are_names = _has_letter_names(pieces)
     words: list[str] = []
     starts: list[int] = []
     found: list[str] = []
     at = 0
     while at < len(pieces):
-        length, name = _name_at(pieces, at, among_letters)
+        length, name = _name_at(pieces, at, letters_are_names)
         if name in _RIDDEN and words and words[-1] in _RIDING:
             start = pieces[at].start
             raise not_understood(
@@ -125,7 +126,7 @@ def delexicalise_text(text: str) -> DelexicalisedText:
     return DelexicalisedText(tuple(words), tuple(found), tuple(starts))
 
 
-def _pieces(text: str) -> list[_Piece]:
+def _split_pieces(text: str) -> list[_Piece]:
     """Return the words, marks and quoted names of a text; errors as in `delexicalise_text`."""
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
@@ -139,9 +140,9 @@ def _pieces(text: str) -> list[_Piece]:
             pieces.append(_Piece(found[1:-1], start, quoted=True))
         elif found.lower() == "t" and pieces and pieces[-1].text in _CUT_OFF:
             cut = pieces.pop()
-            pieces += [_Piece(part, cut.start) for part in expanded(f"{cut.text}'t")]
+            pieces += [_Piece(part, cut.start) for part in expand_word(f"{cut.text}'t")]
         elif match["word"] is not None:
-            pieces += [_Piece(part, start) for part in expanded(found.lower())]
+            pieces += [_Piece(part, start) for part in expand_word(found.lower())]
         elif found in _MARKS:
             pieces.append(_Piece(_MARKS[found], start))
         else:
@@ -154,11 +155,11 @@ def _pieces(text: str) -> list[_Piece]:
     return pieces
 
 
-def _name_at(pieces: list[_Piece], at: int, among_letters: bool) -> tuple[int, str | None]:
+def _name_at(pieces: list[_Piece], at: int, letters_are_names: bool) -> tuple[int, str | None]:
     """Return the number of pieces and the canonical form of the name here, or (0, None)."""
     if pieces[at].quoted:
         return 1, names.canonical(pieces[at].text)
-    if _is_letter(pieces, at, among_letters):
+    if _is_letter(pieces, at, letters_are_names):
         return 1, pieces[at].text
     length = _known_length(pieces, at)
     if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
@@ -190,23 +191,23 @@ def _is_own_way(pieces: list[_Piece], at: int) -> bool:
 
 def _known_length(pieces: list[_Piece], at: int) -> int:
     """Return the length in pieces of the longest name of known words that begins here."""
-    singled = at > 0 and pieces[at - 1].text in _SINGLING
+    after_determiner = at > 0 and pieces[at - 1].text in _DETERMINERS
     for length in range(min(LONGEST_NAME, len(pieces) - at), 0, -1):
         run = pieces[at : at + length]
         texts = [piece.text for piece in run]
         if any(piece.quoted for piece in run) or nouns.unknown_in(texts) is not None:
             continue
-        if _NEVER_NAMES & set(texts) or not _begins_name(texts, singled):
+        if _NEVER_NAMES & set(texts) or not _begins_name(texts, after_determiner):
             continue
         return length
     return 0
 
 
-def _begins_name(texts: list[str], singled: bool) -> bool:
+def _begins_name(texts: list[str], after_determiner: bool) -> bool:
     """Return True if these words name an object here; "first" and "check" mostly do not."""
     if texts[0] in _NEVER_ALONE and len(texts) == 1:
         return False
-    if singled:
+    if after_determiner:
         return True
     if texts[0] in nouns.ORDINALS:
         return any(text in _STORIES for text in texts)
@@ -216,7 +217,7 @@ def _begins_name(texts: list[str], singled: bool) -> bool:
     return (len(texts) > 1 and texts[0] in nouns.QUALITIES) or kind in (None, "word", "group")
 
 
-def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
+def _is_letter(pieces: list[_Piece], at: int, letters_are_names: bool) -> bool:
     """Return True if a single letter here is a name; `a` is mostly an article."""
     text = pieces[at].text
     if len(text) != 1 or not text.isalpha() or not text.isascii() or text == "i":
@@ -227,14 +228,14 @@ def _is_letter(pieces: list[_Piece], at: int, among_letters: bool) -> bool:
     if after.quoted or (len(after.text) > 1 and _known_length(pieces, at + 1)):
         return False
     return after.text in _AFTER_LETTER or (
-        among_letters and (len(after.text) == 1 or after.text in _PHRASE_STARTS)
+        letters_are_names and (len(after.text) == 1 or after.text in _PHRASE_STARTS)
     )
 
 
-def _names_letters(pieces: list[_Piece]) -> bool:
+def _has_letter_names(pieces: list[_Piece]) -> bool:
     """Return True if letters are names in this text, so that `a` may be one too.
 
-    They are if another letter occurs, or if the text has no other name.
+    Letters are names if one other than a, i and s occurs, or if the text has no other name.
     """
     if any(p.text not in "ais" and len(p.text) == 1 and p.text.isalpha() for p in pieces):
         return True

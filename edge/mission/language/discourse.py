@@ -1,4 +1,4 @@
-"""Parser of a whole instruction, clause by clause and sentence by sentence."""
+"""Parser of a whole instruction: joins the meanings of its clauses to one formula."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edge.mission.language.goal_tree import (
     Goal,
     formula_of,
     held_until,
-    letters,
+    names_in,
     steps,
     visits,
 )
@@ -25,20 +25,20 @@ from edge.mission.language.meaning import ClauseMeaning, meaning_of
 from edge.mission.language.not_commands import refuse_questions
 from edge.mission.language.noun_phrases import ONE_OF_A_KIND, Antecedents, NounPhrase
 from edge.mission.language.sequences import (
-    anchored,
-    begun_with,
-    chained,
-    each_at_most,
-    in_strict_order,
-    only_then,
-    passing_by,
+    anchor_goals,
+    chain_waits,
+    insert_detour,
+    order_before_return,
     put_first,
     put_last,
+    remove_last_goals,
+    repeat_visit,
+    rules_of_each_at_most,
+    rules_of_only_then,
+    rules_of_strict_order,
     sequence_goal,
     single_visits,
     split_return,
-    visit_often,
-    without_last,
 )
 from edge.mission.language.tokens import (
     Token,
@@ -46,12 +46,12 @@ from edge.mission.language.tokens import (
 )
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
-_IN_TURN = "give the steps in their order"
+_OUT_OF_ORDER = "give the steps in their order"
 MAX_NODES = 20_000
 """Largest size of a formula. "a and b, then c and d, then …" doubles the size with every step."""
 
 
-def _size(formula: Formula) -> int:
+def _tree_size(formula: Formula) -> int:
     """Return the number of nodes of the formula as a tree; shared parts count each time."""
     sizes: dict[int, int] = {}
     for f in postorder(formula):
@@ -59,10 +59,10 @@ def _size(formula: Formula) -> int:
     return sizes[id(formula)]
 
 
-def _does_besides(reader: TokenReader) -> bool:
-    """Return True if ", visiting b" comes, which may be on the way or in addition.
+def _is_participle_clause(reader: TokenReader) -> bool:
+    """Return True if "visiting b" comes, which may mean on the way or in addition.
 
-    ", ending at b" is clear.
+    "ending at b" is clear, so it does not count.
     """
     verb = reader.peek().text
     if not reader.is_at("verb") or verb.startswith((*ENDING, "swing", "bring ")):
@@ -73,7 +73,7 @@ def _does_besides(reader: TokenReader) -> bool:
     return not any(token.kind == "on the way" for token in rest)
 
 
-def _joined(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
+def _join(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
     """Add the second meaning to the first, if there is one, and return it."""
     if first is None:
         return second
@@ -90,18 +90,18 @@ class Discourse:
         memory: antecedents of pronouns.
         goal: the goal so far.
         rules: rules that hold throughout, in every alternative.
-        ordered: True if something was asked for without an upper limit.
+        asks: True if something was asked for without an upper limit.
         times: how often each name was asked for.
         last: objects of the last clause with a goal.
-        first: True if the last goal must come first, so that later goals come after it.
+        first: True if the last clause said "first", so that later goals come after it.
         clauses: number of clauses so far.
         flow: facts about the last clause.
-        elsewhere: token of a clause that names only exceptions ("go anywhere but to a").
+        elsewhere: first token of a clause that names only exceptions ("go anywhere but to a").
         halted: token of the place where the robot must stop.
         detour: token of a sentence that is on the way to the goal of the sentence before.
         shuns: True if something must be avoided, not only until something else is reached.
         waits: pairs of names, and of the objects that must be reached before them.
-        number: number of the last numbered step ("second, …").
+        number: number of the last numbered step ("second, …"); 1 before any.
         listed: True if an order followed "do not …" and a comma.
         each: largest number of visits to each place, and the token of that limit.
         strictly: token of a ban on visits out of turn.
@@ -111,7 +111,7 @@ class Discourse:
     memory: Antecedents = field(default_factory=Antecedents)
     goal: Goal | None = None
     rules: list[ClauseMeaning] = field(default_factory=list)
-    ordered: bool = False
+    asks: bool = False
     times: dict[str, int] = field(default_factory=dict)
     last: NounPhrase | None = None
     first: bool = False
@@ -147,7 +147,7 @@ class Discourse:
                 reader.skip("comma")
                 if joint is None:
                     refuse_questions(reader)
-                self._sentence(joint)
+                self._take_sentence(joint)
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
             firsts = [token for token in reader.tokens if token.kind in ("first", "opener")]
@@ -158,25 +158,25 @@ class Discourse:
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
             reader.refuse("say what is to be reached", self.elsewhere)
-        if not self.ordered:
-            parts += self._asked_after_all()
-        parts += self._rules_for_all(AllOf(tuple(part for part in parts if letters(part))))
+        if not self.asks:
+            parts += self._goals_of_rules()
+        parts += self._rules_for_all(AllOf(tuple(part for part in parts if names_in(part))))
         formula = formula_of(AllOf(tuple(parts)))
-        if _size(formula) > MAX_NODES:
+        if _tree_size(formula) > MAX_NODES:
             reader.refuse("the formula would be too large; ask for less at once", reader.tokens[0])
         if formula == TRUE:
             hint = "nothing is asked for; say for example 'visit the bed, then the chair'"
             reader.refuse(hint, reader.tokens[0])
         return formula
 
-    def _asked_after_all(self) -> list[Goal]:
-        """Return additional goals if the instruction has only rules.
+    def _goals_of_rules(self) -> list[Goal]:
+        """Return the goals that an instruction with rules only may ask for.
 
-        `Do not go to b until a` may ask for a, or for both.
+        `Do not go to b until a` may ask for nothing, for a, or for both.
         """
         if not self.waits:
             return []
-        if self.goal is None and not self.shuns and (chain := chained(self.waits)):
+        if self.goal is None and not self.shuns and (chain := chain_waits(self.waits)):
             return [chain]
         way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
         asked = [until for _, until in self.waits] if way else []
@@ -191,9 +191,9 @@ class Discourse:
         if token and not goal.goals:
             self.reader.refuse("say first what to visit", token)
         if self.strictly:
-            rules += in_strict_order(goal, self.strictly, self.reader)
+            rules += rules_of_strict_order(goal, self.strictly, self.reader)
         if self.each:
-            rules += each_at_most(goal, *self.each, self.reader)
+            rules += rules_of_each_at_most(goal, *self.each, self.reader)
         return [AllOf((), tuple(rules))] if rules else []
 
     def _note_end(self, clause: Clause) -> None:
@@ -217,7 +217,7 @@ class Discourse:
         reader.at += 1
         return True
 
-    def _sentence(self, joint: Token | None) -> None:
+    def _take_sentence(self, joint: Token | None) -> None:
         """Parse a sentence: sequences with "or" between them."""
         reader = self.reader
         either = reader.peek()
@@ -227,22 +227,23 @@ class Discourse:
         after = self.first or (joint is not None and joint.kind in THEN)
         start = reader.peek()
         before = self.last
-        sequence, loose = self._sequence(joint)
+        sequence, loose = self._take_sequence(joint)
         after = after or (bool(sequence) and sequence[0].follows)
         if joint is not None and joint.kind == "only then" and before and sequence:
             sequence[0].rules += held_until(sequence[0].things.names, before)
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
-        tight = short = False
+        # Joints without a pause ("a or b, then c") leave open what "then" comes after. So does a
+        # short alternative, without a verb: "go to a and b, or c, then d".
+        no_pause = short = False
         while (ahead := self._alternative_ahead()) is not None:
-            # "go to a and b, or c, then d"
             short = short or (reader.is_at("comma") and not reader.is_at("verb", ahead=ahead))
-            tight = tight or not reader.is_at("comma", "stop")
+            no_pause = no_pause or not reader.is_at("comma", "stop")
             reader.at += ahead
             if loose:
                 sequences[-1].append(loose)
-            sequence, loose = self._sequence(Token("or", "or", 0, 0))
+            sequence, loose = self._take_sequence(Token("or", "or", 0, 0))
             sequences.append(sequence)
         tokens = reader.tokens[reader.tokens.index(either) : reader.at]
         if either.text == "either" and not any(token.kind == "or" for token in tokens):
@@ -250,11 +251,12 @@ class Discourse:
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
-        pause = any(
+        comma_then = any(
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
-        tight = tight or (pause and (short or (either.text == "either" and len(sequences) > 1)))
-        if tight and single and len(sequences[-1]) > 1:
+        has_either = either.text == "either" and len(sequences) > 1
+        unclear = no_pause or (comma_then and (short or has_either))
+        if unclear and single and len(sequences[-1]) > 1:
             reader.refuse_finally("unclear what comes after which; use two sentences", start)
         if len(sequences) > 1 and any(step.commas for step in sequences[0]):
             reader.refuse_finally("unclear what the alternatives are; say 'either … or …'", start)
@@ -274,10 +276,10 @@ class Discourse:
         elif ahead_of_all and not after and len(sequences) == 1:
             self.goal, self.first = steps([goal, self.goal]), False
         elif self.detour and not after and len(sequences) == 1:
-            self.goal = passing_by(self.goal, goal, self.detour, reader)
+            self.goal = insert_detour(self.goal, goal, self.detour, reader)
         else:
             if after and sequence[0].returns:
-                self.goal = begun_with(self.goal, sequence[0])
+                self.goal = order_before_return(self.goal, sequence[0])
             self.goal = steps([self.goal, goal]) if after else AllOf((self.goal, goal))
 
     def _alternative_ahead(self) -> int | None:
@@ -288,7 +290,9 @@ class Discourse:
         ahead += 1
         return ahead if starts_clause(self.reader, ahead) else None
 
-    def _sequence(self, joint: Token | None) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
+    def _take_sequence(
+        self, joint: Token | None
+    ) -> tuple[list[ClauseMeaning], ClauseMeaning | None]:
         """Parse a sequence of steps with "then" between them.
 
         Returns:
@@ -296,13 +300,13 @@ class Discourse:
         """
         sequence: list[ClauseMeaning] = []
         loose: ClauseMeaning | None = None
-        ordered: Token | None = None
+        order_token: Token | None = None
         while True:
             self._check_number(joint)
-            clause, meaning = self._clause(joint, sequence)
+            clause, meaning = self._take_clause(joint, sequence)
             kind = joint.kind if joint else ""
             if meaning.loose and kind != "but" and not meaning.follows:
-                loose = _joined(loose, meaning)
+                loose = _join(loose, meaning)
             else:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
@@ -316,12 +320,12 @@ class Discourse:
                 self._add_to_sequence(clause, meaning, kind, sequence)
             has_order = clause.order in ("in order", "strict order")
             if has_order and clause.things and len(clause.things.groups) + len(clause.route) < 2:
-                ordered = clause.token
-            joint = self._joint()
+                order_token = clause.token
+            joint = self._take_joint()
             if joint is None:
-                if ordered:
+                if order_token:
                     hint = "an order goes with a list: 'visit a, then b'"
-                    self.reader.refuse(hint, ordered)
+                    self.reader.refuse(hint, order_token)
                 return sequence, loose
 
     def _named_before(self, clause: Clause) -> bool:
@@ -337,7 +341,7 @@ class Discourse:
             number = len(nouns.NUMERALS)
         if number is None or joint is None:
             if self.number > 1 and self.reader.is_at("first", "opener"):
-                self.reader.refuse_finally(_IN_TURN)
+                self.reader.refuse_finally(_OUT_OF_ORDER)
             return
         bare = self.reader.is_at("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
@@ -355,12 +359,12 @@ class Discourse:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
-        visit_often(
+        repeat_visit(
             sequence[-1], self.last, Count(count.least + 1, most), clause.token, self.reader
         )
         meaning.repeats = True
 
-    def _clause(
+    def _take_clause(
         self, joint: Token | None, sequence: list[ClauseMeaning]
     ) -> tuple[Clause, ClauseMeaning]:
         """Parse the next clause; return it and its meaning after the clauses before it."""
@@ -377,7 +381,7 @@ class Discourse:
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns
         self._relate(clause, meaning, sequence)
-        for name in {name for goal in meaning.goals for name in letters(goal)}:
+        for name in {name for goal in meaning.goals for name in names_in(goal)}:
             if several := self.memory.several.get(name):
                 self.reader.refuse_finally(ONE_OF_A_KIND, several)
         if then and self.flow.barred and meaning.goals and not sequence and joint:
@@ -444,7 +448,7 @@ class Discourse:
         if ends and meaning.goals and sequence:
             put_last(meaning, sequence)
         elif ends and meaning.goals and self.goal is not None:
-            self.goal = without_last(self.goal, meaning)
+            self.goal = remove_last_goals(self.goal, meaning)
         if then and meaning.goals and self.flow.until and not sequence:
             meaning.goals = [steps([visits(self.flow.until), *meaning.goals])]
         if (
@@ -454,7 +458,7 @@ class Discourse:
         ):
             hint = "this was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
-        anchored(meaning, sequence, self.times, then or self.first)
+        anchor_goals(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
         meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
         if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?
@@ -467,7 +471,7 @@ class Discourse:
             self.each = (meaning.each, clause.token)
         self.strictly = clause.token if meaning.strictly else self.strictly
         limited = clause.count is not None and clause.count.most is not None
-        self.ordered = self.ordered or (bool(meaning.goals) and not limited)
+        self.asks = self.asks or (bool(meaning.goals) and not limited)
         self.last = clause.things if meaning.goals else self.last
         self.waits += meaning.waits
         self.shuns = self.shuns or clause.verb in AVOIDING
@@ -484,7 +488,7 @@ class Discourse:
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
         if joint == "only then" and sequence:
-            meaning.rules += only_then(sequence[-1], meaning)
+            meaning.rules += rules_of_only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
                 self.reader.refuse_finally("unclear where to; say 'on the way to …'", clause.token)
@@ -514,7 +518,7 @@ class Discourse:
         elif not self.clauses:
             self.reader.refuse("no step comes before this one", clause.token)
 
-    def _joint(self) -> Token | None:
+    def _take_joint(self) -> Token | None:
         """Skip the words that join this clause to the next; return None if the sequence ends."""
         reader = self.reader
         if reader.is_at("comma") and reader.is_at("or", ahead=1):
@@ -530,7 +534,7 @@ class Discourse:
         if self.clauses and self._take_halt():
             return None
         if reader.at > begin:
-            if joint.kind == "comma" and _does_besides(reader):
+            if joint.kind == "comma" and _is_participle_clause(reader):
                 reader.refuse_finally(
                     "unclear: on the way, or in addition? say 'and then' or 'on the way'"
                 )
@@ -541,15 +545,15 @@ class Discourse:
             return None
         verb = reader.peek().text.split()[0] if reader.is_at("verb") else ""
         no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
-        starts = starts_clause(reader) and self._begins_well() and not no_order
+        starts = starts_clause(reader) and self._has_own_verb() and not no_order
         if not starts:
             if reader.is_at("to") and reader.peek(-1).text in LEADING:
                 reader.refuse_finally(
                     "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
                 )
             reader.refuse("unknown word")
-        return Token("", "", joint.start, joint.start)
+        return Token("", "", joint.start, joint.start)  # a joint without words
 
-    def _begins_well(self) -> bool:
+    def _has_own_verb(self) -> bool:
         """Return True if a clause without a joint before it has its own verb."""
         return not self.reader.is_at("word", "quoted", "to") or len(self.reader.peek().text) == 1

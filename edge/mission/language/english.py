@@ -24,9 +24,10 @@ MAX_ALTERNATIVES = 32
 """Largest number of alternatives of a formula; one with more is read out literally."""
 
 
-# A formula as alternatives of sets of chains: F(a & (F b | F c) & F d) asks for "a, then d", and
-# for "a, then b" or "a, then c". Sequences distribute over & and |, because a chain that asks for
-# something later also asks for its earlier part.
+# A chain is a sequence of visits. A formula becomes alternatives of sets of chains:
+# F(a & (F b | F c) & F d) asks for "a, then d", and for "a, then b" or "a, then c". Sequences
+# distribute over & and |, because a chain that asks for something later also asks for its earlier
+# part.
 Chain = tuple[Visit, ...]
 Alternatives = list[tuple[Chain, ...]]
 
@@ -43,18 +44,18 @@ def alternatives_of(f: Formula) -> Alternatives | None:
         each = [alternatives_of(part) for part in f.args]
         if any(a is None for a in each):
             return None
-        return _capped([chains for a in each if a is not None for chains in a])
+        return _cap([chains for a in each if a is not None for chains in a])
     if f.op == "&":
-        return _all_of(f.args)
-    return _sequence(f) if f.op == "F" else None
+        return _alternatives_of_all(f.args)
+    return _alternatives_of_sequence(f) if f.op == "F" else None
 
 
-def _capped(found: Alternatives) -> Alternatives | None:
+def _cap(found: Alternatives) -> Alternatives | None:
     """Return the alternatives; None if there are more than `MAX_ALTERNATIVES`."""
     return found if len(found) <= MAX_ALTERNATIVES else None
 
 
-def _all_of(parts: tuple[Formula, ...]) -> Alternatives | None:
+def _alternatives_of_all(parts: tuple[Formula, ...]) -> Alternatives | None:
     """Return the alternatives of a conjunction; None if a part has none, or if too many."""
     found: Alternatives = [()]
     for part in parts:
@@ -65,7 +66,7 @@ def _all_of(parts: tuple[Formula, ...]) -> Alternatives | None:
     return found
 
 
-def _sequence(f: Formula) -> Alternatives | None:
+def _alternatives_of_sequence(f: Formula) -> Alternatives | None:
     """Return the alternatives of F(p & …), of F((p | q) & …), and of several visits to p."""
     body = f.args[0]
     options = options_of(body)
@@ -79,11 +80,11 @@ def _sequence(f: Formula) -> Alternatives | None:
         return None
     again = _once_more(first, rest)
     if again is not None:
-        later = _sequence(again)
+        later = _alternatives_of_sequence(again)
         return later and [
             tuple((Visit(s.options, s.times + 1), *more) for s, *more in chains) for chains in later
         ]
-    found = _all_of(tuple(part.args[0] if part.op == "X" else part for part in rest))
+    found = _alternatives_of_all(tuple(part.args[0] if part.op == "X" else part for part in rest))
     strict = all(part.op == "X" for part in rest)
     if found is None or not all(
         strict or not set(chain[0].options) & set(options) for chains in found for chain in chains
@@ -105,7 +106,7 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
 
 
 MAX_NODES = 600
-"""Longer formulas are shown as formulas, because such long sentences do not help."""
+"""Largest number of nodes of a formula that is put into words; longer sentences do not help."""
 
 _MAX_DEPTH = 60  # levels of operators in a formula that is put into words
 _SHOWN = 2000  # characters of a formula that is too long for words
@@ -124,13 +125,13 @@ def describe(formula: Formula) -> str:
     if formula.op == "false":
         return "This cannot be done."
     parts = tuple(dict.fromkeys(formula.args)) if formula.op == "&" else (formula,)
-    sentences = [*_goals(parts), *_rules(parts)]
+    sentences = [*_goal_sentences(parts), *_rule_sentences(parts)]
     return " ".join(f"{sentence[0].upper()}{sentence[1:]}." for sentence in sentences)
 
 
 def is_plain(formula: Formula) -> bool:
     """Return True if a formula has plain sentences, without operators that are read out."""
-    return _READ_OUT not in describe(formula).lower()
+    return _READ_OUT_START not in describe(formula).lower()
 
 
 def is_too_long(formula: Formula) -> bool:
@@ -143,33 +144,33 @@ def is_too_long(formula: Formula) -> bool:
     return False
 
 
-def _goals(parts: tuple[Formula, ...]) -> list[str]:
+def _goal_sentences(parts: tuple[Formula, ...]) -> list[str]:
     """Return sentences for the parts that ask for something, single visits first."""
     singles = [part for part in parts if part.op == "F" and options_of(part.args[0])]
-    exact = [part for part in parts if _exactly(part, parts)]
-    sentences = [f"reach {_stop(*_count_of(part), word='exactly')}" for part in exact]
+    exact = [part for part in parts if _is_exact_count(part, parts)]
+    sentences = [f"reach {_stop_text(*_count_of(part), word='exactly')}" for part in exact]
     singles = [part for part in singles if part not in exact]
     if singles:
         stops = [Visit(options_of(part.args[0]) or ()) for part in singles]
-        sentences.append(f"reach {_any_order(stops)}")
+        sentences.append(f"reach {_any_order_text(stops)}")
     for part in parts:
         if part in singles or part in exact:
             continue
         found = alternatives_of(part)
         if found is None and part.op == "|":
-            sentences += [_choice(part)]
+            sentences += [_alternatives_text(part)]
         elif found is not None and len(found) == 1:
-            sentences += [f"reach {_chain(chain)}" for chain in _merged(found[0])]
+            sentences += [f"reach {_chain_text(chain)}" for chain in _merge_chains(found[0])]
         elif found is not None:
-            sentences.append(_choice(part))
+            sentences.append(_alternatives_text(part))
     return sentences
 
 
-def _rules(parts: tuple[Formula, ...]) -> list[str]:
+def _rule_sentences(parts: tuple[Formula, ...]) -> list[str]:
     """Return sentences for all other parts."""
-    counted = {_count_of(part) for part in parts if _exactly(part, parts)}
+    counted = {_count_of(part) for part in parts if _is_exact_count(part, parts)}
     return [
-        _rule(part) or _literally(part)
+        _rule_text(part) or _read_out(part)
         for part in parts
         if alternatives_of(part) is None
         and part.op != "|"
@@ -177,7 +178,7 @@ def _rules(parts: tuple[Formula, ...]) -> list[str]:
     ]
 
 
-def _choice(f: Formula) -> str:
+def _alternatives_text(f: Formula) -> str:
     """Return `reach …; or reach …`, each with its own rules.
 
     If an alternative has no such sentence, the formula is read out literally.
@@ -186,15 +187,15 @@ def _choice(f: Formula) -> str:
     for option in f.args if f.op == "|" else (f,):
         parts = option.args if option.op == "&" else (option,)
         asked = tuple(part for part in parts if alternatives_of(part) is not None)
-        rules = [_rule(part) for part in parts if part not in asked]
+        rules = [_rule_text(part) for part in parts if part not in asked]
         found = alternatives_of(conj(*asked)) if asked else None
         if found is None or None in rules or any(_needs_a_sentence(r, asked) for r in parts):
-            return _literally(f)
+            return _read_out(f)
         for chains in found:
-            merged = _merged(chains)
+            merged = _merge_chains(chains)
             if len(merged) != 1:
-                return _literally(f)
-            phrases.append(", but ".join([f"reach {_chain(merged[0])}", *map(str, rules)]))
+                return _read_out(f)
+            phrases.append(", but ".join([f"reach {_chain_text(merged[0])}", *map(str, rules)]))
     return "; or ".join(phrases)
 
 
@@ -209,8 +210,8 @@ def _needs_a_sentence(f: Formula, asked: tuple[Formula, ...]) -> bool:
 _Merged = tuple[Chain, tuple[Visit, ...]]
 
 
-def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
-    """Merge chains that differ only in their last stop; return (common part, last stops)."""
+def _merge_chains(chains: tuple[Chain, ...]) -> list[_Merged]:
+    """Merge chains that differ only in their last stop; return pairs (common part, last stops)."""
     groups: dict[Chain, list[Visit]] = {}
     for chain in dict.fromkeys(chains):
         groups.setdefault(chain[:-1], []).append(chain[-1])
@@ -223,38 +224,38 @@ def _merged(chains: tuple[Chain, ...]) -> list[_Merged]:
     return merged
 
 
-def _chain(merged: _Merged) -> str:
+def _chain_text(merged: _Merged) -> str:
     """Return `the bed, then the sofa` for a chain with its last stops."""
     shared, last = merged
-    stops = [*(_stop(s.options, s.times) for s in shared), _any_order(list(last))]
+    stops = [*(_stop_text(s.options, s.times) for s in shared), _any_order_text(list(last))]
     each = [*(s.options for s in shared), last[0].options if len(last) == 1 else ()]
     for i, (before, after) in enumerate(pairwise(each), 1):
         stops[i] += " again" if before == after else ""
     return ", then ".join(stops)
 
 
-def _any_order(stops: list[Visit]) -> str:
+def _any_order_text(stops: list[Visit]) -> str:
     """Return `the bed and the sofa in any order`."""
     if len(stops) == 1:
-        return _stop(stops[0].options, stops[0].times)
-    *most, last = (_things(stop.options) for stop in stops)
+        return _stop_text(stops[0].options, stops[0].times)
+    *most, last = (_choice_text(stop.options) for stop in stops)
     return f"{', '.join(most)} and {last} in any order"
 
 
-def _stop(options: tuple[str, ...], times: int = 1, word: str = "at least") -> str:
+def _stop_text(options: tuple[str, ...], times: int = 1, word: str = "at least") -> str:
     """Return `the bed`, or `the bed at least twice`."""
     if times == 1 and word == "at least":
-        return _things(options)
-    return f"{_things(options)} {word} {_often(times)}"
+        return _choice_text(options)
+    return f"{_choice_text(options)} {word} {_often_text(times)}"
 
 
-def _often(n: int) -> str:
+def _often_text(n: int) -> str:
     return _TIMES.get(n) or f"{_NUMBERS[n] if n < len(_NUMBERS) else n} times"
 
 
-def _things(options: tuple[str, ...], joint: str = "or") -> str:
+def _choice_text(options: tuple[str, ...], joint: str = "or") -> str:
     """Return `either the bed or the sofa`; without "either" if `joint` is "nor"."""
-    *most, last = map(_thing, options)
+    *most, last = map(_name_text, options)
     if not most:
         return last
     either = "either " if joint == "or" else ""
@@ -262,7 +263,7 @@ def _things(options: tuple[str, ...], joint: str = "or") -> str:
 
 
 @lru_cache(maxsize=4096)
-def _thing(name: str) -> str:
+def _name_text(name: str) -> str:
     """Return `the bed`, `a` (a letter), or the name in quotes if it could be misread."""
     spoken = name if len(name) == 1 else f"the {name}"
     try:
@@ -276,61 +277,71 @@ def _thing(name: str) -> str:
     return f'"{name}"'
 
 
-def _rule(f: Formula) -> str | None:
+def _rule_text(f: Formula) -> str | None:
     """Return a ban, an until, a limit or a reaction in words; None for other formulas."""
     if f.op == "G":
-        return _always(f.args[0])
-    if f.op in ("W", "U") and (banned := _banned(f.args[0])) and (until := options_of(f.args[1])):
+        return _always_text(f.args[0])
+    if (
+        f.op in ("W", "U")
+        and (banned := _banned_names(f.args[0]))
+        and (until := options_of(f.args[1]))
+    ):
         if set(banned) & set(until):
             return None
-        end = _things(until)
-        phrase = f"do not reach {_things(banned, 'nor')} until {end} is reached"
+        end = _choice_text(until)
+        phrase = f"do not reach {_choice_text(banned, 'nor')} until {end} is reached"
         return phrase if f.op == "W" else f"{phrase}, and {end} must be reached"
     if limit := _limit_of(f):
         options, n = limit
         return (
-            f"never reach {_things(options, 'nor')}"
+            f"never reach {_choice_text(options, 'nor')}"
             if n == 0
-            else (f"reach {_stop(options, n, word='at most')}")
+            else (f"reach {_stop_text(options, n, word='at most')}")
         )
-    return _limit_until(f)
+    return _limit_until_text(f)
 
 
-def _banned(f: Formula) -> tuple[str, ...] | None:
+def _banned_names(f: Formula) -> tuple[str, ...] | None:
     """Return x and y of !x, of !(x | y) and of !x & !y; None for other formulas."""
     if f.op == "&":
-        each = [_banned(part) for part in f.args]
+        each = [_banned_names(part) for part in f.args]
         return None if None in each else tuple(name for names in each for name in names or ())
     return options_of(f.args[0]) if f.op == "!" else None
 
 
-def _always(f: Formula) -> str | None:
+def _always_text(f: Formula) -> str | None:
     """Return words for G f: a ban, or a reaction to something reached; None for other formulas."""
-    if banned := _banned(f):
-        return f"never reach {_things(banned, 'nor')}"
+    if banned := _banned_names(f):
+        return f"never reach {_choice_text(banned, 'nor')}"
     if f.op != "->" or (when := options_of(f.args[0])) is None:
         return None
     then = f.args[1]
     names = set(when)
     if then.op == "F" and (asked := options_of(then.args[0])) and not names & set(asked):
-        return f"whenever {_things(when)} is reached, {_things(asked)} must be reached later"
+        return (
+            f"whenever {_choice_text(when)} is reached, {_choice_text(asked)} must be reached later"
+        )
     if then.op == "X" and (asked := options_of(then.args[0])):
-        must = f"{_things(asked)} must be reached at the next step"
-        return f"whenever {_things(when)} is reached, {must}"
+        must = f"{_choice_text(asked)} must be reached at the next step"
+        return f"whenever {_choice_text(when)} is reached, {must}"
     weak = then.op == "WX"
     ban = then.args[0] if weak else then
-    if ban.op == "G" and (banned := _banned(ban.args[0])) and weak == bool(names & set(banned)):
-        return f"once {_things(when)} is reached, never reach {_things(banned, 'nor')}"
+    if (
+        ban.op == "G"
+        and (banned := _banned_names(ban.args[0]))
+        and weak == bool(names & set(banned))
+    ):
+        return f"once {_choice_text(when)} is reached, never reach {_choice_text(banned, 'nor')}"
     return None
 
 
 def _count_of(f: Formula) -> tuple[tuple[str, ...], int]:
     """Return (names, n) of "at least n times"; ((), 0) for other formulas."""
-    found = alternatives_of(f)
-    if found is None or len(found) != 1 or len(found[0]) != 1 or len(found[0][0]) != 1:
+    alternatives = alternatives_of(f)
+    if alternatives is None or len(alternatives) != 1 or len(alternatives[0]) != 1:
         return (), 0
-    stop = found[0][0][0]
-    return stop.options, stop.times
+    (chain,) = alternatives[0]
+    return (chain[0].options, chain[0].times) if len(chain) == 1 else ((), 0)
 
 
 def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
@@ -341,13 +352,13 @@ def _limit_of(f: Formula) -> tuple[tuple[str, ...], int] | None:
     return (options, times - 1) if options else None
 
 
-def _exactly(part: Formula, parts: tuple[Formula, ...]) -> bool:
+def _is_exact_count(part: Formula, parts: tuple[Formula, ...]) -> bool:
     """Return True if a part asks for exactly the number of visits that another part allows."""
     count = _count_of(part)
     return bool(count[0]) and any(_limit_of(other) == count for other in parts)
 
 
-def _limit_until(f: Formula) -> str | None:
+def _limit_until_text(f: Formula) -> str | None:
     """Return words for `!x W (x W (!x W end))`: at most one visit until the end."""
     start, n = f, 0
     while f.op == "W" and f.args[0].op == "!":
@@ -355,16 +366,16 @@ def _limit_until(f: Formula) -> str | None:
         if (options := options_of(here)) is None:
             return None
         if n and (end := options_of(rest)):
-            limit = _stop(options, n, word="at most")
-            return f"reach {limit} until {_things(end)} is reached"
+            limit = _stop_text(options, n, word="at most")
+            return f"reach {limit} until {_choice_text(end)} is reached"
         if rest.op != "W" or rest.args[0] != here or start.args[0] != f.args[0]:
             return None
         f, n = rest.args[1], n + 1
     return None
 
 
-_READ_OUT = "see to it, from the first step on,"
-_LITERAL = {
+_READ_OUT_START = "see to it, from the first step on,"
+_OPERATOR_WORDS = {
     "!": "it is not so that {0}",
     "X": "there is a next step, and at it {0}",
     "WX": "if there is a next step, then at it {0}",
@@ -379,17 +390,17 @@ _LITERAL = {
 }
 
 
-def _literally(formula: Formula) -> str:
+def _read_out(formula: Formula) -> str:
     """Return the formula read out operator by operator, operands in brackets."""
     texts: dict[int, str] = {}
     for f in postorder(formula):
         parts = [texts[id(arg)] if arg.op == "ap" else f"({texts[id(arg)]})" for arg in f.args]
         if f.op == "ap":
-            texts[id(f)] = f"{_thing(f.name)} is reached at that step"
+            texts[id(f)] = f"{_name_text(f.name)} is reached at that step"
         elif f.op in ("&", "|"):
             texts[id(f)] = (" and " if f.op == "&" else " or ").join(parts)
         elif f.op in ("true", "false"):
             texts[id(f)] = "anything happens" if f.op == "true" else "the impossible happens"
         else:
-            texts[id(f)] = _LITERAL[f.op].format(*parts)
-    return f"{_READ_OUT} that {texts[id(formula)]}"
+            texts[id(f)] = _OPERATOR_WORDS[f.op].format(*parts)
+    return f"{_READ_OUT_START} that {texts[id(formula)]}"

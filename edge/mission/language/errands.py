@@ -115,7 +115,8 @@ _PATROLS = compile_templates(
 )
 _ROUNDS_FIRST = compile_templates(
     "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
-    "<stops>", PARTS
+    "<stops>",
+    PARTS,
 )
 _ERRAND_AND_BACK = compile_templates(
     """
@@ -293,6 +294,7 @@ _UNCLEAR = (
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
 _NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
 _BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
+# The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
@@ -322,6 +324,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = f" {marked}"
     for pattern, plain in _FIRST_REWRITES:
         text = pattern.sub(plain, text)
+    # Patterns and the function that replaces a match. The order matters: each rule sees the text of
+    # the rules before it, and none changes what is in quotes already.
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
         ([_HINTED], _rewrite_hinted),
         ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
@@ -337,11 +341,11 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         (_EXPLORES_HERE, _rewrite_exploration_here),
         ([_ROOM_WITH, _RELATED], _quote_related),
         ([_WHICH_ROOM], _quote_which_room),
-        ([_GOES_ROOM], _put_to),
+        ([_GOES_ROOM], _insert_to),
         ([_GOES_TO], lambda found: f"{found['lead']}go to {_with_article(found['name'])}"),
         (_IN_TURN, _rewrite_list_in_turn),
         ([_FINDS], lambda found: f"{found['lead']}find {found['name']}"),
-        ([_THERE_AND], _put_then),
+        ([_THERE_AND], _insert_then),
         ([_COMPOUND], _quote_compound),
         (_STARTS, lambda found: _go_to(START, found)),
         (_BACK_TO, _rewrite_back_to),
@@ -645,13 +649,13 @@ def _quote_which_room(found: re.Match[str]) -> str:
     return f' "{which} room"'
 
 
-def _put_then(found: re.Match[str]) -> str | None:
+def _insert_then(found: re.Match[str]) -> str | None:
     """Insert "then" between "go to the kitchen" or "find the mug" and the work there."""
     in_order = is_room(bare(found["room"])) if found["room"] else not found["finds"]
     return f"{found['go']}, then" if in_order else None
 
 
-def _put_to(found: re.Match[str]) -> str | None:
+def _insert_to(found: re.Match[str]) -> str | None:
     """Insert the "to" that children and learners of English leave out: "go kitchen"."""
     name = bare(found["name"])
     first = name.split()[:-1]
@@ -707,7 +711,7 @@ def _modifies(word: str) -> bool:
         return False
     if kind == "verb" and not word.endswith("ing") and not nouns.is_noun(word):
         return False
-    return word.strip("'").isalpha() and nouns.meant(word) is None
+    return word.strip("'").isalpha() and nouns.suggest_word(word) is None
 
 
 def _rewrite_back_to(found: re.Match[str]) -> str | None:

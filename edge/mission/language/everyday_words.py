@@ -11,7 +11,7 @@ import re
 from edge import names
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import spelled_out
+from edge.mission.language.lexicon import expand_choices
 from edge.mission.language.places import is_marked
 
 _ROWS: dict[str, str] = {
@@ -188,6 +188,7 @@ _ROWS: dict[str, str] = {
 
 UNITS_S = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600}
 """Unit of time → its length [s]."""
+# Regular expression for an article or another determiner.
 ARTICLE = r"(?:the|an?|my|our|your|his|her|their|this|that|those|these|some|any)"
 
 _NOT_IN_NAMES = """
@@ -210,7 +211,7 @@ AFTER_A_NAME = (
 
 def phrase_of(kind: str) -> str:
     """Return a regular expression for one of the phrases of a kind, the longest first."""
-    phrases = sorted(spelled_out(_ROWS[kind]), key=len, reverse=True)
+    phrases = sorted(expand_choices(_ROWS[kind]), key=len, reverse=True)
     return f"(?:{'|'.join(map(re.escape, phrases))})".replace(r"\ ", " ")
 
 
@@ -255,12 +256,12 @@ def bare(name: str) -> str:
     return "person" if plain in ("somebody", "someone", "anybody", "anyone") else plain
 
 
-_STATES = nouns.listed(
+_STATES = nouns.split_entries(
     """clear open closed locked unlocked free busy ready broken full empty clean dirty safe
     dangerous far near close alone warm cold hot dry wet missing awake asleep charged running
     working okay ok"""
 )
-NOWHERE = nouns.listed(
+NOWHERE = nouns.split_entries(
     """way foot own order point least most floor floors last path road route place places spot area
     position location side one ones bit moment while"""
 )

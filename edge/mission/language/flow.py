@@ -13,6 +13,7 @@ from edge.mission.language.routes import PASSING
 from edge.mission.language.tokens import Token, TokenReader
 
 THEN = ("then", "only then")
+"""Kinds of token that put the next clause after the one before."""
 JOINTS = ("comma", "and", "but", *THEN)
 """Kinds of token between clauses, in increasing strength: of several, the strongest applies."""
 
@@ -81,7 +82,7 @@ class Flow:
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
         # "go to a. go to b." is in order, unless other words contradict it.
-        any_order = also or any(token.text in _ALSO for token in _sentence(reader))
+        any_order = also or any(token.text in _ALSO for token in _sentence_tokens(reader))
         any_order = any_order or any(token.kind in (*THEN, "any order") for token in reader.tokens)
         ensures = clause.token.kind == "ensure"
         moves = _moves(clause)
@@ -149,7 +150,7 @@ class Flow:
         if clause.agent and self.agent not in ("", clause.agent):
             reader.refuse_finally("an instruction is for one robot only", clause.token)
         several = clause.things is not None and len(clause.things.groups) > 1
-        joins = several and any(token.kind == "and" for token in _tokens_of(clause, reader))
+        joins = several and any(token.kind == "and" for token in _clause_tokens(clause, reader))
         if bare and clause.negated and joins:
             reader.refuse_finally(
                 "unclear what 'not' applies to; use a separate sentence", clause.token
@@ -177,7 +178,7 @@ class Flow:
         self.agent = clause.agent or self.agent
 
 
-def _sentence(reader: TokenReader) -> Sequence[Token]:
+def _sentence_tokens(reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the sentence at or before the reader's position."""
     ends = [i for i, token in enumerate(reader.tokens) if token.kind in ("stop", "end")]
     begin = next((i + 1 for i in reversed(ends) if i < reader.at), 0)
@@ -185,7 +186,7 @@ def _sentence(reader: TokenReader) -> Sequence[Token]:
     return reader.tokens[begin:until]
 
 
-def _tokens_of(clause: Clause, reader: TokenReader) -> Sequence[Token]:
+def _clause_tokens(clause: Clause, reader: TokenReader) -> Sequence[Token]:
     """Return the tokens of the clause that was just parsed."""
     begin = next(i for i, token in enumerate(reader.tokens) if token is clause.token)
     return reader.tokens[begin : reader.at]

@@ -1,4 +1,4 @@
-"""Goals of clauses, and their formulas.
+"""Goals of clauses, and their formulas: the grammar's result before it becomes a formula.
 
 A goal is a tree of sequences, sets and alternatives of single visits. A rule is a formula that
 holds from the start. Two conventions:
@@ -47,14 +47,23 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class InSequence:
-    """A sequence of goals, one after the other."""
+    """A sequence of goals, one after the other.
+
+    Attributes:
+        goals: the goals, in order.
+    """
 
     goals: tuple[Goal, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class AllOf:
-    """A set of goals in any order, with rules."""
+    """A set of goals in any order, with rules.
+
+    Attributes:
+        goals: the goals.
+        rules: formulas that hold from the start.
+    """
 
     goals: tuple[Goal, ...]
     rules: tuple[Formula, ...] = field(default=())
@@ -62,12 +71,16 @@ class AllOf:
 
 @dataclass(frozen=True, slots=True)
 class AnyOf:
-    """A choice of goals: at least one of them."""
+    """A choice of goals: at least one of them.
+
+    Attributes:
+        goals: the alternatives.
+    """
 
     goals: tuple[Goal, ...]
 
 
-def any_of(names: Iterable[str]) -> Formula:
+def any_reached(names: Iterable[str]) -> Formula:
     """Return the formula "one of these is reached in this step"."""
     return disj(*map(ap, names))
 
@@ -86,21 +99,21 @@ def steps(goals: Sequence[Goal]) -> Goal:
     return flat[0] if len(flat) == 1 else InSequence(tuple(flat))
 
 
-def letters(goal: Goal) -> frozenset[str]:
+def names_in(goal: Goal) -> frozenset[str]:
     """Return every name in a goal."""
     if isinstance(goal, Visit):
         return frozenset(goal.options)
-    return frozenset().union(*map(letters, goal.goals))
+    return frozenset().union(*map(names_in, goal.goals))
 
 
-def last_letters(goal: Goal) -> frozenset[str]:
+def last_names(goal: Goal) -> frozenset[str]:
     """Return the names that may be reached last for a goal."""
-    return letters(goal.goals[-1]) if isinstance(goal, InSequence) else letters(goal)
+    return names_in(goal.goals[-1]) if isinstance(goal, InSequence) else names_in(goal)
 
 
 def formula_of(goal: Goal) -> Formula:
     """Return the formula of a whole instruction."""
-    achieving = achieved(goal, TRUE, frozenset())
+    achieving = formula_of_goal(goal, TRUE, frozenset())
     asked = achieving.args if achieving.op == "&" else (achieving,)
     return conj(*(f for f in dict.fromkeys((*asked, *rules(goal))) if f != TRUE))
 
@@ -114,8 +127,8 @@ def rules(goal: Goal) -> list[Formula]:
     return []
 
 
-def achieved(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
-    """Return the formula "the goal is achieved at some time, and then `tail`".
+def formula_of_goal(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
+    """Return the formula "the goal is achieved at some time, and then `tail`", without rules.
 
     Args:
         goal: the goal.
@@ -123,20 +136,20 @@ def achieved(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
         starts: names with which `tail` may begin.
     """
     if isinstance(goal, Visit):
-        return _visited(goal, tail, starts)
+        return _formula_of_visits(goal, tail, starts)
     if isinstance(goal, InSequence):
         for part in reversed(goal.goals):
-            tail, starts = achieved(part, tail, starts), _first_letters(part)
+            tail, starts = formula_of_goal(part, tail, starts), _first_names(part)
         return tail
     if isinstance(goal, AllOf):
-        parts = [achieved(part, tail, starts) for part in goal.goals]
+        parts = [formula_of_goal(part, tail, starts) for part in goal.goals]
         return conj(*(part for part in parts if part != TRUE)) if parts else tail
-    return disj(*[conj(achieved(part, tail, starts), *rules(part)) for part in goal.goals])
+    return disj(*[conj(formula_of_goal(part, tail, starts), *rules(part)) for part in goal.goals])
 
 
-def _visited(goal: Visit, tail: Formula, starts: frozenset[str]) -> Formula:
-    """Return the formula of visits, and then `tail`; see `achieved`."""
-    here = any_of(goal.options)
+def _formula_of_visits(goal: Visit, tail: Formula, starts: frozenset[str]) -> Formula:
+    """Return the formula of visits, and then `tail`; see `formula_of_goal`."""
+    here = any_reached(goal.options)
     if tail != TRUE and starts & set(goal.options):
         tail = next_(tail)  # otherwise one visit could fulfil both
     formula = eventually(here if tail == TRUE else conj(here, tail))
@@ -145,19 +158,19 @@ def _visited(goal: Visit, tail: Formula, starts: frozenset[str]) -> Formula:
     return formula
 
 
-def _first_letters(goal: Goal) -> frozenset[str]:
+def _first_names(goal: Goal) -> frozenset[str]:
     """Return the names that may be reached first for a goal."""
     if isinstance(goal, Visit):
         return frozenset(goal.options)
     if isinstance(goal, InSequence):
-        return _first_letters(goal.goals[0])
-    return frozenset().union(*map(_first_letters, goal.goals))
+        return _first_names(goal.goals[0])
+    return frozenset().union(*map(_first_names, goal.goals))
 
 
 def held_until(names: Iterable[str], until: NounPhrase) -> list[Formula]:
     """Return `!x W y` for each name x and group y: no name before the objects are reached."""
     return [
-        weak_until(neg(ap(name)), any_of(group))
+        weak_until(neg(ap(name)), any_reached(group))
         for name in names
         for group in until.groups
         if name not in group
@@ -173,24 +186,26 @@ def never_after(names: Iterable[str], after: NounPhrase) -> list[Formula]:
     """Return the ban of the names after all of the objects are reached."""
     if len(after.groups) != 1:
         done = visits(after)
-        return [neg(achieved(done, eventually(ap(name)), frozenset([name]))) for name in names]
+        return [
+            neg(formula_of_goal(done, eventually(ap(name)), frozenset([name]))) for name in names
+        ]
     group = after.groups[0]
     bans = {name: always(neg(ap(name))) for name in names}
     return [
-        always(implies(any_of(group), weak_next(ban) if name in group else ban))
+        always(implies(any_reached(group), weak_next(ban) if name in group else ban))
         for name, ban in bans.items()
     ]
 
 
 def at_most(names: Sequence[str], n: int) -> Formula:
     """Return the formula of at most n separate visits to one of the names."""
-    return neg(achieved(Visit(tuple(names), n + 1), TRUE, frozenset()))
+    return neg(formula_of_goal(Visit(tuple(names), n + 1), TRUE, frozenset()))
 
 
 def at_most_before(names: Sequence[str], n: int, end: Sequence[str]) -> Formula:
     """Return the formula of at most n separate visits to the names before one of `end`."""
-    here = any_of(names)
-    formula = weak_until(neg(here), any_of(end))
+    here = any_reached(names)
+    formula = weak_until(neg(here), any_reached(end))
     for _ in range(n):
         formula = weak_until(neg(here), weak_until(here, formula))
     return formula

@@ -425,10 +425,10 @@ AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the preceding verb: "turn on", "look for", "stop at"."""
 
 
-def spelled_out(phrases: str) -> list[str]:
+def expand_choices(phrases: str) -> list[str]:
     """Return all phrases of a row; "(a|b) c" becomes two phrases."""
     todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
-    for phrase in todo:
+    for phrase in todo:  # grows in the loop
         if choice := _CHOICE.search(phrase):
             before, after = phrase[: choice.start()], phrase[choice.end() :]
             todo += [f"{before}{option}{after}" for option in choice[1].split("|")]
@@ -438,7 +438,7 @@ def spelled_out(phrases: str) -> list[str]:
 
 
 _CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
-PHRASES = {kind: tuple(spelled_out(row)) for kind, row in _ROWS.items()}
+PHRASES = {kind: tuple(expand_choices(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])
 """Phrases that mean "avoid"."""
@@ -468,11 +468,11 @@ PAST = frozenset(_forms(verb)[3] for verb in _REGULAR_VERBS.split()) | frozenset
 
 
 def _table() -> dict[tuple[str, ...], str]:
-    """Return `TABLE`."""
+    """Build `TABLE`; where two rows have a phrase, the later rule here wins."""
     phrases = {
         tuple(phrase.split()): kind
-        for kind, listed in PHRASES.items()
-        for phrase in listed
+        for kind, split_entries in PHRASES.items()
+        for phrase in split_entries
         if kind not in ("verb", "avoid")
     }
     verbs = [form for verb in _REGULAR_VERBS.split() for form in _forms(verb)]
@@ -496,6 +496,7 @@ TABLE = _table()
 LONGEST = max(map(len, TABLE))
 """Number of words of the longest phrase."""
 
+# Contraction or informal spelling → its words.
 CONTRACTIONS = {
     "can't": "can not",
     "ur": "your", "pls": "please", "plz": "please", "gotta": "have to", "wanna": "want to",
@@ -511,11 +512,12 @@ CONTRACTIONS = {
 }  # fmt: skip
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
 _COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")
+# End of a contraction → the words that replace it.
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
 
-def expanded(word: str) -> list[str]:
-    """Return the words that a word stands for: `don't` is do, not; `2nd` is second."""
+def expand_word(word: str) -> list[str]:
+    """Return the words for which a word stands: `don't` is do, not; `2nd` is second."""
     if word in CONTRACTIONS:
         return CONTRACTIONS[word].split()
     if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
@@ -528,6 +530,7 @@ def expanded(word: str) -> list[str]:
     return [word]
 
 
+# Word of a count → its value.
 NUMBERS = {
     "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one single": 1,
     **{word: n for n, word in enumerate(names.SMALL_NUMBERS)},

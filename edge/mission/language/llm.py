@@ -27,8 +27,10 @@ MOST_NESTING = 8  # depth of parentheses; a sequence of n objects needs n - 1
 MOST_OPERANDS = 12  # operands of one & or |
 SPARE = 3  # an object may occur several times: nesting and operands may exceed the number of names
 
+# Operators in the grammar; they can express the others.
 UNARY = ("!", "F ", "G ", "X ")
-BINARY = (" W ", " U ")  # they can express the other operators
+BINARY = (" W ", " U ")
+# GBNF of a quoted name of up to 40 characters.
 ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
 
 
@@ -150,10 +152,11 @@ def _phrases(run: list[str]) -> Iterator[str]:
 log = logging.getLogger(__name__)
 
 MAX_TOKENS = 256  # six objects in three branches with two conditions need about 120
-MAX_FORMULA_CHARACTERS = 4000
+MAX_FORMULA_CHARACTERS = 4000  # of an answer that is parsed
 SHOWN_TO_MODEL = 500  # characters of a wrong answer
 SHOWN_TO_USER = 80  # characters of a wrong answer
 
+# The system prompt, and examples of instructions with their formulas.
 SYSTEM = """\
 Translate the instruction to a home robot into one formula of linear temporal logic. Answer with \
 the formula only.
@@ -222,8 +225,8 @@ class LlmTranslator:
             else:
                 _report_left_out(formula, objects)
                 return formula
-            messages += repair(answer, fault)
-        shown = one_line(bare(answer), SHOWN_TO_USER)
+            messages += repair_messages(answer, fault)
+        shown = one_line(strip_answer(answer), SHOWN_TO_USER)
         raise TranslationError(
             f"instruction: no translation: {url} answered {shown!r}: {one_line(fault)}; "
             "say it in other words, or use a larger model"
@@ -243,7 +246,7 @@ def conversation(instruction: str) -> list[dict[str, str]]:
     return [*messages, {"role": "user", "content": instruction}]
 
 
-def repair(answer: str, fault: str) -> list[dict[str, str]]:
+def repair_messages(answer: str, fault: str) -> list[dict[str, str]]:
     """Return the messages that ask for a corrected formula."""
     wanted = f"This is wrong: {fault}. Answer with the corrected formula only."
     return [
@@ -282,7 +285,7 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
         FormulaError: the answer is no formula.
         UserError: it is too long, or it has another object, or none.
     """
-    text = bare(answer)
+    text = strip_answer(answer)
     if len(text) > MAX_FORMULA_CHARACTERS:
         raise _UnusableError(
             f"the answer has {len(text)} characters; it must be one formula of at most "
@@ -300,10 +303,10 @@ def formula_in(answer: str, objects: tuple[str, ...]) -> Formula:
     return formula
 
 
-def bare(answer: str) -> str:
+def strip_answer(answer: str) -> str:
     """Return an answer without thoughts, code fence and heading.
 
-    >>> bare("```ltl\\nLTL: F chair\\n```")
+    >>> strip_answer("```ltl\\nLTL: F chair\\n```")
     'F chair'
     """
     text = re.sub(r"\A\s*<think>.*?</think>", "", answer, flags=re.DOTALL).strip()

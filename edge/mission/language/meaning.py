@@ -10,7 +10,7 @@ from edge.mission.language.clause_parts import Clause, Condition, Count
 from edge.mission.language.goal_tree import (
     AllOf,
     Goal,
-    any_of,
+    any_reached,
     at_most,
     at_most_before,
     formula_of,
@@ -122,21 +122,23 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
         reader.refuse(
             "this was not asked for before, so 'again' is unclear; say how often", clause.token
         )
-    if clause.things.every and (meaning := _of_every(clause, clause.things, reader)):
+    if clause.things.every and (meaning := _meaning_of_every(clause, clause.things, reader)):
         return meaning
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
     if clause.out_of_turn:
         reader.refuse("say for which places", clause.token)
-    meaning_of_kind = _forbidden if clause.negated else _asked
+    meaning_of_kind = _meaning_of_ban if clause.negated else _meaning_of_order
     meaning = meaning_of_kind(clause, clause.things, reader, times)
     meaning.each = clause.each or meaning.each
     meaning.bans += [things.names for things in clause.never]
     return meaning
 
 
-def _of_every(clause: Clause, things: NounPhrase, reader: TokenReader) -> ClauseMeaning | None:
+def _meaning_of_every(
+    clause: Clause, things: NounPhrase, reader: TokenReader
+) -> ClauseMeaning | None:
     """Return the meaning of `visit each place only once`, `never go back to any of them`."""
     if clause.out_of_turn:
         return ClauseMeaning(strictly=True)
@@ -164,7 +166,7 @@ def _goal_of_until(clause: Clause, reader: TokenReader) -> ClauseMeaning:
     return ClauseMeaning([visits(things)], things)
 
 
-def _forbidden(
+def _meaning_of_ban(
     clause: Clause, things: NounPhrase, reader: TokenReader, times: Mapping[str, int]
 ) -> ClauseMeaning:
     """Return the meaning of `do not visit x …`, `avoid x …`, `never visit x more than twice`."""
@@ -192,7 +194,7 @@ def _forbidden(
             meaning.limits.append(((name,), most, None if clause.conditions else clause.token))
     elif clause.conditions:
         for condition in clause.conditions:
-            meaning.rules += _forbidden_when(clause, things, condition, reader)
+            meaning.rules += _rules_of_ban(clause, things, condition, reader)
             if condition.kind in ("before", "until"):
                 meaning.waits.append((things.names, condition.things))
     elif not clause.avoiding:
@@ -207,7 +209,7 @@ def _is_again(clause: Clause, things: NounPhrase, times: Mapping[str, int]) -> b
     return clause.again
 
 
-def _forbidden_when(
+def _rules_of_ban(
     clause: Clause, things: NounPhrase, condition: Condition, reader: TokenReader
 ) -> list[Formula]:
     """Return the rules of `do not visit x before y`, `never visit x after y` and the like."""
@@ -224,7 +226,7 @@ def _forbidden_when(
         reader.refuse("say 'after …' or 'on the way to …'", condition.token)
     if clause.next_step:
         return [
-            always(implies(any_of(group), weak_next(neg(ap(name)))))
+            always(implies(any_reached(group), weak_next(neg(ap(name)))))
             for name in things.names
             for group in condition.things.groups
         ]
@@ -257,13 +259,13 @@ def _add_count(
         meaning.limits += [(group, count.most, None) for group in things.groups]
 
 
-def _asked(
+def _meaning_of_order(
     clause: Clause, things: NounPhrase, reader: TokenReader, times: Mapping[str, int]
 ) -> ClauseMeaning:
     """Return the meaning of `visit x …`, `you must visit x …`, `you can visit x …`."""
     meaning = ClauseMeaning()
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
-        return _counted_until(clause, things, clause.count, reader, times)
+        return _meaning_of_count_until(clause, things, clause.count, reader, times)
     if clause.count and len(things.groups) > 1 and clause.order:
         most = clause.count.most
         meaning.goals.append(
@@ -316,21 +318,21 @@ def _asked(
 
 def _steps_of(clause: Clause, things: NounPhrase) -> list[NounPhrase]:
     """Return the goals of a clause in their order."""
-    steps_of = [*clause.route, things]
+    ordered_steps = [*clause.route, things]
     if clause.order in ("in order", "strict order"):
-        return [NounPhrase((group,)) for step in steps_of for group in step.groups]
-    return steps_of
+        return [NounPhrase((group,)) for step in ordered_steps for group in step.groups]
+    return ordered_steps
 
 
-_ENDS = ("end ", "ends ", "ending ", "finish")  # beginnings of verbs that end a mission
-_RULES = ("make sure", "making sure", "ensur", "be sure", "see to it")  # beginnings of duties
-_BEFORE = ("both", "first only", "in order")
+_END_VERBS = ("end ", "ends ", "ending ", "finish")  # beginnings of verbs that end a mission
+_DUTY_STARTS = ("make sure", "making sure", "ensur", "be sure", "see to it")  # beginnings of duties
+_BEFORE_READINGS = ("both", "first only", "in order")
 """Readings of "x before y" as a rule: both, and no y before x; x, and no y before it; x, then y.
 As a plain order it asks for both, which implies the others and is driven like "x, then y".
 """
 
 
-def _counted_until(
+def _meaning_of_count_until(
     clause: Clause, things: NounPhrase, count: Count, reader: TokenReader, times: Mapping[str, int]
 ) -> ClauseMeaning:
     """Return the meaning of `reach x at most twice until y is reached`."""
@@ -361,7 +363,7 @@ def _add_condition(
     """Add the effect of a condition on "visit x"."""
     kind, when = condition.kind, condition.things
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
-    if kind == "after" and clause.verb.startswith(_ENDS) and not condition.recurring:
+    if kind == "after" and clause.verb.startswith(_END_VERBS) and not condition.recurring:
         answers = False  # the end of the mission is no reaction
     _refuse_count_in_condition(condition, reader)
     if clause.next_step and kind in ("before", "until"):
@@ -393,8 +395,8 @@ def _add_condition(
         if not condition.referred or clause.mood == "can":
             pick = 0
             if _is_rule(clause, condition, reader):
-                pick = reader.pick(condition.token, len(_BEFORE))
-            way = _BEFORE[pick]
+                pick = reader.pick(condition.token, len(_BEFORE_READINGS))
+            way = _BEFORE_READINGS[pick]
         if way != "in order":
             meaning.rules += held_until(when.names, things)
         if way != "first only":
@@ -418,7 +420,7 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
     does not, unless it is an alternative, an aside, or one of several in a sequence.
     """
     duty = clause.mood == "must" and not clause.subject
-    if duty or clause.done or clause.token.text.startswith(_RULES):
+    if duty or clause.done or clause.token.text.startswith(_DUTY_STARTS):
         return True
     start, begin = (
         next(i for i, token in enumerate(reader.tokens) if token is wanted)
@@ -443,11 +445,11 @@ def _add_reaction(
     """Add `once you visit x you must visit y`: G(x -> F y), or X y for "right after"."""
     if len(condition.things.groups) != 1:
         reader.refuse("a condition can have one object, or a choice of objects", condition.token)
-    when = any_of(condition.things.groups[0])
+    when = any_reached(condition.things.groups[0])
     if clause.next_step or clause.soon:
         if len(things.groups) != 1:
             reader.refuse("only one object can be reached in the next step", clause.token)
-        answer = next_(any_of(things.groups[0]))
+        answer = next_(any_reached(things.groups[0]))
     else:
         goals = meaning.goals or [visits(things)]
         answer = formula_of(AllOf(tuple(goals)))

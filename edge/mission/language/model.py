@@ -314,7 +314,7 @@ class NeuralTranslator:
         for automaton, members in groups:
             log_ps = [
                 self._network.back_translation_log_p(member.tokens, [words])[0]
-                for member in members[:2]
+                for member in members[:2]  # the most likely two: each costs a run of the network
             ]
             best = max(range(len(log_ps)), key=log_ps.__getitem__)
             p = sum(math.exp(member.log_p) for member in members) / total
@@ -371,7 +371,7 @@ def _name_meant(words: Sequence[str], at: int) -> str | None:
     A name may follow an article or a particle.
     """
     before = words[at - 1] if at else ""
-    return nouns.meant(words[at]) if before in ARTICLES or before in AFTER_VERB else None
+    return nouns.suggest_word(words[at]) if before in ARTICLES or before in AFTER_VERB else None
 
 
 def _equal(a: Automaton, b: Automaton) -> bool:

@@ -45,16 +45,16 @@ def take_name(reader: TokenReader) -> str:
     if token := reader.take("quoted"):
         return _canonical(reader, token.text, token)
     if is_letter(reader.peek()):
-        if _hardly_a_name(reader):
+        if _is_probably_article(reader):
             reader.refuse("not a known object", start)
-        return _next_token(reader).text
-    words = _words(reader, article)
+        return _take_token(reader).text
+    words = _take_words(reader, article)
     if not words:
         refuse_missing_name(reader, start)
-    _check(reader, words)
+    _check_words(reader, words)
     if reader.is_at("article"):
         reader.refuse("unknown word", words[0])
-    text = _spelled(words)
+    text = _join_words(words)
     return _canonical(reader, text, words[0])
 
 
@@ -66,7 +66,7 @@ def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoRe
     reader.refuse("expected the name of a thing here", start)
 
 
-def _words(reader: TokenReader, article: bool) -> list[Token]:
+def _take_words(reader: TokenReader, article: bool) -> list[Token]:
     """Take the words of a name; after an article it may begin with a verb."""
     words: list[Token] = []
     while reader.is_at("word", "group") and not is_letter(reader.peek()):
@@ -74,7 +74,7 @@ def _words(reader: TokenReader, article: bool) -> list[Token]:
         is_quality = article and not words and nouns.is_noun(reader.peek(1).text)
         if (reader.peek().text in AFTER_VERB and not is_quality) or _says_number(reader):
             break
-        words.append(_next_token(reader))
+        words.append(_take_token(reader))
     if words:
         words += _take_number(reader)
     return words
@@ -99,11 +99,11 @@ def _says_number(reader: TokenReader) -> bool:
 
 def _is_lettered(reader: TokenReader) -> bool:
     """Return True if the letter here belongs to the word before it: "gate b"."""
-    article = reader.peek().text == "a" and _goes_on(reader)
+    article = reader.peek().text == "a" and _is_article_a(reader)
     return reader.peek(-1).text in nouns.NUMBERED and not article
 
 
-def _spelled(words: list[Token]) -> str:
+def _join_words(words: list[Token]) -> str:
     """Return the text of a name: "landmarks one" becomes "landmark one"."""
     texts = [token.text for token in words]
     numbered = next((i for i, token in enumerate(words) if i and token.kind == "number"), 0)
@@ -112,7 +112,7 @@ def _spelled(words: list[Token]) -> str:
     return " ".join(texts)
 
 
-def _next_token(reader: TokenReader) -> Token:
+def _take_token(reader: TokenReader) -> Token:
     """Take the next token, of any kind."""
     reader.at += 1
     return reader.tokens[reader.at - 1]
@@ -120,10 +120,10 @@ def _next_token(reader: TokenReader) -> Token:
 
 def is_indefinite(reader: TokenReader) -> bool:
     """Return True if an `a` or `an` comes that is an article."""
-    return reader.is_at("word") and reader.peek().text in ("a", "an") and _goes_on(reader)
+    return reader.is_at("word") and reader.peek().text in ("a", "an") and _is_article_a(reader)
 
 
-def _goes_on(reader: TokenReader) -> bool:
+def _is_article_a(reader: TokenReader) -> bool:
     """Return True if `a` is an article: a longer word or a quoted name follows it."""
     follower = reader.peek(1)
     return follower.kind == "quoted" or (
@@ -131,7 +131,7 @@ def _goes_on(reader: TokenReader) -> bool:
     )
 
 
-def _hardly_a_name(reader: TokenReader) -> bool:
+def _is_probably_article(reader: TokenReader) -> bool:
     """Return True if `a` is probably an article, as in "a walk".
 
     It is one if the instruction has no other one-letter name.
@@ -150,31 +150,31 @@ def is_letter(token: Token) -> bool:
     return token.kind == "word" and len(token.text) == 1 and token.text.isalpha()
 
 
-def _check(reader: TokenReader, words: list[Token]) -> None:
+def _check_words(reader: TokenReader, words: list[Token]) -> None:
     """Refuse a name with a word that no name has, or that is not known."""
     texts = [token.text for token in words]
-    odd = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
-    if odd is not None:
+    wrong = next((i for i, text in enumerate(texts) if text in _NEVER_IN_NAMES), None)
+    if wrong is not None:
         hint = "unknown word, and not an object"
-        if texts[odd] in _REVERSING:
-            reader.refuse_finally(hint, words[odd])
-        reader.refuse(hint, words[odd])
-    odd = nouns.unknown_in(texts)
-    if odd is None:
+        if texts[wrong] in _REVERSING:
+            reader.refuse_finally(hint, words[wrong])
+        reader.refuse(hint, words[wrong])
+    wrong = nouns.unknown_in(texts)
+    if wrong is None:
         return
-    if texts[odd] in nouns.PLAIN_WORDS:
-        said = reader.text[words[odd].start : words[odd].end]
-        raise not_understood(said, words[odd].start + 1, "unknown word, and not an object")
-    close = nouns.meant(texts[odd])
-    if close and not nouns.is_noun(texts[odd]):
-        reader.refuse(f"{one_line(texts[odd], 40)}: {close}?", words[odd])
+    if texts[wrong] in nouns.PLAIN_WORDS:
+        said = reader.text[words[wrong].start : words[wrong].end]
+        raise not_understood(said, words[wrong].start + 1, "unknown word, and not an object")
+    close = nouns.suggest_word(texts[wrong])
+    if close and not nouns.is_noun(texts[wrong]):
+        reader.refuse(f"{one_line(texts[wrong], 40)}: {close}?", words[wrong])
     if reader.is_at("article", "pronoun"):
         reader.refuse("unknown verb", words[0])
     whole = one_line(" ".join(texts), 40)
-    if odd:
-        last = one_line(texts[odd - 1], 20)
+    if wrong:
+        last = one_line(texts[wrong - 1], 20)
         hint = f'unknown word after {last!r}; if it is one object, write "{whole}"'
-        reader.refuse(f"{hint} in double quotes", words[odd])
+        reader.refuse(f"{hint} in double quotes", words[wrong])
     reader.refuse(f'not a known object; if it is one, write "{whole}" in double quotes', words[0])
 
 

@@ -61,7 +61,7 @@ class TranslationNetwork:
     @classmethod
     def from_file(cls, path: Path) -> TranslationNetwork:
         """Return a network from a file that has no card yet."""
-        network = cls.__new__(cls)
+        network = cls.__new__(cls)  # without __init__, which needs a card
         network._open(path)
         return network
 
@@ -73,10 +73,11 @@ class TranslationNetwork:
         self.tokens = _parse_vocabulary(path, text)
         self._ids = {token: i for i, token in enumerate(self.tokens)}
         past = next(i for i in self._session.get_inputs() if i.name == "past")
+        # `past` has the shape (keys and values of all layers, batch, heads, tokens, width).
         parts, _, heads, _, width = past.shape
         self._no_past = np.zeros((parts, 1, heads, 0, width), np.float32)
         self._no_across = np.zeros((parts, 1, heads, 1, width), np.float32)
-        self._nothing = np.array([[self._ids[PAD]]], np.int64)
+        self._padding_token = np.array([[self._ids[PAD]]], np.int64)
 
     def knows(self, word: str) -> bool:
         """Return True if the word is in the vocabulary."""
@@ -103,33 +104,35 @@ class TranslationNetwork:
         across = self._encode(words)
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
         logits, past = self._decode(target, self._no_past, across)
-        live: list[tuple[list[str], float]] = [([], 0.0)]
-        done: list[FormulaHypothesis] = []
-        while live and len(live[0][0]) < MOST_TOKENS:
-            grown: list[tuple[float, int, str]] = []
-            for row, (tokens, log_p) in enumerate(live):
+        beams: list[tuple[list[str], float]] = [([], 0.0)]
+        complete: list[FormulaHypothesis] = []
+        while beams and len(beams[0][0]) < MOST_TOKENS:
+            extended: list[tuple[float, int, str]] = []
+            for row, (tokens, log_p) in enumerate(beams):
                 options = list(allowed(tokens, n_names, MOST_TOKENS))
                 log_ps = _log_softmax(logits[row, -1, [self._ids[token] for token in options]])
-                grown += [
+                extended += [
                     (log_p + p, row, token)
                     for p, token in zip(log_ps.tolist(), options, strict=True)
                 ]
-            grown.sort(key=lambda candidate: -candidate[0])
+            extended.sort(key=lambda candidate: -candidate[0])
             following: list[tuple[list[str], float]] = []
             rows: list[int] = []
-            for log_p, row, token in grown[:beam]:
-                tokens = [*live[row][0], token]
+            for log_p, row, token in extended[:beam]:
+                tokens = [*beams[row][0], token]
                 if token == REFUSED or not any(allowed(tokens, n_names, MOST_TOKENS)):
-                    done.append(FormulaHypothesis(tuple(tokens), log_p))
+                    complete.append(FormulaHypothesis(tuple(tokens), log_p))
                 else:
                     following.append((tokens, log_p))
                     rows.append(row)
-            live = following
-            if not live or (len(done) >= beam and max(d.log_p for d in done) > live[0][1]):
+            beams = following
+            if not beams or (
+                len(complete) >= beam and max(d.log_p for d in complete) > beams[0][1]
+            ):
                 break
-            target = np.array([[self._ids[tokens[-1]]] for tokens, _ in live], np.int64)
+            target = np.array([[self._ids[tokens[-1]]] for tokens, _ in beams], np.int64)
             logits, past = self._decode(target, past[:, rows], across)
-        return sorted(done, key=lambda hypothesis: -hypothesis.log_p)[:beam]
+        return sorted(complete, key=lambda hypothesis: -hypothesis.log_p)[:beam]
 
     def back_translation_log_p(
         self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]
@@ -160,7 +163,7 @@ class TranslationNetwork:
         """Return the encoder's output for a text, for all steps of the decoder."""
         ids = [self._ids.get(token, self._ids[UNKNOWN]) for token in tokens]
         feeds = {
-            "source": np.array([ids], np.int64), "target": self._nothing,
+            "source": np.array([ids], np.int64), "target": self._padding_token,
             "past": self._no_past, "across_in": self._no_across,
         }  # fmt: skip
         return self._session.run(["across"], feeds)[0]
@@ -169,7 +172,7 @@ class TranslationNetwork:
         self, target: np.ndarray, past: np.ndarray, across: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run the decoder; return the logits of the next tokens, and the new `past`."""
-        feeds = {"source": self._nothing, "target": target, "past": past, "across_in": across}
+        feeds = {"source": self._padding_token, "target": target, "past": past, "across_in": across}
         logits, present = self._session.run(["logits", "present"], feeds)
         return logits, present
 

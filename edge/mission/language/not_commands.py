@@ -1,4 +1,4 @@
-"""Refusal of sentences that look like orders but are not, and of unclear ones."""
+"""Refusal of sentences that look like orders but are not, and of unclear orders."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from edge.mission.language.clause_parts import Clause
 from edge.mission.language.lexicon import AVOIDING, PAST
 from edge.mission.language.tokens import Token, TokenReader
 
-# First words of questions, pronouns of "may I", verbs of reproach, and forms of "have".
-_ASKING = ("did", "does", "has", "had", "is", "are", "am", "was", "were")
-_MAY_I = ("i", "we")
+_ASKING = ("did", "does", "has", "had", "is", "are", "am", "was", "were")  # begin a question
+_MAY_I = ("i", "we")  # pronouns of "may I"
+# Before "have" and a participle, these reproach: "you should have cleaned it".
 _REPROACH = ("should", "could", "would", "might", "may", "supposed", "are supposed")
 _HAVING = ("have", "has", "had", "having")
 _NO_ORDER = "not an instruction; say for example 'visit the bed'"

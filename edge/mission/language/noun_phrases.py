@@ -26,6 +26,7 @@ from edge.mission.language.tokens import Token, TokenReader
 COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only")
 """Kinds of token that can begin a count."""
 LEAVE = ("leave", "leaving", "exit", "exiting")  # never names
+# Hint of a refusal.
 ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
 _ELEMENT_KINDS = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
@@ -237,15 +238,16 @@ def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
     if starts_noun_phrase(reader, ahead + 1) or is_number(reader, ahead + 1):
         return ""  # "each of the places a and b"
     reader.at += ahead + 1
-    while phrase := next((words for words in _BEEN if _says(reader, words)), None):
+    while phrase := next((words for words in _BEEN if _has_words(reader, words)), None):
         reader.at += len(phrase)
     return "them" if of_them else "places"
 
 
-def _says(reader: TokenReader, words: Sequence[str]) -> bool:
+def _has_words(reader: TokenReader, words: Sequence[str]) -> bool:
     return all(reader.peek(i).text == word for i, word in enumerate(words))
 
 
+# Pronouns for several objects, and for one.
 PLURALS = ("them", "these", "those")
 SINGULARS = ("it", "this", "that", "that one", "this one")
 

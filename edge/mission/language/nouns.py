@@ -1,4 +1,6 @@
-"""The words of names: only known words, so that a typing error never becomes a target.
+"""The words that a name in an instruction may have, and suggestions for typing errors.
+
+Only known words are allowed, so that a typing error never becomes a target.
 
 Known words are in the alias table (`edge.names`) and the lists here. Other names need double
 quotes.
@@ -13,6 +15,7 @@ from functools import lru_cache
 
 from edge import names
 
+# Nouns and other words, by kind; "|" stands for a space within an entry.
 _PLACES = """
     apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
     courtyard cubicle den driveway elevator entrance entry exit fence floor foyer garage garden
@@ -170,12 +173,12 @@ _PLAIN = """
 """
 
 
-def listed(text: str) -> frozenset[str]:
+def split_entries(text: str) -> frozenset[str]:
     """Return the entries of a text; "|" stands for a space within an entry."""
     return frozenset(entry.replace("|", " ") for entry in text.split())
 
 
-_FOREIGN = listed(
+_FOREIGN = split_entries(
     """
     und oder der das dem den ein eine zum zur dann nicht geh gehe gehen fahr fahre nach bitte
     danach vermeide besuche erst le la les au aux du et puis va vas allez ne pas avant ensuite
@@ -184,23 +187,34 @@ _FOREIGN = listed(
     """
 )
 """Short words of other languages that never occur in English sentences."""
-PEOPLE = listed(_PEOPLE) | {"person"}
-NOUNS = listed(_PLACES) | listed(_OBJECTS) | listed(_EVERYDAY) | listed(_PEOPLE)
-QUALITIES = listed(_QUALITIES) | listed(_MATERIALS)
-PLAIN_WORDS = listed(_PLAIN) - NOUNS
+PEOPLE = split_entries(_PEOPLE) | {"person"}
+"""Nouns for people."""
+NOUNS = (
+    split_entries(_PLACES)
+    | split_entries(_OBJECTS)
+    | split_entries(_EVERYDAY)
+    | split_entries(_PEOPLE)
+)
+"""All nouns of the lists; the alias table of `edge.names` has more."""
+QUALITIES = split_entries(_QUALITIES) | split_entries(_MATERIALS)
+"""Words that may precede a noun in a name: "red", "wooden"."""
+PLAIN_WORDS = split_entries(_PLAIN) - NOUNS
 """Words that name no object, so a refusal must not suggest them as one."""
-NUMBERED = listed(
+NUMBERED = split_entries(
     """floor level storey story landmark room door waypoint gate street aisle bay dock lane terminal
     ward"""
 )
 """Kinds with numbered members: "second floor" is no second step."""
-ROOMS = listed(
+# Rooms; two of them in a row are two names.
+ROOMS = split_entries(
     """apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
     garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
     restroom terrace gym"""
 )
 NUMERALS = (*names.ORDINALS, "last")
+"""Ordinal numbers in order, and "last"."""
 ORDINALS = frozenset(NUMERALS)
+"""The same as a set."""
 _NAMED_BY_CONTENT = (
     "shop",
     "store",
@@ -214,10 +228,11 @@ _NAMED_BY_CONTENT = (
     "park",
 )
 """Places that are named after their content: "coffee shop", "printer room"."""
+# Further things that lead to a place.
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
 """Largest number of words of a known noun."""
-_LEADING = listed(_PLACES)  # places that may precede a noun: "kitchen sink", "office door"
+_LEADING = split_entries(_PLACES)  # places that may precede a noun: "kitchen sink", "office door"
 
 
 @lru_cache(maxsize=4096)
@@ -227,7 +242,7 @@ def is_noun(phrase: str) -> bool:
 
 
 def is_plural(word: str) -> bool:
-    """Return True if a word names several objects and is not itself in a list, as "glasses" is."""
+    """Return True if a word is the plural of a noun, and not itself in a list like "glasses"."""
     singular = names.singular(word)
     return singular != word and is_noun(singular) and not (word in NOUNS or names.is_alias(word))
 
@@ -238,7 +253,7 @@ def is_place(name: str) -> bool:
 
 
 def unknown_in(words: list[str]) -> int | None:
-    """Return the index of the first word that makes this no name; None if it is a name.
+    """Return the index of the first word that cannot be part of a name; None if all form a name.
 
     A name has qualities, then a noun. A place ("kitchen sink"), an owner ("mom's bed") or an
     ordinal ("first floor") may precede the noun. A number or a letter may follow it ("landmark
@@ -247,17 +262,17 @@ def unknown_in(words: list[str]) -> int | None:
     begin, end = 0, len(words)
     if end > 2 and names.number(words[-2:]) is not None:
         end -= 2
-    elif end > 1 and (names.number(words[-1:]) is not None or _is_mark(words[-1])):
+    elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
         end -= 1
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
-        return _first_wrong(words, end)
+        return _find_wrong_word(words, end)
     twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
     if twice is not None:
         return twice
     if words[start] in ("path", "way") and start and is_noun(words[start - 1]):
         return start  # "the red room path": the room, or a path?
-    if start and words[start] in _NAMED_BY_CONTENT and _compound(*words[start - 1 : start + 1]):
+    if start and words[start] in _NAMED_BY_CONTENT and _is_compound(*words[start - 1 : start + 1]):
         start -= 1  # "coffee shop"
     while begin < start:
         word = words[begin]
@@ -277,12 +292,12 @@ def unknown_in(words: list[str]) -> int | None:
     return None
 
 
-def _compound(first: str, second: str) -> bool:
+def _is_compound(first: str, second: str) -> bool:
     """Return True for `coffee shop`, but not for `bed room`, which is a slip of one word."""
     return is_noun(first) and not is_noun(first + second)
 
 
-def _first_wrong(words: list[str], end: int) -> int:
+def _find_wrong_word(words: list[str], end: int) -> int:
     """Return the index of the wrong word in a name without a known noun at its end.
 
     It is the word after a known noun, or the first unknown word.
@@ -306,7 +321,7 @@ def _is_owner(word: str) -> bool:
 _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
 
 
-def _is_mark(word: str) -> bool:
+def _is_member_mark(word: str) -> bool:
     """Return True if a word distinguishes members of a kind: "room b", "gate b12", "bay 3a"."""
     return _MARK.fullmatch(word) is not None
 
@@ -318,10 +333,12 @@ def _all_words() -> tuple[str, ...]:
     return tuple(dict.fromkeys(word for phrase in phrases for word in phrase.split()))
 
 
-def meant(word: str) -> str | None:
-    """Return the known word that a word is most likely a slip of; it is only suggested, never used.
+def suggest_word(word: str) -> str | None:
+    """Return the known word of which a word is most likely a typing error; None if there is none.
 
-    >>> meant("firdge"), meant("blorf"), meant("whether")
+    The caller only suggests this word to the user, and never uses it by itself.
+
+    >>> suggest_word("firdge"), suggest_word("blorf"), suggest_word("whether")
     ('fridge', None, None)
     """
     if len(word) < 4 or len(word) > 30 or is_word(word):
@@ -330,7 +347,7 @@ def meant(word: str) -> str | None:
 
 
 def is_word(word: str) -> bool:
-    """Return True if a word is known, even as a word that is no name, so that it is no slip."""
+    """Return True if a word is known, also as a word of no name; then it is no typing error."""
     return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
 
 
@@ -348,13 +365,13 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     slips = [other for other in close if other != word and other[0] == word[0]]
     if len(word) < _SHORT:
         slips = [s for s in slips if len(s) != len(word) or sorted(s) == sorted(word)]
-    return next((slip for slip in slips if _edits(word, slip) <= most), None)
+    return next((slip for slip in slips if _edit_distance(word, slip) <= most), None)
 
 
 _SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
 
 
-def _edits(a: str, b: str) -> int:
+def _edit_distance(a: str, b: str) -> int:
     """Return the edit distance: letters to add, drop, change, or swap with the next one."""
     before, row = [], list(range(len(b) + 1))
     for i, x in enumerate(a, 1):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from edge.mission.language.goal_tree import Visit, achieved, at_most, at_most_before
+from edge.mission.language.goal_tree import Visit, at_most, at_most_before, formula_of_goal
 from edge.mission.logic.ltl import (
     TRUE,
     Formula,
@@ -26,6 +26,7 @@ from edge.mission.logic.ltl import (
 )
 
 MOST_NAMES = 8
+"""Largest number of names in a formula."""
 NAMES = tuple(f"<{i}>" for i in range(MOST_NAMES))
 """Placeholders of the objects of an instruction, in the order of their first mention."""
 COUNTS = range(1, 6)
@@ -40,7 +41,7 @@ def _options(f: Formula) -> tuple[str, ...]:
 
 
 def _at_least(f: Formula, n: int) -> Formula:
-    return achieved(Visit(_options(f), n), TRUE, frozenset())
+    return formula_of_goal(Visit(_options(f), n), TRUE, frozenset())
 
 
 def _at_most(f: Formula, n: int) -> Formula:
@@ -92,21 +93,21 @@ def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
         names: number of names that the formula may use.
         most: largest number of tokens.
     """
-    open_ = 1  # number of operands that are missing
-    narrow = [False]  # for each of them, True if it must be a name or a choice of names
+    n_missing = 1  # operands that are missing
+    name_only = [False]  # for each missing operand: True if it must be a name or a choice of names
     for token in written:
-        inside = narrow.pop()
-        narrow += [inside or token in _OF_NAMES] * arity(token)
-        open_ += arity(token) - 1
-    if open_ == 0:
+        inside = name_only.pop()
+        name_only += [inside or token in _OF_NAMES] * arity(token)
+        n_missing += arity(token) - 1
+    if n_missing == 0:
         return
-    room = most - len(written) - open_
+    n_free = most - len(written) - n_missing  # tokens left after the missing operands
     yield from NAMES[:names]
-    if narrow[-1]:
-        if room >= 2 and (not written or written[-1] != "!"):
+    if name_only[-1]:
+        if n_free >= 2 and (not written or written[-1] != "!"):
             yield "|"
     else:
-        yield from (token for token, (n, _) in OPERATORS.items() if room >= n)
+        yield from (token for token, (n, _) in OPERATORS.items() if n_free >= n)
     if not written:
         yield REFUSED
 

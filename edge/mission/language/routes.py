@@ -43,16 +43,16 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
         return True
     if len(clause.things.groups) > 1:
         reader.refuse("unclear which one this is on the way to; use two sentences", token)
-    pass_by(reader, clause, take_noun_phrase(reader, memory), token)
+    add_to_route(reader, clause, take_noun_phrase(reader, memory), token)
     ahead = 1 if reader.is_at("comma") else 0
     then = reader.peek(ahead)
     if then.kind == "then" and starts_noun_phrase(reader, ahead + 1) and reader.pick(then, 2) == 1:
         reader.at += ahead + 1  # "via the sofa and then the bed": both may be on the way
-        pass_by(reader, clause, take_noun_phrase(reader, memory), then)
+        add_to_route(reader, clause, take_noun_phrase(reader, memory), then)
     while then.kind == "then" and _way_length(reader, ahead + 1)[0]:
         reader.at += ahead + 1
         reader.at += _way_length(reader)[0]  # "through the sofa and then through the bed"
-        pass_by(reader, clause, take_noun_phrase(reader, memory), then)
+        add_to_route(reader, clause, take_noun_phrase(reader, memory), then)
         ahead = 1 if reader.is_at("comma") else 0
         then = reader.peek(ahead)
     clause.only_way = clause.only_way or only or bool(reader.take("only"))
@@ -78,7 +78,7 @@ def _way_length(reader: TokenReader, begin: int = 0) -> tuple[int, bool]:
     return 0, False
 
 
-def pass_by(reader: TokenReader, clause: Clause, passed: NounPhrase, token: Token) -> None:
+def add_to_route(reader: TokenReader, clause: Clause, passed: NounPhrase, token: Token) -> None:
     """Add the passed objects to the route of a clause; after "and", their order is a choice."""
     several = len(passed.groups) > 1 and not passed.listed and not clause.order
     clause.several_ways = len(passed.groups) > 1
@@ -88,7 +88,7 @@ def pass_by(reader: TokenReader, clause: Clause, passed: NounPhrase, token: Toke
         clause.route += [NounPhrase((group,)) for group in passed.groups]
 
 
-def bound_ahead(reader: TokenReader, clause: Clause) -> bool:
+def is_destination_ahead(reader: TokenReader, clause: Clause) -> bool:
     """Return True if a destination comes here: "on the way to x", "to reach x"."""
     if reader.peek().text in ("when", "while") and reader.peek(1).text == "you":
         goes = reader.peek(2).text in _SETS_OUT and reader.is_at("to", ahead=3)
@@ -104,17 +104,17 @@ def take_bound(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     while reader.take("verb"):
         skip_particles(reader, clause)
     clause.bound_by = token
-    lead(reader, memory, clause, take_noun_phrase(reader, memory), token)
+    set_destination(reader, memory, clause, take_noun_phrase(reader, memory), token)
 
 
-def lead(
+def set_destination(
     reader: TokenReader, memory: Antecedents, clause: Clause, bound: NounPhrase, token: Token
 ) -> None:
     """Make the objects of a clause part of the way to its destination `bound`."""
     if clause.things is None:
         reader.refuse("expected something to do or to avoid here", token)
     if not clause.negated:
-        pass_by(reader, clause, clause.things, token)
+        add_to_route(reader, clause, clause.things, token)
         clause.things = bound
     elif clause.conditions or clause.count or clause.avoiding:
         reader.refuse("use two sentences", token)

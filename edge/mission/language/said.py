@@ -258,7 +258,7 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
     Args:
         kind: topic or `do` of the template.
         slots: slot -> its text.
-        sites: names that are allowed in the slot `room` of a zone besides kinds of rooms.
+        sites: names that are allowed in the slot `room` of a zone, in addition to kinds of rooms.
     """
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and not (kind in _ZONE_KINDS and room in sites):

@@ -16,8 +16,8 @@ from edge.mission.language.goal_tree import (
     at_most,
     at_most_before,
     held_until,
-    last_letters,
-    letters,
+    last_names,
+    names_in,
     never,
     steps,
     visits,
@@ -42,17 +42,18 @@ def sequence_goal(sequence: Sequence[ClauseMeaning], reader: TokenReader) -> Goa
     return AllOf((steps(parts),) if parts else (), tuple(rules))
 
 
-def anchored(
+def anchor_goals(
     meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning], asked: Container[str], then: bool
 ) -> None:
-    """Put a clause's goals after the objects that it names as earlier.
+    """Put a clause's goals after its anchors, the objects that it names as earlier.
 
-    "Go to a, and go to b after that" refers to the visit to a that was already asked for.
+    "Go to a, and go to b after that" refers to the visit to a that was already asked for. It moves
+    from the last step to the front of this clause's goals.
 
     Args:
         meaning: the clause, changed in place.
         sequence: steps before it.
-        asked: names that were asked for so far.
+        asked: names that the instruction has asked for so far.
         then: True if the clause comes after the whole sequence anyway.
     """
     for anchor in meaning.anchors:
@@ -61,9 +62,9 @@ def anchored(
             continue
         before: list[Goal] = [visits(anchor)]
         if sequence and not then:
-            meant = [goal for goal in sequence[-1].goals if letters(goal) & asked_names]
-            if asked_names <= frozenset().union(*map(letters, meant)) and all(
-                last_letters(goal) <= asked_names for goal in meant
+            meant = [goal for goal in sequence[-1].goals if names_in(goal) & asked_names]
+            if asked_names <= frozenset().union(*map(names_in, meant)) and all(
+                last_names(goal) <= asked_names for goal in meant
             ):
                 sequence[-1].goals = [g for g in sequence[-1].goals if g not in meant]
                 before = [_together(meant)]
@@ -86,10 +87,10 @@ def put_last(meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning]) -> None:
 
 
 def _leave_out(meaning: ClauseMeaning, step: ClauseMeaning) -> None:
-    """Remove the goals that a clause repeats from a step, unless nothing would be left."""
+    """Remove from a step the goals that a clause repeats, unless nothing would be left."""
     asked_names = frozenset(meaning.things.names)
     step.goals = [
-        part for part in _flat_goals(step) if not letters(part) <= asked_names
+        part for part in _flat_goals(step) if not names_in(part) <= asked_names
     ] or step.goals
 
 
@@ -102,55 +103,55 @@ def _flat_goals(step: ClauseMeaning) -> list[Goal]:
     ]
 
 
-def _unwrapped(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
+def _unwrap(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
     """Return the only goal of nested sets with one goal, and the rules of these sets."""
-    held: tuple[Formula, ...] = ()
+    outer_rules: tuple[Formula, ...] = ()
     while isinstance(goal, AllOf) and len(goal.goals) == 1:
-        held, goal = (*held, *goal.rules), goal.goals[0]
-    return goal, held
+        outer_rules, goal = (*outer_rules, *goal.rules), goal.goals[0]
+    return goal, outer_rules
 
 
-def begun_with(goal: Goal, meaning: ClauseMeaning) -> Goal:
+def order_before_return(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal with a before b, for a return to a: `go to a. go to b. return to a.`."""
     asked_names = frozenset(meaning.things.names)
-    inner, held = _unwrapped(goal)
+    inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
-    start = tuple(part for part in parts if letters(part) & asked_names)
-    rest = tuple(part for part in parts if not letters(part) & asked_names)
+    start = tuple(part for part in parts if names_in(part) & asked_names)
+    rest = tuple(part for part in parts if not names_in(part) & asked_names)
     if not (isinstance(inner, AllOf) and start and rest):
         return goal
-    return AllOf((steps([AllOf(start), AllOf(rest)]),), (*held, *inner.rules))
+    return AllOf((steps([AllOf(start), AllOf(rest)]),), (*outer_rules, *inner.rules))
 
 
-def without_last(goal: Goal, meaning: ClauseMeaning) -> Goal:
+def remove_last_goals(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal without its last clause: `visit a and b. b comes last.`."""
     asked_names = frozenset(meaning.things.names)
-    inner, held = _unwrapped(goal)
+    inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
-    rest = tuple(part for part in parts if not letters(part) <= asked_names)
-    return AllOf(rest, (*held, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
+    rest = tuple(part for part in parts if not names_in(part) <= asked_names)
+    return AllOf(rest, (*outer_rules, *inner.rules)) if isinstance(inner, AllOf) and rest else goal
 
 
 def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
     """Put a before b for the return to a: `visit a, go to b, and return to a`."""
     asked_names = frozenset(meaning.things.names)
     goals = _flat_goals(sequence[0])
-    start = [goal for goal in goals if letters(goal) & asked_names]
-    rest = [goal for goal in goals if not letters(goal) & asked_names]
+    start = [goal for goal in goals if names_in(goal) & asked_names]
+    rest = [goal for goal in goals if not names_in(goal) & asked_names]
     if start and rest:
         sequence[0].goals = [steps([_together(start), _together(rest)])]
 
 
-def passing_by(goal: Goal, passed: Goal, token: Token, reader: TokenReader) -> Goal:
-    """Put b before the last step: `go to a. on the way, go to b`."""
-    goal, held = _unwrapped(goal)
+def insert_detour(goal: Goal, passed: Goal, token: Token, reader: TokenReader) -> Goal:
+    """Put a detour to b before the last step: `go to a. on the way, go to b`."""
+    goal, outer_rules = _unwrap(goal)
     parts = goal.goals if isinstance(goal, InSequence) else (goal,)
     if not isinstance(parts[-1], Visit):
         reader.refuse("unclear where to; say 'on the way to …'", token)
-    return AllOf((steps([*parts[:-1], passed, parts[-1]]),), held)
+    return AllOf((steps([*parts[:-1], passed, parts[-1]]),), outer_rules)
 
 
-def visit_often(
+def repeat_visit(
     step: ClauseMeaning, things: NounPhrase, count: Count, token: Token, reader: TokenReader
 ) -> None:
     """Repeat the last visit of a step: "go to a, leave it and repeat this twice more"."""
@@ -162,12 +163,12 @@ def visit_often(
         step.limits.append((visit.options, visit.times - 1 + count.most, None))
 
 
-def only_then(before: ClauseMeaning, after: ClauseMeaning) -> list[Formula]:
+def rules_of_only_then(before: ClauseMeaning, after: ClauseMeaning) -> list[Formula]:
     """Return the rules of `x, only then y`: y not before x."""
     return held_until(after.things.names, before.things)
 
 
-def each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[Formula]:
+def rules_of_each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[Formula]:
     """Return the rules of `…; visit each place only once`.
 
     In a sequence, each limit lasts until the next step, if that is a single visit.
@@ -180,7 +181,9 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[
     if visited.most_common(1)[0][1] > 1:
         reader.refuse("one object is asked for more often; put all visits in one list", token)
     if isinstance(goal, AllOf):
-        return [rule for part in goal.goals for rule in each_at_most(part, n, token, reader)]
+        return [
+            rule for part in goal.goals for rule in rules_of_each_at_most(part, n, token, reader)
+        ]
     rules: list[Formula] = []
     for i, part in enumerate(goal.goals):
         before = goal.goals[i - 1] if i else None
@@ -198,23 +201,26 @@ def each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[
     return rules
 
 
-def in_strict_order(goal: Goal, token: Token, reader: TokenReader) -> list[Formula]:
+def rules_of_strict_order(goal: Goal, token: Token, reader: TokenReader) -> list[Formula]:
     """Return the rules of `…; no place out of turn`: each step only after all of the one before."""
-    goal, _ = _unwrapped(goal)
+    goal, _ = _unwrap(goal)
     if not isinstance(goal, InSequence):
         reader.refuse("an order goes with a list: 'visit a, then b'", token)
     return [
         rule
         for before, after in itertools.pairwise(goal.goals)
         for visit in single_visits(before)
-        for rule in held_until(letters(after), NounPhrase((visit.options,)))
+        for rule in held_until(names_in(after), NounPhrase((visit.options,)))
     ]
 
 
-def chained(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | None:
+def chain_waits(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | None:
     """Return a, then b, then c for `do not visit c until b, and do not visit b until a`.
 
     Return None if the waits are no such chain.
+
+    Args:
+        waits: see `ClauseMeaning.waits`.
     """
     before = {name: until.names[0] for names, until in waits for name in names}
     single = all(len(names) == 1 and len(until.names) == 1 for names, until in waits)
@@ -252,7 +258,7 @@ def _rules_of_bans(
     A ban is permanent. If this or another step asks for the same name, it lasts until its step is
     done.
     """
-    asked = {name for step in (meaning, *after) for goal in step.goals for name in letters(goal)}
+    asked = {name for step in (meaning, *after) for goal in step.goals for name in names_in(goal)}
     visited = {
         name: visit.times
         for step in before
@@ -277,7 +283,7 @@ def _rules_of_withouts(
     meaning: ClauseMeaning, after: Sequence[ClauseMeaning], reader: TokenReader
 ) -> list[Formula]:
     """Return the rules of `go to x without y, then to z`: no y before x, or never y."""
-    asked = {name for step in after for goal in step.goals for name in letters(goal)}
+    asked = {name for step in after for goal in step.goals for name in names_in(goal)}
     rules: list[Formula] = []
     for names, things, token in meaning.withouts:
         ever = not asked & set(names) and reader.pick(token, 2)

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 from edge import names
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
-from edge.mission.language.lexicon import TABLE, WORD, expanded
+from edge.mission.language.lexicon import TABLE, WORD, expand_word
 from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
+# Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
            "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
 _APOSTROPHE_IS = re.compile(
@@ -32,12 +33,13 @@ _APOSTROPHE_IS = re.compile(
 _HESITATION = re.compile(
     rf"(?:(?P<comma>, )|(?<![\w'])){phrase_of('hesitation')}(?![\w'-]),?(?= |$)", re.I
 )
-# Words of which a speaker says one twice, and words with which a repeated clause begins.
+# Words that a speaker may say twice: "the the".
 _SMALL = (
     "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|am|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
     "wait|no|not|never|me|from|ever|with|without)"
 )
+# First words of a clause that a speaker may begin twice: "go to go to".
 _BEGINS = (
     "(?:where|what|go|come|is|are|was|did|do|have|can|could|find|look|stop|wait|check|explore|visit|"
     "patrol|drive|get|show|tell|return|search)"
@@ -72,7 +74,9 @@ _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.
-_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again|is that)\b", re.I)
+_REFERS = re.compile(
+    r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again|is that)\b", re.I
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +102,8 @@ class TidySpeech:
         return text
 
 
-def tidy_up(said: str) -> TidySpeech:
-    """Return the utterance in plain words.
+def tidy_up(utterance: str) -> TidySpeech:
+    """Return the utterance in plain words, step by step.
 
     Raises:
         TranslationError: the text is too long, or a self-correction in it is unclear.
@@ -108,16 +112,16 @@ def tidy_up(said: str) -> TidySpeech:
         >>> tidy_up("Um, could you go to the kitchen, no sorry, the bathroom, please.").text
         'go to the bathroom.'
     """
-    if len(said) > MAX_CHARS:
+    if len(utterance) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
-        raise not_understood(said[MAX_CHARS:], MAX_CHARS + 1, hint)
+        raise not_understood(utterance[MAX_CHARS:], MAX_CHARS + 1, hint)
     quoted: list[str] = []
 
     def hide(found: re.Match[str]) -> str:
         quoted.append(found[0])
         return chr(_FIRST_MARK + len(quoted) - 1)
 
-    text = " ".join(_QUOTED.sub(hide, said.translate(STRAIGHT)).split())
+    text = " ".join(_QUOTED.sub(hide, utterance.translate(STRAIGHT)).split())
     text = _APOSTROPHE_IS.sub(" is ", WORD.sub(_expand, text))
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
@@ -126,12 +130,12 @@ def tidy_up(said: str) -> TidySpeech:
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
     text = re.sub(r"[ ,]+:(?= )", ":", text)
-    once = _REPEATED.sub(r"\1\2", text)
-    uncorrected = strip_politeness(_LIKE.sub("", once))
+    unrepeated = _REPEATED.sub(r"\1\2", text)
+    uncorrected = strip_politeness(_LIKE.sub("", unrepeated))
     corrected = _apply_corrections(uncorrected)
     kept, reasons = split_off_reasons(corrected)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
-    repaired = once != text or corrected != uncorrected
+    repaired = unrepeated != text or corrected != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
@@ -140,7 +144,7 @@ def _expand(found: re.Match[str]) -> str:
     word = found[0]
     if plain := _SPOKEN.get(word.lower()):
         return plain
-    parts = expanded(word.lower())
+    parts = expand_word(word.lower())
     return " ".join(parts) if len(parts) > 1 else word
 
 

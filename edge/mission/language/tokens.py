@@ -10,7 +10,7 @@ from typing import NoReturn
 from edge import names
 from edge.errors import UserError
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expanded
+from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
 from edge.text import one_line
 
 MAX_CHARS = 10_000
@@ -34,12 +34,15 @@ REASONS = {
 _DRIVEN = ("car", "vehicle")  # after "the", they may mean the robot or an object
 _ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
 _ACTS = ("must", "can", "verb", "not", "do", "always")  # kinds after "u" that means "you"
+# Words that are skipped, unless they correct a name.
 HESITATIONS = ("uh", "um", "er", "erm", "hmm")
+# A name with an article, after a hesitation.
 _NAMES = re.compile(r"[\s,]*(?:to )?(?:the|an?|my) ", re.IGNORECASE)
 _MAY_SHUN = ("stay", "keep")  # "stay on the far side of": another translator may understand it
-_SHOWN = 60
+_SHOWN = 60  # most characters of a part in a message
 _PUNCTUATION = {",": "comma", ";": "stop", ".": "stop", "!": "stop", "?": "stop", ":": "comma"}
 _TOKEN = re.compile(rf"""(?P<quoted>"[^"]*")|(?P<word>{WORD.pattern})|(?P<mark>\S)""")
+# Typographic quotes and dashes → plain ones.
 STRAIGHT = str.maketrans({"’": "'", "‘": "'", "“": '"', "”": '"', "–": "-"})
 
 
@@ -95,7 +98,7 @@ def tokenise(text: str) -> list[Token]:
     if len(text) > MAX_CHARS:
         hint = f"an instruction has at most {MAX_CHARS} characters"
         raise not_understood(text[MAX_CHARS:], MAX_CHARS + 1, hint)
-    words = _words(text)
+    words = _split_words(text)
     if len(words) > MAX_WORDS:
         late = words[MAX_WORDS].start
         raise not_understood(text[late:], late + 1, f"it has more than {MAX_WORDS} words")
@@ -105,16 +108,16 @@ def tokenise(text: str) -> list[Token]:
         word = words[i]
         if word.text == "u" and i + 1 < len(words) and TABLE.get((words[i + 1].text,)) in _ACTS:
             words[i] = word = replace(word, text="you")
-        if _drives(words, i):  # "the car must go to a": the car is the robot, no target
+        if _is_car_robot(words, i):  # "the car must go to a": the car is the robot, no target
             tokens.append(Token("you", f"the {words[i + 1].text}", word.start, words[i + 1].end))
             i += 2
             continue
-        length = _phrase_at(words, i) if word.kind == "word" else 0
+        length = _phrase_length(words, i) if word.kind == "word" else 0
         if length:
             phrase = tuple(w.text for w in words[i : i + length])
             end = words[i + length - 1].end
             kind = TABLE[phrase]
-            if length == 1 and (_numbers(words, i) or _is_object(words, i)):
+            if length == 1 and (_is_ordinal_of_name(words, i) or _is_object(words, i)):
                 kind = "word"
             robot = tokens[-1] if tokens else None
             if phrase == ("visits",) and robot and (robot.kind == "you" or robot.text == "it"):
@@ -128,16 +131,16 @@ def tokenise(text: str) -> list[Token]:
     return [*tokens, Token("end", "", len(text), len(text))]
 
 
-def _words(text: str) -> list[Token]:
+def _split_words(text: str) -> list[Token]:
     words: list[Token] = []
     for match in _TOKEN.finditer(text.translate(STRAIGHT)):
         found, start, end = match.group(), match.start(), match.end()
         if match["quoted"] is not None:
             words.append(Token("quoted", found[1:-1].strip(), start, end))
         elif match["word"] is not None:
-            if found.lower() in HESITATIONS and not _corrects(words, text[end:]):
+            if found.lower() in HESITATIONS and not _is_correction(words, text[end:]):
                 continue
-            for part in expanded(found.lower()):
+            for part in expand_word(found.lower()):
                 words.append(Token("word", part, start, end))
         elif found == "&":
             words.append(Token("word", found, start, end))
@@ -146,13 +149,13 @@ def _words(text: str) -> list[Token]:
     return words
 
 
-def _corrects(words: Sequence[Token], rest: str) -> bool:
+def _is_correction(words: Sequence[Token], rest: str) -> bool:
     """Return True if a hesitation here corrects a name: "the bed, er, the sofa"."""
     named = len(words) > 1 and words[-1].kind == "comma" and nouns.is_noun(words[-2].text)
     return named and _NAMES.match(rest) is not None
 
 
-def _drives(words: Sequence[Token], i: int) -> bool:
+def _is_car_robot(words: Sequence[Token], i: int) -> bool:
     """Return True if "the car" is the robot here: it goes, must go, never goes."""
     if words[i].text != "the" or len(words) < i + 4 or words[i + 1].text not in _DRIVEN:
         return False
@@ -162,7 +165,7 @@ def _drives(words: Sequence[Token], i: int) -> bool:
     return kind == "verb" and verb.endswith("s") and not verb.endswith("ss")
 
 
-def _numbers(words: Sequence[Token], i: int) -> bool:
+def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
     """Return True if a word numbers the next word ("second floor"), not a step."""
     if words[i].text not in nouns.ORDINALS or len(words) < i + 2:
         return False
@@ -182,7 +185,7 @@ def _is_object(words: Sequence[Token], i: int) -> bool:
     return article in _ARTICLES or (article == "the" and first < i)
 
 
-def _phrase_at(words: Sequence[Token], i: int) -> int:
+def _phrase_length(words: Sequence[Token], i: int) -> int:
     """Return the number of words of the longest known phrase that begins here; 0 for none."""
     key: tuple[str, ...] = ()
     longest = 0
@@ -251,7 +254,7 @@ class TokenReader:
 
     def refuse_finally(self, hint: str, start: Token | None = None) -> NoReturn:
         """Raise an UnclearError that names the rest of this sentence, from `start` on."""
-        part, position = self._rest(start or self.peek())
+        part, position = self._rest_of_sentence(start or self.peek())
         error = not_understood(part, position, hint)
         raise UnclearError(str(error), part, position)
 
@@ -260,9 +263,9 @@ class TokenReader:
         first = start or self.peek()
         if first.kind in REASONS and not first.text.startswith(_MAY_SHUN):
             self.refuse_finally(REASONS[first.kind], first)
-        raise not_understood(*self._rest(first), REASONS.get(first.kind, hint))
+        raise not_understood(*self._rest_of_sentence(first), REASONS.get(first.kind, hint))
 
-    def _rest(self, first: Token) -> tuple[str, int]:
+    def _rest_of_sentence(self, first: Token) -> tuple[str, int]:
         """Return the text from a token to the end of its part of the sentence, and its position."""
         i = next((i for i, token in enumerate(self.tokens) if token is first), self.at)
         last = first

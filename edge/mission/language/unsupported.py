@@ -21,7 +21,6 @@ _WHICH = "the camera cannot see which one this is; give its kind, colour or size
 _SPOT = "the robot can reach objects, not places near them; name the object"
 _EXPLORE = "the robot cannot search a place; say which object to find there"
 _TIME = "times and distances cannot be used; say only what to reach"
-_AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")
 _RIDE = "how to go cannot be chosen; say only where to go"
 _IF_POSSIBLE = "unclear if it must be done; leave out the condition"
 _DENIED = "only reaching objects can be forbidden"
@@ -38,7 +37,8 @@ _SHUN = "unclear: avoid it or visit it? say which"
 _HOW_LONG = "unclear how long to avoid it; use a separate sentence"
 _EACH = "give the full name of each, as in 'gate a or gate b'"
 
-_LEAVE = nouns.listed(
+_AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")  # prepositions of times
+_LEAVE = nouns.split_entries(
     """leave leaves leaving exit exits exiting depart departs departing quit quits quitting vacate
     vacating abandon abandoning stray strays straying escape escaping deviate deviating wander
     wandering"""
@@ -55,26 +55,26 @@ _HANDLED = (
 _CAUSES = ("make", "making", "get", "getting")
 _KEPT_BY = ("at", "by", "along", "with", "within", "to")
 _DENYING = ("not", "without", "avoid", "neither")
-BEYOND_NAMES = nouns.listed(
+BEYOND_NAMES = nouns.split_entries(
     """taller tallest shorter shortest larger largest bigger biggest smaller smallest wider widest
     longer longest lower lowest higher highest narrower narrowest newest oldest brightest darkest
     nearest closest nearby nearer closer farthest furthest farther further leftmost rightmost
     middlemost next-door"""
 )
-_LONGEST = 6  # words of a name
+_MOST_NAME_WORDS = 6
 _SPOTS = ("spot", "spots", "place", "position", "point", "somewhere", "anywhere", "everywhere")
 _WITH = ("with", "at", "between", "by")
-_VEHICLES = nouns.listed(
+_VEHICLES = nouns.split_entries(
     """car bus bike bicycle train taxi cab truck van tram boat ship ferry plane air motorcycle
     motorbike scooter metro subway foot hand"""
 )
 _SEARCHES = ("search", "scan", "survey", "map")
-_UNITS = nouns.listed(
+_UNITS = nouns.split_entries(
     """second seconds minute minutes hour hours day days week weeks moment moments pm am
     o'clock metre metres meter meters foot feet yard yards mile miles kilometre kilometres kilometer
     kilometers km cm step steps inch inches"""
 )
-_SPANS = nouns.listed(
+_SPANS = nouns.split_entries(
     """second seconds minute minutes hour hours day days week weeks moment moments while bit"""
 )
 
@@ -93,7 +93,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
         if token.kind in ("stop", "comma", "but", "then"):
             denied = False
         hint, start = _reason(reader, denied), token
-        before = _before(reader)
+        before = _previous(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
         if hint == _TIME and before and before.text in _AT_TIMES:
@@ -106,10 +106,10 @@ def refuse_unsupported(reader: TokenReader) -> None:
 
 def _reason(reader: TokenReader, denied: bool) -> str:
     """Return why the token here cannot be understood; "" if it may be understood."""
-    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.kind in ("quoted", "end"):
         return ""
-    if _leaves(reader, denied) or _stays(reader, denied):
+    if _is_leaving(reader, denied) or _is_staying(reader, denied):
         return _STAY
     if token.text == "nor" and not any(t.kind in _DENYING for t in reader.tokens[: reader.at]):
         return _NOR
@@ -117,36 +117,36 @@ def _reason(reader: TokenReader, denied: bool) -> str:
         return _NOWHERE
     if token.kind == "around" and denied:
         return _ROUND_IT  # "go around it" means "avoid it"
-    if hint := _handles(reader, denied) or _is_no_order(reader):
+    if hint := _handling_reason(reader, denied) or _no_order_reason(reader):
         return hint
     if token.kind == "avoid" and after.kind == "neither":
         return _SHUN
-    if _trails(reader):
+    if _is_trailing_always(reader):
         return _HOW_LONG
     if _is_lone_letter(reader):
         return _EACH
-    if token.text == "last" and before and before.kind == "article" and _named(reader, 1):
+    if token.text == "last" and before and before.kind == "article" and _name_at(reader, 1):
         return _LAST
-    if _times(reader):
+    if _is_time(reader):
         return _TIME
     if token.text in BEYOND_NAMES and token.kind == "word":
         return _WHICH
-    if token.text in _SPOTS and _says_where(reader, 1):
+    if token.text in _SPOTS and _is_location(reader, 1):
         return _SPOT
     starts = before is None or before.kind == "stop"
     if starts and token.text == "after that" and after.kind == "word" and len(after.text) > 1:
         return _THAT  # "After that chair, go to the bed."
-    where = _says_where(reader, 0) or token.text == "on the road"
+    where = _is_location(reader, 0) or token.text == "on the road"
     if where and _name_before(reader):
         return _WHERE
     if token.text == "by" and after.text in _VEHICLES:
         return _RIDE
-    if _searches(reader):
+    if _is_search(reader):
         return _EXPLORE
     return _IF_POSSIBLE if _is_soft(reader) else ""
 
 
-def _handles(reader: TokenReader, denied: bool) -> str:
+def _handling_reason(reader: TokenReader, denied: bool) -> str:
     """Return why "do not move the chair" or "pass up the sofa" is refused; "" for other tokens."""
     token = reader.peek()
     if token.kind == "word":
@@ -169,12 +169,12 @@ def _handles(reader: TokenReader, denied: bool) -> str:
 def _is_thing(reader: TokenReader, ahead: int) -> bool:
     """Return True if an article and a known name that is no place come there."""
     article = reader.is_at("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
-    return article and bool(_named(reader, ahead)) and not _is_place(reader, ahead)
+    return article and bool(_name_at(reader, ahead)) and not _is_place(reader, ahead)
 
 
-def _is_no_order(reader: TokenReader) -> str:
+def _no_order_reason(reader: TokenReader) -> str:
     """Return why "can you see the lamp?" or "let me go" is refused; "" for other tokens."""
-    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.text == "let" and after.text == "me":
         return _OTHERS
     if token.kind == "verb" and token.text in _CAUSES and _is_thing(reader, 1):
@@ -217,7 +217,7 @@ def _is_letter(token: Token) -> bool:
     return is_letter(token) and token.text != "i"
 
 
-def _trails(reader: TokenReader) -> bool:
+def _is_trailing_always(reader: TokenReader) -> bool:
     """Return True if the "always" of "avoid a until b, and c always" comes."""
     if not reader.is_at("always"):
         return False
@@ -236,23 +236,27 @@ def _is_soft(reader: TokenReader) -> bool:
     if not reader.is_at("when"):
         return False
     willing = reader.is_at("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
-    return willing or _ends(reader, 1) or reader.peek(1).text in ("possible", "necessary", "needed")
+    return (
+        willing
+        or _ends_clause(reader, 1)
+        or reader.peek(1).text in ("possible", "necessary", "needed")
+    )
 
 
-def _before(reader: TokenReader) -> Token | None:
+def _previous(reader: TokenReader) -> Token | None:
     return reader.tokens[reader.at - 1] if reader.at else None
 
 
-def _ends(reader: TokenReader, ahead: int) -> bool:
+def _ends_clause(reader: TokenReader, ahead: int) -> bool:
     return reader.is_at("stop", "comma", "end", "but", ahead=ahead)
 
 
-def _leaves(reader: TokenReader, denied: bool) -> bool:
+def _is_leaving(reader: TokenReader, denied: bool) -> bool:
     """Return True if "out of a", "off a", "away from a", "beyond a" or a denied "leave a" comes."""
-    token, after, before = reader.peek(), reader.peek(1), _before(reader)
+    token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     joins = before is not None and before.kind in ("and", "or")
     if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
-        return not _leads(reader)  # "without going out the yard"
+        return not _is_leading(reader)  # "without going out the yard"
     if token.text in ("out", "away") and after.text in ("of", "from"):
         shuns = any(t.kind == "avoid" for t in reader.tokens[: reader.at])
         return not (joins and shuns)  # "stay out of a and out of b"
@@ -262,12 +266,12 @@ def _leaves(reader: TokenReader, denied: bool) -> bool:
     return denied and (token.text in _LEAVE or (token.text == "from" and not joins))
 
 
-def _leads(reader: TokenReader) -> bool:
-    """Return True if the name after this word is a door or something similar."""
-    return _named(reader, 1).split()[-1] in LEADING
+def _is_leading(reader: TokenReader) -> bool:
+    """Return True if the name after this word leads to a place, like a door."""
+    return _name_at(reader, 1).split()[-1] in LEADING
 
 
-def _stays(reader: TokenReader, denied: bool) -> bool:
+def _is_staying(reader: TokenReader, denied: bool) -> bool:
     """Return True if "keep to a", "stay on a", "never stay away from a" comes."""
     token = reader.peek()
     if not token.text.startswith(_KEEPS):
@@ -281,7 +285,7 @@ def _stays(reader: TokenReader, denied: bool) -> bool:
     return reader.is_at("place", "to", ahead=ahead) or reader.peek(ahead).text in _KEPT_BY
 
 
-def _times(reader: TokenReader) -> bool:
+def _is_time(reader: TokenReader) -> bool:
     """Return True if "for a minute", "in five minutes", "5 pm", "2 m" comes."""
     token, after = reader.peek(), reader.peek(1)
     if token.kind == "number":
@@ -290,33 +294,37 @@ def _times(reader: TokenReader) -> bool:
         return False
     unit = 2 if after.text in ("a", "an", "one", "some", "few", "several") else 1
     unit += reader.peek(unit).text in ("few", "short", "little", "couple")
-    return unit > 1 and reader.peek(unit).text in _SPANS and _over(reader, unit + 1)
+    return unit > 1 and reader.peek(unit).text in _SPANS and _ends_span(reader, unit + 1)
 
 
-def _over(reader: TokenReader, ahead: int) -> bool:
-    return _ends(reader, ahead) or not reader.is_at("word", ahead=ahead)
+def _ends_span(reader: TokenReader, ahead: int) -> bool:
+    return _ends_clause(reader, ahead) or not reader.is_at("word", ahead=ahead)
 
 
-def _says_where(reader: TokenReader, ahead: int) -> bool:
+def _is_location(reader: TokenReader, ahead: int) -> bool:
     """Return True if "near the sofa", "in it", "that is on a table" begins there."""
     token, after = reader.peek(ahead), reader.peek(ahead + 1)
     if token.kind != "place" and token.text not in (*_WITH, "inside of"):
         return False
     if token.text == "by" and reader.peek(ahead + 2).text in RIDDEN:
         return False
-    return after.kind in ("quoted", "pronoun", "either") or bool(_named(reader, ahead + 1))
+    return after.kind in ("quoted", "pronoun", "either") or bool(_name_at(reader, ahead + 1))
 
 
 def _name_before(reader: TokenReader) -> Token | None:
     """Return the first token of the name that ends before this token; None if there is none."""
     begin = reader.at
-    before = _before(reader)
+    before = _previous(reader)
     if before is None:
         return None
     if before.kind == "number" and begin > 1:
         begin -= 1
     end, found = begin, None
-    while begin and end - begin < _LONGEST and reader.tokens[begin - 1].kind in ("word", "group"):
+    while (
+        begin
+        and end - begin < _MOST_NAME_WORDS
+        and reader.tokens[begin - 1].kind in ("word", "group")
+    ):
         begin -= 1
         if _is_known([token.text for token in reader.tokens[begin:end]]):
             found = reader.tokens[begin]
@@ -325,16 +333,16 @@ def _name_before(reader: TokenReader) -> Token | None:
 
 def _is_place(reader: TokenReader, ahead: int) -> bool:
     """Return True if the name that begins there is the name of a place."""
-    name = _named(reader, ahead)
+    name = _name_at(reader, ahead)
     return bool(name) and nouns.is_place(name)
 
 
-def _named(reader: TokenReader, ahead: int) -> str:
+def _name_at(reader: TokenReader, ahead: int) -> str:
     """Return the known name that begins there, after an optional article; "" if there is none."""
     while reader.is_at("article", "all of", ahead=ahead) or reader.peek(ahead).text in ("a", "an"):
         ahead += 1
     words: list[str] = []
-    while reader.is_at("word", "group", ahead=ahead) and len(words) < _LONGEST:
+    while reader.is_at("word", "group", ahead=ahead) and len(words) < _MOST_NAME_WORDS:
         words.append(reader.peek(ahead).text)
         ahead += 1
     known = (" ".join(words[:n]) for n in range(len(words), 0, -1))
@@ -345,10 +353,10 @@ def _is_known(words: list[str]) -> bool:
     return nouns.unknown_in(words) is None
 
 
-def _searches(reader: TokenReader) -> bool:
+def _is_search(reader: TokenReader) -> bool:
     """Return True if "explore the house", "search the kitchen", "look around" comes."""
     token = reader.peek()
     verb = token.text.split(" ")[0]
     if token.kind == "verb" and verb.startswith("explor"):
-        return not _named(reader, 1) or _is_place(reader, 1)
+        return not _name_at(reader, 1) or _is_place(reader, 1)
     return verb.startswith(_SEARCHES) and token.kind in ("verb", "word") and _is_place(reader, 1)

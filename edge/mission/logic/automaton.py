@@ -23,22 +23,24 @@ __all__ = [
 ]  # fmt: skip
 
 # Name → function that returns the arrays `delta` and `accepting` of a formula.
-COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.language}
-NOTHING = ""  # the letter of a step in which no object of the formula is reached
+COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.minimal_automaton_by_spot}
+NOTHING = ""
+"""The letter of a step in which no object of the formula is reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
     """The minimal complete deterministic automaton of a formula over finite traces.
 
-    States are numbered breadth-first from the initial state 0, letters in their order. So two
-    formulas with the same letters are equivalent exactly if their arrays are equal.
+    A letter is a proposition of the formula, or `NOTHING`. States are numbered breadth-first from
+    the initial state 0, letters in their order. So two formulas with the same letters are
+    equivalent exactly if their arrays are equal.
 
     Attributes:
         formula: the compiled formula.
         propositions: its propositions, in order of first appearance.
-        delta: (n_states, len(letters) + 1) int32, the next state for each letter; the last column
-            is NOTHING.
+        delta: (n_states, len(propositions) + 1) int32, the next state for each letter; the last
+            column is NOTHING.
         accepting: (n_states,) bool.
         steps_left: (n_states,) int32, the fewest objects to reach until acceptance; steps without
             an object are free. -1 if success is impossible.
@@ -146,18 +148,20 @@ def shortest_trace(
 
 def implies(first: Automaton, second: Automaton) -> bool:
     """Return True if every trace that fulfils the first formula fulfils the second."""
+    # `a > b` of two bools: a, and not b.
     example = shortest_trace(first, second, lambda s, t: first.accepting[s] > second.accepting[t])
     return example is None
 
 
 def steps_left(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> np.ndarray:
-    """Return `Automaton.steps_left`."""
-    far = len(delta)
+    """Return `Automaton.steps_left`: shortest paths to acceptance, by relaxation of all states."""
+    far = len(delta)  # more than any path
     left = np.where(accepting, 0, far).astype(np.int32)
     while True:
         budget.spend_cells(delta.size)
-        reach = left[delta]
-        new = np.minimum(left, np.minimum(reach[:, :-1].min(axis=1, initial=far) + 1, reach[:, -1]))
+        left_after = left[delta]
+        by_object = left_after[:, :-1].min(axis=1, initial=far) + 1
+        new = np.minimum(left, np.minimum(by_object, left_after[:, -1]))
         if np.array_equal(new, left):
             return np.where(left >= far, -1, left).astype(np.int32)
         left = new

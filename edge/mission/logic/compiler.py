@@ -23,12 +23,13 @@ from edge.mission.logic.limits import PER_NODE, CompileBudget, CompileError
 from edge.mission.logic.ltl import Formula, postorder
 
 Dfa = tuple[np.ndarray, np.ndarray]
+"""An automaton: delta and accepting, see the module."""
 Key = tuple[str, tuple[int, ...], str]  # operator, numbers of its operands, proposition
 
 # Limit of different subformulas; it bounds the memory of a compilation.
 MAX_NODES = 10_000
 # A NumPy call for one column takes as long as this number of cells.
-_CALL = 500
+_CALL_CELLS = 500
 _PER_ALTERNATIVE = 16  # steps to advance one alternative by a letter
 
 _TABLES = {
@@ -53,7 +54,7 @@ def minimal_automaton(formula: Formula, letters: Sequence[str], budget: CompileB
     Raises:
         CompileError: a limit was exceeded.
     """
-    nodes = _nodes(formula, budget)
+    nodes = _subformulas(formula, budget)
     uses = Counter(arg for _, args, _ in nodes for arg in args)
     column = {name: k for k, name in enumerate(letters)}
     automata: dict[int, Dfa] = {}
@@ -68,10 +69,10 @@ def minimal_automaton(formula: Formula, letters: Sequence[str], budget: CompileB
         uses.subtract(args)
         for arg in {arg for arg in args if not uses[arg]}:
             del automata[arg]
-    return minimal(*automata[len(nodes) - 1], budget)
+    return minimise(*automata[len(nodes) - 1], budget)
 
 
-def _nodes(formula: Formula, budget: CompileBudget) -> list[Key]:
+def _subformulas(formula: Formula, budget: CompileBudget) -> list[Key]:
     """Return the different subformulas after rewriting, operands before operators."""
     nodes = _Nodes()
     known: dict[int, int] = {}
@@ -88,10 +89,19 @@ class _Nodes:
         self.keys: list[Key] = []
         self._numbers: dict[Key, int] = {}
         self._negated: dict[int, int] = {}
-        self._of_next: set[int] = set()  # depend on the next letter only
-        self._early: set[int] = set()  # hold earlier whenever they hold later
+        # Numbers of subformulas that depend on the next letter only, and of subformulas that hold
+        # earlier whenever they hold later; see the module.
+        self._of_next: set[int] = set()
+        self._early: set[int] = set()
 
     def number(self, op: str, *args: int, name: str = "") -> int:
+        """Return the number of a subformula; a new one gets the next number.
+
+        Args:
+            op: see `Formula.op`.
+            args: numbers of its operands.
+            name: name of a proposition.
+        """
         if op == "!" and args[0] in self._negated:
             return self._negated[args[0]]
         key = (op, args, name)
@@ -157,10 +167,10 @@ def _automaton_of(op: str, args: list[Dfa], budget: CompileBudget) -> Dfa:
         case "X":
             return _next(*args[0], budget)
         case "U":
-            return minimal(*_Until(*args, budget).automaton(), budget)
+            return minimise(*_Until(*args, budget).automaton(), budget)
         case "&" | "|":  # small operands first, so that intermediate automata stay small
             args = sorted(args, key=lambda dfa: len(dfa[0]))
-    return reduce(lambda a, b: minimal(*_product(op, a, b, budget), budget), args)
+    return reduce(lambda a, b: minimise(*_product(op, a, b, budget), budget), args)
 
 
 def _next(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
@@ -221,8 +231,8 @@ class _Until:
         self._a, self._b, self._budget = a[0].tolist(), b[0].tolist(), budget
         self._a_accepts, self._b_accepts = a[1].tolist(), b[1].tolist()
         self._included_in_a, self._included_in_b = _Inclusion(*a, budget), _Inclusion(*b, budget)
-        self._a_all, self._a_none = _sinks(*a)
-        self._b_none = _sinks(*b)[1]
+        self._a_all, self._a_none = _find_sinks(*a)
+        self._b_none = _find_sinks(*b)[1]
         self._width = a[0].shape[1]
 
     def automaton(self) -> Dfa:
@@ -285,7 +295,7 @@ class _Until:
         return self._b_accepts[state] and all(self._a_accepts[s] for s in held)
 
 
-def _sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
+def _find_sinks(delta: np.ndarray, accepting: np.ndarray) -> tuple[int, int]:
     """Return the states that accept everything and nothing; -1 if there is none."""
     stays = (delta == np.arange(len(delta))[:, None]).all(axis=1)
     found = [np.flatnonzero(stays & (accepting == wanted)) for wanted in (True, False)]
@@ -332,7 +342,7 @@ class _Inclusion:
         self._known |= dict.fromkeys(came_from, True)
 
 
-def minimal(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
+def minimise(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
     """Return the automaton with equivalent states merged by partition refinement (Moore).
 
     Only reachable states stay; they are numbered breadth-first, letters in their order.
@@ -340,29 +350,29 @@ def minimal(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> 
     n = len(delta)
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
-        budget.spend_cells((n + _CALL) * delta.shape[1])
+        budget.spend_cells((n + _CALL_CELLS) * delta.shape[1])
         # Pack as many columns as fit into one int64, because it sorts fast.
         key, size = block, count
         for column in delta.T:
             if size * count >= 2**62:
-                key, size = _compact(key)
+                key, size = _number_from_zero(key)
             key, size = key * count + block[column], size * count
-        finer, new_count = _compact(key)
+        finer, new_count = _number_from_zero(key)
         if new_count == count:
             break
         block, count = finer, new_count
-    block = _compact(block)[0]
+    block = _number_from_zero(block)[0]
     _, first = np.unique(block, return_index=True)
-    return _numbered(block[delta[first]], accepting[first], int(block[0]))
+    return _renumber(block[delta[first]], accepting[first], int(block[0]))
 
 
-def _compact(key: np.ndarray) -> tuple[np.ndarray, int]:
+def _number_from_zero(key: np.ndarray) -> tuple[np.ndarray, int]:
     """Replace keys by numbers from 0, in order of the keys; return the numbers and their count."""
     values, dense = np.unique(key, return_inverse=True)
     return dense.reshape(-1), len(values)
 
 
-def _numbered(delta: np.ndarray, accepting: np.ndarray, start: int) -> Dfa:
+def _renumber(delta: np.ndarray, accepting: np.ndarray, start: int) -> Dfa:
     """Return the states that are reachable from `start`, numbered breadth-first."""
     rows = delta.tolist()
     order = {start: 0}

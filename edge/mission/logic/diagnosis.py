@@ -1,4 +1,4 @@
-"""Checks of a formula before a mission starts: contradictions and empty demands."""
+"""Checks of a formula before a mission starts: contradictions, and parts without effect."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def diagnose(
     Raises:
         CompileError: a limit was exceeded.
     """
-    nothing = automaton.delta[:, -1]
+    nothing = automaton.delta[:, -1]  # next states after a step that reaches no object
     unused = tuple(
         name
         for k, name in enumerate(automaton.propositions)
@@ -49,7 +49,7 @@ def diagnose(
     )
     conflict: tuple[Formula, ...] = ()
     if not automaton.accepting.any():
-        conflict = _conflict(automaton.formula, CompileBudget(max_states, max_steps))
+        conflict = _find_conflict(automaton.formula, CompileBudget(max_states, max_steps))
     return Diagnosis(conflict, bool(automaton.accepting.all()), unused)
 
 
@@ -66,7 +66,7 @@ def conjuncts(formula: Formula) -> tuple[Formula, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _conflict(formula: Formula, budget: CompileBudget) -> tuple[Formula, ...]:
+def _find_conflict(formula: Formula, budget: CompileBudget) -> tuple[Formula, ...]:
     """Return a minimal contradictory subset of the conjuncts.
 
     Later conjuncts are dropped first, so the first parts of the instruction stay.
@@ -74,11 +74,11 @@ def _conflict(formula: Formula, budget: CompileBudget) -> tuple[Formula, ...]:
     kept = list(conjuncts(formula))
     for part in reversed(kept.copy()):
         fewer = [f for f in kept if f is not part]
-        if fewer and not _possible(conj(*fewer), budget):
+        if fewer and not _is_possible(conj(*fewer), budget):
             kept = fewer
     return tuple(kept)
 
 
-def _possible(formula: Formula, budget: CompileBudget) -> bool:
+def _is_possible(formula: Formula, budget: CompileBudget) -> bool:
     _, accepting = minimal_automaton(formula, propositions(formula), budget)
     return bool(accepting.any())

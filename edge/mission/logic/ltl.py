@@ -21,12 +21,14 @@ from edge.errors import UserError
 from edge.text import one_line
 
 WORD = r"[A-Za-z_][A-Za-z0-9_]*"
+"""Regular expression for a proposition or an operator without quotes."""
 UNARY = ("!", "X", "WX", "F", "G")
 # Binding strength, weakest first; U W R M share one level.
 STRENGTH = {"<->": 1, "->": 2, "|": 3, "&": 4, "U": 5, "W": 5, "R": 5, "M": 5}
 STRENGTH |= dict.fromkeys(UNARY, 6)
+# Words that are no propositions, unless in quotes.
 KEYWORDS = frozenset({"X", "WX", "F", "G", "U", "W", "R", "M", "true", "false"})
-_ATOM_STRENGTH = 7
+_ATOM_STRENGTH = 7  # of a proposition or a constant: no parentheses
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -102,12 +104,12 @@ def neg(f: Formula) -> Formula:
 
 def conj(*fs: Formula) -> Formula:
     """Return f & g & …, nested conjunctions flattened; `true` for none, f itself for one."""
-    return _nary("&", fs, TRUE)
+    return _flatten("&", fs, TRUE)
 
 
 def disj(*fs: Formula) -> Formula:
     """Return f | g | …, nested disjunctions flattened; `false` for none, f itself for one."""
-    return _nary("|", fs, FALSE)
+    return _flatten("|", fs, FALSE)
 
 
 def implies(a: Formula, b: Formula) -> Formula:
@@ -219,12 +221,12 @@ def _operand_text(f: Formula, at_least: int) -> list[Formula | str]:
 
 
 def _name_text(name: str) -> str:
-    if re.fullmatch(WORD, name) and name not in KEYWORDS and not _apart(name):
+    if re.fullmatch(WORD, name) and name not in KEYWORDS and not _separate_operators(name):
         return name
     return '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _nary(op: str, fs: tuple[Formula, ...], empty: Formula) -> Formula:
+def _flatten(op: str, fs: tuple[Formula, ...], empty: Formula) -> Formula:
     flat: list[Formula] = []
     for f in fs:
         flat.extend(f.args if f.op == op else (f,))
@@ -247,6 +249,7 @@ _TOKEN = re.compile(
     | (?P<paren>[()])""",
     re.VERBOSE | re.DOTALL,
 )
+# For words with joined operators such as `Fa` and `aUb`, see `_separate_operators`.
 _CAPITALS = re.compile(r"[XFGUWRM]")
 _PREFIXED = re.compile(r"(WX|[XFG])([A-Za-z_]\w*)", re.ASCII)
 _BINARY = re.compile(r"[UWRM]")
@@ -302,13 +305,13 @@ def parse(text: str) -> Formula:
     operand_next = True
     for token in _tokens(text):
         if operand_next:
-            operand_next = _operand(token, values, ops)
+            operand_next = _take_operand(token, values, ops)
         else:
-            operand_next = _operator(token, values, ops)
+            operand_next = _take_operator(token, values, ops)
     return values[0]
 
 
-def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
+def _take_operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
     """Process a token where an operand must begin; return True if one must still begin after it."""
     if token.kind == "(" or (token.kind == "op" and token.text in UNARY):
         ops.append(token)
@@ -316,10 +319,10 @@ def _operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
     if token.kind in ("name", "constant"):
         values.append(_leaf(token))
         return False
-    raise FormulaError(token.column, _wants_operand(token))
+    raise FormulaError(token.column, _operand_hint(token))
 
 
-def _operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
+def _take_operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
     """Process a token after an operand; return True if an operand must begin after it."""
     if token.kind == "op" and token.text not in UNARY:
         while ops and ops[-1].kind == "op" and STRENGTH[ops[-1].text] > STRENGTH[token.text]:
@@ -361,7 +364,7 @@ def _leaf(token: _Token) -> Formula:
     return _CONSTANTS[token.text] if token.kind == "constant" else ap(token.text)
 
 
-def _wants_operand(token: _Token) -> str:
+def _operand_hint(token: _Token) -> str:
     return f"expected a proposition, '(' or one of ! X WX F G, found {token.shown}"
 
 
@@ -373,11 +376,11 @@ def _tokens(text: str) -> Iterator[_Token]:
     while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise FormulaError(at + 1, _unreadable(text[at]))
+            raise FormulaError(at + 1, _unreadable_hint(text[at]))
         kind, found, column = match.lastgroup, match[0], at + 1
         at = match.end()
         if kind == "quoted":
-            yield _name(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
+            yield _name_token(re.sub(r"\\(.)", r"\1", found[1:-1], flags=re.DOTALL), column)
         elif kind == "paren":
             yield _Token(found, found, column)
         elif kind != "space":
@@ -387,14 +390,14 @@ def _tokens(text: str) -> Iterator[_Token]:
             elif op in _CONSTANTS:
                 yield _Token("constant", op, column)
             else:
-                name = _name(op, column)
-                if spaced := _apart(op):
-                    raise FormulaError(column, _unspaced(op, spaced))
+                name = _name_token(op, column)
+                if spaced := _separate_operators(op):
+                    raise FormulaError(column, _missing_spaces_hint(op, spaced))
                 yield name
     yield _Token("end", "", len(text) + 1)
 
 
-def _name(text: str, column: int) -> _Token:
+def _name_token(text: str, column: int) -> _Token:
     try:
         names.normalise(text)
     except names.NotANameError as error:
@@ -402,7 +405,7 @@ def _name(text: str, column: int) -> _Token:
     return _Token("name", text, column)
 
 
-def _apart(word: str) -> str:
+def _separate_operators(word: str) -> str:
     """Return a word with its operators separated, such as `F a` for `Fa`; "" if it is only a name.
 
     Names in the alias table, such as `Fridge`, contain no operator.
@@ -411,14 +414,14 @@ def _apart(word: str) -> str:
         return ""
     if found := _PREFIXED.fullmatch(word):
         op, operand = found.groups()
-        return f"{op} {_apart(operand) or operand}"
+        return f"{op} {_separate_operators(operand) or operand}"
     for found in _BINARY.finditer(word, 1):
         left, op, right = word[: found.start()], found[0], word[found.end() :]
         # `livingRoom` is a name; `aRb` and `chairRtable` are not, nor is `pinkBoxUtv`.
         until = op == "U" and word[0].islower() and re.match(WORD, right)
         if not until and not _is_operand(left):
             continue
-        spaced = _apart(right)
+        spaced = _separate_operators(right)
         if until or spaced or _is_operand(right):
             return f"{left} {op} {spaced or right}"
     return ""
@@ -428,12 +431,12 @@ def _is_operand(word: str) -> bool:
     return _LETTER.fullmatch(word) is not None or names.is_known(word)
 
 
-def _unspaced(word: str, spaced: str) -> str:
+def _missing_spaces_hint(word: str, spaced: str) -> str:
     word, spaced = one_line(word, 40), one_line(spaced, 60)
     return f"'{word}' lacks spaces: write '{spaced}', or \"{word}\" if it is the name of an object"
 
 
-def _unreadable(char: str) -> str:
+def _unreadable_hint(char: str) -> str:
     if char == '"':
         return "this quote is never closed"
     return f"{char!r} belongs to no operator; put names in double quotes"

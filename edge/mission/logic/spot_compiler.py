@@ -19,12 +19,12 @@ from types import ModuleType
 import numpy as np
 
 from edge.errors import UnavailableError
-from edge.mission.logic.compiler import minimal
+from edge.mission.logic.compiler import minimise
 from edge.mission.logic.limits import CompileBudget, CompileError
 from edge.mission.logic.ltl import UNARY, Formula, postorder
 
 _ALIVE = "alive"
-_WANTED = {
+_NEEDED = {
     "spot": ("formula", "from_ltlf", "translate", "to_finite"),
     "buddy": ("bdd_ithvar", "bdd_nithvar", "bddfalse", "bddtrue"),
 }
@@ -35,7 +35,7 @@ _MAX_DEPTH = 1000  # Spot recurses on the machine's stack
 
 def missing() -> str:
     """Return what Spot lacks here, in words; "" if it can be used."""
-    for name, wanted in _WANTED.items():
+    for name, wanted in _NEEDED.items():
         try:
             module = importlib.import_module(name)
         except (ImportError, OSError):
@@ -51,7 +51,7 @@ def available() -> bool:
     return not missing()
 
 
-def language(
+def minimal_automaton_by_spot(
     formula: Formula, letters: Sequence[str], budget: CompileBudget
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the automaton, like `edge.mission.logic.compiler.minimal_automaton`, computed by Spot.
@@ -71,18 +71,18 @@ def language(
             f"formula: nested deeper than {_MAX_DEPTH}, too deep for the compiler 'spot'; "
             "choose 'own'"
         )
-    spot, buddy = (importlib.import_module(name) for name in _WANTED)
+    spot, buddy = (importlib.import_module(name) for name in _NEEDED)
     embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
-    steps = _steps(finite, buddy, len(letters))
-    rows, accepting = _determined(finite, steps, buddy.bddfalse, budget)
+    steps = _step_conditions(finite, buddy, len(letters))
+    rows, accepting = _determinise(finite, steps, buddy.bddfalse, budget)
     # The empty trace may differ from other traces that lead to the initial state.
     delta = np.array([rows[0], *rows], np.int32) + 1
-    accepting = [_takes_nothing(formula), *accepting]
-    return minimal(delta, np.array(accepting), budget)
+    accepting = [_accepts_empty_trace(formula), *accepting]
+    return minimise(delta, np.array(accepting), budget)
 
 
-def _determined(
+def _determinise(
     automaton, steps: list, impossible, budget: CompileBudget
 ) -> tuple[list[list[int]], list[bool]]:
     """Return the subset construction over letters; a deterministic input keeps its states."""
@@ -108,7 +108,7 @@ def _determined(
     return rows, accepting
 
 
-def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
+def _step_conditions(automaton, buddy: ModuleType, n_letters: int) -> list:
     """Return for each letter, NOTHING last, the values of all propositions in that step."""
     variables = [automaton.register_ap(f"p{k}") for k in range(n_letters)]
     steps = []
@@ -121,7 +121,7 @@ def _steps(automaton, buddy: ModuleType, n_letters: int) -> list:
     return steps
 
 
-def _takes_nothing(formula: Formula) -> bool:
+def _accepts_empty_trace(formula: Formula) -> bool:
     """Return True if the empty trace is accepted; on it, every temporal operator is a constant."""
     truth: dict[int, bool] = {}
     for f in postorder(formula):

@@ -16,7 +16,7 @@ from edge.jit import jit
 
 # Integer costs of a step to a neighbour: 17/12 is sqrt(2) within 0.2 %.
 STRAIGHT, DIAGONAL = 12, 17
-# States of a cell of the search.
+# States of a cell of the search; a closed one has an obstacle.
 CLOSED, FREE, UNKNOWN = 0, 1, 2
 UNREACHED = np.int32(2**31 - 1)
 """Cost of a cell without a path."""
@@ -66,18 +66,18 @@ def distances(
         raise ValueError(f"unknown_cost: expected 1 to {_MAX_UNKNOWN_COST:g}, got {unknown_cost}")
     factor = max(1, int(cell_m / snapshot.resolution_m + 1e-6))
     side_m = factor * snapshot.resolution_m
-    height, width = (-(-side // factor) for side in snapshot.cells.shape)
+    height, width = (-(-side // factor) for side in snapshot.cells.shape)  # rounded up
     # A closed border of one cell saves bounds checks in the wavefront.
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
-    blocks, reach = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
-    ends = [_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), reach) for p in positions]
-    robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), reach)
+    blocks, radius = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
+    ends = [_path_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), radius) for p in positions]
+    robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), radius)
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
-    weight = np.array([0, 1.0, unknown_cost])
+    weight = np.array([0, 1.0, unknown_cost])  # by state of the cell
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)
-    return _matrix(state, step, ends, [*ends, start]) / STRAIGHT * side_m
+    return _cost_matrix(state, step, ends, [*ends, start]) / STRAIGHT * side_m
 
 
 def warm_up() -> None:
@@ -86,23 +86,23 @@ def warm_up() -> None:
     distances(snapshot, (0.1, 0.1), [np.array([[0.7, 0.7]])])
 
 
-def _matrix(
-    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], rows: list[np.ndarray]
+def _cost_matrix(
+    state: np.ndarray, step: np.ndarray, ends: list[np.ndarray], starts: list[np.ndarray]
 ) -> np.ndarray:
-    """Return the costs from each start set to each object: (rows, k) float64.
+    """Return the costs from each start set to each object: (len(starts), k) float64.
 
     Args:
         state: (h, w) uint8, see `coarsen`.
         step: (2, 3) int32, see `wavefront`.
         ends: for each object (m, 2) int64: cells and extra costs at the end of a path.
-        rows: the start sets, like `ends`: the objects, then the robot.
+        starts: the start sets, like `ends`: the objects, then the robot.
     """
-    out = np.full((len(rows), len(ends)), np.inf)
-    most = max(step.max(), *(cells[:, 1].max(initial=0) for cells in rows))
-    buckets = np.empty(1 << int(most).bit_length(), np.int32)
-    queue = np.empty((2, 8 * state.size + max(len(cells) for cells in rows)), np.int32)
+    out = np.full((len(starts), len(ends)), np.inf)
+    largest = max(step.max(), *(cells[:, 1].max(initial=0) for cells in starts))
+    buckets = np.empty(1 << int(largest).bit_length(), np.int32)  # a power of 2 above all costs
+    queue = np.empty((2, 8 * state.size + max(len(cells) for cells in starts)), np.int32)
     distance = np.empty(state.shape, np.int32)
-    for i, begin in enumerate(rows):
+    for i, begin in enumerate(starts):
         wavefront(state, step, begin, distance, buckets, queue)
         for j, cells in enumerate(ends):
             costs = distance.ravel()[cells[:, 0]]
@@ -112,17 +112,17 @@ def _matrix(
     return out
 
 
-def _ends(state: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
+def _path_ends(state: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
     """Return the cells at which any of some points is reached: (m, 2) int64, see `around`.
 
     Args:
         state: (h, w) uint8, see `coarsen`.
         points: (n, 2) float64 in cells.
-        reach: largest distance to the nearest cell, in cells.
+        radius: largest distance to the nearest cell, in cells.
     """
     found = [np.zeros((0, 2), np.int64)]
     for x, y in points.tolist():
-        cell = nearest_cell(state, x, y, reach)
+        cell = nearest_cell(state, x, y, radius)
         if cell >= 0:
             found.append(around(state, x, y, cell))
     return np.concatenate(found)
@@ -143,7 +143,7 @@ def coarsen(cells, factor, state):
     h, w = cells.shape
     for row in range(state.shape[0] - 2):
         for col in range(state.shape[1] - 2):
-            value = CLOSED
+            value = CLOSED  # -1: an obstacle was found, so nothing opens the block again
             for y in range(row * factor, min((row + 1) * factor, h)):
                 for x in range(col * factor, min((col + 1) * factor, w)):
                     cell = cells[y, x]

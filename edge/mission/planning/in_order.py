@@ -6,7 +6,13 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, named
+from edge.mission.planning.plan import (
+    ACCEPTED,
+    DEAD,
+    MissionKnowledge,
+    TargetPlan,
+    letter_text,
+)
 from edge.mission.planning.vitl import VitlPlanner
 
 
@@ -31,21 +37,21 @@ class InOrderPlanner:
             return ACCEPTED
         if a.steps_left[state] < 0:
             return DEAD
-        hopeful = self._hopeful(knowledge.failed)
+        hopeful = self._hopeful_states(knowledge.failed)
         if not hopeful[state]:
             return VitlPlanner(PlannerVitl(), a).plan(state, knowledge, current)
         steps: list[str] = []
         seen: set[int] = set()
         while not a.accepting[state] and state not in seen:
             seen.add(state)
-            letter = self._first(state, hopeful, knowledge.failed)
+            letter = self._first_letter(state, hopeful, knowledge.failed)
             steps.append(letter)
             state = a.step(state, letter)
         cost, first = float(len(steps)), steps[0]
-        reason = f"{named(first)} is the first in the sentence that is possible now"
+        reason = f"{letter_text(first)} is the first in the sentence that is possible now"
         return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
 
-    def _first(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
+    def _first_letter(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
         """Return the first letter of the formula that leads to another hopeful state."""
         for letter in (*self.automaton.propositions, NOTHING):
             after = self.automaton.step(state, letter)
@@ -53,7 +59,7 @@ class InOrderPlanner:
                 return letter
         raise AssertionError("a hopeful state has a step to a hopeful one")
 
-    def _hopeful(self, failed: frozenset[str]) -> np.ndarray:
+    def _hopeful_states(self, failed: frozenset[str]) -> np.ndarray:
         """Return (n,) bool: states from which acceptance needs no failed object."""
         a = self.automaton
         usable = [i for i, letter in enumerate((*a.propositions, NOTHING)) if letter not in failed]

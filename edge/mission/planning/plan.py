@@ -75,6 +75,7 @@ class Planner(Protocol):
         ...
 
 
+# The plans if the formula is fulfilled, and if it can no longer be fulfilled.
 ACCEPTED = TargetPlan(None, (), 0.0, True, (), "done: the formula is satisfied", ())
 DEAD = TargetPlan(
     None, (), float("inf"), False, (), "the formula can no longer be satisfied, whatever is "
@@ -82,24 +83,24 @@ DEAD = TargetPlan(
 )  # fmt: skip
 
 
-_TARGET = {
+_TARGET_PHRASES = {
     "nothing": "{} comes first",
     "failed": "{} failed",
     "seen": "{} was seen",
     "reached": "{} was reached before",
     "unknown": "{} has to be found",
 }
-_COMPETING = {**_TARGET, "unknown": "{} would have to be found", "nothing": "{} first"}
-_SAME = 1e-9  # costs that differ by less are equal
+_OTHER_PHRASES = {**_TARGET_PHRASES, "unknown": "{} would have to be found", "nothing": "{} first"}
+_SAME_COST = 1e-9  # costs that differ by less are equal
 
 
-def named(letter: str) -> str:
+def letter_text(letter: str) -> str:
     """Return the letter, or a phrase for the step that reaches nothing."""
     return "a step with none of the objects" if letter == NOTHING else letter
 
 
 def status(letter: str, knowledge: MissionKnowledge) -> str:
-    """Return the state of a letter, as a key of `_TARGET`."""
+    """Return the state of a letter, as a key of `_TARGET_PHRASES`."""
     if letter == NOTHING:
         return "nothing"
     for key in ("failed", "detected", "reached"):
@@ -127,34 +128,36 @@ def explain(
     'sofa was seen: 1.01 to the end; chair would have to be found: 2.00'
     """
     cost = dict(options)
-    words = _TARGET[status(target, knowledge)].format(named(target))
+    words = _TARGET_PHRASES[status(target, knowledge)].format(letter_text(target))
     words = f"{words}: {text(cost[target])} to the end"
     second = next((letter for letter, _ in options if letter != target), None)
     if second is None:
         return f"{words}; nothing else can come first"
     kind = status(second, knowledge)
-    other = _COMPETING[kind].format(named(second))
+    other = _OTHER_PHRASES[kind].format(letter_text(second))
     if kind == "failed":
         return f"{words}; {other}"
-    if abs(cost[second] - cost[target]) < _SAME:
-        return f"{words}; {named(second)} first would cost the same"
+    if abs(cost[second] - cost[target]) < _SAME_COST:
+        return f"{words}; {letter_text(second)} first would cost the same"
     return f"{words}; {other}: {text(cost[second])}"
 
 
 def explain_hysteresis(current: str, best: str, gain: str, margin: str) -> str:
     """Return why the current target is kept although another one is slightly better."""
-    return f"{current} is kept: {named(best)} first would save {gain}, not more than {margin}"
+    return f"{current} is kept: {letter_text(best)} first would save {gain}, not more than {margin}"
 
 
 def explain_blocked(needed: Sequence[str]) -> str:
     """Return why there is no plan."""
-    return f"every way to the end needs an object that failed; the shortest needs {listed(needed)}"
+    return (
+        f"every way to the end needs an object that failed; the shortest needs {and_list(needed)}"
+    )
 
 
-def listed(words: Sequence[str]) -> str:
+def and_list(words: Sequence[str]) -> str:
     """Return words as an English list.
 
-    >>> listed(["chair", "sofa", "bed"])
+    >>> and_list(["chair", "sofa", "bed"])
     'chair, sofa and bed'
     """
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)

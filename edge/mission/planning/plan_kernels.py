@@ -3,6 +3,8 @@
 A node is a pair of automaton state and place. With constant weights there is one place. With
 distances there are k + 1: one for each letter (the robot is at that object), and the last one for
 the robot's current position. Costs are integers, so ties are exact and sums do not depend on order.
+
+Names in the kernels: s and t are states, c is a letter, p and q are places; t and q come after c.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ SCALE = 1_000_000
 FAILED = np.int64(1 << 48)
 """Cost of an edge to a failed object: more than any path without one."""
 UNREACHABLE = np.int64(2**63 - 1)
+"""Cost of a node without a path to acceptance."""
 
 
 @jit
@@ -88,6 +91,17 @@ def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_ste
 @jit
 def follow(delta, accepting, weight, cost, steps, state, place, first, path):
     """Write the best path that begins with the letter `first`; ties go to the first letter.
+
+    Args:
+        delta: see `cost_to_go`.
+        accepting: see `cost_to_go`.
+        weight: see `cost_to_go`.
+        cost: output of `cost_to_go`.
+        steps: output of `cost_to_go`.
+        state: state of the automaton.
+        place: place of the robot.
+        first: number of the first letter.
+        path: int32 output, numbers of the letters.
 
     Returns:
         Length of the path.

@@ -23,6 +23,7 @@ from edge.mission.planning.vitl import VitlPlanner
 
 __all__ = ["MissionKnowledge", "Planner", "TargetPlan", "make_planner", "warm_up"]
 
+# Kind of a planner → its class.
 REGISTRY: dict[str, Any] = {
     "vitl": VitlPlanner,
     "in_order": InOrderPlanner,
@@ -54,12 +55,12 @@ def make_planner(
         'sofa'
     """
     if isinstance(config, PlannerPlugin):
-        make = find_own_planner(config, "mission.planner")
+        make = find_plugin_planner(config, "mission.planner")
         return make(automaton=automaton, instruction=instruction)
     return REGISTRY[config.kind](config, automaton, **keywords)
 
 
-def find_own_planner(config: PlannerPlugin, where: str) -> Callable[..., Planner]:
+def find_plugin_planner(config: PlannerPlugin, where: str) -> Callable[..., Planner]:
     """Return a function that creates the configured plugin for a mission.
 
     Args:

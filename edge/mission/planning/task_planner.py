@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from edge.mission.planning.plan import MissionKnowledge, TargetPlan, explain_blocked, listed
+from edge.mission.planning.plan import MissionKnowledge, TargetPlan, and_list, explain_blocked
 from edge.mission.task_step import TaskStep
 
 
@@ -38,9 +38,6 @@ class TaskPlanner:
             target = current or [*to_see, *self._targets][0]
             return TargetPlan(target, (), 0.0, True, (), "all objects of the task were seen", ())
         cost = float(len(unseen))
-        reason = f"{listed(unseen)} {_is(unseen)} still to be seen"
+        are = "are" if len(unseen) > 1 else "is"
+        reason = f"{and_list(unseen)} {are} still to be seen"
         return TargetPlan(unseen[0], unseen, cost, True, (), reason, ((unseen[0], cost),))
-
-
-def _is(labels: Sequence[str]) -> str:
-    return "are" if len(labels) > 1 else "is"

@@ -64,7 +64,7 @@ class VitlPlanner:
         self._explore_m = config.explore_m
         places = k + 1 if self._by_distance else 1
         self._robot_place = places - 1
-        self._order = working_order(automaton)
+        self._order = order_of_relaxation(automaton)
         # A path without a failed edge enters no node twice, so it always costs less than FAILED.
         self._heaviest = int(kernels.FAILED - 1) // (n * places)
         self._weight = np.empty((k + 1, places), np.int64)
@@ -102,7 +102,7 @@ class VitlPlanner:
         options = tuple((names[c], self._as_weight(cost[c])) for c in ranked)
         first = best = ranked[0]
         if cost[best] >= kernels.FAILED:
-            return self._blocked(self._follow(best, state), knowledge, options)
+            return self._blocked_plan(self._follow(best, state), knowledge, options)
         if self._by_distance and names[best] != current:
             first = self._letter_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
@@ -116,7 +116,7 @@ class VitlPlanner:
             path[0] or None, path, self._as_weight(cost[first]), True, (), reason, options
         )
 
-    def _blocked(
+    def _blocked_plan(
         self,
         path: tuple[str, ...],
         knowledge: MissionKnowledge,
@@ -162,7 +162,9 @@ class VitlPlanner:
         if self.known_reached:
             known = known | knowledge.reached
         if self._by_distance:
-            metres = _metres(knowledge.distance_m, [x in known for x in letters], self._explore_m)
+            metres = _weights_m(
+                knowledge.distance_m, [x in known for x in letters], self._explore_m
+            )
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
         else:
             near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
@@ -174,7 +176,7 @@ class VitlPlanner:
         weight[-1] = round(W_NOTHING * kernels.SCALE)
 
 
-def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
+def _weights_m(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
     """Return the weight in metres of each letter from each place; see `VitlPlanner`.
 
     Args:
@@ -196,12 +198,12 @@ def _metres(distance_m: np.ndarray | None, known: list[bool], explore_m: float) 
         raise ValueError(f"distance_m: expected shape {(k + 1, k)}, got {distance_m.shape}")
     placed = np.array(known, bool) & np.isfinite(distance_m[-1])
     for j in np.flatnonzero(placed):
-        here = distance_m[-1, j]
+        from_robot = distance_m[-1, j]
         between = distance_m[:-1, j]
         metres[:-1, j] = np.where(
-            placed & np.isfinite(between), between, math.hypot(explore_m, here)
+            placed & np.isfinite(between), between, math.hypot(explore_m, from_robot)
         )
-        metres[-1, j] = here
+        metres[-1, j] = from_robot
     metres = np.maximum(metres, 0.0)
     close_triangle_inequality(metres)
     return metres
@@ -214,15 +216,15 @@ def close_triangle_inequality(metres: np.ndarray) -> None:
     triangle inequality. Then a return to the object just reached could seem better, again and
     again.
     """
-    here = metres[-1]
-    for _ in range(len(here)):
-        by_way = (here[:, None] + metres[:-1]).min(axis=0)
-        if (by_way >= here).all():
+    from_robot = metres[-1]
+    for _ in range(len(from_robot)):
+        by_way = (from_robot[:, None] + metres[:-1]).min(axis=0)
+        if (by_way >= from_robot).all():
             return
-        np.minimum(here, by_way, out=here)
+        np.minimum(from_robot, by_way, out=from_robot)
 
 
-def working_order(automaton: Automaton) -> np.ndarray:
+def order_of_relaxation(automaton: Automaton) -> np.ndarray:
     """Return the states that are neither accepting nor dead, nearest to acceptance first.
 
     Returns:

@@ -97,7 +97,7 @@ class BackProjector:
             The targets' boxes, and the boxes of context words (None: the detector does not look for
             them). All are processed together, since one object may hide much of another.
         """
-        seen, around = detections.observation, detections.around()
+        seen, around = detections.observation, detections.context_detections()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
         if around is not None:
             boxes = np.concatenate((boxes, around.xyxy_px))

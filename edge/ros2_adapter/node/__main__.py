@@ -1,7 +1,7 @@
 """`python3 node`: runs the adapter's node by a plan, until standard input is closed.
 
-The plan is one line of JSON on standard input (see `edge.ros2_adapter.process`). One thread does
-everything, between callbacks of ROS; messages from Zenoh wake it.
+The plan is one line of JSON on standard input; see `make_plan` of `edge.ros2_adapter.process`. One
+thread does everything, between callbacks of ROS; messages from Zenoh wake it.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ from passing import AdapterEnds, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-GONE_S = 3.0  # without any receiver for this time, nobody supervises the robot
+GONE_S = 3.0  # after this time without a receiver on Zenoh, nobody supervises the robot
 _REQUEST_BYTES = 4096
-_KEPT = 16  # requests that wait for the node's thread
+_QUEUE_SIZE = 16  # requests that wait for the node's thread
 
 
 class ServiceProxy:
@@ -22,7 +22,7 @@ class ServiceProxy:
 
     Args:
         ends: node and session.
-        place: the service's ROS name and its Zenoh key.
+        names: the service's name in ROS (`ros`) and its key in Zenoh (`key`).
         kind: the service type.
         on_answer: called with each request and its answer.
     """
@@ -30,13 +30,13 @@ class ServiceProxy:
     def __init__(
         self,
         ends: AdapterEnds,
-        place: dict[str, str],
+        names: dict[str, str],
         kind: Any,
         on_answer: Callable[[Any, Any], None],
     ) -> None:
-        self._ends, self._key, self._kind, self._on_answer = ends, place["key"], kind, on_answer
-        self._client = ends.node.create_client(kind, place["ros"])
-        self._inbox, self._queryable = Inbox(_KEPT, ends.wake), None
+        self._ends, self._key, self._kind, self._on_answer = ends, names["key"], kind, on_answer
+        self._client = ends.node.create_client(kind, names["ros"])
+        self._inbox, self._queryable = Inbox(_QUEUE_SIZE, ends.wake), None
         self._waiting: dict[Any, Any] = {}  # future: query
         self._warned = False
 
@@ -56,14 +56,15 @@ class ServiceProxy:
             self._waiting.clear()
 
     def pass_requests(self) -> None:
+        """Send the requests that came from Zenoh to the server."""
         for query in self._inbox.take():
-            self._pass(query)
+            self._forward_request(query)
 
     def ask(self, request: Any) -> None:
         """Send a request without waiting for its answer."""
         self._client.call_async(request)
 
-    def _pass(self, query: Any) -> None:
+    def _forward_request(self, query: Any) -> None:
         from rclpy.serialization import deserialize_message
 
         try:
@@ -72,8 +73,8 @@ class ServiceProxy:
         except Exception as error:  # errors depend on the ROS middleware
             if not self._warned:
                 self._warned = True
-                said = "%s: a request was dropped: %s (further ones are not logged)"
-                log.warning(said, self._key, one_line(error))
+                text = "%s: a request was dropped: %s (further ones are not logged)"
+                log.warning(text, self._key, one_line(error))
             query.drop()
             return
         future = self._client.call_async(request)
@@ -106,15 +107,15 @@ class NavigateProxy:
     ) -> None:
         impl = find_type(plan["type"]).Impl
 
-        def place(name: str) -> dict[str, Any]:
+        def names(name: str) -> dict[str, Any]:
             return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
 
         def service(name: str, kind: Any, on_answer: Callable[[Any, Any], None]) -> ServiceProxy:
-            return ServiceProxy(ends, place(name), kind, on_answer)
+            return ServiceProxy(ends, names(name), kind, on_answer)
 
         def topic(name: str, kind: Any) -> FromRos:
             quality = {"reliable": True, "latched": False, "depth": 10}
-            return FromRos(ends, {**place(name), **quality}, kind, patience_s=math.inf)
+            return FromRos(ends, {**names(name), **quality}, kind, patience_s=math.inf)
 
         self._cancel_goal = impl.CancelGoalService
         self._send = service("send_goal", impl.SendGoalService, self._on_accepted)
@@ -129,6 +130,7 @@ class NavigateProxy:
         self._followed_s = time.monotonic()
 
     def pass_requests(self) -> None:
+        """Send the requests that came from Zenoh to the action's server."""
         for service in self._services:
             service.pass_requests()
 

@@ -40,18 +40,23 @@ class AdapterEnds(NamedTuple):
 
 
 class Inbox:
-    """The newest items from Zenoh's threads, for the node's thread."""
+    """A queue from Zenoh's threads to the node's thread; if it is full, the oldest item is dropped.
 
-    def __init__(self, kept: int, wake: Callable[[], None]) -> None:
-        self._waiting: deque[Any] = deque(maxlen=kept)
-        self._capacity, self._wake = kept, wake
+    Args:
+        capacity: largest number of items.
+        wake: see `AdapterEnds`.
+    """
+
+    def __init__(self, capacity: int, wake: Callable[[], None]) -> None:
+        self._waiting: deque[Any] = deque(maxlen=capacity)
+        self._capacity, self._wake = capacity, wake
 
     def __call__(self, item: Any) -> None:
         self._waiting.append(item)
         self._wake()
 
     def take(self) -> Iterator[Any]:
-        """Yield the items since the last call, at most `kept`, oldest first."""
+        """Yield the items since the last call, at most `capacity`, oldest first."""
         for _ in range(self._capacity):
             try:
                 yield self._waiting.popleft()
@@ -80,13 +85,16 @@ def one_line(text: object) -> str:
     return "".join(c if c.isprintable() else " " for c in str(text)[:200])
 
 
-def make_qos(passed: dict[str, Any]) -> Any:
-    """Return the QoS: best effort matches reliable publishers too; latched is transient local."""
+def make_qos(topic_plan: dict[str, Any]) -> Any:
+    """Return the quality of service of a topic of the plan.
+
+    Best effort receives from reliable publishers too. `latched` is ROS 2's transient local.
+    """
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    reliable, latched = passed["reliable"], passed["latched"]
+    reliable, latched = topic_plan["reliable"], topic_plan["latched"]
     return QoSProfile(
-        depth=passed["depth"],
+        depth=topic_plan["depth"],
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -99,7 +107,7 @@ class FromRos:
 
     Args:
         ends: node and session.
-        passed: names, type and quality of service.
+        topic_plan: entry of the topic in the plan: names, type and quality of service.
         kind: the message class.
         patience_s: time without messages before a warning.
 
@@ -108,15 +116,19 @@ class FromRos:
     """
 
     def __init__(
-        self, ends: AdapterEnds, passed: dict[str, Any], kind: Any, patience_s: float = PATIENCE_S
+        self,
+        ends: AdapterEnds,
+        topic_plan: dict[str, Any],
+        kind: Any,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         self.wanted = False
-        self._node, self._passed, self._kind = ends.node, passed, kind
+        self._node, self._plan, self._kind = ends.node, topic_plan, kind
         self._patience_s, self._due_s, self._received = patience_s, math.inf, 0
         self._subscription: Any = None
-        self._keeps = passed["latched"]
-        key, drop = passed["key"], ends.zenoh.CongestionControl.DROP
-        if self._keeps:
+        self._latched = topic_plan["latched"]
+        key, drop = topic_plan["key"], ends.zenoh.CongestionControl.DROP
+        if self._latched:
             ext = import_module("zenoh.ext")
             self._publisher = ext.declare_advanced_publisher(
                 ends.session, key, congestion_control=drop,
@@ -127,51 +139,51 @@ class FromRos:
 
     def update(self) -> None:
         """Subscribe or unsubscribe as needed; log once why a topic may be silent."""
-        self.wanted = not self._keeps and self._publisher.matching_status.matching
+        self.wanted = not self._latched and self._publisher.matching_status.matching
         is_subscribed, now_s = self._subscription is not None, time.monotonic()
-        if is_subscribed != (self.wanted or self._keeps):
+        if is_subscribed != (self.wanted or self._latched):
             if is_subscribed:
                 self._unsubscribe()
             else:
                 self._subscribe(now_s)
         elif self._received == 0 and now_s > self._due_s:
             self._due_s = math.inf
-            log.warning("%s: no message yet: %s", self._passed["ros"], self._reason())
+            log.warning("%s: no message yet: %s", self._plan["ros"], self._reason())
 
     def _subscribe(self, now_s: float) -> None:
         self._received, self._due_s = 0, now_s + self._patience_s
         self._subscription = self._node.create_subscription(
-            self._kind, self._passed["ros"], self._pass, make_qos(self._passed), raw=True
+            self._kind, self._plan["ros"], self._forward, make_qos(self._plan), raw=True
         )
 
     def _unsubscribe(self) -> None:
         self._node.destroy_subscription(self._subscription)
         self._subscription, self._due_s = None, math.inf
 
-    def _pass(self, message: bytes) -> None:
+    def _forward(self, message: bytes) -> None:
         self._publisher.put(message)
         self._received += 1
 
     def _reason(self) -> str:
         """Return the likely reason of silence: mostly a wrong name or type."""
-        publishers = self._node.get_publishers_info_by_topic(self._passed["ros"])
+        publishers = self._node.get_publishers_info_by_topic(self._plan["ros"])
         types = sorted({info.topic_type for info in publishers})
         if not publishers:
             return "it has no publisher"
-        if types != [self._passed["type"]]:
-            return f"it is {one_line(', '.join(types))}, not {self._passed['type']}"
+        if types != [self._plan["type"]]:
+            return f"it is {one_line(', '.join(types))}, not {self._plan['type']}"
         return f"{len(publishers)} publishers (is their quality of service another?)"
 
 
 class ToRos:
     """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
 
-    def __init__(self, ends: AdapterEnds, passed: dict[str, Any], max_bytes: int) -> None:
-        self._key, self._max_bytes, self._warned = passed["key"], max_bytes, False
-        self._inbox = Inbox(passed["depth"], ends.wake)
+    def __init__(self, ends: AdapterEnds, topic_plan: dict[str, Any], max_bytes: int) -> None:
+        self._key, self._max_bytes, self._warned = topic_plan["key"], max_bytes, False
+        self._inbox = Inbox(topic_plan["depth"], ends.wake)
         self._subscriber = ends.session.declare_subscriber(self._key, self._inbox)
         self._publisher = ends.node.create_publisher(
-            find_type(passed["type"]), passed["ros"], make_qos(passed)
+            find_type(topic_plan["type"]), topic_plan["ros"], make_qos(topic_plan)
         )
 
     def update(self) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import yaml
 
-from edge.mission.language.lexicon import expanded
+from edge.mission.language.lexicon import expand_word
 from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
@@ -180,7 +180,7 @@ def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
                 order[hole[1]] = NAMES[len(order)]
             words.append(order[hole[1]])
         else:
-            words += expanded(word)
+            words += expand_word(word)
     return Pair(tuple(words), tuple(order.get(token, token) for token in tokens))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from edge.jit import jit
 from edge.lab.eval.planning.executor import DONE, NOTHING, PlannerInput, PlanningProblem
-from edge.mission.planning.vitl import working_order
+from edge.mission.planning.vitl import order_of_relaxation
 
 MAX_VALUES = 1 << 18
 """Most entries of a table of values: 2 MiB."""
@@ -41,7 +41,7 @@ class Optimum:
         automaton = problem.automaton
         shape = (self._own + 1, self._others + 1, automaton.n_states)
         self.value, self.best = np.empty(shape), np.full(shape, DONE, np.int8)
-        order = working_order(automaton)
+        order = order_of_relaxation(automaton)
         least_costs(automaton.delta, problem.accepting, order, p_obs, self.value, self.best)
 
     def choose(self, situation: PlannerInput) -> int:
