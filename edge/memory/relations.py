@@ -27,10 +27,11 @@ TOUCHING_M = 0.4
 Surfaces are seen from some sides only, so it is more than 0."""
 MOST_DESCRIBED = 64
 """Largest number of labels whose descriptions are kept."""
-CONTAINERS = frozenset(
-    """bag barrel basket bucket buggy cage can case cart crate crib cot cubby drawer folder jar
-    locker packet pouch pram rack sack safe tin toolbox tray trolley tub wheelbarrow""".split()
-)
+_CONTAINERS = """
+    bag barrel basket bucket buggy cage can case cart crate crib cot cubby drawer folder jar locker
+    packet pouch pram rack sack safe tin toolbox tray trolley tub wheelbarrow
+"""
+CONTAINERS = frozenset(_CONTAINERS.split())
 """Things that may hold others and are not in the alias table."""
 
 Relation = Literal["", "next to", "nearest to", "on", "under", "in"]

@@ -41,7 +41,8 @@ PARTS = {
         (round|tour|turn|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
-    "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] [again|once more|one more time|"
+    "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] "
+            "[again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """

@@ -54,7 +54,8 @@ _CHECKS = compile_templates(
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
             {still} (there|in there)
-    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing> there
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing>
+            there
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
@@ -162,10 +163,13 @@ _RELATED = re.compile(
     rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
-# "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug, find either"
+# "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
+# either", "I lost the mug, look for it in the hall"
 _INTRODUCED = re.compile(
     r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
-    r"are missing|am missing|miss|can not (?:think|remember) where (?:i|we) (?:put|left)|(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) |either )?"
+    r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
+    r"(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) "
+    r"|either )?"
     rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
     r" (?:(?:should|must|ought to|will) be|is|are|was|were)(?: still| probably)*)?"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
@@ -243,7 +247,8 @@ _FIRST_REWRITES = (
     (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
-    (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
+     ", then"),
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
@@ -381,7 +386,7 @@ def _refuse_unknown_names(text: str) -> None:
             if not _is_name(name):
                 words = name.split()
                 odd = words[nouns.unknown_in(words) or 0]
-                slip = f" ({meant}?)" if (meant := nouns.meant(odd)) else ""
+                slip = f" ({meant}?)" if (meant := nouns.suggest_word(odd)) else ""
                 hint = f'not a known object{slip}; if it is one, write "{phrase}" in double quotes'
                 raise UnclearError(f"instruction: {name!r}: {hint}", name)
 

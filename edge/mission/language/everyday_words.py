@@ -21,7 +21,8 @@ _ROWS: dict[str, str] = {
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
         quickly; yes;
-        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you (go|toddle|trot|pop|run);
+        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you (go|
+        toddle|trot|pop|run);
         buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
         watch out; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
@@ -66,7 +67,8 @@ _ROWS: dict[str, str] = {
         (boy|robot|lad|girl|chap|fellow); to charge; (it|) starting (now|today); as of (now|today);
         (from|) end to end; (from|) top to bottom; of course; if (your|the) battery allows;
         whichever you (like|please|prefer); (while|when) you are at it; (all|) by yourself; yes;
-        (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|us) the (result|answer);
+        (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|
+        us) the (result|answer);
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
@@ -118,13 +120,15 @@ _ROWS: dict[str, str] = {
     """,
     # Other words for "go to" and "find", at the beginning of a clause.
     "go to": """
-(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
+(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|
+        drive|
         go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
         (on|along|round|quickly|right|
         straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
-        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for; head for;
+        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make
+        for; head for;
         set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|
         ) (at|by|into);
         i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
@@ -136,7 +140,8 @@ _ROWS: dict[str, str] = {
         (go|move|drive|get|come) (close|closer|next|up) to; (move|drive|get|come) near
     """,
     "find": """
-        make (a|) search (of|for);         track down; hunt (for|down|out); seek; seek out; spot; look out for; go find; go and find;
+        make (a|) search (of|for);         track down; hunt (for|down|out); seek; seek out; spot;
+        look out for; go find; go and find;
         go around and find; go around and (look|search) for;
         (find|look) for (me|us);
         search; search for; go search for; go and search for; go look for; go and look for; locate;
@@ -181,7 +186,8 @@ _ROWS: dict[str, str] = {
     "clock": """
         at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
         (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon);
-        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to); o'clock; oclock;
+        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to);
+        o'clock; oclock;
         on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
     """,
 }  # fmt: skip

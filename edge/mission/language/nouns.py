@@ -119,7 +119,8 @@ _EVERYDAY = """
     skipping|rope
     skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm smoke|detector snack
     snake snorkel snowman snow|globe soccer|ball socket socks soda soldering|iron spade sparkler
-    spatula spectacles sphygmomanometer spice|rack spider spill spill|kit spinner spool spray spray|bottle
+    spatula spectacles sphygmomanometer spice|rack spider spill spill|kit spinner spool spray
+    spray|bottle
     spring sprinkler squeegee squirrel stack stamp stencil stepladder step|ladder step|stool stereo
     stethoscope sticker stickers stickman stocking stockings stopwatch storage|box storybook
     story|book strainer strap strapping|machine straw strawberry stretcher stretch|wrap string

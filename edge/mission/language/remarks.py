@@ -11,14 +11,15 @@ from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _MAY_DIRECT = re.compile(
-    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! (?:just|got|has|had))|"
-    r"except|unless|if|until|"
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|"
+    r"only(?! (?:just|got|has|had))|except|unless|if|until|"
     r"before|after|instead|but|first|second|third|next|(?<!at )last|then|avoid|never|allow|allowed|"
     r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"
     r"insist|order|ask|tell|call|called|name|"
-    r"named|remember|find|which|whichever|whatever|either|order|ones?(?! \w+$| \w+ (?:is|are|has|have) )|both|twice|times|rounds?|"
+    r"named|remember|find|which|whichever|whatever|either|order|both|twice|times|rounds?|"
+    r"ones?(?! \w+$| \w+ (?:is|are|has|have) )|"
     r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
     r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"

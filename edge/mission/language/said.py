@@ -113,11 +113,10 @@ _IN_A_MISSION = ("keep_out", "stay_inside", "pause")  # `do` of orders that a mi
 _OBJECT_SLOTS = ("thing", "name", "anchor", "room")  # slots whose text must not be vague
 _ZONE_KINDS = ("keep_out", "stay_inside", "open")  # `do` of orders whose room may also be a site
 _QUESTION_REWRITES = (
-    (re.compile(rf"^(?:(?:somebody|someone|they|i think [a-z]+) \w+ )?({NAME}) ({phrase_of('relation')})"
-                rf" ({NAME}), (?:is that (?:right|true|so)|right|yes or no)(?=\?$)", re.I),
-     r"is \1 \2 \3"),
-    (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)(?= {phrase_of('relation')} [^.;:!]*\?$)",
-                re.I), r"\2 \1"),
+    (re.compile(rf"^(?:(?:somebody|someone) \w+ )?({NAME} {phrase_of('relation')} {NAME})"
+                r", (?:is that (?:right|true|so)|right|yes or no)(?=\?$)", re.I), r"is \1"),
+    (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)"
+                rf"(?= {phrase_of('relation')} [^.;:!]*\?$)", re.I), r"\2 \1"),
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),

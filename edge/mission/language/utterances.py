@@ -12,7 +12,8 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|yes or no|or (not|(did|has|have) ...)|(when|while|as) you [last] (were|was|drove|went|looked|
+        this (morning|afternoon|evening)|yes or no|or (not|(did|has|have) ...)|(when|while|as)
+                you [last] (were|was|drove|went|looked|
             came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
@@ -49,7 +50,8 @@ PARTS = {
             "set|keep in mind|know) [that|down]",
     "go": """
         [to|even|also]
-            (use|access|go|going|went|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+            (use|access|go|going|went|drive|driving|enter|entering|come|coming|move|moving|step|
+                roll|
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
         """,
@@ -72,7 +74,8 @@ PARTS = {
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (not ever|for (now|today|me|us|good|ever|always)|(it|starting|from) today|if you do not mind|from now on|anymore|any more|again|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever|always)|(it|starting|from) today|if
+                you do not mind|from now on|anymore|any more|again|
             ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|forever [and ever]|
@@ -84,7 +87,8 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|hold on|hold it|wait|stop|"
-             "everything|all|[no] i said (stop|wait)|like a statue|where you are|what you are doing|the robot|robot|okay]*",
+             "everything|all|[no] i said (stop|wait)|like a statue|"
+             "where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
@@ -222,7 +226,8 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|(scrap|drop) (the|this) name) [about]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|(scrap|drop) (the|this)
+                name) [about]
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
@@ -268,7 +273,8 @@ CONTROL = {
     """,
     "cancel": """
         {quit} [, {quit}]*
-            [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+            [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
+                somewhere else)]
         do nothing (more|else|further)
         [you (can|may)] forget [about] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
@@ -283,7 +289,8 @@ CONTROL = {
             do not (go|drive|rush|run) (on|off|away|any further|further|anywhere)|
             remain (there|where you are)|
             stop it|stop that) {there} {reason}
-        (pause|interrupt|suspend) {task} {there} [for a (bit|moment|second|sec|tick|while)] [for] [<span>]
+        (pause|interrupt|suspend) {task} {there} [for a (bit|moment|second|sec|tick|while)] [for]
+                [<span>]
         [make a|come to a] {halt} {there} [{halt} {there}]* {reason}
         (wait|stay|stop|do not move|stand|
             stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
@@ -323,7 +330,8 @@ IDIOMS = """
     [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|packed|crowded|slippery|
-            occupied|full|raining|noisy|emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
+            occupied|full|raining|noisy|emergency|hot|wet|dangerous|there anymore|busy|there any
+                more|loud|nap time|bedtime|fun)
             [now|today|again]*
     (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
