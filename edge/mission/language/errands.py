@@ -171,7 +171,7 @@ _INTRODUCED = re.compile(
     r"(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) "
     r"|either )?"
     rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
-    r" (?:(?:should|must|ought to|will) be|is|are|was|were)(?: still| probably)*)?"
+    r" (?:(?:should|must|ought to|will) be|is|are)(?: still| probably)*)?"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
     r"(?: (?:somewhere|anywhere|again))?"
     r"(?:[,.;!:]+|(?= (?:find|look|go|search)\b)) "
