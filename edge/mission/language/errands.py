@@ -387,7 +387,10 @@ def _refuse_unknown_names(text: str) -> None:
                 words = name.split()
                 odd = words[nouns.unknown_in(words) or 0]
                 slip = f" ({meant}?)" if (meant := nouns.suggest_word(odd)) else ""
-                hint = f'not a known object{slip}; if it is one, write "{phrase}" in double quotes'
+                hint = (
+                    f"not a known object or room{slip}; if it is an object, "
+                    f'write "{phrase}" in double quotes'
+                )
                 raise UnclearError(f"instruction: {name!r}: {hint}", name)
 
 
