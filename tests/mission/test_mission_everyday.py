@@ -30,7 +30,7 @@ EVERYDAY = {
     "everyday_c": 141,
     "everyday_d": 150,
     "everyday_e": 144,
-    "everyday_f": 111,
+    "everyday_f": 113,
 }
 """Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
@@ -210,6 +210,8 @@ def test_an_order_to_remember_must_say_as_what(said):
         ("find the mug, it is the red one", "find the mug, it is the red one", ()),
         ("landmark one is first, landmark two is second",
          "landmark one is first, landmark two is second", ()),
+        ("Let's play pirates and you go to the bed", "go to the bed", ()),
+        ("Pretend you're the castle guard and go to the bed", "go to the bed", ()),
         ("It is late so go to the bed", "go to the bed", ("It is late",)),
         ("find the mug, I don't know where it is", "find the mug", ("I do not know where it is",)),
         ('go to "no sorry the bed"', 'go to "no sorry the bed"', ()),
@@ -227,6 +229,7 @@ def test_speech_is_tidied(said, text, reasons):
         "there is no way through the sofa", "we are skipping the sofa", "there is also the sofa",
         "I start with the sofa", "the sofa is second", "I do not care which", "he said the sofa",
         "they are on the sofa", "I heard a noise go to the sofa", "I was wrong", "never the sofa",
+        "thank you for not visiting the sofa", "I want to tell you to skip the sofa",
     ],
 )  # fmt: skip
 def test_a_clause_that_may_direct_the_robot_is_no_remark(clause):

@@ -107,8 +107,8 @@ _PATROLS = compile_templates(
     {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
     {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
             all (day|night|the time)|over and over [again]|again and again)
-    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* keep (doing|repeating) (it|that|this)
-            [forever|over and over|again]*
+    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* (forever [and ever]|keep
+            (doing|repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,

@@ -47,7 +47,7 @@ _ROWS: dict[str, str] = {
         (forgive|pardon|excuse) me (for asking|) (again|) (but|); (i am|) sorry to (ask|bother you)
         (again|); but; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
-        as far as you (know|remember); be the guard and; be a guard and; come on;
+        as far as you (know|remember); come on;
         follow the plan and; please to
     """,
     "closing": """
@@ -65,7 +65,7 @@ _ROWS: dict[str, str] = {
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
         carefully; come on; good robot; pronto; asap; from now on; there is a good
         (boy|robot|lad|girl|chap|fellow); to charge; (it|) starting (now|today); as of (now|today);
-        (from|) end to end; (from|) top to bottom; of course; if (your|the) battery allows;
+        (from|) end to end; (from|) top to bottom; of course;
         whichever you (like|please|prefer); (while|when) you are at it; (all|) by yourself; yes;
         (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|
         us) the (result|answer);

@@ -61,7 +61,8 @@ _CORRECTION = (
 )
 _CORRECTS = re.compile(_CORRECTION, re.I)
 _OPENING = re.compile(
-    rf"(?:(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?:(?:let us play|pretend (?:(?:that )?you are|to be)|be) {NAME} and(?: you)? |"
+    rf"(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|hunt|have|please|you mind|stop|wait)\b))[ ,.!]*)+",

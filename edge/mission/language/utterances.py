@@ -323,10 +323,10 @@ IDIOMS = """
     [you are allowed to] (you|) (pick|choose|decide)
     [and] whichever you (please|like|prefer)
     [it] is all one to (me|us)
-    (i|we) want to (show|tell|give) you ...
-    thank (you|heavens|goodness|god) [for ...]
+    (i|we) want to show you <thing>
+    thank (heavens|goodness|god)
     you have done [quite|more than]* (enough|well) [today|now|already]*
-    (i|we) [do] not know where (it|he|she|they) ...
+    (i|we) [do] not know where (it|he|she|they) (is|are|went|hides|hide|(has|have) gone)
     [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
             (secret|cold|dark|late|urgent|important|packed|crowded|slippery|
@@ -359,6 +359,7 @@ REMARKS = """
             ...
     <thing> (starts|begins|arrives|ends) [now|soon|today]*
     it (has|had) (got|been) ...
+    thank you for ...
 """
 """Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
 ASSENTS = """
