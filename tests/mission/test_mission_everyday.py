@@ -161,7 +161,8 @@ def test_what_is_no_mission(said, found):
         "the kitchen is free now, you can go in there", "do not go to the kitchen before we leave",
         "you got to go to the kitchen", "is there no mug?", "tell me about the kitchen",
         "there is some bread on the desk", "you are in a very big bathroom", "it is raining",
-        "this is fun", "this place is crowded", "it is the red one", "drop the mug",
+        "this is fun", "this is the worst",
+        "this place is crowded", "it is the red one", "drop the mug",
         "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip

@@ -399,7 +399,8 @@ def _is_name(name: str) -> bool:
     words = bare(name).partition(" of ")[0].split()
     if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
         return True
-    return nouns.is_noun(words[-1]) and all(map(_modifies, words[:-1]))
+    head = next((i for i in range(len(words)) if nouns.is_noun(" ".join(words[i:]))), None)
+    return head is not None and all(map(_modifies, words[:head]))
 
 
 def _rewrite_outside_quotes(

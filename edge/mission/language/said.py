@@ -245,10 +245,11 @@ def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
 def _is_place_name(name: str) -> bool:
     """Return True if "this is the tea corner" names a place, unlike "this is fun"."""
     plain = bare(name)
-    definite = re.match(r"the ", name, re.I) and plain.split()[-1] not in NOWHERE
-    return bool(definite or nouns.is_place(plain) or is_marked(plain)) or bool(
-        re.fullmatch(phrase_of("room of"), plain)
-    )
+    last = plain.split()[-1]
+    if is_marked(plain) or re.fullmatch(rf".*\bcorner|{phrase_of('room of')}(?: area)?", plain):
+        return True
+    thing = name.lower().startswith("the ") and nouns.is_noun(last)
+    return last not in NOWHERE and (thing or nouns.is_place(plain))
 
 
 def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
