@@ -166,7 +166,8 @@ NEAR: dict[str, tuple[str, ...]] = {
 """Canonical name → other objects that look alike in one view; several views may separate them."""
 
 # For `singular`: irregular plural → singular.
-_PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch"}
+_PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch",
+            "cookies": "cookie"}  # fmt: skip
 # Nouns without a singular; "glasses" is one only as eyeglasses.
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")

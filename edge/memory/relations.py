@@ -27,6 +27,12 @@ TOUCHING_M = 0.4
 Surfaces are seen from some sides only, so it is more than 0."""
 MOST_DESCRIBED = 64
 """Largest number of labels whose descriptions are kept."""
+_CONTAINERS = """
+    bag barrel basket bucket buggy cage can case cart crate crib cot cubby drawer folder jar locker
+    packet pouch pram rack sack safe tin toolbox tray trolley tub wheelbarrow
+"""
+CONTAINERS = frozenset(_CONTAINERS.split())
+"""Things that may hold others and are not in the alias table."""
 
 Relation = Literal["", "next to", "nearest to", "on", "under", "in"]
 InstancesOf = Callable[[str], Sequence[Instance]]
@@ -123,10 +129,16 @@ def _split_off_room(phrase: str) -> tuple[str, str] | None:
     for word in (" in ", " inside "):
         thing, _, text = phrase.rpartition(word)
         room = names.normalise(text)
-        may_be_name = room and not names.is_known(room) and not _SPLIT.match(room)
+        may_be_name = room and not _is_thing(room) and not _SPLIT.match(room)
         if thing and (is_room_name(room) or may_be_name):
             return thing, room
     return None
+
+
+def _is_thing(name: str) -> bool:
+    """Return True if a name or its last word is a known thing: "toy box", "top drawer"."""
+    head = names.singular(name.rpartition(" ")[2])
+    return names.is_known(name) or names.is_known(head) or head in CONTAINERS
 
 
 def _split_off_ordinal(noun: str) -> tuple[int, str]:

@@ -31,7 +31,7 @@ ROOM_KINDS: dict[str, tuple[str, ...]] = {
     "nursery": ("children's room", "kids room"),
     "office": ("study", "home office", "work room", "workroom"),
     "storage room": ("storeroom", "store room", "pantry", "box room"),
-    "workshop": (),
+    "workshop": ("studio", "art room"),
 }  # fmt: skip
 """Kind of room → other words for it. No word appears twice."""
 

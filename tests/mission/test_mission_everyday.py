@@ -27,9 +27,10 @@ from edge.mission.spec import prepare, translate
 EVERYDAY = {
     "everyday": 150,
     "everyday_b": 149,
-    "everyday_c": 140,
+    "everyday_c": 141,
     "everyday_d": 150,
-    "everyday_e": 131,
+    "everyday_e": 144,
+    "everyday_f": 113,
 }
 """Name of a file of 150 sentences → least number that must be right."""
 NAMES = [item.name for item in SITE.items]
@@ -85,6 +86,17 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
             "When you came past, was there a bed in the hall?",
             MemoryQuestion("exists", "bed", "hall"),
         ),
+        ("Crates under the bed, yes or no?", MemoryQuestion("exists", "crates under the bed")),
+        (
+            "Someone put a box by the bed, is that right?",
+            MemoryQuestion("exists", "box by the bed"),
+        ),
+        (
+            "I was wondering if there's a mug in the office",
+            MemoryQuestion("exists", "mug", "office"),
+        ),
+        ("Which aisle's the ladder in?", MemoryQuestion("where", "ladder")),
+        ("When did you last see the mug?", MemoryQuestion("where", "mug")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
         ("Call this place the reading corner.", SiteOrder("place", "reading corner")),
@@ -106,6 +118,10 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("It is forbidden for you to enter in the hall, always.", SiteOrder("keep_out", "hall")),
         ("I don't want you going into the hall, not ever.", SiteOrder("keep_out", "hall")),
         ("Here is the tea corner, please to memorize.", SiteOrder("place", "tea corner")),
+        ("Infection's cleared, room 20 is no longer forbidden.", SiteOrder("open", "room 20")),
+        ("I'd rather you never went into the hall from now on.", SiteOrder("keep_out", "hall")),
+        ("It's called the den.", SiteOrder("room", "den")),
+        ("Scrap the name dock.", SiteOrder("forget", "dock")),
         # Control.
         ("Stop!", Control("pause")),
         ("Wait here a couple of minutes while I sit down.", Control("pause", 120.0)),
@@ -122,6 +138,9 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Oh, stop, stop please, that's quite enough.", Control("pause")),
         ("Wait there for ten minutes, will you, while I eat.", Control("pause", 600.0)),
         ("Cancel that, I found it.", Control("cancel")),
+        ("Oh goodness, do stop, I very nearly went over you!", Control("pause")),
+        ("Freeze, like in musical statues!", Control("pause")),
+        ("Pause for a sec.", Control("pause")),
     ],
 )
 def test_what_is_no_mission(said, found):
@@ -141,7 +160,10 @@ def test_what_is_no_mission(said, found):
         "you are not in the kitchen", "is the sofa red?", "this is not the office",
         "the kitchen is free now, you can go in there", "do not go to the kitchen before we leave",
         "you got to go to the kitchen", "is there no mug?", "tell me about the kitchen",
-        "there is some bread on the desk", "you are in a very big bathroom",
+        "there is some bread on the desk", "you are in a very big bathroom", "it is raining",
+        "this is fun", "this is the worst",
+        "this place is crowded", "it is the red one", "drop the mug",
+        "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip
 def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
@@ -153,6 +175,12 @@ def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
 )
 def test_several_things_at_once_are_refused(said):
     with pytest.raises(TranslationError, match="one thing at a time"):
+        understand(said, NAMES)
+
+
+@pytest.mark.parametrize("said", ["Remember the dock.", "save the mug and the bed"])
+def test_an_order_to_remember_must_say_as_what(said):
+    with pytest.raises(TranslationError, match="unclear what to remember; say 'remember this as"):
         understand(said, NAMES)
 
 
@@ -183,6 +211,10 @@ def test_several_things_at_once_are_refused(said):
         ("find the mug, it is the red one", "find the mug, it is the red one", ()),
         ("landmark one is first, landmark two is second",
          "landmark one is first, landmark two is second", ()),
+        ("Let's play pirates and you go to the bed", "go to the bed", ()),
+        ("Pretend you're the castle guard and go to the bed", "go to the bed", ()),
+        ("It is late so go to the bed", "go to the bed", ("It is late",)),
+        ("find the mug, I don't know where it is", "find the mug", ("I do not know where it is",)),
         ('go to "no sorry the bed"', 'go to "no sorry the bed"', ()),
     ],
 )  # fmt: skip
@@ -198,6 +230,7 @@ def test_speech_is_tidied(said, text, reasons):
         "there is no way through the sofa", "we are skipping the sofa", "there is also the sofa",
         "I start with the sofa", "the sofa is second", "I do not care which", "he said the sofa",
         "they are on the sofa", "I heard a noise go to the sofa", "I was wrong", "never the sofa",
+        "thank you for not visiting the sofa", "I want to tell you to skip the sofa",
     ],
 )  # fmt: skip
 def test_a_clause_that_may_direct_the_robot_is_no_remark(clause):

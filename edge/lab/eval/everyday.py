@@ -60,7 +60,8 @@ _ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
 _LEARN = (
     (r"forget", ("forget",)),
     (r"\b(?:lift|remove)|\b(?:may|can|allow(?:ed)?)\b.* again|^(?:re-?)?open", ("open",)),
-    (r"\bstay(?:ing)? (?:only |just )?(?:in|inside|within)\b|stay-inside|\b(?:not|never) leave",
+    (r"\bstay(?:ing)? (?:only |just )?(?:in|inside|within)\b|stay-inside|\bonly the\b"
+     r"|\b(?:not|never) leave",
      ("stay_inside",)),
     (r"\b(?:ban|forbid|forbidden|prohibited|not|never|avoid|off limits|closed)\b"
      r"|\b(?:keep|stay)[- ](?:out|away|off)|no[- ]go", ("keep_out",)),

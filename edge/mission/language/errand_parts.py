@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 PARTS = {
-    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but]",
+    "then": "[, and|, then|, and then|, and after|, and afterwards|, so|, but] "
+            "[you (must|have to|should|need to)]",
     "drive": """
         (go|drive|run|head|move|roll|walk|come|get|pop|nip|hurry|travel|return|hop|step|zip|swing|
         ride|rush|dash)
@@ -16,7 +17,7 @@ PARTS = {
     "check": """
         (check|see|look|look see|look and see|verify|find out|control|have a look|take a look|have
         a quick look|confirm|
-        double check|peek|inspect|have a peek|take a peek|tell me)
+        double check|peek|inspect|have a peek|take a peek|tell me|let me know)
         """,
     "still": "[still|really|actually|also|now|already|always]*",
     "at": "{still} [standing|lying|sitting|hanging|parked|placed] {still} "
@@ -40,7 +41,8 @@ PARTS = {
         (round|tour|turn|lap|loop|sweep|scan|search) (of|through|around|in)|
         (look|search|(take|have|make) a look) [around] (in|inside))
         """,
-    "time": "[, [only|for|during] <span> [long]] [again|once more|one more time|"
+    "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] "
+            "[again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
@@ -51,7 +53,7 @@ PARTS = {
         (do|run|drive|make) (laps|loops|circles|a (lap|loop|circle|circuit))|
         circle|loop|cycle|shuttle|alternate|
         (drive|go|run|move|walk) (around|round|up and down)|(go|drive|walk) between)
-        [between|of|in|through|around|from|at|to|on]
+        [between|of|in|through|around|round|from|at|to|on]
         """,
     "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
     "back": """

@@ -36,7 +36,7 @@ from edge.mission.language.places import (
     mark_places,
     restore_places,
 )  # fmt: skip
-from edge.mission.language.spans import number_of, seconds_of
+from edge.mission.language.spans import COUNT, DURATION, number_of, seconds_of
 from edge.mission.language.templates import END, STOP, compile_templates
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.unsupported import BEYOND_NAMES
@@ -54,6 +54,8 @@ _CHECKS = compile_templates(
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
             {still} (there|in there)
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing>
+            there
     {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
     {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
     {then} {goes} {check} {if} <thing> (is|are) {at}
@@ -102,16 +104,20 @@ _PATROLS = compile_templates(
     """
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
-    {patrol} <stops> , [for|during] <span> [long]
+    {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
     {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
             all (day|night|the time)|over and over [again]|again and again)
+    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* (forever [and ever]|keep
+            (doing|repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     """,
     PARTS,
 )
 _ROUNDS_FIRST = compile_templates(
-    "<count> {rounds} [of|between|around|through|from|in]* , <stops>", PARTS
+    "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
+    "<stops>",
+    PARTS,
 )
 _ERRAND_AND_BACK = compile_templates(
     """
@@ -122,7 +128,7 @@ _ERRAND_AND_BACK = compile_templates(
 )
 _STARTS = compile_templates(
     """
-    {then} ((come|go|get|drive|head|run|return|move) [back|home]*|back) to {home}
+    {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
     """,
@@ -157,18 +163,30 @@ _RELATED = re.compile(
     rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
 )
-# "we need the mug. Please find it."
+# "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
+# either", "I lost the mug, look for it in the hall"
 _INTRODUCED = re.compile(
-    r"^ (?:there (?:is|are)|(?:we|i) (?:need|want|am looking for|can not find|"
-    r"(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten))) "
-    rf"(?P<thing>{NAME})(?: {phrase_of('standing')})?(?: (?P<relation>{phrase_of('relation')}) "
-    rf"(?P<anchor>{NAME}))?(?: (?:somewhere|anywhere|again))?"
-    r"(?:[,.;!]+|(?= (?:find|look|go|search)\b)) "
-    r"(?:so |please |and |(?:can|could|would|will) you )*"
-    r"(?P<order>[^,.;!?]*?) (?:it|them)(?=[,.;!?]|$)",
+    r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
+    r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
+    r"(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) "
+    r"|either )?"
+    rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
+    r" (?:(?:should|must|ought to|will) be|is|are)(?: still| probably)*)?"
+    rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
+    r"(?: (?:somewhere|anywhere|again))?"
+    r"(?:[,.;!:]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |kindly |and |(?:can|could|would|will) you )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them|that|(?P<there>there)|(?P<any>either(?: of them)?|"
+    r"one of (?:them|these|those|this)|whichever(?: (?:one )?you (?:can )?find)?))(?: there)?"
+    rf"(?: (?P<later>{phrase_of('relation')}) (?P<at>{NAME}))?(?=[,.;!?]|$)",
     re.I,
 )
+_GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
 _FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
+# "reception, but not through the hall", "room 3 first, then room 5"
+_ROOM_FIRST = re.compile(
+    rf"^ (?P<name>{NAME})(?=(?: first)?(?:,? (?:and )?then |,? but |,? without )| first, )", re.I
+)
 # "find the mug, it should be on the desk"
 _HINTED = re.compile(
     rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
@@ -221,10 +239,17 @@ _FIRST_REWRITES = (
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(rf"[.;](?= (?:for )?{COUNT} (?:rounds|laps|loops|times)[.!]*$)", re.I), ","),
+    (re.compile(rf"^ (?:for|during) (?P<span>{DURATION}),? (?P<order>(?:patrol|explore|guard)\b"
+                r"[^.;!?]*)", re.I), r" \g<order> for \g<span>"),
+    (re.compile(r",? and (?:when|once|after) you (?:are|have) (?:finish|finished|done|ready),?"
+                r"(?= (?:go|come|drive|return|find|look|visit)\b)", re.I), ", then"),
     (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
-    (re.compile(r"(?:,|,? and) after(?= (?:go|come|drive|return|find|look)\b)", re.I), ", then"),
+    (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
+     ", then"),
+    (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
@@ -272,6 +297,8 @@ _UNCLEAR = (
     ),
 )
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
+_NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
+_BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 # The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
@@ -305,10 +332,11 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     # Patterns and the function that replaces a match. The order matters: each rule sees the text of
     # the rules before it, and none changes what is in quotes already.
     rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
-        ([_INTRODUCED], _rewrite_introduced),
         ([_HINTED], _rewrite_hinted),
         ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
+        ([_INTRODUCED], _rewrite_introduced),
+        ([_ROOM_FIRST], _rewrite_room_first),
         (_SEARCHES, _rewrite_search),
         (_PATROLS, _rewrite_patrol),
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
@@ -334,6 +362,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         for pattern in patterns:
             text = _rewrite_outside_quotes(pattern, change, text)
     text = _EXPLORED_TWICE.sub(r"\1", text)
+    _refuse_unknown_names(text)
     text = restore_places(text, known)
     text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
     for unclear, hint in _UNCLEAR:
@@ -342,6 +371,36 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
     refuse_impossible(text.strip())
     return text.strip()
+
+
+def _refuse_unknown_names(text: str) -> None:
+    """Refuse a quoted proposition with a word that is no known object, such as a typing error.
+
+    Raises:
+        UnclearError: there is such a word.
+    """
+    for phrase in text.split('"')[1::2]:
+        if _NO_OBJECT.match(phrase):
+            continue
+        for name in _BETWEEN_NAMES.split(phrase.removeprefix(f"{CHECK} ")):
+            if not _is_name(name):
+                words = name.split()
+                odd = words[nouns.unknown_in(words) or 0]
+                slip = f" ({meant}?)" if (meant := nouns.suggest_word(odd)) else ""
+                hint = (
+                    f"not a known object or room{slip}; if it is an object, "
+                    f'write "{phrase}" in double quotes'
+                )
+                raise UnclearError(f"instruction: {name!r}: {hint}", name)
+
+
+def _is_name(name: str) -> bool:
+    """Return True for a known name, or a new one for a kind of a known thing: "crash trolley"."""
+    words = bare(name).partition(" of ")[0].split()
+    if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
+        return True
+    head = next((i for i in range(len(words)) if nouns.is_noun(" ".join(words[i:]))), None)
+    return head is not None and all(map(_modifies, words[:head]))
 
 
 def _rewrite_outside_quotes(
@@ -372,8 +431,27 @@ def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
 
 def _rewrite_introduced(found: re.Match[str]) -> str | None:
     """Put the thing that the first clause names in place of the second clause's pronoun."""
-    where = _relation_text(found["relation"], found["anchor"])
-    return None if where is None else f" {found['order']} the {bare(found['thing'])}{where}"
+    slots = found.groupdict()
+    thing = bare(found["thing"])
+    relation, anchor = slots["relation"] or slots["later"], slots["anchor"] or slots["at"]
+    where = _relation_text(relation, anchor)
+    verb = thing == slots["thing"].lower() and TABLE.get((thing.split()[0],)) == "verb"
+    known = slots["opening"] or (_is_name(thing) and not verb)
+    if slots["relation"] and slots["later"]:
+        return None
+    if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
+        return None
+    other = f" or the {bare(slots['other'])}" if slots["other"] else ""
+    order = _GO_THERE.sub("go to", found["order"]) if slots["there"] else found["order"]
+    if slots["there"] and order == found["order"]:
+        return None
+    return f" {order} the {thing}{where}{other}"
+
+
+def _rewrite_room_first(found: re.Match[str]) -> str | None:
+    """Put "go to" before a room or place at the beginning."""
+    name = bare(found["name"])
+    return f" go to {_with_article(found['name'])}" if is_room(name) else None
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:

@@ -16,12 +16,13 @@ from edge.mission.language.places import is_marked
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
-    "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh",
+    "hesitation": "uh; um; er; erm; hmm; hm; uhm; mm; eh; yeah; yep",
     "opening": """
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
         quickly; yes;
-        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you go;
+        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you (go|
+        toddle|trot|pop|run);
         buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
         watch out; for now; first; today;
         (my|) (dear|love|darling|friend|sweetheart|sweetie);
@@ -38,9 +39,15 @@ _ROWS: dict[str, str] = {
         do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
         try to; you (had|would) better; let us; (is it|it is|would it be) possible (for you|) to;
         mind (that|) you;
-        i wonder if you could; why do not you; why do n't you; time to; in your memory;
+        i (wonder|was wondering) (if|whether) you (could|would|might)
+        (be so kind|be so good|) (as to|); i (would be|am) (much obliged|grateful|glad|happy) if you
+        (could|would|); (perhaps|maybe) you (could|would|might|can); you might (like|want) to;
+        i dare you to; is it possible; is possible (that|) you; wow; oops; goodness; dear me;
+        vroom; beep; whee; yay; (if it is|unless it is) not too much (bother|trouble);
+        (forgive|pardon|excuse) me (for asking|) (again|) (but|); (i am|) sorry to (ask|bother you)
+        (again|); but; why do not you; why do n't you; time to; in your memory;
         hurry up and; hurry and;
-        as far as you (know|remember); be the guard and; be a guard and; come on;
+        as far as you (know|remember); come on;
         follow the plan and; please to
     """,
     "closing": """
@@ -57,7 +64,11 @@ _ROWS: dict[str, str] = {
         that; you hear;
         will you please; all right; alright; for us; sir; friend; be careful; and be careful;
         carefully; come on; good robot; pronto; asap; from now on; there is a good
-        (boy|robot|lad|girl|chap|fellow); to charge;
+        (boy|robot|lad|girl|chap|fellow); to charge; (it|) starting (now|today); as of (now|today);
+        (from|) end to end; (from|) top to bottom; of course;
+        whichever you (like|please|prefer); (while|when) you are at it; (all|) by yourself; yes;
+        (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|
+        us) the (result|answer);
         for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
         (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
         (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
@@ -80,7 +91,7 @@ _ROWS: dict[str, str] = {
         canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard;
         aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom;
         ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
-        entrance hall; sunroom; studio
+        entrance hall; sunroom; studio; mezzanine; sluice
     """,
     # First words of rooms' names that are no names of things.
     "room of": """
@@ -109,25 +120,28 @@ _ROWS: dict[str, str] = {
     """,
     # Other words for "go to" and "find", at the beginning of a clause.
     "go to": """
-(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|drive|
+(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|
+        drive|
         go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
         (on|along|round|quickly|right|
         straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
         back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
         (to|into);
-        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make for;
+        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make
+        for; head for;
         set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|
         ) (at|by|into);
         i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
         (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
         place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
         (in|at|by|near|next to); go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to);
-        go visit; pay a visit to; take a trip to; go have a look at;
+        go visit; (pay|paid) a visit to; take a trip to; go have a look at;
         (take|get|bring|off) yourself (off|down|up|along) to;
         (go|move|drive|get|come) (close|closer|next|up) to; (move|drive|get|come) near
     """,
     "find": """
-        track down; hunt (for|down|out); seek; seek out; spot; look out for; go find; go and find;
+        make (a|) search (of|for);         track down; hunt (for|down|out); seek; seek out; spot;
+        look out for; go find; go and find;
         go around and find; go around and (look|search) for;
         (find|look) for (me|us);
         search; search for; go search for; go and search for; go look for; go and look for; locate;
@@ -172,7 +186,8 @@ _ROWS: dict[str, str] = {
     "clock": """
         at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
         (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon);
-        (after|before) (lunch|dinner|breakfast|supper); (half|quarter) (past|to); o'clock; oclock;
+        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to);
+        o'clock; oclock;
         on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
     """,
 }  # fmt: skip
@@ -260,7 +275,7 @@ NOWHERE = nouns.split_entries(
 # Words with which a name means no certain object.
 _UNNAMED = {
     "no", "other", "another", "same", "every", "each", "all", "both", "anything", "something",
-    "very", "really", "quite",
+    "very", "really", "quite", "whatever", "whichever",
 }  # fmt: skip
 
 

@@ -25,6 +25,9 @@ _PLACES = """
     roof room shed shop sidewalk stair stairs staircase station storeroom street studio study
     terrace aisle bay ward suite sector lane terminal cell block slot level
     storey
+    kitchenette washroom canteen stockroom mailroom cloakroom ballroom boardroom darkroom showroom
+    staffroom lunchroom guestroom stairwell sunroom mezzanine sluice loft carport parlor parlour
+    workroom hideout
     toilet|room wall waypoint wc workshop yard zone area region
     airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
     cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest
@@ -116,7 +119,8 @@ _EVERYDAY = """
     skipping|rope
     skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm smoke|detector snack
     snake snorkel snowman snow|globe soccer|ball socket socks soda soldering|iron spade sparkler
-    spatula spectacles sphygmomanometer spice|rack spider spill|kit spinner spool spray spray|bottle
+    spatula spectacles sphygmomanometer spice|rack spider spill spill|kit spinner spool spray
+    spray|bottle
     spring sprinkler squeegee squirrel stack stamp stencil stepladder step|ladder step|stool stereo
     stethoscope sticker stickers stickman stocking stockings stopwatch storage|box storybook
     story|book strainer strap strapping|machine straw strawberry stretcher stretch|wrap string

@@ -11,14 +11,15 @@ from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.utterances import ASSENTS, IDIOMS, REMARKS, STATES
 
 _MAY_DIRECT = re.compile(
-    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|only(?! just)|"
-    r"except|unless|if|until|"
-    r"before|after|instead|but|first|second|third|next|last|then|avoid|never|allow|allowed|"
+    r"\b(?:want|need|like|love|wish|would|should|must|shall|robot|let|"
+    r"only(?! (?:just|got|has|had))|except|unless|if|until|"
+    r"before|after|instead|but|first|second|third|next|(?<!at )last|then|avoid|never|allow|allowed|"
     r"prefer|mean|meant|hop(?:e|ed|ing)|expect|"
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"
     r"insist|order|ask|tell|call|called|name|"
-    r"named|remember|find|which|whichever|whatever|either|order|ones?|both|twice|times|rounds?|"
+    r"named|remember|find|which|whichever|whatever|either|order|both|twice|times|rounds?|"
+    r"ones?(?! \w+$| \w+ (?:is|are|has|have) )|"
     r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
     r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
     r"no|none|nobody|nothing|without)\b|"
@@ -35,7 +36,8 @@ _BEFORE_NO_VERB = re.compile(
 SUBORDINATE = (
     r"(?<!soon)(?<!far)(?<!long) (?=(?:because|cause|since|while|as|so|so that) "
     r"(?:i|we|he|she|they|somebody|someone|people|there|my|our)\b|"
-    r"(?:because|cause|since) (?:it|that|the)\b|"
+    r"(?:because|cause|since) (?:it|that|the|\w+ (?:is|are|was|has|have))\b|"
+    r"so (?:can|could|will|would) you\b|so (?:go|come|drive|find|check|look)\b|"
     r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
     r"(?:for|in order) to (?:know|learn|get to know) )"
 )
@@ -52,17 +54,18 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
     """
     if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
         return True
-    if _MAY_DIRECT.search(clause) or _has_order(clause.lower().split()):
+    if _MAY_DIRECT.search(clause) or has_order(clause.lower().split()):
         return False
     return first_match(_templates(REMARKS + STATES * states), clause) is not None
 
 
-def _has_order(words: list[str]) -> bool:
+def has_order(words: list[str]) -> bool:
     """Return True if a verb comes in its base form: "go", but not "a walk" or "is clean"."""
     return any(
         TABLE.get((word,)) in ("verb", "avoid")
         and word not in PAST
         and not word.endswith(("ed", "ing"))
+        and not (word.endswith("s") and TABLE.get((word[:-1],)) == "verb")
         and not _BEFORE_NO_VERB.match(before)
         for before, word in zip(["", *words], words, strict=False)
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, Union
 
+from edge.mission.language import nouns
 from edge.mission.language.everyday_words import (
     NAME,
     NOWHERE,
@@ -21,7 +22,8 @@ from edge.mission.language.everyday_words import (
     is_vague,
     phrase_of,
 )
-from edge.mission.language.remarks import is_remark
+from edge.mission.language.places import is_marked
+from edge.mission.language.remarks import has_order, is_remark
 from edge.mission.language.spans import seconds_of
 from edge.mission.language.templates import compile_templates, first_match
 from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
@@ -111,6 +113,10 @@ _IN_A_MISSION = ("keep_out", "stay_inside", "pause")  # `do` of orders that a mi
 _OBJECT_SLOTS = ("thing", "name", "anchor", "room")  # slots whose text must not be vague
 _ZONE_KINDS = ("keep_out", "stay_inside", "open")  # `do` of orders whose room may also be a site
 _QUESTION_REWRITES = (
+    (re.compile(rf"^(?:(?:somebody|someone) \w+ )?({NAME} {phrase_of('relation')} {NAME})"
+                r", (?:is that (?:right|true|so)|right|yes or no)(?=\?$)", re.I), r"is \1"),
+    (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)"
+                rf"(?= {phrase_of('relation')} [^.;:!]*\?$)", re.I), r"\2 \1"),
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
@@ -126,6 +132,10 @@ _GO_AND_LOOK = re.compile(
     re.I,
 )
 """The order, after a question, to go and look for the answer."""
+_REMEMBER = re.compile(
+    rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
+)
+"""An order to remember that does not say as what; the grammar would read a visit."""
 _SEVERAL_KINDS = "instruction: say one thing at a time: an errand, a question, or what to remember"
 
 
@@ -153,19 +163,25 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
         'keep_out'
     """
     speech = tidy_up(said)
-    if (kind := _classify(_without_punctuation(speech.text), sites)) is not None:
+    if (kind := _classify(speech.text, sites)) is not None:
         return kind
+    if _REMEMBER.fullmatch(speech.text):
+        raise UnclearError(
+            "instruction: unclear what to remember; say 'remember this as the …', or 'go to the …'"
+        )
     question, _, order = speech.text.partition("?")
     if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
-        asked = _classify(_without_punctuation(f"{question}?"), sites)
+        asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
             thing, room = asked.about, asked.room
             check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
             return MissionOrder(replace(speech, text=check))
     pieces = [strip_politeness(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
-    kinds = [_classify(_without_punctuation(piece), sites) for piece in pieces]
+    kinds = [_classify(piece, sites) for piece in pieces]
     known = [kind for kind in kinds if kind is not None]
+    if Control("pause") in known and not any(map(_may_be_order, pieces, kinds)):
+        return Control("pause")  # "Oh dear, stop, I nearly fell over you!"
     if not known or (None in kinds and all(_may_be_in_a_mission(kind) for kind in known)):
         return MissionOrder(speech)
     if None not in kinds and all(kind == known[0] for kind in known):
@@ -180,41 +196,76 @@ def _may_be_in_a_mission(kind: UtteranceKind) -> bool:
     return isinstance(kind, (SiteOrder, Control)) and kind.do in _IN_A_MISSION
 
 
+def _may_be_order(piece: str, kind: UtteranceKind | None) -> bool:
+    """Return True if a piece may say more than to stop."""
+    if kind is not None:
+        return kind != Control("pause")
+    words = piece.lower().split()
+    named = is_room(bare(piece)) or nouns.unknown_in(bare(piece).split()) is None
+    return named or has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)
+
+
+def _as_question(text: str) -> str:
+    """Return a question with the word order of questions; other texts stay as they are.
+
+    Without its question mark "There is a mug?" would be a statement: it becomes "is there a mug".
+    "My keys, are they on the desk?" becomes "are My keys on the desk".
+    """
+    for stated, asked in _QUESTION_REWRITES:
+        text = stated.sub(asked, text)
+    return text
+
+
 def _without_punctuation(text: str) -> str:
     """Return the text without commas and without its final mark.
 
     A full stop within the text becomes a separate word ".", so that no slot extends over it.
-    First, questions get the word order of questions, because without its question mark "There is a
-    mug?" would be a statement: "is there a mug". "My keys, are they on the desk?" becomes "are My
-    keys on the desk".
     """
-    for stated, asked in _QUESTION_REWRITES:
-        text = stated.sub(asked, text)
     text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
     return " ".join(text.split())
 
 
 def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
-    """Return the first kind whose template fits the whole text; None for a mission."""
+    """Return the first kind whose template fits the whole text; None for a mission.
+
+    No slot extends over a comma: "it is over, room 6 is open again" is not about "over room 6".
+    """
+    asked = _as_question(text)
+    plain = _without_punctuation(asked)
     for kind, patterns in _templates().items():
         for pattern in patterns:
-            slots = first_match([pattern], text)
-            if slots is not None and _slots_fit(slots, sites if kind in _ZONE_KINDS else ()):
+            slots = first_match([pattern], plain)
+            if slots is None or not all(slot in asked for slot in slots.values()):
+                continue
+            if _slots_fit(kind, slots, sites):
                 return _make_kind(kind, slots)
     return None
 
 
-def _slots_fit(slots: Mapping[str, str], sites: Collection[str]) -> bool:
+def _is_place_name(name: str) -> bool:
+    """Return True if "this is the tea corner" names a place, unlike "this is fun"."""
+    plain = bare(name)
+    last = plain.split()[-1]
+    if is_marked(plain) or re.fullmatch(rf".*\bcorner|{phrase_of('room of')}(?: area)?", plain):
+        return True
+    thing = name.lower().startswith("the ") and nouns.is_noun(last)
+    return last not in NOWHERE and (thing or nouns.is_place(plain))
+
+
+def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
     """Return True if each slot has a name of its kind.
 
     Args:
+        kind: topic or `do` of the template.
         slots: slot -> its text.
-        sites: names that are allowed in the slot `room`, in addition to kinds of rooms.
+        sites: names that are allowed in the slot `room` of a zone, in addition to kinds of rooms.
     """
     room = bare(slots.get("room", ""))
-    if room and not is_room(room) and room not in sites:
+    if room and not is_room(room) and not (kind in _ZONE_KINDS and room in sites):
         return False
     if "within" in slots and not is_room(bare(slots["within"])):
+        return False
+    if kind == "stated" and not _is_place_name(slots["name"]):
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
@@ -242,6 +293,6 @@ def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
         span = slots.get("span")
         return Control(kind, seconds_of(span) if span else None)  # type: ignore[arg-type]
     name = bare(slots.get("site", slots.get("name", ""))) or room
-    if kind == "place" and is_room(name):
-        kind = "room"
+    if kind in ("place", "stated"):
+        kind = "room" if is_room(name) else "place"
     return SiteOrder(kind, name)  # type: ignore[arg-type]

@@ -18,14 +18,15 @@ from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
-_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is"}
+_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
+           "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
 _APOSTROPHE_IS = re.compile(
-    r"(?<=\d)'s (?=\w+ed\b)|"
+    r"(?<=\w)'s (?=\w+ed\b(?! \w))|(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
-    r"fine|enough|good|"
+    r"fine|enough|good|over|up|"
     r"asleep|here|wet|dirty|sick|hot|cold|dark|\w+ing|"
     r"finished|done|coming|going|backing|blocked|busy)\b|"
-    rf"{phrase_of('relation')} )",
+    rf"(?:the|an?|my|our) |{phrase_of('relation')} )",
     re.I,
 )
 """An `'s` that means "is": "the kitchen's closed"."""
@@ -34,9 +35,9 @@ _HESITATION = re.compile(
 )
 # Words that a speaker may say twice: "the the".
 _SMALL = (
-    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|are|was|were|there|this|"
+    "(?:the|an?|my|room|to|and|or|in|into|of|on|at|i|you|we|he|she|they|it|is|am|are|was|were|there|this|"
     "that|here|for|then|with|where|what|can|could|would|do|did|have|please|go|come|find|look|stop|"
-    "wait|no|not|never|me|from|ever)"
+    "wait|no|not|never|me|from|ever|with|without)"
 )
 # First words of a clause that a speaker may begin twice: "go to go to".
 _BEGINS = (
@@ -51,7 +52,7 @@ _REPEATED = re.compile(
 """One to four words that a speaker says twice: "where is the where is the"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
-    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)})",
+    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
     re.I,
 )
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""
@@ -60,10 +61,11 @@ _CORRECTION = (
 )
 _CORRECTS = re.compile(_CORRECTION, re.I)
 _OPENING = re.compile(
-    rf"(?:(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?:(?:let us play|pretend (?:(?:that )?you are|to be)|be) {NAME} and(?: you)? |"
+    rf"(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
-    r"do (?=(?:go|come|find|check|look|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
+    r"do (?=(?:go|come|find|check|look|hunt|have|please|you mind|stop|wait)\b))[ ,.!]*)+",
     re.I,
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{phrase_of('closing')})+[ .!?]*$", re.I)
@@ -73,7 +75,9 @@ _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.
-_REFERS = re.compile(r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again)\b", re.I)
+_REFERS = re.compile(
+    r"\b(?:it|they|them|he|she|him|her|ones?|there|in again|enter again|is that)\b", re.I
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +130,7 @@ def tidy_up(utterance: str) -> TidySpeech:
     text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
+    text = re.sub(r"[ ,]+:(?= )", ":", text)
     unrepeated = _REPEATED.sub(r"\1\2", text)
     uncorrected = strip_politeness(_LIKE.sub("", unrepeated))
     corrected = _apply_corrections(uncorrected)

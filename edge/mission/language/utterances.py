@@ -12,7 +12,8 @@ PARTS = {
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|(when|while|as) you [last] (were|was|drove|went|looked|
+        this (morning|afternoon|evening)|yes or no|or (not|(did|has|have) ...)|(when|while|as)
+                you [last] (were|was|drove|went|looked|
             came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
         (got|gone|run off) to|ended up|[do] you (know|remember)|have you]*
@@ -27,10 +28,11 @@ PARTS = {
            "[have|had|did|ever|already|just|last|recently|by [any] chance|maybe|happen to]*",
     "tell": """
         [(when|while|as) you (came|went|were|drove|passed|looked|got|walked) [past|by|through|
-            around|about|there|in there|out|last|earlier|this way|over there]*]
+            around|about|there|in there|out|last|earlier|this way|over there|the (place|house)]*]
         [can you|could you] [please] (explain [me|to me]|i [do] wish i knew|tell me|say [me]|know|
             show me|do you [still] (know|remember)|you know|
-        [i wonder|any idea|i want to know|remind me|you remember|do you happen to (know|remember)|
+        [i wonder|any idea|i want to know|remind me|you remember|i was wondering|
+            [do|would] [you] [would] [not] happen to (know|remember|recall)|
         have you any idea])
         """,
     "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
@@ -39,8 +41,7 @@ PARTS = {
     # Orders to learn.
     "here": """
         ((the|this|this here) (spot|place|position|location|point|corner|area|aisle|bay)|this|
-            here|it|where (you|
-            we) are|
+            here|where (you|we) are|what you are [standing] in|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -49,7 +50,8 @@ PARTS = {
             "set|keep in mind|know) [that|down]",
     "go": """
         [to|even|also]
-            (use|access|go|going|drive|driving|enter|entering|come|coming|move|moving|step|roll|
+            (use|access|go|going|went|drive|driving|enter|entering|come|coming|move|moving|step|
+                roll|
         wander|get|getting|be|run|back|inside|into|in) [never|ever|back]
         [in|into|inside|to|over|near|at|on|through]*
         """,
@@ -64,15 +66,16 @@ PARTS = {
     "not": """
         [you|robot|robots|the robot] (do not [you dare|you|ever|dare]|never [ever]|
         (must|may|can|should|shall|will) not|not [may|can|should]|
-        (are|have) not (allowed|supposed|permitted|welcome)|are (forbidden|banned)
+        (are|have) (not|never [ever]) (allowed|supposed|permitted|welcome)|are (forbidden|banned)
             [from]|no [more]|
         it is (forbidden|prohibited|not allowed|not permitted) [for you|that you]|forbidden|
         (i|we) (do not want|will not have) you|
-        (i|we) would (rather|prefer) [that] you (did not|do not|not))
+        (i|we) would (rather|prefer) [that] you (did not|do not|not|never))
         [allowed|supposed|permitted|welcome]* [to|anymore|ever]*
         """,
     "while": """
-        [, [and|so] (not ever|for (now|today|me|us|good|ever)|from now on|anymore|any more|again|
+        [, [and|so] (not ever|for (now|today|me|us|good|ever|always)|(it|starting|from) today|if
+                you do not mind|from now on|anymore|any more|again|
             ever|at all|
         now|always|today|at the moment|no matter what|any longer|okay|alone|under any circumstances|
         until (further notice|tomorrow|tonight|later)|forever [and ever]|
@@ -84,7 +87,8 @@ PARTS = {
     # Control.
     "there": "[please|right|there|here|now|just|it|still|a bit|for me|for now|at once|immediately|"
              "moving|driving|hold on|hold it|wait|stop|"
-             "everything|where you are|what you are doing|the robot|robot|okay]*",
+             "everything|all|[no] i said (stop|wait)|like a statue|"
+             "where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
     "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
@@ -142,9 +146,12 @@ QUESTIONS = {
         {tell} where ((can|could|do|should|would|will|might) (i|we)|(i|we) (can|could)) (find|see|
             get|look for|go for)
             <thing>
-        {tell} [in] (which|what) room [there] (is|are|was|were) <thing> [in] {last}
+        {tell} [in] (which|what) (room|aisle|bay|ward|cupboard|drawer) [there] (is|are|was|were)
+            <thing> [in] {last}
         {tell} (which|what) room (has|have) <thing> [in it] {last}
         {tell} where did <thing> (go|end up|get to|go to)
+        {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <thing> (is|are) in
+        {tell} when {you} {seen} <thing> {last}
         {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
             misplaced|am looking for|
@@ -160,7 +167,7 @@ QUESTIONS = {
         (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
         {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
         any <thing> [left|still]* <relation> <anchor> {last}
-        (do you know if|do you know whether) there (is|are) <thing> {in} {last}
+        {tell} (if|whether) there (is|are) <thing> {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
@@ -169,7 +176,6 @@ QUESTIONS = {
         {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor>
             [(in|inside) <within>] {last}
         {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
-        do you (know|remember) if there (is|are) <thing> {in} {last}
         how many <thing> {you} {seen} {in} {last}
         how many <thing> are there {in} {last}
         you have not {seen} [any|my]* <thing> {in} {last}
@@ -182,7 +188,7 @@ QUESTIONS = {
 ORDERS = {
     "stay_inside": """
         [you|must|should|have to|only|just|always]* (stay|remain|keep|drive|move|be)
-            [only|just|always] (inside|in|within) ({this_room}|<room>) [only] {while}
+            [only|just|always]* (inside|in|within) ({this_room}|<room>) [only] {while}
         {not} (leave|leaving|go out of|going out of|go outside|go outside of|get out of|exit|
             drive out of) ({this_room}|<room>) {while}
     """,
@@ -190,6 +196,7 @@ ORDERS = {
         [you|must|should|have to|need to|to|always|better]* {away} [of|from] <room> {while}
         [you|must|should|have to]* avoid [going|to go] [to|into|in|through] <room> {while}
         {not} {go} <room> {while}
+        [to|for] you is (forbidden|prohibited|not allowed) <room> {while}
         no (robots|robot|entry|access|going) [in|into|to|inside|for robots]* <room> {while}
         (in|into|to|inside) <room> {not} (go|enter|drive|be|come) {while}
         <room> (is|are|has|have|was|were) ... ({away} [out] [of it|from it|of there|there]|
@@ -206,7 +213,7 @@ ORDERS = {
         {may} {go} <room> (again|freely|as before|as you like) [now|again]* {reason}
         [from now on|now]* {may} again {go} <room> [now]
         <room> (is|are) (open|free|allowed|accessible|okay|ok|available|fine|clear|permitted)
-            [for you|to enter] again [for you|now]*
+            [for you|to enter] again [for you|now]* [, (the|that|this) ban is (lifted|over|gone)]
         <room> (is|are) (open|free|okay|ok|fine|clear|clean|dry|empty|done|finished|ready)
             [again|now]* {may} [go|drive|come|enter|get|be|back]*
             [there|in there|in it|in|it|inside] again
@@ -219,7 +226,8 @@ ORDERS = {
             (anymore|any more|any longer|now)
     """,
     "forget": """
-        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn) [about]
+        [you (can|may|could|should)] (forget|delete|remove|erase|unlearn|(scrap|drop) (the|this)
+                name) [about]
             [the (place|room|zone|spot|name)] [called|named]
             <site> [from your (map|memory|list)|from the map|from memory|as a place|from (your|the)
             (places|list|memory|map)] {while}
@@ -240,9 +248,12 @@ ORDERS = {
         the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
-        {here} (is|is called|is named|will be|shall be) [now|called|from now on] <name>
+        {here} (is called|is named|will be called|shall be called) <name>
         make {here} <name>
         (we|i) call {here} <name>
+    """,
+    "stated": """
+        {here} (is|will be|shall be) [now|from now on] <name>
     """,
 }
 """`do` of `SiteOrder` → its templates."""
@@ -262,7 +273,8 @@ CONTROL = {
     """,
     "cancel": """
         {quit} [, {quit}]*
-            [, you are (done|finished)|, (i|we) (need|want) you (elsewhere|here|somewhere else)]
+            [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
+                somewhere else)]
         do nothing (more|else|further)
         [you (can|may)] forget [about] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
@@ -277,7 +289,8 @@ CONTROL = {
             do not (go|drive|rush|run) (on|off|away|any further|further|anywhere)|
             remain (there|where you are)|
             stop it|stop that) {there} {reason}
-        (pause|interrupt|suspend) {task} {there} [for] [<span>]
+        (pause|interrupt|suspend) {task} {there} [for a (bit|moment|second|sec|tick|while)] [for]
+                [<span>]
         [make a|come to a] {halt} {there} [{halt} {there}]* {reason}
         (wait|stay|stop|do not move|stand|
             stand still|pause|remain|hold [on|up]|hang on|rest|park|sit
@@ -286,7 +299,7 @@ CONTROL = {
             hold [your] position|stay put|hold it|give (me|us)|take a break|make a pause)
             [right here|right there|here|there|in here|in place|on the spot|where you are|for me|me|
             still|please|just|stop|in this (spot|place)|at this (spot|place)|exactly|
-            for a (bit|moment|second|while)|a (bit|moment|second|sec|while)]*
+            for a (bit|moment|second|sec|tick|while)|a (bit|moment|second|sec|while)]*
             [for] [<span>] [here|there|please|now|more|longer|then]* {reason}
     """,
 }
@@ -307,10 +320,19 @@ IDIOMS = """
     [and|then|after that]* you are (done|finished|free)
     (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
-    you (pick|choose|decide)
+    [you are allowed to] (you|) (pick|choose|decide)
+    [and] whichever you (please|like|prefer)
+    [it] is all one to (me|us)
+    (i|we) want to show you <thing>
+    thank (heavens|goodness|god)
+    you have done [quite|more than]* (enough|well) [today|now|already]*
+    (i|we) [do] not know where (it|he|she|they) (is|are|went|hides|hide|(has|have) gone)
+    [the] (order|sequence) (does not matter|is (equal|up to you))
     (it|that|this) (is|was) [a|very|so|too|really|not|getting]*
-            (secret|cold|dark|late|urgent|important|
-            emergency|hot|wet|dangerous|there anymore|busy|there any more|loud|nap time|bedtime|fun)
+            (secret|cold|dark|late|urgent|important|packed|crowded|slippery|
+            occupied|full|raining|noisy|emergency|hot|wet|dangerous|there anymore|busy|there any
+                more|loud|nap time|bedtime|fun)
+            [now|today|again]*
     (you|it) (are|will|is|would) [going to|not] (run into|bump into|hit|crash|squash|break|hurt|
             scare|fall|knock|crush|wake|in the way|in my way|too (fast|loud|close)) ...
     [so|so that] you (know|learn|remember|will know|get to know) (what|who|where|your|the place|
@@ -333,8 +355,11 @@ REMARKS = """
     [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
             really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
             upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
-            waiting|here)
+            waiting|here|over|starting|beginning|arriving|gone|full|packed|crowded)
             ...
+    <thing> (starts|begins|arrives|ends) [now|soon|today]*
+    it (has|had) (got|been) ...
+    thank you for ...
 """
 """Statements that give no order if no word of theirs directs the robot; see `remarks.is_remark`."""
 ASSENTS = """
