@@ -56,6 +56,7 @@ from edge.config.ros2 import Ros2Config
 from edge.config.section import Section
 from edge.config.sim import (
     SimConfig,
+    WorldFurnished,
     WorldGenerated,
     WorldHouse,
     WorldMesh,
@@ -123,6 +124,7 @@ __all__ = [
     "TranslatorLlm",
     "TranslatorLtl",
     "TranslatorModel",
+    "WorldFurnished",
     "WorldGenerated",
     "WorldHouse",
     "WorldMesh",

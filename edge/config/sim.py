@@ -57,6 +57,24 @@ class WorldGenerated(Section):
     seed: Annotated[int, Field(ge=0)] = 0
 
 
+class WorldFurnished(Section):
+    """A generated or ProcTHOR house with textured furniture (extra `worlds`; docs/worlds.md).
+
+    Attributes:
+        house: the house whose walls and places for furniture are used.
+        seed: number of the choice of furniture and light. Seeds from 1000 on are for evaluation
+            only.
+        catalogue: folder with furniture catalogues of Sweet Home 3D (.sh3f).
+    """
+
+    kind: Literal["furnished"] = "furnished"
+    house: Annotated[Union[WorldGenerated, WorldProcthor], Field(discriminator="kind")] = (
+        WorldGenerated()
+    )
+    seed: Annotated[int, Field(ge=0)] = 0
+    catalogue: str = "/usr/share/sweethome3d/furniture"
+
+
 class WorldStreet(Section):
     """A generated street with houses, cars, trees, poles, bins and benches.
 
@@ -84,7 +102,7 @@ class SimConfig(Section):
     """
 
     world: Annotated[
-        Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated, WorldStreet],
+        Union[WorldHouse, WorldMesh, WorldProcthor, WorldGenerated, WorldFurnished, WorldStreet],
         Field(discriminator="kind"),
     ] = WorldHouse()
     start: tuple[float, float, float] | None = None

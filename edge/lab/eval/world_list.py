@@ -18,8 +18,12 @@ from edge.lab.sim.worlds import load_world
 WorldSection = dict[str, Any]
 """Value of `sim.world` in a configuration."""
 
-WORLD_FORMS = "FILE.jsonl.gz[0:75], generated[1000:1050], house:NAME, MESH.glb,OBJECTS.json"
+WORLD_FORMS = (
+    "FILE.jsonl.gz[0:75], generated[1000:1050], furnished[1000:1050], "
+    "furnished:FILE.jsonl.gz[0:75], house:NAME, MESH.glb,OBJECTS.json"
+)
 _SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
+_FURNISHED = "furnished"
 _MAX_SEEDS = 100_000
 _KEPT_WORLDS = 2  # in the cache
 
@@ -29,7 +33,8 @@ def world_sections(specs: Sequence[str]) -> list[WorldSection]:
 
     Args:
         specs: each has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated
-            houses by seed, a built-in house or a house's file, or a mesh with its objects.
+            houses by seed, both also with textured furniture, a built-in house or a house's file,
+            or a mesh with its objects.
 
     Raises:
         UserError: a spec has another form, or its range is empty.
@@ -38,6 +43,13 @@ def world_sections(specs: Sequence[str]) -> list[WorldSection]:
 
 
 def _sections_of(spec: str) -> list[WorldSection]:
+    if spec.startswith(f"{_FURNISHED}[") or spec.startswith(f"{_FURNISHED}:"):
+        plain = spec.removeprefix(_FURNISHED)
+        houses = _sections_of(plain[1:] if plain[0] == ":" else f"generated{plain}")
+        # A generated house and its furniture have the same seed.
+        return [
+            {"kind": "furnished", "house": house, "seed": house.get("seed", 0)} for house in houses
+        ]
     matched = _SPEC.match(spec)
     name, ranged = matched["name"], matched["first"] is not None
     if name.endswith((".jsonl", ".jsonl.gz")):

@@ -60,6 +60,18 @@ class Faces:
     texels: np.ndarray
     levels: np.ndarray
 
+    @classmethod
+    def join(
+        cls, parts: list[tuple[np.ndarray, ...]], node_names: list[str], atlas: Atlas
+    ) -> Faces:
+        """Return the triangles of several results of `face_arrays` with the same atlas."""
+        return cls(
+            *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)),
+            node_names=node_names,
+            texels=np.concatenate(atlas.texels),
+            levels=np.array(atlas.levels, np.int64),
+        )
+
 
 def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
     """Load a mesh (z up, metres) and the list of its objects.
@@ -84,7 +96,8 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         faces = read_faces(scene)
     except (ValueError, KeyError, IndexError, OSError) as error:
         raise WorldError(f"{path}: not a readable mesh: {error}") from None
-    return MeshWorld(path.stem, faces, read_objects(resources.expand(section.objects)), config)
+    items = read_objects(resources.expand(section.objects))
+    return MeshWorld(path.stem, faces, *objects_of(faces, items, config.robot.height_m), config)
 
 
 def read_objects(path: Path) -> list[dict[str, Any]]:
@@ -117,7 +130,7 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
     return items
 
 
-class _Atlas:
+class Atlas:
     """Textures one after another, each with its smaller copies (mipmap levels).
 
     Attributes:
@@ -167,23 +180,17 @@ def read_faces(scene: Any) -> Faces:
     Raises:
         ValueError: the scene has no triangles.
     """
-    atlas, parts, node_names = _Atlas(), [], []
+    atlas, parts, node_names = Atlas(), [], []
     for node_name in scene.graph.nodes_geometry:
         T, geometry_name = scene.graph[node_name]
-        parts.append(_face_arrays(scene.geometry[geometry_name], T, atlas, len(node_names)))
+        parts.append(face_arrays(scene.geometry[geometry_name], T, atlas, len(node_names)))
         node_names.append(node_name)
     if not parts:
         raise ValueError("the file has no triangles")
-    joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
-    return Faces(
-        *joined,
-        node_names=node_names,
-        texels=np.concatenate(atlas.texels),
-        levels=np.array(atlas.levels, np.int64),
-    )
+    return Faces.join(parts, node_names, atlas)
 
 
-def _face_arrays(mesh: Any, T: np.ndarray, atlas: _Atlas, node: int) -> tuple[np.ndarray, ...]:
+def face_arrays(mesh: Any, T: np.ndarray, atlas: Atlas, node: int) -> tuple[np.ndarray, ...]:
     """Return the arrays of `Faces` from `triangles` to `node`, for one geometry placed at `T`."""
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
@@ -241,19 +248,28 @@ class MeshWorld:
     Args:
         name: of the world.
         faces: all triangles.
-        items: the objects as `read_objects` returns them.
+        objects: the objects.
+        owner: (n,) uint16, id of the object that each triangle belongs to; 0 for the building.
         config: robot and camera.
+        rooms: see `edge.lab.sim.base.World`.
+        room_kinds: see `edge.lab.sim.base.World`.
     """
 
     def __init__(
-        self, name: str, faces: Faces, items: list[dict[str, Any]], config: Config
+        self,
+        name: str,
+        faces: Faces,
+        objects: list[WorldObject],
+        owner: np.ndarray,
+        config: Config,
+        rooms: tuple[Room, ...] = (),
+        room_kinds: tuple[str, ...] = (),
     ) -> None:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         self.name = name
-        self.rooms: tuple[Room, ...] = ()
-        self.room_kinds: tuple[str, ...] = ()
+        self.rooms, self.room_kinds = rooms, room_kinds
         self._faces = faces
         self._depth_range_m = (
             config.sensors.camera.depth_min_m,
@@ -261,7 +277,7 @@ class MeshWorld:
         )
         self._scene = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, faces.triangles)
-        self.objects, self._owner = _objects_of(faces, items, config.robot.height_m)
+        self.objects, self._owner = objects, owner
         self.plan = self._floor_plan(config.robot.height_m)
         self.start = self._roomiest_pose()
         # The last camera, and the rays through its pixels.
@@ -355,7 +371,7 @@ def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
     return near.reshape(rows, cols)
 
 
-def _objects_of(
+def objects_of(
     faces: Faces, items: list[dict[str, Any]], reach_m: float
 ) -> tuple[list[WorldObject], np.ndarray]:
     """Return the objects, and the id of the object that each face belongs to (0 = structure).

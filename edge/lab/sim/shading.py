@@ -186,3 +186,12 @@ def shade(
             rgb[v, u, 0] = np.uint8(min(255.0, color[i, 0] * light * fr))
             rgb[v, u, 1] = np.uint8(min(255.0, color[i, 1] * light * fg))
             rgb[v, u, 2] = np.uint8(min(255.0, color[i, 2] * light * fb))
+
+
+@jit(error_model="numpy")
+def bake(kind, texel_m, out):
+    """Fill `out` (n, n, 3) float32 with a texture's colour factors, one texel per `texel_m`."""
+    for row in range(out.shape[0]):
+        for col in range(out.shape[1]):
+            a, b = col * texel_m, row * texel_m
+            out[row, col] = _texture(kind, a, b, a, b, 0.0, texel_m)

@@ -8,6 +8,7 @@ from typing import Any
 from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.sim.base import World
+from edge.lab.sim.furnished import load_furnished
 from edge.lab.sim.generator.house import load_generated
 from edge.lab.sim.house import load_house
 from edge.lab.sim.mesh import load_mesh
@@ -15,6 +16,7 @@ from edge.lab.sim.procthor import load_procthor
 from edge.lab.sim.street import load_street
 
 LOADERS: dict[str, Callable[[Any, Config], World]] = {
+    "furnished": load_furnished,
     "generated": load_generated,
     "house": load_house,
     "mesh": load_mesh,

@@ -1,0 +1,369 @@
+"""Houses with textured furniture from a catalogue, in place of boxes (extra `worlds`).
+
+The walls and the places of the furniture are those of a generated or ProcTHOR house. Each object is
+replaced by a model of the same name, or by another model of about its size: so there are things
+that look alike, and names that no table of ours has. Small objects are put on tables and cabinets.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from edge import names
+from edge.config import Config, WorldFurnished
+from edge.host import resources
+from edge.lab.sim import shading
+from edge.lab.sim.base import WorldError, WorldObject
+from edge.lab.sim.boxworld import BoxWorld
+from edge.lab.sim.catalogue import CatalogueModel, load_model, read_catalogue
+from edge.lab.sim.generator.contents import SUPPORTS
+from edge.lab.sim.generator.house import load_generated
+from edge.lab.sim.generator.rng import PortableRng
+from edge.lab.sim.mesh import Atlas, Faces, MeshWorld, face_arrays, objects_of
+from edge.lab.sim.procthor import load_procthor
+
+_RNG_KEY = 33
+_OTHER_P = 0.35
+"""Probability that an object is replaced by a model of another name."""
+_SCALES = (0.7, 1.15)
+"""Least and largest factor on the size of a model, so that it fits its place."""
+_LEAST_FILL = 0.4
+"""A model of another name covers at least this share of the object's floor."""
+_HEIGHTS = (0.45, 1.6)
+"""Least and largest height of a model of another name, as a factor on the object's."""
+_LOW_M = 0.05  # lower objects are flat: carpets and mats
+_ON_TOP_M = 0.15  # largest gap between an object and what it stands on
+_MAX_SMALL = 3  # most small objects that are put on a piece of furniture
+_SMALL_M = 0.45  # largest extent of such an object
+_EDGE_M = 0.03  # gap between such objects, and to the edge
+_SECTIONS = ("Living room", "Kitchen", "Bedroom", "Bathroom", "Office", "Miscellaneous", "Lights")
+"""Sections of the catalogue whose models stand in houses."""
+_NOT_IN_HOUSES = frozenset({"ceiling fan", "deer", "fence", "street light", "tatami"})
+_SUPPORTS = frozenset(map(names.canonical, (*SUPPORTS, "table", "bookcase", "countertop")))
+_TEXTURE_PX, _TEXEL_M = 256, 0.01  # of floors and walls
+_LIGHT = (0.85, 1.2)
+"""Least and largest factor on all colours of a house."""
+_WARMTH = 0.08
+"""Largest share by which red and blue of the light differ from green."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedModel:
+    """A model at its place.
+
+    Attributes:
+        model: the model.
+        x_m, y_m, z_m: middle of its lower side.
+        yaw_rad: direction of its front.
+        scale: factor on the size that the catalogue gives.
+    """
+
+    model: CatalogueModel
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    scale: float
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Depth, width and height."""
+        depth, width, height = self.model.size_m
+        return depth * self.scale, width * self.scale, height * self.scale
+
+    @property
+    def top_m(self) -> float:
+        """Height above the floor on which other objects stand."""
+        top = self.model.top_m
+        return self.z_m + self.scale * (self.model.size_m[2] if top is None else top)
+
+    @property
+    def T_map_model(self) -> np.ndarray:
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        T = np.diag([self.scale, self.scale, self.scale, 1.0])
+        T[:3, :3] = self.scale * np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        T[:3, 3] = self.x_m, self.y_m, self.z_m
+        return T
+
+    def holds(self, x_m: float, y_m: float) -> bool:
+        """Return True if the point is above its footprint."""
+        x, y = self.to_local(x_m, y_m)
+        return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
+
+    def to_local(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Return a point of the map, seen from its middle: ahead and to its left."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        dx, dy = x_m - self.x_m, y_m - self.y_m
+        return c * dx + s * dy, c * dy - s * dx
+
+    def to_map(self, ahead_m: float, left_m: float) -> tuple[float, float]:
+        """Return the point of the map that is that far ahead of its middle, and to its left."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return self.x_m + c * ahead_m - s * left_m, self.y_m + s * ahead_m + c * left_m
+
+
+def load_furnished(section: WorldFurnished, config: Config) -> MeshWorld:
+    """Load a house, furnished with the models of a catalogue; the same for a seed everywhere.
+
+    Raises:
+        WorldError: an extra is not installed, or the catalogue or the house cannot be read.
+    """
+    try:
+        import embreex  # noqa: F401
+        import trimesh  # noqa: F401
+    except ImportError as error:
+        raise WorldError(
+            f"{config.locate('sim.world.kind')}: furnished needs {error.name}, which is not "
+            "installed; run: pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, "
+            "such as generated"
+        ) from None
+    house = section.house
+    boxes = (
+        load_generated(house, config) if house.kind == "generated" else load_procthor(house, config)
+    )
+    models = read_catalogue(resources.expand(section.catalogue))
+    rng = PortableRng(_RNG_KEY, section.seed, zlib.crc32(boxes.name.encode()))
+    placed = Furnisher(models, rng).furnish(boxes, fronts_known=house.kind == "generated")
+    name = f"furnished-{section.seed}-{boxes.name}"
+    faces, items = _build(boxes, placed, _draw_light(rng))
+    objects, owner = objects_of(faces, items, config.robot.height_m)
+    world = MeshWorld(name, faces, objects, owner, config, boxes.rooms, boxes.room_kinds)
+    if world.plan.clearance_at(boxes.start.x_m, boxes.start.y_m) > config.robot.radius_m:
+        world.start = boxes.start
+    return world
+
+
+class Furnisher:
+    """Chooses and places the models of a house.
+
+    Args:
+        models: of the catalogue.
+        rng: draws all choices.
+    """
+
+    def __init__(self, models: tuple[CatalogueModel, ...], rng: PortableRng) -> None:
+        self._rng = rng
+        self._models = [
+            m for m in models if m.section in _SECTIONS and m.label not in _NOT_IN_HOUSES
+        ]
+        self._meant: dict[str, list[CatalogueModel]] = {}
+        self._small = [
+            m for m in self._models if m.bottom_m == 0.0 and _LOW_M < max(m.size_m) <= _SMALL_M
+        ]
+
+    def furnish(self, boxes: BoxWorld, fronts_known: bool) -> list[PlacedModel]:
+        """Return the models in place of the objects of a house, and small objects on them.
+
+        Args:
+            boxes: the house.
+            fronts_known: True if its objects face along their own x axis. False: they face the
+                middle of the room.
+        """
+        standing: list[PlacedModel] = []
+        raised: list[PlacedModel] = []
+        for item in sorted(boxes.objects, key=_bottom_m):
+            below, bottom_m = _support(boxes.objects, item), _bottom_m(item)
+            hung = bottom_m > _LOW_M and below is None
+            turns = [item] if fronts_known else _facing(item, boxes)
+            placed = self._replace(turns, hung)
+            if placed is None:
+                continue
+            if below is None:
+                (raised if hung else standing).append(placed)
+                continue
+            holder = next((p for p in standing if p.holds(placed.x_m, placed.y_m)), None)
+            if holder is not None and _fits_on(placed, holder):
+                raised.append(replace(placed, z_m=holder.top_m))
+        for holder in standing:
+            if holder.model.label in _SUPPORTS:
+                raised += self._put_on(holder, [p for p in raised if holder.holds(p.x_m, p.y_m)])
+        return [*standing, *raised]
+
+    def _replace(self, turns: list[WorldObject], hung: bool) -> PlacedModel | None:
+        """Return a model in place of an object; None if no model fits.
+
+        Args:
+            turns: the object, in each direction that it may face, the best one first.
+            hung: True if it is on a wall.
+        """
+        rng, item = self._rng, turns[0]
+        same = self._same(item.label)
+        sections = {m.section for m in same} or {"Living room", "Miscellaneous"}
+        other = [
+            m for m in self._models
+            if m.section in sections and m not in same and (m.bottom_m > 0.0) == hung
+        ]  # fmt: skip
+        groups = [
+            [m for m in same if any(_scale(m, turn, hung) for turn in turns)],
+            [m for m in other if any(_looks_like(m, turn, hung) for turn in turns)],
+        ]
+        if rng.chance(_OTHER_P):
+            groups.reverse()
+        choices = groups[0] or groups[1]
+        if not choices:
+            return None
+        model = rng.pick(choices)
+        turn = next(turn for turn in turns if _scale(model, turn, hung))
+        scale = _scale(model, turn, hung)
+        # The back stays where the object's back was: at the wall.
+        behind_m = 0.5 * (turn.size_m[0] - scale * model.size_m[0])
+        x_m = turn.center_m[0] - behind_m * math.cos(turn.yaw_rad)
+        y_m = turn.center_m[1] - behind_m * math.sin(turn.yaw_rad)
+        return PlacedModel(model, x_m, y_m, max(_bottom_m(turn), 0.0), turn.yaw_rad, scale)
+
+    def _same(self, label: str) -> list[CatalogueModel]:
+        """Return the models that a name means: a dining table is a table, too."""
+        if label not in self._meant:
+            self._meant[label] = [
+                m for m in self._models if m.label == label or names.is_kind_of(label, m.label)
+            ]
+        return self._meant[label]
+
+    def _put_on(self, holder: PlacedModel, taken: list[PlacedModel]) -> list[PlacedModel]:
+        """Return small objects at free places on top of a piece of furniture."""
+        rng, on_top = self._rng, list(taken)
+        for _ in range(rng.count(0, _MAX_SMALL)):
+            model = rng.pick(self._small)
+            reach_m = 0.5 * math.hypot(*model.size_m[:2]) + _EDGE_M
+            free_x, free_y = (0.5 * side - reach_m for side in holder.size_m[:2])
+            at = rng.between(-free_x, free_x), rng.between(-free_y, free_y)
+            yaw_rad = rng.between(-math.pi, math.pi)
+            if min(free_x, free_y) < 0.0:
+                continue
+            x_m, y_m = holder.to_map(*at)
+            if all(
+                math.hypot(p.x_m - x_m, p.y_m - y_m) > reach_m + 0.5 * math.hypot(*p.size_m[:2])
+                for p in on_top
+            ):
+                on_top.append(PlacedModel(model, x_m, y_m, holder.top_m, yaw_rad, 1.0))
+        return on_top[len(taken) :]
+
+
+def _bottom_m(item: WorldObject) -> float:
+    return item.center_m[2] - 0.5 * item.size_m[2]
+
+
+def _scale(model: CatalogueModel, item: WorldObject, hung: bool) -> float:
+    """Return the factor with which a model fits into an object's place; 0 if it does not."""
+    if not hung and (item.size_m[2] < _LOW_M) != (model.size_m[2] < _LOW_M):
+        return 0.0
+    # On a wall, width and height matter; on the floor, depth and width.
+    sides = (1, 2) if hung else (0, 1)
+    scale = min(_SCALES[1], *(item.size_m[k] / max(model.size_m[k], 1e-3) for k in sides))
+    return scale if scale >= _SCALES[0] else 0.0
+
+
+def _looks_like(model: CatalogueModel, item: WorldObject, hung: bool) -> bool:
+    """Return True if a model of another name fills an object's place."""
+    scale = _scale(model, item, hung)
+    filled = [scale * a / b for a, b in zip(model.size_m, item.size_m, strict=True)]
+    if hung:
+        return filled[1] * filled[2] >= _LEAST_FILL
+    return filled[0] * filled[1] >= _LEAST_FILL and _HEIGHTS[0] <= filled[2] <= _HEIGHTS[1]
+
+
+def _facing(item: WorldObject, boxes: BoxWorld) -> list[WorldObject]:
+    """Return an object of unknown front in all directions, those to its room's middle first."""
+    inside = [
+        (0.5 * (x0 + x1), 0.5 * (y0 + y1))
+        for room in boxes.rooms
+        for x0, y0, x1, y1 in room
+        if x0 <= item.center_m[0] <= x1 and y0 <= item.center_m[1] <= y1
+    ]
+    x_m, y_m = inside[0] if inside else item.center_m[:2]
+    dx, dy = x_m - item.center_m[0], y_m - item.center_m[1]
+    turns = []
+    for quarter in range(4):
+        yaw_rad = item.yaw_rad + 0.5 * math.pi * quarter
+        depth, width, height = item.size_m
+        size_m = (width, depth, height) if quarter % 2 else item.size_m
+        towards = math.cos(yaw_rad) * dx + math.sin(yaw_rad) * dy
+        turns.append((-towards, quarter, replace(item, yaw_rad=yaw_rad, size_m=size_m)))
+    return [turn for *_, turn in sorted(turns, key=lambda each: each[:2])]
+
+
+def _support(objects: list[WorldObject], item: WorldObject) -> WorldObject | None:
+    """Return the object on the floor that an object stands on, or None."""
+    bottom_m = _bottom_m(item)
+    if bottom_m <= _LOW_M:
+        return None
+    for other in objects:
+        gap_m = bottom_m - other.center_m[2] - 0.5 * other.size_m[2]
+        stands = other is not item and _bottom_m(other) <= _LOW_M and gap_m < _ON_TOP_M
+        if stands and other.distance_m(*item.center_m[:2]) == 0.0:
+            return other
+    return None
+
+
+def _fits_on(placed: PlacedModel, holder: PlacedModel) -> bool:
+    return placed.size_m[0] * placed.size_m[1] <= holder.size_m[0] * holder.size_m[1]
+
+
+def _draw_light(rng: PortableRng) -> np.ndarray:
+    """Draw the colour of the light, as (3,) factors on red, green and blue."""
+    warmth = rng.between(-_WARMTH, _WARMTH)
+    return rng.between(*_LIGHT) * np.array([1.0 + warmth, 1.0, 1.0 - warmth], np.float32)
+
+
+def _build(
+    boxes: BoxWorld, placed: list[PlacedModel], light: np.ndarray
+) -> tuple[Faces, list[dict[str, Any]]]:
+    """Return all triangles of the house, and its objects as `read_objects` returns them."""
+    atlas = Atlas()
+    node_names = ["structure"]
+    parts = [face_arrays(part, np.eye(4), atlas, 0) for part in _structure(boxes)]
+    items: list[dict[str, Any]] = []
+    for number, each in enumerate(placed, start=1):
+        T, node = each.T_map_model, len(node_names)
+        own = [face_arrays(part, T @ T_part, atlas, node) for part, T_part in load_model(each.model)]
+        if not own:
+            continue
+        parts += own
+        node_names.append(f"{each.model.label}-{number}")
+        corners = np.concatenate([part[0].reshape(-1, 3) for part in own])
+        items.append({
+            "name": node_names[-1], "category": each.model.label, "yaw": each.yaw_rad,
+            "aabb_min": corners.min(axis=0), "aabb_max": corners.max(axis=0),
+        })  # fmt: skip
+    faces = Faces.join(parts, node_names, atlas)
+    np.multiply(faces.tint, light, out=faces.tint)
+    return faces, items
+
+
+def _structure(boxes: BoxWorld) -> list[Any]:
+    """Return floors, walls and ceilings as trimesh boxes with the textures of `shading`."""
+    import trimesh
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
+
+    images: dict[int, Any] = {}
+    parts = []
+    for k in np.flatnonzero(boxes.owner == 0):
+        kind = int(boxes.texture[k])
+        if kind not in images:
+            factors = np.empty((_TEXTURE_PX, _TEXTURE_PX, 3), np.float32)
+            shading.bake(kind, _TEXEL_M, factors)
+            images[kind] = Image.fromarray(np.clip(200.0 * factors, 0, 255).astype(np.uint8))
+        x, y, z, half_x, half_y, half_z, c, s = boxes.geometry[k]
+        half = np.array([half_x, half_y, half_z])
+        corners, uv = [], []
+        for axis in range(3):
+            across, along = np.delete(half, axis)
+            for side in (-1.0, 1.0):
+                quad = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (across, along)
+                corners.append(np.insert(quad, axis, side * half[axis], axis=1))
+                uv.append(quad / (_TEXTURE_PX * _TEXEL_M))
+        vertices = np.concatenate(corners)
+        turned = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]]) + (x, y, z)
+        quads = np.arange(24).reshape(6, 4)
+        triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+        color = np.append(np.clip(boxes.color[k] * 255.0 / 200.0, 0, 255), 255).astype(np.uint8)
+        material = PBRMaterial(baseColorTexture=images[kind], baseColorFactor=color)
+        visual = trimesh.visual.TextureVisuals(uv=np.concatenate(uv), material=material)
+        parts.append(trimesh.Trimesh(turned, triangles, visual=visual, process=False))
+    return parts
