@@ -45,13 +45,19 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--worlds", nargs="+", metavar="WORLDS",
         help="worlds to run in: houses 0 to 74 of a ProcTHOR file (FILE.jsonl.gz[0:75]), "
-        "generated houses by seed (generated[1000:1050]), a built-in house (house:NAME) or a mesh "
-        "with its objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)",
+        "generated houses by seed (generated[1000:1050]), both also with textured furniture "
+        "(furnished[1000:1050], furnished:FILE.jsonl.gz[0:75]), a built-in house (house:NAME) or "
+        "a mesh with its objects (MESH.glb,OBJECTS.json) (default: the configuration's sim.world)",
     )  # fmt: skip
     option(
         "--targets", metavar="NAME,NAME,…",
-        help="objects to find; `common` means sixteen large objects of most homes; a target that "
-        "a world lacks is skipped there (default with --worlds: common)",
+        help="objects to find; `common` means sixteen large objects of most homes, `vocabulary` "
+        "all names of $EDGE_VOCABULARY; a target that a world lacks is skipped there (default with "
+        "--worlds: common)",
+    )  # fmt: skip
+    option(
+        "--min-size", type=float, default=0.0, metavar="M",
+        help="with --worlds, skip targets whose objects are all smaller than this, in m (default: 0)",
     )  # fmt: skip
     option(
         "--starts",

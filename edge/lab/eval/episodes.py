@@ -154,6 +154,7 @@ def plan(
     seed: int,
     min_distance_m: float,
     per_world: int | None = None,
+    min_size_m: float = 0.0,
 ) -> list[Episode]:
     """Plan episodes: seeded starts for targets in worlds.
 
@@ -167,6 +168,7 @@ def plan(
         seed: of the random starts.
         min_distance_m: shortest allowed path from a start to its target.
         per_world: at most this number of episodes in a world, drawn at random.
+        min_size_m: in several worlds, a name all of whose objects are smaller is no target.
 
     Raises:
         UserError: a world cannot be loaded, or no episode is possible.
@@ -175,7 +177,7 @@ def plan(
     for setup in world_setups(config, worlds):
         if not worlds:
             return _plan_in_world(setup, targets, starts, seed, min_distance_m, strict=True)
-        labels = [o.label for o in setup.world.objects]
+        labels = [o.label for o in setup.world.objects if max(o.size_m) >= min_size_m]
         present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
         try:
             found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)

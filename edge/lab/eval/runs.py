@@ -23,6 +23,8 @@ from edge.lab.eval.sessions import plan_sessions
 from edge.lab.eval.workers import EpisodeJob, outcomes_of
 from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
+from edge.names import canonical
+from edge.perception.embedding.text import find_vocabulary, load_vocabulary
 
 EPISODES_NAME = "episodes.jsonl"
 DEFAULT_TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
@@ -160,9 +162,7 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     if args.episodes is not None:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.world_sections(args.worlds or ())
-    names = args.targets or ("common" if worlds else DEFAULT_TARGETS)
-    targets = eps.COMMON_TARGETS if names == "common" else [t.strip() for t in names.split(",")]
-    targets = [target for target in targets if target]
+    targets = _targets(args.targets or ("common" if worlds else DEFAULT_TARGETS))
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
     if args.goals is not None:
@@ -178,10 +178,19 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         )
         return planned[: args.limit]
     planned = eps.plan(
-        config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world
-    )
+        config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world,
+        args.min_size,
+    )  # fmt: skip
     planned = planned[: args.limit]
     return with_zones(config, planned, args.seed) if args.zones else planned
+
+
+def _targets(asked: str) -> Sequence[str]:
+    if asked == "common":
+        return eps.COMMON_TARGETS
+    if asked == "vocabulary":
+        return list(dict.fromkeys(map(canonical, load_vocabulary(find_vocabulary(None))[0])))
+    return [name for target in asked.split(",") if (name := target.strip())]
 
 
 def _outcome_line(number: int, total: int, o: EpisodeOutcome) -> str:
