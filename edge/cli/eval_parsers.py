@@ -57,7 +57,7 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--min-size", type=float, default=0.0, metavar="M",
-        help="with --worlds, skip targets whose objects are all smaller than this, in m (default: 0)",
+        help="with --worlds: least size of a target, in m (default: 0)",
     )  # fmt: skip
     option(
         "--starts",
