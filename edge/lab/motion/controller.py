@@ -386,7 +386,7 @@ class Controller:
             return STOP
         log.info("robot stuck at (%.2f, %.2f) m: backing up or turning", pose.x_m, pose.y_m)
         self._last_recovery_at, held = pose, self._held_at
-        held_here = held is not None and pose.distance_to(held.x_m, held.y_m) < AGAIN_CONTACT_M
+        held_here = held is not None and pose.distance_to(held.x_m, held.y_m) < REPEAT_CONTACT_M
         trail = None if held_here else self._trail
         self._recovery = Recovery(pose, self._map, trail, self._limits, now_ns)
         return STOP

@@ -320,7 +320,9 @@ def _build(
     items: list[dict[str, Any]] = []
     for number, each in enumerate(placed, start=1):
         T, node = each.T_map_model, len(node_names)
-        own = [face_arrays(part, T @ T_part, atlas, node) for part, T_part in load_model(each.model)]
+        own = [
+            face_arrays(part, T @ T_part, atlas, node) for part, T_part in load_model(each.model)
+        ]
         if not own:
             continue
         parts += own

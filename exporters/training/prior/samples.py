@@ -40,7 +40,8 @@ class Samples:
         house: (n,) int32, number of the house.
         near: (n, m) bool, objects seen near the place, in line of sight.
         in_region: (n, m) bool, objects seen in the place's region.
-        in_adjacent: (n, m) bool, objects seen in the neighbouring region (see `rooms.adjacent_regions`).
+        in_adjacent: (n, m) bool, objects seen in the neighbouring region; see
+            `rooms.adjacent_regions`.
         kind: (n,) int8, kind of the room that most of the region belongs to; -1 for none.
         wanted: (n, m) bool, objects of the house that were not seen yet.
         found: (n, m) bool, wanted objects near the place, in line of sight.
