@@ -215,6 +215,8 @@ class RoomMemory:
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
         )
+        self._votes: dict[tuple[int, str], np.ndarray] = {}  # of `_votes_version`
+        self._votes_version = 0
         self._names: tuple[RoomName, ...] = ()
         self._visited: set[int] = set()
         self._generation = -1  # `TrackedObjects.generation` of the last update
@@ -359,11 +361,15 @@ class RoomMemory:
     def votes(self, room: MappedRoom, kind: str) -> np.ndarray:
         """Return how much the objects near each of a room's points speak for a kind, (j,) float64.
 
-        See `evidence`.
+        See `evidence`. The result is computed once for each `version`: each tick asks for it.
         """
-        xy_m, weights = self.evidence(room, kind)
-        distance_m = np.hypot(*(room.points_m[:, None] - xy_m).transpose(2, 0, 1))
-        return np.exp(-distance_m / _VOTE_M) @ weights
+        if self._votes_version != self.version:
+            self._votes, self._votes_version = {}, self.version
+        if (room.id, kind) not in self._votes:
+            xy_m, weights = self.evidence(room, kind)
+            distance_m = np.hypot(*(room.points_m[:, None] - xy_m).transpose(2, 0, 1))
+            self._votes[room.id, kind] = np.exp(-distance_m / _VOTE_M) @ weights
+        return self._votes[room.id, kind]
 
     # -- frames and checkpoints ----------------------------------------------------------------
 
