@@ -87,7 +87,7 @@ _JOURNAL = {
     **_object(
         "edge.Journal",
         entries=_list(_object("edge.Entry", n=_INTEGER, kind=_TEXT)),
-        said=_object("edge.Said"),
+        decisions=_object("edge.Decisions"),
     ),
     "required": ["entries"],
     "description": "docs/recording.md",
