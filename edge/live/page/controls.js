@@ -92,7 +92,7 @@ function offer(request, readings) {
     : "Is this what you mean?");
   $("readings").replaceChildren(...readings.map((text, i) => {
     const button = make("button", { text: `${i + 1}. ${text}`, type: "button" });
-    button.addEventListener("click", () => begin({ ...said, reading: i + 1 }));
+    button.addEventListener("click", () => begin({ ...request, reading: i + 1 }));
     return button;
   }));
 }
@@ -104,7 +104,7 @@ async function begin(request) {
   say("new-ok", "Understanding…");
   clearError();
   try {
-    const answer = await post("mission/request", { do: "new", ...said });
+    const answer = await post("mission/request", { do: "new", ...request });
     $("words").value = "";
     dialog.close();
     toast(textOf(answer));
@@ -127,7 +127,7 @@ $("ask").addEventListener("submit", async (event) => {
   $("answer").className = "";
   say("answer", "…");
   try {
-    say("answer", textOf(await post("mission/request", { do: "new", ...said })));
+    say("answer", textOf(await post("mission/request", { do: "new", ...request })));
     $("sentence").value = "";
   } catch (error) {
     say("answer", error.message);
