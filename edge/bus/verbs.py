@@ -76,7 +76,7 @@ def check_text(name: str, text: object, limit: int = MAX_CHARS) -> str:
     if len(text) > limit:
         raise ValueError(f"{name}: {len(text)} characters, at most {limit} are allowed")
     if any("\ud800" <= c <= "\udfff" for c in text):
-        raise ValueError(f"{name}: not Unicode text: it holds half of a surrogate pair")
+        raise ValueError(f"{name}: not Unicode text; send it as UTF-8")
     return text
 
 

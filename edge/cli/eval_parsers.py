@@ -179,7 +179,8 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     )
     option(
         "--p-obs", type=probabilities, default=_P_OBS, metavar="P,P,…",
-        help="probabilities to try that one exploration finds its target (default: 0.1,0.2,…,1.0)",
+        help="values to try for the probability that one exploration finds its target (default: "
+        "0.1,0.2,…,1.0)",
     )  # fmt: skip
     option(
         "--planners",

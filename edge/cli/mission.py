@@ -68,7 +68,11 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
 def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Add the options of `new`; return those only without `--fleet`, and those only with it."""
     kind = action.add_mutually_exclusive_group()
-    kind.add_argument("--formula", action="store_true", help="read the text as a formula (LTL)")
+    kind.add_argument(
+        "--formula",
+        action="store_true",
+        help="read the text as an LTL formula (default: as an instruction)",
+    )
     kind.add_argument(
         "--task", action="store_true", help="read the text as a description of a path to drive"
     )

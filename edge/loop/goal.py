@@ -592,7 +592,7 @@ class GoalTracker:
             if state in ("reached", "failed"):
                 self._discard(now_ns)
         elif status is not None and state == "failed":
-            self._event(f"goal failed: {status.reason}", now_ns)
+            self._event(f"goal failed: {status.reason or 'no reason given'}", now_ns)
             self._discard(now_ns)
         elif goal.kind == "frontier" and (
             state == "reached"

@@ -321,7 +321,8 @@ def cloud_of(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     depth, camera = observation.depth_m, observation.camera
     if depth is None or camera is None or depth.shape != (camera.height_px, camera.width_px):
         raise ValueError(
-            f"observation {observation.seq}: neither a cloud nor depth of the camera's size"
+            f"observation {observation.seq}: it has neither a cloud nor a depth image of the same "
+            "size as the camera's"
         )
     stride = max(1, int(np.ceil(np.sqrt(depth.size / MAX_DEPTH_POINTS))))
     z = depth[::stride, ::stride]

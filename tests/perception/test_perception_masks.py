@@ -190,7 +190,7 @@ def test_detections_outlive_a_segmenter_that_fails(seen, caplog):
     assert masker.status()["failed"] == 2
     assert masker.status()["last_error"] == "RuntimeError: no luck"
     assert len(caplog.messages) == 1
-    assert "segmenter fake: RuntimeError: no luck; its boxes are used without masks" in caplog.text
+    assert "segmenter fake: RuntimeError: no luck; boxes are used without masks" in caplog.text
 
 
 def test_an_observation_without_an_image_has_no_masks(make_observation):

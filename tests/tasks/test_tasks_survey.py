@@ -207,7 +207,7 @@ def test_depth_is_a_cloud_too():
 
 @pytest.mark.parametrize("depth", [None, np.zeros((3, 4), np.float32)])
 def test_without_cloud_and_depth_there_are_no_points(depth):
-    with pytest.raises(ValueError, match="neither a cloud nor depth"):
+    with pytest.raises(ValueError, match="it has neither a cloud nor a depth image"):
         cloud_of(Observation(1, 0, np.eye(4), depth_m=depth))
 
 

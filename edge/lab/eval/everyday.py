@@ -102,14 +102,24 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
     """
     try:
         with open_regular(path) as file:
-            cases = [json.loads(line) for line in file.read().decode().splitlines() if line.strip()]
-        for case in cases:
-            if not isinstance(case["said"], str) or not isinstance(case["expect"], str):
-                raise ValueError("the fields said and expect must be texts")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"--everyday {path}: not in the format of docs/language.md: {error!r}"
-        ) from error
+            lines = file.read().decode().splitlines()
+    except (OSError, ValueError) as error:
+        raise UserError(f"--everyday {path}: cannot be read: {error}") from None
+    cases = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            case = json.loads(line)
+            is_case = all(isinstance(case[key], str) for key in ("said", "expect"))
+        except (ValueError, KeyError, TypeError):
+            is_case = False
+        if not is_case:
+            raise UserError(
+                f'--everyday {path}: line {number}: expected a JSON object with the texts "said" '
+                'and "expect"; see docs/language.md'
+            )
+        cases.append(case)
     return cases
 
 

@@ -120,7 +120,7 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
     try:
         head = names.head_phrase(prompt)
     except names.NotANameError as error:
-        raise PromptError(f"prompt: {error}, such as 'chair'") from None
+        raise PromptError(f"prompt: {error}; give a name such as 'chair'") from None
     words = head.replace(",", " ").split()
     after = names.normalise(prompt)[len(head) :].strip()
     for start in range(len(words)):

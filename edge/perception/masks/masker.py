@@ -85,7 +85,7 @@ class Masker:
         text = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         self.failed, self.last_error = self.failed + 1, one_line(text, _LONGEST_ERROR)
         if self.failed == 1:
-            log.error("segmenter %s: %s; its boxes are used without masks (further errors are "
+            log.error("segmenter %s: %s; boxes are used without masks (further errors are "
                       "only counted)", self._segmenter.name, self.last_error)  # fmt: skip
 
 

@@ -98,6 +98,6 @@ def make_words(
         try:
             return PriorWordIndex(table, load_vocabulary(find_vocabulary(detector.vocabulary)))
         except PromptError as error:
-            log.info("prior: no text embeddings, so words outside the prior's table are ignored: "
-                     "%s", error)  # fmt: skip
+            log.info("%s; until then perception.prior gives no hints about objects that its table "
+                     "does not name (the search still finds them)", error)  # fmt: skip
     return PriorWordIndex(table)

@@ -232,7 +232,7 @@ class TensorrtSession:
         if not self._context.set_input_shape(name, tuple(shape)):
             raise ValueError(
                 f"TensorRT: input {name} of shape {tuple(shape)} is outside the shapes that the "
-                "engine was built for: name fewer prompts"
+                "engine was built for: search for fewer objects at once"
             )
 
     @property

@@ -172,7 +172,7 @@ class FromRos:
             return "it has no publisher"
         if types != [self._plan["type"]]:
             return f"it is {one_line(', '.join(types))}, not {self._plan['type']}"
-        return f"{len(publishers)} publishers (is their quality of service another?)"
+        return f"{len(publishers)} publishers; check that their quality of service matches"
 
 
 class ToRos:
