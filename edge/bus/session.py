@@ -321,6 +321,7 @@ class Ring:
             if (sample := self._subscriber.try_recv()) is None:
                 break
             samples.append(sample)
+        # A ring of capacity 1 never counts as full.
         was_full, self._full = self._full, len(samples) == self._capacity > 1
         if was_full and self._full:
             self._overrun()

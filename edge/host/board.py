@@ -31,7 +31,7 @@ class BoardReading:
         throttled: cooling device → throttling, from 0 (none) to 1; without fans.
         over_current: alarm (`oc1` …) → number of times that a Jetson throttled since its start,
             because it drew too much current.
-        power_w: rail → power in watts.
+        power_w: rail (a supply line of the board) → power in watts.
         memory_bytes: `total` and `available` memory of the computer.
         power_mode: name of a Jetson's power mode.
     """

@@ -121,7 +121,10 @@ def _check_decisions(decisions: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def decisions_of(result: TickResult) -> dict[str, Any] | None:
-    """Return the decisions in a result, for comparison; None if there are none."""
+    """Return the decisions in a result, for comparison; None if there are none.
+
+    The keys are `target`, `phase`, `goal` (the present one, or None) and `sent` (new goals).
+    """
     if result.observation is None and not result.goals:
         return None
     return {
@@ -152,6 +155,7 @@ def _observation(
         "seq": kept.seq,
         "stamp_ns": kept.stamp_ns,
         "T_map_base": _array(kept.T_map_base),
+        # The arrays are in other channels; here is only which of them there were.
         "rgb_hw": None if rgb is None else list(rgb.shape[:2]),
         "depth": original is not None and original.depth_m is not None,
         "cloud": original is not None and original.cloud_m is not None,

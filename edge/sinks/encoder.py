@@ -103,7 +103,7 @@ class ResultEncoder:
     Args:
         config: the configuration.
         rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
-        is_wanted: returns True if a channel has a receiver; called by any thread.
+        is_wanted: returns True if a channel has a receiver; called on both threads.
     """
 
     def __init__(

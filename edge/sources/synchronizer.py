@@ -198,7 +198,8 @@ class TimeSynchronizer:
         self._pool: FramePool | None = None
         self._seq = 0
         self._logged: set[tuple[str, str]] = set()  # (topic, reason or text) that were logged
-        # Some drivers send the end of the range in place of "no return".
+        # Some drivers send the end of the range in place of "no return". So this is the largest
+        # float32 below the end of the range.
         self._max_depth_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
@@ -424,7 +425,7 @@ class TimeSynchronizer:
             self.count(leader.topic, "no_camera_info")
             if not isinstance(leader, Cloud):
                 return None
-            frames = [leader]
+            frames = [leader]  # the cloud alone needs no camera
         slot = self._acquire_slot()
         if slot is None:
             self.count(leader.topic, "pool_exhausted")
