@@ -222,15 +222,16 @@ def check_arrays(
 ) -> None:
     """Check the arrays of a file against the `state_dict` of the object that shall load them.
 
-    Text in the arrays must be valid names.
+    Text in the arrays must be valid names (`edge.names.normalise`).
 
     Args:
         state: arrays of the file.
-        like: `state_dict` of the object; names, dtypes and shapes must be the same.
+        like: `state_dict` of the object; names, dtypes and shapes must be the same, apart from the
+            numbers of rows in `rows`.
         rows: groups of arrays with a variable number of rows → largest number of rows. All arrays
             of a group must have the same number.
-        most: name of an array → largest value; the smallest is 0. Other floats must be within
-            `FARTHEST_M`.
+        most: name of an array → largest value; the smallest is 0. In other arrays, floats must be
+            within `FARTHEST_M`, integers within `_FAR` or `_FAR_NS`.
         unique: names of arrays in which no value may occur twice.
 
     Raises:
@@ -243,10 +244,9 @@ def check_arrays(
     for name, array in state.items():
         group, expected = group_of.get(name), like[name]
         shape = expected.shape
-        # In a group: as many rows as its first array has (`[:1]`, as it may have no axis), within
-        # the limit.
-        if group is not None:
-            shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
+        if group is not None:  # as many rows as the first array of its group, within the limit
+            n_rows = state[group[0]].shape[:1]  # (n,), or () for a forged array without axes
+            shape = (min((*n_rows, rows[group])), *shape[1:])
         is_text = array.dtype.kind == expected.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == expected.dtype):
             raise ValueError(

@@ -47,10 +47,11 @@ _MAX_LISTED = 12  # topics in a message
 _TYPES = {kind for name in SUBSCRIBED for kind in accepted_types(name, "")}
 """Message types that can be played."""
 _MIN_SCORE = -5.0
-"""A topic is guessed only if its score is above this."""
+"""A topic is guessed only if its points are above this."""
 
 Words = dict[str, float]
-"""Points of a word in the name of a topic."""
+"""Word in the name of a topic → points."""
+# By our name of the topic: words that add points, and words that subtract them.
 _LIKELY_WORDS: dict[str, Words] = {
     RGB: {"rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "front": 1},
     DEPTH: {"depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "front": 1, "raw": 0.5},

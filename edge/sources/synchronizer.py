@@ -265,7 +265,7 @@ class TimeSynchronizer:
             self.count(message.topic, reason)
 
     def _use_camera_info(self, message: CameraInfo) -> None:
-        """Use new camera info: plan the rectification, and allocate frames again."""
+        """Use new camera info: plan the rectification, and drop the pool, whose size may change."""
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
