@@ -215,7 +215,7 @@ class LiveSink:
         )
 
     def _copy_image(self, result: TickResult, now_s: float) -> None:
-        """Copy the image of the newest detections, or the newest image if there are none for long."""
+        """Copy the image of the newest detections; if they stay away, the newest image."""
         detections, boxes = result.detections, ()
         if detections is not None:
             observation, self._boxed_s = detections.observation, now_s

@@ -78,7 +78,8 @@ def encode_page(
     """
     page = {
         "entries": [
-            {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
+            {"n": entry.n, "kind": entry.kind, **_ENCODE[entry.kind](entry.fields)}
+            for entry in inputs
         ],
         "observation": None if kept is None else _observation(kept, result.observation, rig),
         "decisions": decisions_of(result),
@@ -329,6 +330,7 @@ def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
     return outline_rooms(regions, ids, stored.get("next_id", 1), lost)
 
 
+# Workers of scorers answer with (question, result); the question is not recorded.
 def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
     similarity = found[1]
     return {
@@ -343,7 +345,6 @@ def similarity_of(stored: dict[str, Any]) -> ImageSimilarity:
     return ImageSimilarity(stored["stamp_ns"], SE2(*stored["pose"]), targets, score)
 
 
-# Workers of scorers answer with (question, result); the question is not recorded.
 def _choice(found: tuple[Any, FrontierChoice]) -> dict[str, Any]:
     choice = found[1]
     return {

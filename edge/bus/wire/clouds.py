@@ -62,7 +62,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
 
 
 def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, keep_invalid: bool = False) -> int:
-    """Write the points of a sensor_msgs/PointCloud2 into `out_m`, (cap, 3) float32, cap >= points.
+    """Write the points of a sensor_msgs/PointCloud2 into `out_m`, (cap, 3) float32.
 
     The message may have any layout of fields with float32 x, y, z.
 
