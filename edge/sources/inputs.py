@@ -210,7 +210,7 @@ def _make_status(row: _Input, state: InputState, now_ns: int) -> InputStatus:
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
     why = row.current_warning(now_ns) if state == "ok" else ""
     if state == "dropped":
-        why = f"{row.reason}{row.detail and f' ({row.detail})'}"
+        why = f"{row.reason}{row.detail and f' ({row.detail})'}"  # no brackets without a detail
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:
         hz = 0.0
     return InputStatus(

@@ -56,7 +56,7 @@ class _Edge:
                 self._history = StampedPoses(_HISTORY, 8 * self._rarely_ns // _HISTORY)
                 self._history.push(first_ns, self.T)
             self._history.push(transform.stamp_ns, transform.T)
-        elif self._history is not None:
+        elif self._history is not None:  # repeated: the same stamp again
             self._history.replace(transform.T)
         self.T = transform.T
 
@@ -68,7 +68,7 @@ class _Edge:
         history = self._history
         if history is None:
             return self.T, 0
-        n = history.count_newer(stamp_ns)
+        n = history.count_newer(stamp_ns)  # index of the newest that is not later
         if n == len(history):
             return history.pose(n - 1), stamp_ns - history.stamp(n - 1)
         before_ns = history.stamp(n)
