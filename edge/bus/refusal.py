@@ -94,7 +94,11 @@ def diagnose_refusal(endpoint: str, native: zenoh.Config, file: str) -> str | No
 def _probe(
     endpoint: str, native: zenoh.Config, file: str, resolved: threading.Event
 ) -> str | UnknownHostError | None:
-    """Try the endpoint; set `resolved` once its host has an address."""
+    """Try the endpoint; set `resolved` once its host has an address.
+
+    Returns:
+        As `diagnose_refusal`, but UnknownHostError is returned, since this runs on a thread.
+    """
     host, port = host_and_port(endpoint)
     try:
         socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)

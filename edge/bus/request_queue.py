@@ -12,8 +12,8 @@ The sender of a query is unknown, so a flood is limited by content, not by sende
 - Requests of the first lane are served before those of the second.
 - Equal queries are merged: the loop handles them once.
 - A request that stops the robot always finds a place, at the end of the first lane. It also cancels
-  (refuses) all requests in the second lane: after the answer to a stop, only a later request moves
-  the robot.
+  all requests in the second lane: they are refused, so that after the answer to a stop only a later
+  request moves the robot.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ MAX_BYTES = 65536
 PATIENCE_S = 2.0
 """Time in seconds in which the loop must answer a request."""
 
-_MAX_SERVED = 12  # requests in one call of `serve`: more than fit into the first lane
+_MAX_SERVED = 12  # requests in one call of `serve`: more than `_MAX_WAITING`
 _MAX_UNPREPARED = 2  # requests that wait for preparation, besides the one in preparation
-_MAX_WAITING = 8  # requests in each lane
+_MAX_WAITING = 8  # requests in each lane; stops may exceed it
 _MAX_MERGED = 256  # queries merged into one request, whose preparation may take minutes
 _BUSY = "busy with other requests; try again later"
 _STOPPED = "cancelled by a stop request that came later: send it again"
@@ -178,6 +178,7 @@ class RequestQueue:
                 lane[:] = [request for request in lane if request.queries]
             polled_s = self._polled_s
         limit = f"within {self._patience_s:g} s"
+        # Late queries in a lane were not handled; the loop has taken the others.
         why = f"the loop is not running: request not handled {limit}"
         if now_s - polled_s < self._patience_s:
             why = f"busy with other requests: not handled {limit}; try again later"
@@ -200,10 +201,10 @@ class RequestQueue:
     def _find_place(self, do: str, fields: dict) -> Request | None:
         """Return the request that a query joins, or a new one in its lane.
 
-        A query joins an equal request only if no different one is behind that request: the
-        different one would then be handled after the query. Exception: behind a stop there may be
-        other stops, and requests that only read. So few stops wait, however many arrive, and a stop
-        is never refused.
+        A query joins an equal request only if that request is the last of its lane. Otherwise the
+        query would be handled before a different request that came earlier. Exception: a stop joins
+        an equal stop if only stops and requests that only read are behind it. So few stops wait,
+        however many arrive, and a stop is never refused.
 
         Returns:
             The request; None if the lane, or the equal request, is full.

@@ -40,7 +40,10 @@ class RequestServer:
         patience_s: see `RequestQueue`.
 
     Attributes:
+        key: key of the queryable.
         queue: the queue of requests; other transports may add queries to it.
+        serve: see `RequestQueue.serve`.
+        poll: see `RequestQueue.poll`.
     """
 
     def __init__(

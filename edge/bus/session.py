@@ -5,6 +5,8 @@ messages between its clients, but never between peers, so only this way does the
 the controller's messages. Multicast discovery is off: it is unreliable in containers and closed
 networks. A client that finds no server, or is refused, retries forever. It gives up after `HOST_S`
 if the endpoint's host name cannot be resolved.
+
+`native` is Zenoh's own configuration (`zenoh.Config`), `settings` the section `zenoh` of ours.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ ENVELOPE_BYTES = 65536
 """More than Zenoh adds to a message: key, attachment and options."""
 
 _PAUSE_S = 0.2  # between two attempts to connect
-# Appended to `RUST_LOG`: these two modules log the whole configuration at lower levels.
+# Appended to `RUST_LOG`, Zenoh's log levels: these two modules log the whole configuration at lower
+# levels.
 _NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
 _NO_SERVER_TEXT = "Unable to connect to any of"  # in Zenoh's error if no server answers
 
@@ -69,6 +72,7 @@ _URGENT: dict = {
     "priority": zenoh.Priority.INTERACTIVE_HIGH,
     "express": True,
 }
+# Quality of service (`Topic.qos`) → arguments of `declare_publisher`.
 _QOS: dict[Qos, dict] = {
     "drop": {
         "congestion_control": zenoh.CongestionControl.DROP,
@@ -317,6 +321,7 @@ class Ring:
             if (sample := self._subscriber.try_recv()) is None:
                 break
             samples.append(sample)
+        # A ring of capacity 1 never counts as full.
         was_full, self._full = self._full, len(samples) == self._capacity > 1
         if was_full and self._full:
             self._overrun()

@@ -1,4 +1,4 @@
-"""Zenoh's own configuration file, and the settings that `edge` lays over it.
+"""Zenoh's own configuration file, and the settings with which `edge` changes it.
 
 TLS, users, access control and other Zenoh settings are in this file (JSON5, Zenoh's own keys),
 named by `zenoh.file` and `zenoh.client_file`. Relative paths in it are relative to the working
@@ -42,7 +42,7 @@ TLS = "transport/link/tls"
 PENDING = 512
 """Largest number of pending connections."""
 HANDSHAKE_MS = 2000
-"""Longest time of a connection until its session is open."""
+"""Longest time of a connection until its session is open, in ms."""
 SESSIONS = 128
 """Largest number of sessions."""
 
@@ -58,6 +58,7 @@ DEFAULTS: dict[str, Any] = {
 
 _HOST_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # their addresses are HOST:PORT
 _OTHER_PROTOCOLS = ("serial", "unixsock-stream", "unixpipe", "vsock")
+# HOST:PORT, such as `robot.local:7447` or `[::1]:7447`.
 _HOST_PORT = re.compile(r"(\[[^][\s/]+\]|[^][\s/:]+):(?P<port>[0-9]{1,5})")
 _WAIT_BEFORE_CLOSE = "transport/link/tx/queue/congestion_control/block/wait_before_close"  # µs
 _MAX_MESSAGE_BYTES = "transport/link/rx/max_message_size"
@@ -66,6 +67,7 @@ _TLS_HANDSHAKE = "tls_handshake_timeout_ms"
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 _ATTEMPT_MS = 500  # length of one attempt to connect
 _USERS = "transport/auth/usrpwd/dictionary_file"
+# Keys that name secret files.
 _SECRETS = (f"{TLS}/listen_private_key", f"{TLS}/connect_private_key", _USERS)
 # If one of these keys is set, the configuration file itself is secret.
 _INLINE_SECRETS = (
@@ -168,7 +170,7 @@ def apply_settings(
         defaults[_MAX_MESSAGE_BYTES] = most_bytes
     zenoh_defaults = zenoh.Config()
     unchanged = (key for key in defaults if get(native, key) == get(zenoh_defaults, key))
-    values |= {key: defaults[key] for key in unchanged}
+    values |= {key: defaults[key] for key in unchanged}  # the file's own values stay
     for key, value in values.items():
         native.insert_json5(key, json.dumps(value))
     return native
@@ -201,6 +203,7 @@ def open_addresses(native: zenoh.Config) -> list[str]:
 
 def host_and_port(endpoint: str) -> tuple[str, int]:
     """Split an endpoint such as `tls/[::1]:7447#…`; port 0 if there is none."""
+    # PROTOCOL/ADDRESS?METADATA#PARAMETERS
     address = re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
     host, _, port = address.rpartition(":")
     return host.strip("[]"), int(port) if port.isdecimal() else 0
@@ -283,7 +286,7 @@ def certificates(native: zenoh.Config) -> list[str]:
 
 
 def secrets(native: zenoh.Config, key: str, name: str | None) -> dict[str, str]:
-    """Return the files with secrets, by the names of their copies from the service manager.
+    """Return the files with secrets: name of the service manager's copy → path.
 
     Args:
         native: Zenoh's configuration.
@@ -312,6 +315,8 @@ def denies_prefix(native: zenoh.Config, prefix: str) -> bool:
     return not any(below_prefix.intersects(key) for rule in allowed for key in rule["key_exprs"])
 
 
+# Parts of Zenoh's errors: `line: 3, column: 5` or `--> 3:5`; `msg: "invalid type: …"`; in it, a
+# value of the file that must not be shown (`invalid type: string \"secret\"`); `= expected …`.
 _LINE_COLUMN = re.compile(r"line: (\d+), column: (\d+)|--> (\d+):(\d+)")
 _QUOTED_MESSAGE = re.compile(r'msg: "((?:[^"\\]|\\.)*)"', re.DOTALL)
 _QUOTED_VALUE = re.compile(
@@ -326,6 +331,7 @@ def _fault_without_values(error: str) -> str:
     if place is None:
         return one_line(error.split(" at /")[0])
     line, column = (number for number in place.groups() if number is not None)
+    # A message in quotes: cut out the value. Else only what was expected is safe to show.
     if quoted := _QUOTED_MESSAGE.search(error):
         what = _QUOTED_VALUE.sub(r"\1", quoted[1]).partition('\\"')[0]
     else:

@@ -133,7 +133,7 @@ def _serve(
     playback: Playback | None = None,
     recorded: bool = False,
 ) -> RunResult:
-    """Run the service and return the results of the run.
+    """Run the service until `stop` is set, or as the arguments say; return the results of the run.
 
     Args:
         config: the configuration.
@@ -192,7 +192,7 @@ def _serve(
             nonlocal ended
             health.beat(running)
             if not is_over():
-                ended = None
+                ended = None  # also if a new mission has begun
             elif stay and ended is None:
                 ended = make_result()
                 phase = running.service.status.phase

@@ -1,4 +1,7 @@
-"""`edge fleet`, and `edge mission --fleet`: several robots that share one Zenoh router."""
+"""`edge fleet`, and `edge mission --fleet`: several robots that share one Zenoh router.
+
+A mission of a fleet has one or several parts; one robot carries out each part.
+"""
 
 from __future__ import annotations
 

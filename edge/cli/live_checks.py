@@ -26,6 +26,7 @@ _FLOOR_M = 0.1  # tolerated height of the lowest points above or below the floor
 _LOWEST = 10  # percentile of heights that counts as floor; lower ones are noise and stairs
 _STEEP = 0.25  # rays that fall by at least this much per metre see the floor, if it is free
 _STRIDE = 8  # every eighth row and column of the depth image is checked
+# `Observation.distortion` → text after the camera's angle of view.
 _LENS = {"none": "", "rectified": ", rectified", "ignored": ", distortion ignored"}
 
 
@@ -63,7 +64,9 @@ class _SensorMeasurements:
         # At low rates, three periods without a frame are normal.
         blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
         self._checks = Plausibility(config, blind_s, lambda text, now_ns, level: None)
-        self._failed: dict[str, FailedCheck] = {}
+        self._failed: dict[str, FailedCheck] = {}  # by name of the check
+        # One value for each observation: its age at arrival; how much newer the newest pose is;
+        # share of depth pixels with a value; height of the floor.
         self._age_s: list[float] = []
         self._lag_s: list[float] = []
         self._valid_shares: list[float] = []
@@ -206,14 +209,17 @@ def _floor_heights(observation: Observation) -> np.ndarray:
     if observation.depth_m is not None and observation.camera is not None:
         camera, T = observation.camera, observation.T_base_camera
         depth_m = observation.depth_m[::_STRIDE, ::_STRIDE]
+        # Of each pixel, y / z and x / z of its ray in the camera's frame.
         row = (np.arange(0, observation.depth_m.shape[0], _STRIDE) - camera.cy_px) / camera.fy_px
         column = (np.arange(0, observation.depth_m.shape[1], _STRIDE) - camera.cx_px) / camera.fx_px
+        # Distance by which the ray falls in the base frame, per metre of depth.
         down = -(T[2, 0] * column[None, :] + T[2, 1] * row[:, None] + T[2, 2])
         is_used = (depth_m > 0.0) & (depth_m < FARTHEST_M) & (down >= _STEEP)
         return T[2, 3] - depth_m[is_used] * down[is_used]
     if observation.cloud_m is None:
         return np.empty(0)
     T = observation.T_base_lidar
+    # Height of each point above the LiDAR; negative below it.
     fall = observation.cloud_m @ T[2, :3].astype(np.float32)
     steep = -fall >= _STEEP * np.linalg.norm(observation.cloud_m, axis=1)
     return T[2, 3] + fall[steep & (fall < 0.0) & np.isfinite(fall)]

@@ -29,10 +29,10 @@ def add_memory(commands) -> None:  # type: ignore[no-untyped-def]
         if do == "crop":
             action.add_argument("id", type=int, help="number of the object, as `list` shows it")
         if do != "list":
-            name, text = (
+            argument, meaning = (
                 ("name", "name of the object") if do == "find" else ("file", "file to write")
             )
-            action.add_argument(name, help=text)
+            action.add_argument(argument, help=meaning)
         if do == "export":
             action.add_argument(
                 "--geojson",
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
     with connected(args.config) as ask:
         answer = ask(topics.MEMORY_REQUEST, _request(args))
-        objects = content = answer.get("objects")
+        objects = content = answer.get("objects")  # `content`: what `export` writes
         if args.do == "export" and args.geojson:
             site = ask(topics.SITE_REQUEST, {"do": "list"})["site"]
             rooms = ask(topics.MEMORY_REQUEST, {"do": "rooms"})["rooms"]

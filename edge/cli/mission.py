@@ -21,6 +21,7 @@ NEW_S = 120.0
 """Time for the answer to `new`: a language model may be asked twice, and the mission compiled."""
 PATIENCE_S = 10.0
 """Default time to wait for a lost robot of a fleet."""
+# Options of `add_argument` for the text of a mission, and for the robots of a fleet.
 _TEXT = {"help": "instruction in words, such as 'find the sofa, then the bed'"}
 _ROBOTS = {
     "nargs": "*",
@@ -166,7 +167,10 @@ def as_text(answer: dict) -> str:
 
 
 def _format_key(key: str, between: str = ", ") -> Callable[[dict], str]:
-    """Return a function that formats the value of a key; a list is joined, None is empty."""
+    """Return a function that formats the value of a key; a list is joined, None is empty.
+
+    An empty entry is a step of a plan in which no object needs to be reached.
+    """
 
     def format_value(answer: dict) -> str:
         value = answer.get(key)
@@ -203,7 +207,7 @@ def _format_reading(answer: dict) -> str:
 
 
 def _format_overtaken(answer: dict) -> str:
-    """Return the number of missions that the request cancelled before they began."""
+    """Return the number (`overtaken`) of missions that the request cancelled before they began."""
     number = answer.get("overtaken")
     return f"{number} missions that were waiting to start" if number else ""
 

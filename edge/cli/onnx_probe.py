@@ -74,10 +74,17 @@ def probe() -> ProbeResult | None:
 
 
 def _make_result(steps: list[dict[str, Any]], code: int, last_line: str) -> ProbeResult:
-    """Return the result from the process's output, exit code and last line on stderr."""
+    """Return the result from the process's output, exit code and last line on stderr.
+
+    Args:
+        steps: as `_run_test` yields them: first the import, then each provider that ran the model.
+        code: exit code; -N: ended by signal N.
+        last_line: last line on stderr.
+    """
     imported = steps[0] if steps else {"version": "", "providers": ()}
     ran = tuple(step["ran"] for step in steps[1:])
     missing = [p for p in TRIED if p in imported["providers"] and p not in ran]
+    # The step at which the process failed, if it failed.
     when = "when it is imported" if not steps else "when it ends"
     when = f"when it runs a model on {missing[0]}" if missing else when
     fault = ""

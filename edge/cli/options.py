@@ -62,6 +62,7 @@ def dispatch_on_option(
     """
 
     def handler(args: argparse.Namespace) -> int:
+        # What was given, as options: `from_pose` is --from-pose, the argument `robots` is --robots.
         given = {f"--{name.replace('_', '-')}" for name, value in vars(args).items()
                  if value not in (None, False, [])}  # fmt: skip
         is_on = not given.isdisjoint(option.split(" or "))

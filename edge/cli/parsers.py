@@ -317,6 +317,7 @@ def _add_replay(commands) -> None:  # type: ignore[no-untyped-def]
     run, recover, trace = (
         lazy_handler("edge.recording.commands", name) for name in ("replay", "recover", "trace")
     )
+    # Without --trace and --recover: `run`. Otherwise `write`, which chooses one of these two.
     write = dispatch_on_option(replay, "--trace", on=trace, on_only=(), off=recover, off_only=())
     dispatch_on_option(
         replay, "--trace or --recover",

@@ -200,6 +200,7 @@ def _check_model(model: NamedModel, config: Config) -> None:
 def _checked_cards(config: Config, name: str, kind: type[Card]) -> Iterator[Card]:
     """Yield a card and the cards that it refers to; check that all they need is installed."""
     card = load_card(name)
+    # A choice model may have either of two cards; every other model has the card of its kind.
     if kind is not ChoiceCard or not isinstance(card, MarksCard):
         card = load_card_of(kind, name)
     check_installed(card)

@@ -34,9 +34,9 @@ def translate_renamed(argv: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the arguments with the new names, and a warning for each old one."""
     at = 0  # index of the command, after the options of `edge` itself
     while at < len(argv) and argv[at].startswith("-"):
-        at += 1 + (argv[at] == "--log-level")
+        at += 1 + (argv[at] == "--log-level")  # this option has a value, which is skipped, too
     before, command, warnings = list(argv[:at]), list(argv[at:]), []
-    for n in (1, 2):
+    for n in (1, 2):  # an old name has one or two words
         if new := RENAMED.get(old := " ".join(command[:n])):
             command = [*new.split(), *command[n:]]
             warnings.append(f"edge {old} is now: edge {new}")

@@ -20,7 +20,7 @@ def add_action(actions: Any, name: str, text: str, module: str) -> argparse.Argu
     """Add an action that takes a configuration, and return its parser.
 
     Args:
-        actions: parsers of the command's actions.
+        actions: the object that `add_subparsers` returned for the command.
         name: name of the action.
         text: its help.
         module: module whose function `run` handles it.
@@ -40,7 +40,7 @@ def connected(
     Args:
         config: path or name of the configuration.
         patience_s: how long to wait for the connection, and for each answer.
-        what: what is asked, for error messages.
+        what: name of the other side in error messages.
 
     Raises:
         RequestError: no service is there, it does not answer, or it refuses.

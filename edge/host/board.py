@@ -31,7 +31,7 @@ class BoardReading:
         throttled: cooling device → throttling, from 0 (none) to 1; without fans.
         over_current: alarm (`oc1` …) → number of times that a Jetson throttled since its start,
             because it drew too much current.
-        power_w: rail → power in watts.
+        power_w: rail (a supply line of the board) → power in watts.
         memory_bytes: `total` and `available` memory of the computer.
         power_mode: name of a Jetson's power mode.
     """
@@ -131,7 +131,7 @@ def _power(hwmon: Path) -> Iterator[tuple[str, float]]:
     """Yield the power of a Jetson's rails, and of the whole input on a Thor (INA238)."""
     for chip in _chips(hwmon, "ina3221"):
         for label in chip.glob("in*_label"):
-            rail, number = _read_name(label), label.name[2 : -len("_label")]
+            rail, number = _read_name(label), label.name[2 : -len("_label")]  # 1 of `in1_label`
             milli = (  # millivolts, milliamperes
                 _read_number(chip / f"in{number}_input"),
                 _read_number(chip / f"curr{number}_input"),

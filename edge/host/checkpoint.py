@@ -42,11 +42,14 @@ _MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
 _ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
 _ZIP64 = b"PK\x06\x07"  # begins a record of 20 bytes that only archives over 4 GB need
 _TAIL_BYTES = 20 + _ZIP_END_BYTES
-# The line of JSON behind `CheckpointFormat.begins`: up to the hash, and the rest.
+# The line of JSON behind `CheckpointFormat.begins`, in two parts. The head ends with the hash:
+# `"version":5,"sha256":"<64 digits>",`. The rest is hashed:
+# `"config":"<fingerprint>","written_ns":1700000000000000000,"state":{…}}` and a line break.
 _HEAD_PATTERN = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
 _REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
-_FAR = 1 << 32  # largest cell index
-_FAR_NS = 1 << 61  # largest stamp in ns, or id of an object
+# Largest values of integers that have no limit of their own.
+_FAR = 1 << 32  # cell indices and others
+_FAR_NS = 1 << 61  # stamps in ns, and ids of objects
 
 Arrays = dict[str, np.ndarray]
 """Name → array."""
@@ -178,7 +181,9 @@ def _sha256(content: bytes | memoryview) -> bytes:
 
 def _read_archive(content: bytes) -> Arrays:
     """Read an uncompressed archive, so that the arrays are not larger than the file."""
-    # zipfile reads the whole directory when it opens the archive, so check its size before.
+    # zipfile reads the whole directory when it opens the archive, so check its size before. A plain
+    # archive ends with a record PK 5 6; its bytes 12 to 15 are the directory's size, its last two
+    # the length of a comment (0).
     end = content[-_ZIP_END_BYTES:]
     is_plain = (
         end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-_TAIL_BYTES:]
@@ -217,15 +222,16 @@ def check_arrays(
 ) -> None:
     """Check the arrays of a file against the `state_dict` of the object that shall load them.
 
-    Text in the arrays must be valid names.
+    Text in the arrays must be valid names (`edge.names.normalise`).
 
     Args:
         state: arrays of the file.
-        like: `state_dict` of the object; names, dtypes and shapes must be the same.
+        like: `state_dict` of the object; names, dtypes and shapes must be the same, apart from the
+            numbers of rows in `rows`.
         rows: groups of arrays with a variable number of rows → largest number of rows. All arrays
             of a group must have the same number.
-        most: name of an array → largest value; the smallest is 0. Other floats must be within
-            `FARTHEST_M`.
+        most: name of an array → largest value; the smallest is 0. In other arrays, floats must be
+            within `FARTHEST_M`, integers within `_FAR` or `_FAR_NS`.
         unique: names of arrays in which no value may occur twice.
 
     Raises:
@@ -239,7 +245,8 @@ def check_arrays(
         group, expected = group_of.get(name), like[name]
         shape = expected.shape
         if group is not None:  # as many rows as the first array of its group, within the limit
-            shape = (min((*state[group[0]].shape[:1], rows[group])), *shape[1:])
+            n_rows = state[group[0]].shape[:1]  # (n,), or () for a forged array without axes
+            shape = (min((*n_rows, rows[group])), *shape[1:])
         is_text = array.dtype.kind == expected.dtype.kind == "U"
         if array.shape != shape or not (is_text or array.dtype == expected.dtype):
             raise ValueError(
@@ -250,7 +257,7 @@ def check_arrays(
         elif array.size and array.dtype.kind in "if":
             far = FARTHEST_M if array.dtype.kind == "f" else _FAR
             far = _FAR_NS if name.endswith(("_ns", "id")) else far
-            low, high = (0, most[name]) if name in most else (-far, far)
+            low, high = (0, most[name]) if name in most else (-far, far)  # allowed values
             if not (array.min() >= low and array.max() <= high):  # also False for NaN
                 raise ValueError(f"{name} has a value that is not from {low:g} to {high:g}")
     for name in unique:
@@ -345,7 +352,7 @@ class CheckpointWriter(Generic[State]):
         self.problem = ""
         self._form = form
         self._period_ns = int(period_s * 1e9)
-        self._posted_ns: int | None = None
+        self._posted_ns: int | None = None  # time of the last post
         _check_writable(self.path, form)
         self._worker = Worker("checkpoint", self._write, finish_on_close=True)
 

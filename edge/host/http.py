@@ -32,7 +32,7 @@ class HttpReply:
         status: HTTP status.
         headers: headers.
         body: content, as it was sent. If it is longer than `max_bytes` of
-            `CancellableRequest.send`, the server sent more than the caller accepts.
+            `CancellableRequest.send`, the rest was not read.
     """
 
     status: int
@@ -117,7 +117,9 @@ class CuttableConnection:
         """Store the socket when httpx reports that it is connected."""
         if event.endswith((".connect_tcp.complete", ".start_tls.complete")):
             self._socket = info["return_value"].get_extra_info("socket")
-            if self._is_cut:  # checked after the socket is set; `cut` does both in reverse order
+            # `cut` may run now, on another thread. It sets `_is_cut` and then reads the socket.
+            # Here the order is reversed, so one of the two sees what the other has set.
+            if self._is_cut:
                 self.cut()
 
     def cut(self) -> None:
@@ -143,7 +145,8 @@ def explanation(body: bytes) -> str | bytes:
 def failure_reason(error: Exception) -> str:
     """Return why a request failed, and what to do, as the end of a message."""
     cause: BaseException = error
-    while inner := cause.__cause__ or cause.__context__:  # httpx wraps what httpcore wraps
+    # Find the innermost error: httpx wraps that of httpcore, which wraps that of the socket.
+    while inner := cause.__cause__ or cause.__context__:
         cause = inner
     match cause:
         case socket.gaierror() | UnicodeError():  # UnicodeError: an invalid label in the name

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 Description = dict[str, Any]
+"""Our name of a value → value; see `describe`."""
 
 _ROOT = Path("/")
 _RUNTIMES = {
@@ -35,7 +36,7 @@ _ARM_PARTS = {
     "0xd83": "Neoverse-V3AE",
 }
 _GPU_CLOCKS = re.compile(r"^(gpu-gpc-\d+|[\da-f]+\.(gpu|gv11b|gp10b|ga10b))$")
-"""Folders of Jetson GPUs in /sys/class/devfreq: Thor's, and those of its predecessors."""
+"""Folders of Jetson GPUs in /sys/class/devfreq: `gpu-gpc-0` on Thor, before it `17000000.gpu`."""
 # Our name → field of `nvidia-smi`.
 _SMI_FIELDS = {
     "name": "name",
@@ -130,7 +131,10 @@ def cpu_name(cpuinfo: str) -> str | None:
 
 
 def tegra_release(path: Path) -> str | None:
-    """Return release and revision from /etc/nv_tegra_release; None if this is no Jetson."""
+    """Return release and revision from /etc/nv_tegra_release; None if this is no Jetson.
+
+    The file begins like `# R36 (release), REVISION: 4.3, GCID: …`.
+    """
     parts = text_of(path).split(",")[:2]
     return ", ".join(part.strip("# \n") for part in parts) or None
 
@@ -176,6 +180,7 @@ def busy_s(root: Path = _ROOT) -> float | None:
     match = re.match(r"cpu +(.+)", text_of(root / "proc/stat"))
     if match is None:
         return None
+    # Without `idle` and `iowait`. The field after `softirq` is `steal`: time that the host took.
     user, nice, system, _, _, irq, softirq, *more = map(int, match[1].split())
     return (user + nice + system + irq + softirq + sum(more[:1])) / os.sysconf("SC_CLK_TCK")
 

@@ -58,7 +58,7 @@ def cache_dir() -> Path:
     """Return `$EDGE_CACHE_DIR`, else the folder `edge-vln` in the user's cache.
 
     Raises:
-        ConfigError: neither exists.
+        ConfigError: `$EDGE_CACHE_DIR` is not set, and the user has no home folder.
     """
     if explicit := os.environ.get("EDGE_CACHE_DIR"):
         return expand(explicit)

@@ -1,4 +1,8 @@
-"""Signal handlers: stop in order, interrupt, reload, or print the stacks of all threads."""
+"""Signal handlers: stop in order, interrupt, reload, or print the stacks of all threads.
+
+A signal has two effects. Its action runs at once, on a separate thread. Its Python handler runs
+later, in the main thread.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +28,8 @@ _PARENT_PERIOD_S = 1.0
 _WAKE = signal.SIGURG  # sent to the main thread, to wake it
 _WAKE_S = 0.05  # period of `_WAKE`
 
-# Actions that run on a separate thread as soon as a signal comes. A Python handler runs later, in
-# the main thread: a signal to another thread does not wake it, and a handler must take no lock,
-# since the main thread may hold it.
+# Signal → action. Python handlers are not enough: a signal to another thread does not wake the main
+# thread, and a handler must take no lock, since the main thread may hold it.
 _actions: dict[int, Callable[[int], None]] = {}
 # Kept open, since the interpreter writes the number of each signal to its descriptor.
 _wakeup_socket: socket.socket | None = None

@@ -38,11 +38,13 @@ MOST_OPEN = 16
 MOST_BYTES = 65536
 """Largest body of a POST."""
 _PATIENCE_S = 5.0  # time in which a client must send its request
-_POLL_S = 0.1  # period of the check for the end of the block
+_POLL_S = 0.1  # period of the check for the end of the block of `serve`
 # States of a connection; the lowest is closed first to make room.
 _STRANGER = 0  # no request had the token
 _KNOWN = 1  # a request had the token
 _BUSY = 2  # a request with the token is in progress
+
+# Status for a request whose header `Host` names another machine.
 _OTHER_HOST = HTTPStatus.MISDIRECTED_REQUEST
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -177,7 +179,7 @@ class _Server(ThreadingMixIn, HTTPServer):
 
     def __init__(self, served: ServedPages, port: int) -> None:
         self.served = served
-        self._open: dict[socket.socket, int] = {}
+        self._open: dict[socket.socket, int] = {}  # connection → state
         self._lock = threading.Lock()
         self._logged_paths: set[str] = set()
         family, *_, address = socket.getaddrinfo(served.host, port, type=socket.SOCK_STREAM)[0]
@@ -205,7 +207,7 @@ class _Server(ThreadingMixIn, HTTPServer):
                 # The first of equal connections is the oldest.
                 victim = min(self._open, key=self._open.__getitem__)
                 if self._open[victim] == _BUSY:
-                    victim = request
+                    victim = request  # all are busy: close the new one
                 self._open.pop(victim, None)  # so that the next connection closes another one
                 with suppress(OSError):  # it may be closed already
                     victim.shutdown(socket.SHUT_RDWR)
@@ -247,7 +249,7 @@ class _Server(ThreadingMixIn, HTTPServer):
 
 
 class _RefusedError(Exception):
-    """A refused request, with its status and reason."""
+    """A refused request, with its status and reason; raised, or returned as a value."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)

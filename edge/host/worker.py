@@ -137,7 +137,7 @@ class Worker(Generic[Item, Result]):
             self._process_inline(item)
             return
         with self._changed:
-            displaced = item if self._closed else self._waiting.get(key)
+            displaced = item if self._closed else self._waiting.get(key)  # the item to drop
             if not self._closed:
                 self._waiting[key] = item
                 self.stats.submitted += 1
@@ -154,7 +154,7 @@ class Worker(Generic[Item, Result]):
         self.submit(item, serial)  # a key of its own, so it replaces no item
         oldest = None
         with self._changed:
-            queued = [key for key in self._waiting if isinstance(key, int)]
+            queued = [key for key in self._waiting if isinstance(key, int)]  # keys of `enqueue`
             if len(queued) > MOST_QUEUED:
                 self.stats.replaced += 1
                 oldest = self._waiting.pop(queued[0])
@@ -202,7 +202,7 @@ class Worker(Generic[Item, Result]):
         return self._thread is None or not self._thread.is_alive()
 
     def _process_inline(self, item: Item) -> None:
-        """Process an item in the caller's thread, or drop it after a failure."""
+        """Process an item in the caller's thread, or drop it as a pause after a failure."""
         if self._closed or self._n_to_drop > 0:
             self._n_to_drop -= 1
             self._drop(item)
@@ -245,7 +245,7 @@ class Worker(Generic[Item, Result]):
 
     def _record_result(self, result: Result | None, took_ns: int) -> None:
         """Keep a result for `poll`; drop the one it replaces, or itself if not wanted."""
-        stats, unread = self.stats, result
+        stats, unread = self.stats, result  # `unread`: the result to drop
         with self._changed:
             stats.done += 1
             stats.in_a_row, stats.last_latency_ns = 0, took_ns

@@ -103,7 +103,8 @@ def make_automaton_graph(
     visited = _walk(automaton, 0, path)
     planned = _walk(automaton, 0 if state is None else state, plan)
     shown = _choose_states(automaton, state, planned, visited)
-    index = {s: i for i, s in enumerate(shown)}
+    index = {s: i for i, s in enumerate(shown)}  # state → index of its node
+    # (state, next state) → role, and the letter that was taken. The plan overrides the past.
     roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
     nodes, arrows = [], []
     for s in shown:
@@ -113,7 +114,7 @@ def make_automaton_graph(
         nodes.append(_node(automaton, s, s == state, fatal, len(hidden)))
         for t, letters in next_states.items():
             if t not in index or (automaton.is_dead(t) and (s, t) not in roles):
-                continue
+                continue  # not shown, or fatal and not taken
             arrows.append(_arrow(automaton, (s, t), letters, index, roles))
     return AutomatonGraph(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
 
@@ -158,7 +159,8 @@ def _choose_states(
     one.
     """
     current = 0 if state is None else state
-    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()  # success is possible from here
+    # `steps_left`: fewest objects to reach until success; -1 if success is impossible.
+    hopeful = np.flatnonzero(automaton.steps_left >= 0).tolist()
     wanted = list(dict.fromkeys((current, *planned, *reversed(visited))))
     complete = list(dict.fromkeys((0, *wanted, *hopeful)))
     if len(hopeful) <= MAX_WHOLE and _arrows_among(automaton, complete) <= MAX_ARROWS:
@@ -178,6 +180,7 @@ def _choose_states(
             # Show at least some of the next states; of later ones all or none.
             level = level[:-1] if is_first else []
         part += level
+    # The initial state (0) comes first, then the current one.
     return sorted(part, key=lambda s: (s != 0, s != current)) if 0 in part else part
 
 
@@ -251,6 +254,7 @@ def format_letters(letters: Sequence[str], alphabet: Sequence[str]) -> str:
     'all but e'
     """
     names = [letter for letter in letters if letter != NOTHING]
+    # `others`: the letters that are not in the set.
     others = [letter for letter in alphabet if letter not in set(names)]
     nothing = len(names) < len(letters)
     if nothing and not others:

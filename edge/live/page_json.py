@@ -1,4 +1,8 @@
-"""JSON for the page: the current state of the sink, and data that change less often."""
+"""JSON for the page: the current state of the sink, and data that change less often.
+
+A version (`number`, `site`) is a number that changes with the data. The page fetches the data again
+when the version changes.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ from edge.types import Goal, GoalStatus
 MAX_POINTS = 400
 """Largest number of points of a path that is drawn."""
 MAX_STEPS = 60  # of the mission log
-MAX_LAYERS = 16
+MAX_LAYERS = 16  # grids that the page can draw
 # Characters of a prompt, of a script, of another text, and of one line of a list.
 MAX_PROMPT, MAX_CODE, MAX_WORDS, MAX_LINE = 100_000, 20_000, 4_000, 1_000
 MAX_LINES = 50  # entries of a list, such as notes
@@ -63,7 +67,10 @@ def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
 
 
 def _task(task: TaskStatus, number: int) -> dict[str, Any]:
-    """Return the progress of a task; `number` is the version of its `task_json`."""
+    """Return the progress of a task; `number` is the version of its `task_json`.
+
+    `index` is that of the last pose reached in `refined` of `task_json`; -1: none.
+    """
     index, driven_m = -1, 0.0
     if task.refined is not None:
         index = thinned(task.refined, task.index, MAX_POINTS)[1]

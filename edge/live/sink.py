@@ -1,4 +1,8 @@
-"""Sink that keeps the data of the live page while somebody views the page."""
+"""Sink that keeps the data of the live page while somebody views the page.
+
+A mark is a letter that the page draws at a candidate in the image, if the choice scorer was asked
+about the candidate.
+"""
 
 from __future__ import annotations
 
@@ -52,10 +56,10 @@ class LiveSnapshot:
         n_sites: version of `site`.
         candidates: candidates for the next goal.
         path: (n, 2) path to the goal, metres.
-        layers: grids to draw, by name.
+        layers: name of a layer → function that returns the grid to draw.
         health: see `edge.loop.result.TickResult`.
-        mark_letters: by candidate id: the candidate's letter, and its probability by the model.
-        trail: (n, 3) float64 poses of the driven path.
+        mark_letters: candidate id → letter of its mark, and its probability by the model.
+        trail: (n, 3) float64 poses of the driven path: x and y in metres, yaw in radians.
         beat_hz: ticks with an observation per second.
         events: the newest events.
         n_events: number of events since the start.
@@ -106,8 +110,8 @@ class CameraShot:
         seq: number of the image.
         rgb: (h, w, 3) uint8, a copy, subsampled if it was large.
         boxes: detections of targets and of other objects.
-        marks: (letter, u, v) of candidates that the choice scorer was asked about and that are in
-            view; u and v in fractions of the image's width and height.
+        marks: (letter, u, v) of the marks in view; u and v in fractions of the image's width and
+            height.
     """
 
     seq: int
@@ -211,7 +215,7 @@ class LiveSink:
         )
 
     def _copy_image(self, result: TickResult, now_s: float) -> None:
-        """Copy the image with boxes; without detections for a while, the newest image."""
+        """Copy the image of the newest detections; if they stay away, the newest image."""
         detections, boxes = result.detections, ()
         if detections is not None:
             observation, self._boxed_s = detections.observation, now_s

@@ -64,16 +64,16 @@ class LiveView:
     def __init__(self, config: Config, health: ServiceHealth) -> None:
         self.sink = LiveSink()
         self._config, self._health = config, health
-        self._queues: Mapping[str, RequestQueue] = {}
+        self._queues: Mapping[str, RequestQueue] = {}  # by key of `edge.bus.topics.REQUESTS`
         self._lock = threading.Lock()  # so that one thread encodes for all viewers
-        self._cached: dict[str, tuple[object, HttpResponse]] = {}
+        self._cached: dict[str, tuple[object, HttpResponse]] = {}  # name → version, response
 
     def open(self, queues: Mapping[str, RequestQueue]) -> None:
         """Accept requests from now on, with a queue for each key."""
         self._queues = queues
 
     def pages(self) -> GetRoutes:
-        """Return the page and its data, by path."""
+        """Return the page and its data, by path; `story` is the mission log."""
         layers = {f"/live/layers/{i}": partial(self._layer, i) for i in range(MAX_LAYERS)}
         return {
             **{path: partial(_file, file) for path, file in _FILES.items()},
@@ -94,7 +94,7 @@ class LiveView:
     # -- data ----------------------------------------------------------------------------------
 
     def _now(self) -> HttpResponse:
-        """Return the data that change all the time."""
+        """Return the data that change all the time; `moment` is the newest snapshot."""
         now_s = self.sink.mark_watched()
         snapshot, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
         why = self._health.problems()

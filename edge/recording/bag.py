@@ -51,6 +51,7 @@ def by_log_time(
         messages: messages that are nearly sorted.
         most_bytes: limit of the messages in the sorting buffer, in bytes.
     """
+    # A heap of (log time, number, message); the number decides between equal times.
     waiting: list[tuple[int, int, RecordedMessage]] = []
     size = 0
     for n, message in enumerate(messages):
@@ -92,7 +93,7 @@ class Db3Reader:
                     for number, name, kind, encoding in db.execute(
                         "SELECT id, name, type, serialization_format FROM topics "
                         "WHERE length(name) + length(type) <= ? LIMIT ?",
-                        (_MAX_NAME_CHARS, MAX_KEPT),
+                        (_MAX_NAME_CHARS, MAX_KEPT),  # MAX_KEPT: largest number of topics
                     )
                 }
                 begun = True

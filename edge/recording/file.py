@@ -166,7 +166,7 @@ class RecordedMessage(NamedTuple):
 
     Attributes:
         topic: name of its channel.
-        schema: name of its schema; "" if it has none.
+        schema: name of its schema, which is the message type; "" if it has none.
         encoding: `cdr`, `json`, or another.
         log_ns: time at which it was recorded.
         stamp_ns: time of its data.
@@ -213,10 +213,11 @@ class McapReader:
             while not self.is_complete:
                 try:
                     record = next(records)
-                except EOFError:
+                except EOFError:  # the last record is longer than the rest of the file
                     self._stop_reading(begun, _RECORD_TOO_LONG if _has_end(file) else "cut off")
                     return
                 except DamagedError as error:
+                    # Cut off: the reader is at the end of the file, and this is no proper end.
                     is_cut = not file.read(1) and not _has_end(file)
                     self._stop_reading(begun, "cut off" if is_cut else f"damaged: {error}")
                     return

@@ -1,7 +1,11 @@
 """The journal of a recording, as JSON: inputs of the loop, observations and decisions.
 
-docs/recording.md has the schema. Numbers are exact to the last bit: arrays are base64, and JSON
-floats are the shortest that give the same number.
+A page is one message of the journal: the inputs since the last page, and the observation and
+decisions of the tick after them. docs/recording.md has the schema. Some JSON keys are older than
+the names in the code (`mistakable`, `upto`), so that old recordings stay readable.
+
+Numbers are exact to the last bit: arrays are base64, and JSON floats are the shortest that give the
+same number.
 """
 
 from __future__ import annotations
@@ -50,7 +54,8 @@ class JournalPage:
     """One message of the journal.
 
     Attributes:
-        entries: inputs in order. In an entry of kind `result`, the field `result` stays JSON.
+        entries: inputs in order. In an entry of kind `result`, the field `result` stays JSON: the
+            replay decodes it with the function for the worker, such as `rooms_of`.
         observation: the observation without its arrays, as JSON; None: there was none.
         decisions: decisions that a replay compares; None: there were none.
     """
@@ -69,11 +74,12 @@ def encode_page(
         inputs: inputs since the last page.
         result: the newest result of these inputs.
         kept: observation of the result, with only the arrays that are recorded.
-        rig: camera and mounts as last written, empty at first; changed in place.
+        rig: camera and mounts as last written, {} at first; changed in place.
     """
     page = {
         "entries": [
-            {"n": i.n, "kind": i.kind, **_ENCODE[i.kind](i.fields)} for i in inputs
+            {"n": entry.n, "kind": entry.kind, **_ENCODE[entry.kind](entry.fields)}
+            for entry in inputs
         ],
         "observation": None if kept is None else _observation(kept, result.observation, rig),
         "decisions": decisions_of(result),
@@ -116,7 +122,10 @@ def _check_decisions(decisions: dict[str, Any] | None) -> dict[str, Any] | None:
 
 
 def decisions_of(result: TickResult) -> dict[str, Any] | None:
-    """Return the decisions in a result, for comparison; None if there are none."""
+    """Return the decisions in a result, for comparison; None if there are none.
+
+    The keys are `target`, `phase`, `goal` (the present one, or None) and `sent` (new goals).
+    """
     if result.observation is None and not result.goals:
         return None
     return {
@@ -147,6 +156,7 @@ def _observation(
         "seq": kept.seq,
         "stamp_ns": kept.stamp_ns,
         "T_map_base": _array(kept.T_map_base),
+        # The arrays are in other channels; here is only which of them there were.
         "rgb_hw": None if rgb is None else list(rgb.shape[:2]),
         "depth": original is not None and original.depth_m is not None,
         "cloud": original is not None and original.cloud_m is not None,
@@ -196,6 +206,7 @@ def observation_of(
 
 
 # -- entries: `_x` encodes to JSON, `_x_of` or `x_of` decodes the stored JSON --------------------
+# Parts that may be missing in old recordings are read with `get`.
 
 
 def _array(array: np.ndarray) -> dict[str, Any]:
@@ -234,10 +245,10 @@ def _translation_of(stored: dict[str, Any]) -> Translation:
 
 def _start(fields: dict[str, Any]) -> dict[str, Any]:
     """Encode the start of a service, with its checkpoints as base64."""
-    saved, known = fields["mission_checkpoint"], fields["map_checkpoint"]
+    mission, map_ = fields["mission_checkpoint"], fields["map_checkpoint"]
     files = {
-        "mission_checkpoint": None if saved is None else MISSION.encode(Checkpoint(saved)),
-        "map_checkpoint": None if known is None else MAP.encode(known),
+        "mission_checkpoint": None if mission is None else MISSION.encode(Checkpoint(mission)),
+        "map_checkpoint": None if map_ is None else MAP.encode(map_),
     }
     return {
         **fields,
@@ -254,6 +265,7 @@ def _start_of(stored: dict[str, Any]) -> dict[str, Any]:
 
 
 def _file_of(stored: str | None) -> bytes | None:
+    """Decode the content of a checkpoint file; None if there was none."""
     if stored is None:
         return None
     if stored.startswith("{"):  # JSON of a mission, written by older versions
@@ -262,7 +274,7 @@ def _file_of(stored: str | None) -> bytes | None:
 
 
 def _boxes(found: Detections) -> dict[str, Any]:
-    c = found.context
+    c = found.context  # boxes of other objects than the targets
     return {
         "seq": found.observation.seq,
         "xyxy_px": _array(found.xyxy_px), "score": _array(found.score),
@@ -318,6 +330,7 @@ def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
     return outline_rooms(regions, ids, stored.get("next_id", 1), lost)
 
 
+# Workers of scorers answer with (question, result); the question is not recorded.
 def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
     similarity = found[1]
     return {
@@ -392,6 +405,7 @@ def plan_result_of(stored: dict[str, Any]) -> PlanResult:
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
         speed_mps=stored["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
+        # By step, (number, label) of each object; without `stops`: one step with one object.
         stops=tuple(
             tuple((number, label) for number, label in step)
             for step in stored.get("stops", () if stops_at is None else ((stops_at,),))
@@ -418,7 +432,7 @@ _ENCODE_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def _answer_of(stored: dict[str, Any]) -> dict[str, Any]:
+def _goal_status_of(stored: dict[str, Any]) -> dict[str, Any]:
     blocked = stored.pop("blocked")
     return {
         "goal_status": GoalStatus(**stored, blocked=None if blocked is None else tuple(blocked))
@@ -462,7 +476,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
 _DECODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     **dict.fromkeys(_ENCODE, _UNCHANGED),
     "start": _start_of,
-    "goal_status": _answer_of,
+    "goal_status": _goal_status_of,
     "mission": lambda stored: {**stored, "translation": _translation_of(stored["translation"])},
     "config": lambda stored: {"config": config_of(stored["config"])},
     "site": lambda stored: {**stored, "site": site_of(stored["site"])},

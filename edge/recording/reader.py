@@ -83,6 +83,7 @@ def read_records(file: BinaryIO) -> Iterator[Record]:
     """
     if _read_exactly(file, len(MAGIC)) != MAGIC:
         raise DamagedError("the first bytes are not those of MCAP")
+    # `crc`: checksum of all bytes before `DataEnd`, which has the correct one, or 0.
     crc, kept, begun = zlib.crc32(MAGIC), _KeptRecords(), False
     while True:
         head = _read_exactly(file, _HEAD.size)

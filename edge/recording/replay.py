@@ -3,6 +3,10 @@
 Background workers do not run: their recorded answers arrive in the recorded ticks. With another
 configuration the loop takes other decisions. Then workers that need only the map (the travel-cost
 survey, the room segmentation) do run; answers of detectors and scorers stay as recorded.
+
+A page is one message of the recording's journal: the inputs since the last page, in order, and the
+observation and decisions of their last tick. In names, `then` is the recorded run and `now` the
+replay.
 """
 
 from __future__ import annotations
@@ -189,7 +193,7 @@ class _ReplayedService:
         spec = restore_spec(config.mission, translation, task)
         checkpoint = self._checkpoint(mission_checkpoint, map_checkpoint)
         detector: Detector = NullModel("replay")
-        detect: Callable[[Observation], Detections] | None = None
+        detect: Callable[[Observation], Detections] | None = None  # None: recorded detections
         if self._detect:
             if config.perception.detector.kind == "sim":
                 raise ReplayError(
@@ -315,7 +319,10 @@ _HANDLERS: dict[str, Callable[..., None]] = {
 
 
 def _actions(entries: Sequence[LoopInput]) -> Iterator[tuple[LoopInput, list[LoopInput]]]:
-    """Yield each input with the worker events and decisions that happened while it was handled."""
+    """Yield each input with the worker events and decisions that happened while it was handled.
+
+    In the journal, these events follow their input.
+    """
     action, events = None, []
     for entry in entries:
         if entry.kind in ("request", "result", "decision", "images"):
@@ -340,7 +347,7 @@ def replay(
         session: the recorded run.
         config: another configuration than the recorded one; the mission stays the recorded one.
         detect: run the detector on the recorded images instead of using recorded detections.
-        each: called with the result so far, after every page.
+        each: called with the result so far, after every page of the journal.
 
     Raises:
         RecordingError: the recording does not begin with the run, or is malformed.

@@ -1,4 +1,7 @@
-"""Replay source: stand-ins for the loop's workers, which give the recorded answers in time."""
+"""Replay source: stand-ins for the loop's workers, which give the recorded answers in time.
+
+The loop gives a worker a question (an item), and polls its answer in a later tick.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ class ReplayTick:
 
     Attributes:
         asked: names of the workers that got a question in this tick.
-        found: answers of this tick, by worker.
+        found: answers of this tick, by worker, as JSON.
         decided: decisions of this tick, by name.
         frames: observations that may still get detections, by number.
         pictures: numbers of the frames with a recorded image.
@@ -108,7 +111,7 @@ class _ReplayedWorker:
         # In one tick an answer may come after the next question.
         self._questions: deque[Any] = deque(maxlen=2)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # other attributes are the worker's
         return getattr(self._worker, name)
 
     @property
@@ -134,6 +137,9 @@ class ReplaySource(InputLog):
         now: recorded events of the current tick.
         detect: runs a detector on the recorded images; None: recorded detections are used.
         real_workers: names of workers that run for real.
+
+    Attributes:
+        n_unrecorded: number of images for `detect` that were not recorded.
     """
 
     def __init__(
@@ -145,13 +151,14 @@ class ReplaySource(InputLog):
         super().__init__()
         self.n_unrecorded = 0
         self._now, self._detect, self._real_workers = now, detect, real_workers
+        # Worker → function (answer as JSON, questions that wait) that returns its result.
         self._decode: dict[str, Callable[[dict[str, Any], Any], Any]] = {
             "detector": self._decode_detections,
-            "travel_cost": lambda answer, asked: journal.travel_cost_of(answer),
-            "rooms": lambda answer, asked: journal.rooms_of(answer),
+            "travel_cost": lambda answer, questions: journal.travel_cost_of(answer),
+            "rooms": lambda answer, questions: journal.rooms_of(answer),
             "similarity": self._decode_similarity,
             "choice": self._decode_choice,
-            "task": lambda answer, asked: journal.plan_result_of(answer),
+            "task": lambda answer, questions: journal.plan_result_of(answer),
         }
 
     def record_decision(
@@ -166,11 +173,12 @@ class ReplaySource(InputLog):
         return decide() if decision is None else decision
 
     def wrap(self, name: str, worker: Any) -> Any:
+        """Return the stand-in for a worker, or the worker if it runs for real."""
         if name in self._real_workers:
             return worker
         return _ReplayedWorker(name, worker, self._now, self._decode[name])
 
-    def _decode_detections(self, answer: dict[str, Any], asked: Any) -> Detections | None:
+    def _decode_detections(self, answer: dict[str, Any], questions: Any) -> Detections | None:
         """Return the recorded detections, or new ones; None if the image was not recorded."""
         observation = self._now.frame(answer["seq"])
         if self._detect is None:
@@ -180,20 +188,20 @@ class ReplaySource(InputLog):
             return None
         return self._detect(observation)
 
-    def _decode_similarity(self, answer: dict[str, Any], asked: Iterable[Any]) -> Any:
+    def _decode_similarity(self, answer: dict[str, Any], questions: Iterable[Any]) -> Any:
         similarity = journal.similarity_of(answer)
-        question = _find_question(asked, similarity.stamp_ns)
+        question = _find_question(questions, similarity.stamp_ns)
         return None if question is None else (question, similarity)
 
-    def _decode_choice(self, answer: dict[str, Any], asked: Iterable[Any]) -> Any:
+    def _decode_choice(self, answer: dict[str, Any], questions: Iterable[Any]) -> Any:
         """Return the recorded choice; None if other settings led to another question."""
         choice = journal.choice_of(answer)
-        question = _find_question(asked, choice.stamp_ns)
+        question = _find_question(questions, choice.stamp_ns)
         if question is None or not {m.id for m in question.view.marks} >= set(choice.ids):
             return None
         return question, choice
 
 
-def _find_question(asked: Iterable[Any], stamp_ns: int) -> Any:
+def _find_question(questions: Iterable[Any], stamp_ns: int) -> Any:
     """Return the question about the observation of this stamp; None if there was none."""
-    return next((q for q in asked if q.observation.stamp_ns == stamp_ns), None)
+    return next((q for q in questions if q.observation.stamp_ns == stamp_ns), None)

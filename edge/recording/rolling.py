@@ -24,6 +24,7 @@ PREFIX = "edge-"
 AGAIN_S = 5.0
 """Time in seconds until recording is tried again after an error."""
 _MB = 1_000_000
+# Such as `edge-20260131T123456.789Z.mcap`, or the same with `.partial`.
 _NAME = re.compile(rf"{PREFIX}\d{{8}}T\d{{6}}\.\d{{3}}Z\.mcap({re.escape(PARTIAL)})?", re.ASCII)
 
 
@@ -134,6 +135,7 @@ class RollingRecorder:
         file = McapWriter(path, self._compression, self._metadata(self._n_files))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
+            # Leave room for the file that now begins.
             make_room(self._folder, int((self._limits.keep_mb - self._limits.max_mb) * _MB))
             file.open()
         except OSError as error:

@@ -1,4 +1,8 @@
-"""A recorded run over one or several files: the journal page by page, with its observations."""
+"""A recorded run over one or several files: the journal page by page, with its observations.
+
+A page is one message of the journal (`edge.recording.journal`). The images, depth and clouds of its
+observation are in messages of other channels, just before the page.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +49,7 @@ class RecordedStep(NamedTuple):
 
     Attributes:
         page: the page.
-        observation: the observation with its recorded arrays; None: there was none.
+        observation: the page's observation with its recorded arrays; None: there was none.
         picture: True if `rgb` is a recorded image; otherwise `rgb` is black, or None without a
             camera.
         missing: names of arrays of the observation that were not recorded (`depth`, `cloud`).
@@ -157,7 +161,7 @@ class RecordedRun:
         """
         array_messages: dict[str, RecordedMessage] = {}
         rig: dict[str, Any] = {}
-        n = 0
+        n = 0  # number of entries so far; the next entry has this number
         for m in self.messages():
             if m.topic in _ARRAY_TOPICS:
                 array_messages[m.topic] = m
@@ -216,7 +220,7 @@ def _make_step(
     Args:
         page: the page.
         array_messages: messages with arrays since the last page, by topic.
-        rig: see `journal.observation_of`.
+        rig: camera and mounts as last read, see `journal.observation_of`.
     """
     fields = page.observation
     if fields is None:

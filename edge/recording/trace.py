@@ -25,10 +25,11 @@ def trace_of(spans: Iterable[Span]) -> dict[str, Any]:
     background stage only the time is known at which its result was used. A span that seems to begin
     before the previous one ended is cut to begin there.
     """
+    # With an equal begin, a tick comes before its first stage, which is shorter.
     ordered = sorted(spans, key=lambda s: (s.begin_ns, -s.took_ns))
     first_ns = min((span.begin_ns for span in ordered), default=0)
     threads = {"loop": LOOP}
-    ends_ns: dict[int, int] = {}
+    ends_ns: dict[int, int] = {}  # thread → end of its last span
     events = []
     for name, begin_ns, took_ns, in_tick in ordered:
         thread = LOOP

@@ -11,13 +11,14 @@ FIELDS = {
     "found": {"what": "result"},
     "start": {"saved": "mission_checkpoint", "places": "map_checkpoint"},
 }
-"""Old name → new name: of the kinds of entries, of the workers, and of the fields of a kind."""
+"""Old name → new name: of the kinds of entries, of the workers, and of the fields by old kind."""
 GOAL_KINDS = {"look": "spin"}
+"""Old kind of a goal → new kind."""
 
 
 def present_page(page: dict[str, Any]) -> dict[str, Any]:
     """Return a page of the journal, as JSON, with the present names; change it in place."""
-    if "said" not in page:
+    if "said" not in page:  # the old name of `decisions`, so this page is not old
         return page
     page["decisions"] = decisions = page.pop("said")
     page["entries"] = [_present_entry(entry) for entry in page["entries"]]

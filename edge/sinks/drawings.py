@@ -55,7 +55,7 @@ class PathRing:
 
     def poses(self) -> np.ndarray:
         """Return a copy of the poses, (n, 3) x, y, yaw, oldest first."""
-        first = self._n % len(self._poses)
+        first = self._n % len(self._poses)  # index of the oldest pose, if the ring is full
         if self._n <= len(self._poses):
             return self._poses[: self._n].copy()
         return np.roll(self._poses, -first, axis=0)

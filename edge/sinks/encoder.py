@@ -37,10 +37,10 @@ STATUS_HZ = LATENCY_HZ = DRAWN_HZ = INFO_HZ = 1.0
 MOST_MAP_HZ = 1.0
 """Largest rate of the map, because a map is as large as several depth images."""
 SHOWN_HZ = 10.0
-"""Rate of pose, transforms and boxes: enough for people."""
+"""Rate of pose, transforms and boxes, enough for people; with an image, the pose is always sent."""
 TRAJECTORY_HZ = 0.2
 """A trajectory may be long; it is also sent when it changes."""
-QUALITY = 85  # of JPEG
+QUALITY = 85  # of JPEG, 1 to 100
 CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
 _MAX_SPARE = 16  # depth buffers that are kept for later use
 _NO_DEPTH = np.zeros((0, 0), np.uint16)
@@ -98,12 +98,12 @@ class ResultSnapshot:
 
 
 class ResultEncoder:
-    """Encodes results: `capture` is for the loop's thread, `encode` for another.
+    """Encodes results: `capture` is for the loop's thread, `encode` and `release` for another.
 
     Args:
         config: the configuration.
         rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
-        is_wanted: returns True if a channel has a receiver; called by any thread.
+        is_wanted: returns True if a channel has a receiver; called on both threads.
     """
 
     def __init__(
@@ -121,11 +121,11 @@ class ResultEncoder:
         self._driven_path = PathRing()
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
-        self._spans_ns = 0  # spans are sent up to here
+        self._spans_ns = 0  # spans (`edge.loop.latency.Span`) are sent up to this time
         self._spare: deque[np.ndarray] = deque(maxlen=_MAX_SPARE)  # depth buffers, of both threads
 
     def capture(self, result: TickResult, arrays: bool = True) -> ResultSnapshot:
-        """Copy the data of a result that the source will overwrite.
+        """Copy the data of a result that will be overwritten, and choose the messages that are due.
 
         Args:
             result: the result.
@@ -230,6 +230,7 @@ class ResultEncoder:
     def _encode_spans(self, result: TickResult) -> bytes:
         """Encode the spans since the last call."""
         spans = result.spans(self._spans_ns)
+        # `result.spans` selects ticks by their begin, and background spans by their end.
         ends_ns = [s.begin_ns + (0 if s.in_tick else s.took_ns) for s in spans]
         self._spans_ns = max(ends_ns, default=self._spans_ns)
         return json_bytes({"spans": spans})
@@ -272,7 +273,7 @@ def _array_messages(
     observation: Observation, arrays: dict[str, np.ndarray]
 ) -> Iterator[_PendingMessage]:
     """Yield the messages of the arrays."""
-    stamp_ns, n = observation.stamp_ns, observation.seq & 0xFFFFFFFF
+    stamp_ns, n = observation.stamp_ns, observation.seq & 0xFFFFFFFF  # MCAP has 32 bits for it
     for name, array in arrays.items():
         channel, frame, encode = _ENCODERS[name]
         yield _PendingMessage(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)

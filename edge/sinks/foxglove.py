@@ -21,7 +21,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.sinks.foxglove")
 
-_CLOSE_S = 1.0
+_CLOSE_S = 1.0  # longest time to send what is pending at the end
 _BACKLOG = 256  # messages queued for a client; the oldest are dropped
 
 
@@ -100,7 +100,7 @@ class FoxgloveSink:
         self._server.stop()
 
     def _is_subscribed(self, channel: Channel) -> bool:
-        return bool(self._channels[channel].has_sinks())
+        return bool(self._channels[channel].has_sinks())  # the SDK's sinks are its clients
 
     def _send(self, snapshot: ResultSnapshot) -> None:
         for message in self._encoder.encode(snapshot):

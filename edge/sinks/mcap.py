@@ -2,6 +2,9 @@
 
 The loop only copies; the sink's thread writes files, from a queue of limited size. If the queue is
 full, images, depth and clouds are dropped first, and counted.
+
+A page is one message of the journal: the inputs since the last page, and the decisions of the tick
+after them. The journal is what a replay reads.
 """
 
 from __future__ import annotations
@@ -40,7 +43,10 @@ _CLOSE_S = 5.0  # longest time to write what is pending at the end
 
 
 class _Item(NamedTuple):
-    """One entry of the queue; `bytes` is the size of its arrays."""
+    """One tick to write: its data, its result and the inputs before it.
+
+    `bytes` is the size of the arrays in `snapshot`.
+    """
 
     snapshot: ResultSnapshot
     inputs: tuple[LoopInput, ...]
@@ -96,7 +102,7 @@ class McapSink:
         self._inputs: list[LoopInput] = []
         self._page_ns: int | None = None  # start of the current page
         self._held_back: TickResult | None = None  # the last result of the page
-        self._rig: dict[str, Any] = {}  # camera and mounts as last written
+        self._rig: dict[str, Any] = {}  # camera and mounts as last written to the journal
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
         self._lock = threading.Lock()  # for pending bytes
         self._dropped = {"arrays": 0, "moments": 0}  # ticks without arrays; whole ticks
@@ -217,7 +223,7 @@ class McapSink:
             self._failed += 1
 
     def _metadata(self, part: int) -> dict[str, dict[str, str]]:
-        """Return the metadata of the file of this number."""
+        """Return the metadata, by name, of file number `part` of the run, from 0."""
         config = json.dumps(journal.config_text(self._config))
         fields = {
             "version": str(journal.VERSION), "edge": __version__, "session": self._session,

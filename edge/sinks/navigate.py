@@ -34,6 +34,7 @@ REPLACED_S = 0.5  # time in which a server with one goal at a time has dropped t
 _ACCEPT_S = 5.0  # timeout of the answers to a new goal and to a cancellation
 _RESULT_S = 600.0  # timeout of a request for the result; it is then sent again
 _RING_MESSAGES = 16  # messages of a topic between two updates, and replaced goals
+# Status of an unsuccessful end → word for the reason.
 _STATES = {navigation.CANCELED: "cancelled", navigation.ABORTED: "aborted"}
 
 
@@ -169,7 +170,7 @@ class NavigateToPoseClient:
         active.reply, active.stage = self._send.call(request), "sent"
 
     def _continue_for(self, goal: Goal) -> bool:
-        """Continue the current action for a new goal; return False if there is none.
+        """Continue the current action for a new goal; return False if there is no action.
 
         For subclasses, whose actions do not depend on the pose of the goal.
         """

@@ -47,6 +47,7 @@ class Ros2Sink:
         )
         self._keepout = self._keepout_publisher(config) if settings.keepout_filter else None
         self._zones: ZonePolygons | None = None
+        # With `ros2.goals: topic` only a publisher of goals; else the clients of Nav2's actions.
         self._goal_publisher = None
         self._navigator: NavigateToPoseClient | None = None
         self._docker: DockRobotClient | None = None
@@ -152,7 +153,10 @@ class Ros2Sink:
             self._markers.put(payload)
 
     def _drive(self, goal: Goal | None) -> None:
-        """Send a goal to the client that comes first, and cancel the others; None: cancel all."""
+        """Send a goal to the client that must act first, and cancel the others.
+
+        None cancels all.
+        """
         if self._navigator is None:
             self._pending_goal = goal
             self._update_clients()

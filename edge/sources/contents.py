@@ -1,7 +1,10 @@
 """Contents of a recording: its topics and tf frames, and the matching of topics to sensors.
 
 Names come from `ros2.topics`. If a recording lacks a topic of that name, the topic is guessed by
-type, content and words in its name. Every choice is reported to the user in a line.
+type, content and words in its name: each candidate topic gets points, and the most points win.
+Every choice is reported to the user in a line.
+
+"Our name" of a topic is its key in `edge.bus.topics`, such as `camera/rgb`.
 """
 
 from __future__ import annotations
@@ -44,10 +47,11 @@ _MAX_LISTED = 12  # topics in a message
 _TYPES = {kind for name in SUBSCRIBED for kind in accepted_types(name, "")}
 """Message types that can be played."""
 _MIN_SCORE = -5.0
-"""A topic is guessed only if its score is above this."""
+"""A topic is guessed only if its points are above this."""
 
 Words = dict[str, float]
-"""Points of a word in the name of a topic."""
+"""Word in the name of a topic → points."""
+# By our name of the topic: words that add points, and words that subtract them.
 _LIKELY_WORDS: dict[str, Words] = {
     RGB: {"rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "front": 1},
     DEPTH: {"depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "front": 1, "raw": 0.5},
@@ -297,7 +301,7 @@ def match_topics(
             chooser.choose(name)
     for name in (TF, TF_STATIC):
         chooser.choose(name)
-    found, how = chooser.found, chooser.how
+    found, how = chooser.found, chooser.how  # both by our name
     frames = _FrameMatcher(config, contents)
     frames.resolve(found)
     if frames.drops_odometry:
@@ -314,7 +318,7 @@ def match_topics(
 
 
 class _TopicChooser:
-    """Chooses the topic of each sensor.
+    """Chooses the topic of each sensor. Topics chosen before help to choose later ones.
 
     Attributes:
         found: topic of the recording by our name.
@@ -350,7 +354,10 @@ class _TopicChooser:
         self.how[name] = how
 
     def _find_by_name(self, name: str, present: dict[str, TopicFacts]) -> tuple[str, str]:
-        """Return the topic with the configured, our own or the usual name, and a description."""
+        """Return the topic with the configured, our own or the usual name, and a description.
+
+        Without such a topic, return "" and the text to append to "guessed" or "not there".
+        """
         configured = self._config.ros2.topics.get(name)
         if configured is not None:
             if topic := next((t for t in _with_compressed(configured) if t in present), ""):
@@ -389,6 +396,7 @@ class _TopicChooser:
             points += 2 * (facts.child == ros2.base_frame) + (facts.child in _BASES)
             points += facts.frame_id == ros2.map_frame
         is_raw = facts.type != COMPRESSED
+        # With equal points, raw images win, then more messages, then the last name.
         return points, is_raw, facts.count, topic
 
     def _camera_info_score(self, topic: str) -> float:

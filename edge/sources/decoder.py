@@ -28,7 +28,7 @@ from edge.sources.synchronizer import TimeSynchronizer
 from edge.sources.tf import RobotFrames
 
 _WAIT_SHARE = 0.8  # part of a frame's waiting time in which its pose may wait for transforms
-_INFO_BODY = 12  # offset behind CDR header and stamp: the rest is the same in most messages
+_INFO_BODY = 12  # of camera info: offset behind CDR header and stamp; the rest hardly ever changes
 
 
 def _check_height(
@@ -89,7 +89,8 @@ class CdrDecoder:
     Args:
         synchronizer: receives the messages.
         clock: time of arrivals, in ns.
-        frames: converts poses into `map`. If None, odometry is in `map` already.
+        frames: the robot's tf frames, to convert poses into `map`. If None, odometry is in `map`
+            already.
     """
 
     def __init__(

@@ -101,7 +101,9 @@ class _Input:
 
 
 class InputTable:
-    """State of all inputs. One thread writes; any thread may read `rows`.
+    """State of all inputs; a row of the table is one input.
+
+    One thread writes; any thread may read `rows`.
 
     Args:
         config: the configuration.
@@ -114,7 +116,7 @@ class InputTable:
     ) -> None:
         self._clock = clock
         self._inputs: list[_Input] = []
-        self._by_name: dict[str, list[_Input]] = {}
+        self._by_name: dict[str, list[_Input]] = {}  # by name, and by `where`
         sensors = config.sensors
         lidar_hz = 0.0 if sensors.lidar is None else sensors.lidar.rate_hz
         # Objects are detected in images, whatever the map is made of.
@@ -129,7 +131,7 @@ class InputTable:
         self.add(Odometry.topic, "pose", needed=True, expected_hz=sensors.odometry_hz)
 
     def add(self, name: str, group: str, needed: bool, expected_hz: float = 0.0) -> None:
-        """Add an input."""
+        """Add an input; for the arguments see `_Input`."""
         row = _Input(name, group, needed, expected_hz)
         self._inputs.append(row)
         self._by_name.setdefault(name, []).append(row)
@@ -188,6 +190,7 @@ class InputTable:
         """Return the current table."""
         now_ns = self._clock()
         states = [row.state(now_ns) for row in self._inputs]
+        # A missing input whose group has another one is not missing, but unused.
         active = {
             row.group for row, state in zip(self._inputs, states, strict=True) if state != "missing"
         }
@@ -203,10 +206,11 @@ def _make_status(row: _Input, state: InputState, now_ns: int) -> InputStatus:
     """Return the row of the table for an input."""
     came_ns, hz = row.came_ns, row.hz
     if not hz and came_ns is not None and came_ns > row.since_ns:  # still in the first window
+        # n messages have n - 1 periods between them.
         hz = (row.in_window - 1) * 1e9 / (came_ns - row.since_ns)
     why = row.current_warning(now_ns) if state == "ok" else ""
     if state == "dropped":
-        why = f"{row.reason}{row.detail and f' ({row.detail})'}"
+        why = f"{row.reason}{row.detail and f' ({row.detail})'}"  # no brackets without a detail
     if hz and now_ns - came_ns > max(SILENT_S, 3.0 / hz) * 1e9:
         hz = 0.0
     return InputStatus(

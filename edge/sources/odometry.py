@@ -41,6 +41,7 @@ class StampGuard:
     def __init__(self) -> None:
         self.newest_ns: int | None = None
         self.behind_since_ns: int | None = None
+        # Of the present series of earlier stamps: the last one, and their number.
         self._behind_ns: int | None = None
         self._behind = 0
 
@@ -91,7 +92,13 @@ class StampedPoses:
         self._n_kept = 0
 
     def push(self, stamp_ns: int, T: np.ndarray, age_ns: int = 0) -> None:
-        """Append the newest transform; `age_ns` is the age of its oldest part."""
+        """Append the newest transform.
+
+        Args:
+            stamp_ns: stamp of the transform.
+            T: the transform.
+            age_ns: age at the stamp of the oldest transform from which `T` was computed; 0: exact.
+        """
         # If the new one and the second newest are this close, the one between them is overwritten.
         if self._n_kept > 1 and stamp_ns - self.stamp(1) < self._apart_ns:
             self._n_pushed -= 1
@@ -110,7 +117,7 @@ class StampedPoses:
         return self._stamps_ns[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
     def age(self, n: int) -> int:
-        """Return the age in ns of the oldest part of the `n`-th newest transform."""
+        """Return the age in ns that was pushed with the `n`-th newest transform."""
         return self._ages_ns[(self._n_pushed - 1 - n) % len(self._stamps_ns)]
 
     def pose(self, n: int) -> np.ndarray:
@@ -248,10 +255,11 @@ class OdometryRing:
         poses, newest_ns = self._poses, self.newest_ns
         if newest_ns is None or not 0 <= stamp_ns - newest_ns <= self._max_gap_ns:
             return None, 0
+        # Measure the speed over at least as long a time as is extrapolated.
         over_ns = max(stamp_ns - newest_ns, _SPEED_WINDOW_NS)
         n = min(poses.count_newer(newest_ns - over_ns), len(poses) - 1)
         since_ns = poses.stamp(n)
         if newest_ns - since_ns < stamp_ns - newest_ns:  # too few poses to extrapolate this far
             return poses.pose(0).copy(), poses.age(0)
-        fraction = (stamp_ns - since_ns) / (newest_ns - since_ns)
+        fraction = (stamp_ns - since_ns) / (newest_ns - since_ns)  # above 1: beyond the newest
         return interpolate(poses.pose(n), poses.pose(0), fraction), poses.age(0)

@@ -70,20 +70,17 @@ class PlayedSource(PolledSource):
     ) -> None:
         contents, matched = playback.contents, playback.matched
         self._matched, self._rate, self.is_over = matched, rate, False
+        # Log times: present, of the newest processed message, and of the first one.
         self._now_ns = self._last_ns = self._first_ns = contents.first_ns
-        self._played_frames = (
-            RobotFrames(_with_limited_wait(matched.config)) if matched.by_tf else None
-        )
-        super().__init__(
-            _with_limited_wait(config), session, self._played_frames, lambda: self._now_ns
-        )
+        self._tf_frames = RobotFrames(_with_limited_wait(matched.config)) if matched.by_tf else None
+        super().__init__(_with_limited_wait(config), session, self._tf_frames, lambda: self._now_ns)
         inputs = self._synchronizer.inputs
         if matched.by_tf:
             for name in (TF, TF_STATIC):
                 inputs.add(name, TF, needed=True)
                 inputs.listen(name, one_line(matched.topics.get(name, _ABSENT), 80))
         self._process_static(contents)
-        self._names = {topic: name for name, topic in matched.topics.items()}
+        self._names = {topic: name for name, topic in matched.topics.items()}  # our names
         self._types = {topic: contents.topics[topic].type for topic in self._names}
         self._messages = playback.bag.by_time(self._names.keys(), contents.nearly_sorted)
         self._ahead = None if rate is None else _ReadAhead(self._messages)
@@ -97,10 +94,10 @@ class PlayedSource(PolledSource):
 
     def _process_static(self, contents: RecordingContents) -> None:
         """Process all of tf_static at once, as a late subscriber would get it."""
-        if self._played_frames is not None:
+        if self._tf_frames is not None:
             for payload in contents.static.get(self._matched.topics.get(TF_STATIC, ""), ()):
                 with suppress(DecodeError):  # counted when the message is played
-                    self._played_frames.take(payload, static=True)
+                    self._tf_frames.take(payload, static=True)
 
     def clock(self) -> int:
         """Return the current log time of the recording, in ns."""
@@ -175,8 +172,8 @@ class PlayedSource(PolledSource):
             if not self._is_too_large(name, message.payload):
                 type_name = self._types[message.topic].replace("/msg/", "/")
                 self._decoder.offer(_TOPICS[name], message.payload, type_name)
-        elif self._played_frames is not None:
-            self._take_transforms(name, message.payload, self._played_frames, name == TF_STATIC)
+        elif self._tf_frames is not None:
+            self._take_transforms(name, message.payload, self._tf_frames, name == TF_STATIC)
             if self._matched.moving_frame and name == TF:
                 self._process_poses(message.payload)
 

@@ -24,7 +24,7 @@ from edge.text import one_line
 from edge.types import Observation
 
 PAUSE_S = 0.0003
-"""Time in seconds between two polls of the rings."""
+"""Time in seconds between two polls of the rings (buffers of messages, `edge.bus.session.Ring`)."""
 
 
 class PolledSource(ABC):
@@ -35,6 +35,9 @@ class PolledSource(ABC):
         session: an open session.
         frames: see `CdrDecoder`; also gives the mounts of sensors if tf has them.
         clock: time of arrivals, in ns.
+
+    Attributes:
+        inbox: the goal statuses of the controller.
 
     Raises:
         ConfigError: the configuration needs a cloud but has no `sensors.lidar`.
@@ -53,9 +56,9 @@ class PolledSource(ABC):
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self.inbox = GoalStatusInbox(session, config.zenoh)
         fields = self._synchronizer.streams
+        # Topic → number of messages to buffer between two polls; odometry is read first.
         self._capacities = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
         self._capacities |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in fields}
-        """Topic → number of messages to buffer between two polls; odometry is read first."""
         for topic in self._capacities:
             self._synchronizer.inputs.listen(topic.key, self._where(topic))
 

@@ -42,11 +42,12 @@ from edge.sources.contents import ODOMETRY, TF, TF_STATIC, missing_inputs
 log = logging.getLogger("edge.sources.recording")
 
 _ENDINGS = ("", *COMPRESSED_ENDINGS)  # suffixes of a recorded topic
+# Channels whose messages do not begin with a std_msgs/Header.
 _WITHOUT_HEADER = (f"/{TF}", f"/{TF_STATIC}")
 _RING = 64  # messages of a topic between two polls
 _PAUSE_S = 0.002  # between two polls
 _SYNC_S = 2.0  # period of writing to the disk
-_TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}
+_TOPICS = {f"/{topic.key}": topic for topic in topics.ALL}  # by name of the channel
 
 
 def record_messages(
@@ -317,7 +318,14 @@ def _sleep_until(deadline_s: float, stop: threading.Event) -> float:
 
 
 def _shift_stamp(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> bytes:
-    """Return the payload with its stamp shifted from the recording's time to the current time."""
+    """Return the payload with its stamp shifted from the recording's time to the current time.
+
+    Args:
+        payload: CDR that begins with a std_msgs/Header.
+        first_ns: log time of the first message that is played.
+        begin_ns: time at which that message was played.
+        rate: see `play`.
+    """
     stamp_ns = begin_ns + int((peek_stamp_ns(payload) - first_ns) / rate)
     at = len(HEADER)
     stamp = STAMP.pack(*divmod(stamp_ns, 1_000_000_000))
@@ -388,6 +396,7 @@ def run(args: argparse.Namespace) -> int:
     if not written:
         print(f"nothing received at {config.zenoh.address}: is the service running?")
         return FAILED
+    # Our names of the topics of which there is a message, compressed or not.
     received = {name for name in SUBSCRIBED if any(f"/{name}{end}" in written for end in _ENDINGS)}
     if TF in received:  # tf can replace odometry
         received.add(ODOMETRY)

@@ -16,7 +16,7 @@ FISHEYE = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
 _COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers that OpenCV accepts; missing ones are zero
 _RECTIFIED_WORDS = {"rect", "rectified"}
-_SAMPLES = 1000  # radii at which the distortion model is tested
+_SAMPLES = 1000  # distances from the optical axis at which the distortion model is tested
 _OUTSIDE_PX = -10.0  # coordinate of pixels without a raw pixel
 _MAX_SIDE_PX = 32_766  # OpenCV's maps have 16 bits
 _ADVICE = "if they are rectified already, set source.distortion: ignore"
@@ -47,6 +47,7 @@ class Rectifier:
     """
 
     def __init__(self, lens: Lens, camera: CameraModel) -> None:
+        # `_d`: distortion coefficients as OpenCV takes them.
         self._lens, self._d, self._camera = lens, _coefficients(lens), camera
         shape = camera.height_px, camera.width_px
         if max(shape) > _MAX_SIDE_PX:
@@ -99,6 +100,8 @@ class Rectifier:
         x = ((u - camera.cx_px) / camera.fx_px)[None, :]
         y = ((v - camera.cy_px) / camera.fy_px)[:, None]
         radius = np.hypot(x, y)
+        # Rays at distance r from the optical axis (at depth 1), and the distance at which the lens
+        # shows each. Up to the first r at which that distance does not grow, the model is valid.
         r = np.linspace(0.0, radius.max(), _SAMPLES)
         rays = np.stack([r, np.zeros_like(r), np.ones_like(r)], axis=1)[:, None]
         project = cv2.fisheye.projectPoints if self._lens.model == FISHEYE else cv2.projectPoints

@@ -50,10 +50,24 @@ _NAMES = {kind.field: kind.topic for kind in (Image, DepthImage, Cloud)}
 
 # Reasons of drops, the keys of `TimeSynchronizer.counters`.
 REASONS = (
-    "malformed", "oversized", "empty", "wrong_size", "repeated", "backward", "stale", "superseded",
-    "unpaired", "no_pose", "no_camera_info", "no_transform", "pool_exhausted", "pose_jump",
-    "clock_reset", "overrun", "distorted",
-)  # fmt: skip
+    "malformed",  # cannot be decoded
+    "oversized",  # larger than source.max_message_mb
+    "empty",  # no bytes, pixels or valid points
+    "wrong_size",  # an image of another size than the camera info
+    "repeated",  # the same stamp as before
+    "backward",  # an earlier stamp than before
+    "stale",  # a frame older than all poses that are kept
+    "superseded",  # a newer frame was used
+    "unpaired",  # no frame of a required sensor at this time
+    "no_pose",
+    "no_camera_info",
+    "no_transform",  # missing in tf
+    "pool_exhausted",  # all slots of the pool are in use
+    "pose_jump",  # no drop: the pose was used, and those before it were forgotten
+    "clock_reset",  # no drop: earlier stamps than before are accepted again
+    "overrun",  # messages came faster than they were read
+    "distorted",  # camera info with a distortion that cannot be used
+)
 
 _NO_BEAM = "no beam has a valid range: NaN, 0 and -inf are invalid, +inf is valid (REP 117)"
 _LIMITS = {
@@ -136,6 +150,8 @@ class _Dropped(NamedTuple):
 class TimeSynchronizer:
     """Joins messages as the module's docstring says; for one thread.
 
+    A frame is one image or sweep; a field is the attribute of `Observation` that it fills.
+
     Args:
         config: the configuration.
         clock: time of arrivals, in ns.
@@ -170,18 +186,20 @@ class TimeSynchronizer:
         self._leader, *self._others = self.streams
         self._clock = clock
         self.inputs = InputTable(config, self.streams, clock)
-        self._wait_ns = math.inf if config.loop.lockstep else wait_ns
+        self._wait_ns = math.inf if config.loop.lockstep else wait_ns  # most for a leading frame
         self._mount_at = mount_at
-        self._camera_frame = ""
+        self._camera_frame = ""  # frame id of the newest image
+        # Of the newest pose: its arrival, and arrival minus stamp.
         self._pose_came_ns = -1
         self._pose_delay_ns: int | None = None
-        self._info: CameraInfo | None = None
+        self._info: CameraInfo | None = None  # as received; `_camera`: None if it cannot be used
         self._camera: CameraModel | None = None
         self._lens = LensPlan()
         self._pool: FramePool | None = None
         self._seq = 0
-        self._logged: set[tuple[str, str]] = set()
-        # Some drivers send the end of the range in place of "no return".
+        self._logged: set[tuple[str, str]] = set()  # (topic, reason or text) that were logged
+        # Some drivers send the end of the range in place of "no return". So this is the largest
+        # float32 below the end of the range.
         self._max_depth_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
         camera, lidar = config.sensors.camera, config.sensors.lidar
         self._T_base_camera = camera.T_base_camera()
@@ -247,7 +265,7 @@ class TimeSynchronizer:
             self.count(message.topic, reason)
 
     def _use_camera_info(self, message: CameraInfo) -> None:
-        """Use new camera info: plan the rectification, and allocate frames again."""
+        """Use new camera info: plan the rectification, and drop the pool, whose size may change."""
         camera = message.camera
         if message == self._info:
             if self._camera is not None:
@@ -295,7 +313,7 @@ class TimeSynchronizer:
         for frame in leading.newest_first():
             joined = self._join(frame, now_ns)
             if joined is None:
-                continue
+                continue  # it waits; an older one may be complete
             leading.drop_frame(frame)  # now: a frame that cannot be decoded must not be tried again
             if isinstance(joined, _Dropped):
                 self.count(frame.topic, joined.reason, joined.why)
@@ -312,7 +330,7 @@ class TimeSynchronizer:
 
     def _join(self, leader: SensorFrame, now_ns: int) -> _Joined | _Dropped | None:
         """Return the leading frame with what belongs to it, or why it is dropped; None: wait."""
-        since_ns = now_ns - leader.arrived_ns
+        since_ns = now_ns - leader.arrived_ns  # how long the frame has waited
         waited = since_ns > self._wait_ns
         frames = [leader]
         for field in self._others:
@@ -320,7 +338,7 @@ class TimeSynchronizer:
             match = stream.find_match(leader.stamp_ns)
             if match is not None:
                 frames.append(match)
-            elif not (since_ns > self._wait_for(stream) or stream.is_past(leader.stamp_ns)):
+            elif not (since_ns > self._wait_limit_ns(stream) or stream.is_past(leader.stamp_ns)):
                 return None
             elif stream.required:
                 return _Dropped("unpaired", self._describe_distance(leader, field))
@@ -345,7 +363,7 @@ class TimeSynchronizer:
             mounts[name], tf_age_ns = placed.T, max(tf_age_ns, placed.age_ns)
         return _Joined(frames, T_map_base, mounts, pose_age_ns, tf_age_ns)
 
-    def _wait_for(self, stream: Stream) -> float:
+    def _wait_limit_ns(self, stream: Stream) -> float:
         """Return how long a leading frame waits for another sensor, in ns."""
         if stream.required:
             return self._wait_ns
@@ -407,7 +425,7 @@ class TimeSynchronizer:
             self.count(leader.topic, "no_camera_info")
             if not isinstance(leader, Cloud):
                 return None
-            frames = [leader]
+            frames = [leader]  # the cloud alone needs no camera
         slot = self._acquire_slot()
         if slot is None:
             self.count(leader.topic, "pool_exhausted")

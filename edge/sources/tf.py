@@ -1,4 +1,7 @@
-"""Time-stamped buffer of tf: transforms between the robot's frames at an instant."""
+"""Time-stamped buffer of tf: transforms between the robot's frames at an instant.
+
+A frame here is a coordinate frame, never an image.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from edge.sources.odometry import StampedPoses, StampGuard
 
 _MAX_DEPTH = 64  # frames from a leaf to the root
 _HISTORY = 128  # transforms that are kept of each moving frame
-_RARELY_NS = 500_000_000  # see `_Edge`; at least this
+_RARELY_NS = 500_000_000  # smallest `rarely_ns`, see `_Edge`
 _IDENTITY = TransformLookup(np.eye(4))
 _IDENTITY.T.flags.writeable = False
 
@@ -21,8 +24,9 @@ _IDENTITY.T.flags.writeable = False
 class _Edge:
     """The transforms of one frame to its parent.
 
-    A transform holds until the next one if that comes more than `rarely_ns` later; a single
-    transform holds for all time. Such a frame moves in steps, or never, so no lookup waits.
+    Usually the transform at an instant is interpolated between two. But a transform holds until the
+    next one if that comes more than `rarely_ns` later; a single transform holds for all time. Such
+    a frame moves in steps, or never, so no lookup waits.
 
     Attributes:
         parent: name of the parent frame.
@@ -36,7 +40,7 @@ class _Edge:
         self._rarely_ns = rarely_ns
         self._guard = StampGuard()
         self._guard.check(transform.stamp_ns)
-        self._history: StampedPoses | None = None
+        self._history: StampedPoses | None = None  # None: there is only one transform
 
     def push(self, transform: Transform) -> None:
         """Add a later transform of the frame."""
@@ -52,7 +56,7 @@ class _Edge:
                 self._history = StampedPoses(_HISTORY, 8 * self._rarely_ns // _HISTORY)
                 self._history.push(first_ns, self.T)
             self._history.push(transform.stamp_ns, transform.T)
-        elif self._history is not None:
+        elif self._history is not None:  # repeated: the same stamp again
             self._history.replace(transform.T)
         self.T = transform.T
 
@@ -64,7 +68,7 @@ class _Edge:
         history = self._history
         if history is None:
             return self.T, 0
-        n = history.count_newer(stamp_ns)
+        n = history.count_newer(stamp_ns)  # index of the newest that is not later
         if n == len(history):
             return history.pose(n - 1), stamp_ns - history.stamp(n - 1)
         before_ns = history.stamp(n)
@@ -82,7 +86,8 @@ class TfBuffer:
     """A tree of frames with the recent transforms to their parents; for one thread.
 
     Args:
-        wait_ns: how long a sensor frame waits for a transform. History covers four times as much.
+        wait_ns: how long an image or cloud waits for a transform. The history covers at least four
+            times as much.
 
     Example:
         >>> tf = TfBuffer(wait_ns=100_000_000)

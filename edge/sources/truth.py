@@ -32,9 +32,9 @@ class SegmentationInbox:
     def __init__(self, config: Config, session: zenoh.Session) -> None:
         self._max_bytes = int(config.source.max_message_mb * 1e6)
         self._tolerance_ns = int(0.5e9 / config.sensors.camera.rate_hz)
-        self._labels: tuple[str, ...] = ()
+        self._labels: tuple[str, ...] = ()  # as `parse_labels` returns them
         self._ids = np.zeros((0, 0), np.uint16)
-        self._newest: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)
+        self._newest: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)  # (stamp in ns, message)
         key = config.zenoh.key(topics.SEGMENTATION.key)
         self._segmentations = session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT))
         self._label_ring = Ring(session, config.zenoh.key(topics.LABELS.key), 1)

@@ -46,8 +46,9 @@ log = logging.getLogger("edge.sources.zmq")
 MAX_HEADER = 4096
 """Longest header in bytes."""
 _CHECK_S = 1.0  # period of checks of the connection
-_FRAME_ID = "camera"
-_MAX_PX = 1e7
+_FRAME_ID = "camera"  # of recorded messages
+_MAX_PX = 1e7  # largest intrinsics
+# Encoding → bytes of a pixel.
 _BYTES_PX = {
     "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "16UC1": 2, "32FC1": 4,
 }  # fmt: skip
@@ -71,7 +72,11 @@ class ZmqHeader:
 
 
 def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
-    """Parse the header of a buffer of `n_bytes`.
+    """Parse the header of a message.
+
+    Args:
+        data: JSON, see the module's docstring.
+        n_bytes: size of the pixels, which must match the header.
 
     Raises:
         ValueError: with one line that names the fault.
@@ -95,7 +100,9 @@ def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
     step = width * _BYTES_PX[encoding]
     if height * step != n_bytes:
         raise ValueError(f"{width}x{height} {encoding} is {height * step} bytes, got {n_bytes}")
-    image = images.ImageHeader(stamp_ns, "", height, width, encoding, step, 0, False)
+    image = images.ImageHeader(
+        stamp_ns, "", height, width, encoding, step, data_offset=0, big_endian=False
+    )
     return ZmqHeader(topic, image, _parse_intrinsics(fields.get("intrinsics"), width, height))
 
 

@@ -22,9 +22,9 @@ class Graph:
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._zid = str(session.info.zid())
-        self._by_id: dict[str, Endpoint] = {}
+        self._by_id: dict[str, Endpoint] = {}  # by token, which is unique
         self._by_topic: dict[tuple[Kind, str], list[Endpoint]] = {}
-        self._hashes: dict[str, str] = {}
+        self._hashes: dict[str, str] = {}  # type → hash
         self._warned = False
         self._tokens = session.liveliness().declare_subscriber(
             all_tokens(domain), zenoh.handlers.RingChannel(_MAX_TOKENS), history=True

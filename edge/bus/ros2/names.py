@@ -1,7 +1,8 @@
 """Naming schemes of a ROS 2 graph over Zenoh: rmw_zenoh and zenoh-bridge-ros2dds.
 
-rmw_zenoh has keys with types, liveliness tokens, attachments and type hashes. The bridge uses plain
-topic names. Sources: rmw_zenoh's docs/design.md, `liveliness_utils.cpp`,
+rmw_zenoh has keys with types, liveliness tokens, attachments and type hashes. An endpoint's token
+announces it to other nodes; an attachment is data that Zenoh sends next to a message. The bridge
+uses plain topic names. Sources: rmw_zenoh's docs/design.md, `liveliness_utils.cpp`,
 `attachment_helpers.cpp`; zenoh-plugin-ros2dds' `route_publisher.rs`, `route_service_srv.rs`.
 """
 
@@ -173,7 +174,11 @@ def dialect_of(via: Literal["rmw_zenoh", "bridge", "adapter"], prefix: str) -> D
 
 
 def node_token(domain: int, zid: str, nid: int, node: str) -> str:
-    """Return the token of a node in the root namespace."""
+    """Return the token of a node in the root namespace.
+
+    For the arguments see `endpoint_token`; `node` is the name of the node.
+    """
+    # `%` stands for `/`: the root enclave and the root namespace.
     return f"@ros2_lv/{domain}/{zid}/{nid}/{nid}/NN/%/%/{node}"
 
 
@@ -201,7 +206,7 @@ def all_tokens(domain: int) -> str:
 
 def parse_token(key: str) -> Endpoint | None:
     """Parse an endpoint's token; None for a node's token and for anything else."""
-    parts = key.split("/")
+    parts = key.split("/")  # as in `endpoint_token`; `_` are parts that are not needed
     if len(parts) != 13 or parts[0] != "@ros2_lv" or len(key) > _MAX_TOKEN_CHARS:
         return None
     _, _, zid, _, _, kind, _, namespace, node, topic, dds, type_hash, _ = parts

@@ -1,9 +1,10 @@
 """A node of a ROS 2 graph, with publishers, subscriptions and service clients.
 
-In rmw_zenoh every endpoint has a token, which names its type's hash; `ros2 topic list` shows it.
-The hash differs between distributions, so endpoints are declared again when the graph shows another
-one. With the bridge or the adapter there are no tokens and hashes; Zenoh's own matching shows
-if there is a subscriber or server.
+An endpoint is a publisher, subscription, service server or service client. In rmw_zenoh each
+announces itself by a liveliness token; `ros2 topic list` lists these. The token contains the hash
+of the endpoint's type. Hashes differ between ROS distributions, so an endpoint is declared again
+when the graph shows another hash for its type. With `ros2.via` `bridge` or `adapter` there are no
+tokens and hashes; Zenoh itself reports if there is a subscriber or server.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ class Ros2Node:
 
     Attributes:
         graph: the other endpoints; None if the dialect has no tokens.
+        zid: id of the Zenoh session, for tokens.
+        nid: number of the node in this process, for tokens.
     """
 
     def __init__(
@@ -68,7 +71,7 @@ class Ros2Node:
                 endpoint.update()
         elif self.graph.update():
             for endpoint in self._endpoints:
-                endpoint.declare_again()
+                endpoint.declare_if_changed()
 
     def publisher(self, topic: str, type_name: str, latched: bool = False) -> Ros2Publisher:
         """Add a publisher; see `Ros2Publisher`."""
@@ -98,7 +101,7 @@ class Ros2Node:
 
     def _add(self, endpoint: Any) -> Any:
         self._endpoints.append(endpoint)
-        endpoint.declare_again()
+        endpoint.declare_if_changed()
         return endpoint
 
 
@@ -112,6 +115,14 @@ def open_node(config: Config, session: zenoh.Session, part: str) -> Ros2Node:
 class _Ros2Endpoint:
     """Base of all endpoints: a token that follows the graph's type name and hash.
 
+    Args:
+        node: the node it belongs to.
+        kind: see `edge.bus.ros2.names.Kind`: `MP` is a publisher, `MS` a subscription, `SS` a
+            service server, `SC` a service client.
+        topic: topic or service, with a leading slash.
+        type_name: ROS 2 name of the type.
+        qos: quality of service in the token, see `edge.bus.ros2.names`.
+
     Attributes:
         hash: the declared hash of the type; None before it is known, "" in a dialect without
             tokens.
@@ -123,9 +134,9 @@ class _Ros2Endpoint:
         self._kind, self._qos, self._eid = kind, qos, next(_IDS)
         self._token: zenoh.LivelinessToken | None = None
         self._sequence = 0
-        self._gid = bytes(16)
+        self._gid = bytes(16)  # id of the endpoint in attachments
 
-    def declare_again(self) -> None:
+    def declare_if_changed(self) -> None:
         """Declare the endpoint, or declare it again if the graph has another type or hash."""
         node, type_name = self.node, self.wanted_type()
         type_hash = "" if node.graph is None else node.graph.hash_of(type_name)
@@ -194,12 +205,16 @@ class Ros2Publisher(_Ros2Endpoint):
             self._publisher.put(payload, attachment=self.attachment())
 
     def update(self) -> None:
+        # Send the last message again when the first subscriber comes.
         was_heard, self._was_heard = self._was_heard, self.has_subscribers()
         if self._last and self._was_heard and not was_heard:
             self.put(self._last)
 
     def has_subscribers(self) -> bool:
-        """Return True if there is a subscriber; do not use it for latched topics."""
+        """Return True if there is a subscriber.
+
+        Put messages of a latched topic without asking: the last one is kept for late subscribers.
+        """
         if self.node.graph is None:
             return self._publisher is not None and self._publisher.matching_status.matching
         return bool(self.node.others("MS", self.topic))

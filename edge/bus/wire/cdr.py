@@ -82,6 +82,7 @@ class CdrReader:
     def sequence(self, item_size: int) -> tuple[int, int]:
         """Return (count, offset of the first item) of a sequence of numbers, and skip it."""
         (count,) = self.read(U32, 4)
+        # There is no padding before the items of an empty sequence.
         return count, self._advance(count * item_size, item_size if count else 1)
 
     def stamp_ns(self) -> int:

@@ -12,6 +12,7 @@ from edge.bus.wire.cdr import U8, U32, CdrReader, CdrWriter, DecodeError
 from edge.geometry import FARTHEST_M
 
 _HEIGHT_WIDTH = struct.Struct("<II")
+# Angles: first, last, increment; time increment, scan time; smallest and largest range.
 _SCAN = struct.Struct("<7f")
 _FLOAT32 = 7  # datatype of sensor_msgs/PointField
 _MAX_FIELDS = 64  # of a point
@@ -61,7 +62,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
 
 
 def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, keep_invalid: bool = False) -> int:
-    """Write the points of a sensor_msgs/PointCloud2 into `out_m` (cap, 3) float32.
+    """Write the points of a sensor_msgs/PointCloud2 into `out_m`, (cap, 3) float32.
 
     The message may have any layout of fields with float32 x, y, z.
 
@@ -99,6 +100,7 @@ def decode_point_cloud_into(payload: bytes, out_m: np.ndarray, keep_invalid: boo
     if keep_invalid:
         code, strides = ">f4" if big_endian else "<f4", (row_step, point_step)
         for axis, offset in enumerate(offsets):
+            # A view of one coordinate of all points.
             column = np.ndarray((height, width), code, payload, begin + offset, strides)
             out_m[:n, axis] = column.reshape(-1)
         return n

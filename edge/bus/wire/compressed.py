@@ -19,11 +19,14 @@ from edge.bus.wire.images import ImageHeader, integers_into
 from edge.host.c_stderr import silence_c_stderr
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_IHDR = struct.Struct(">4sIIB")  # name, width, height, bits
+_IHDR = struct.Struct(">4sIIB")  # name of the first chunk, width, height, bits
+# A PNG is a signature and chunks: length, name, data, checksum. A lower-case name marks a chunk
+# that a decoder may skip; the others are critical.
 _CHUNK, _CHECKSUM = struct.Struct(">I4s"), 4  # length, name; bytes of the checksum
 _CRITICAL, _ANIMATED = (b"IHDR", b"PLTE", b"IDAT"), (b"acTL", b"fcTL", b"fdAT")
 _JPEG, _JPEG_SCAN, _JPEG_END = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
-_SEGMENT = struct.Struct(">BBH")  # marker, kind, length
+# A JPEG is a list of segments, then scans with the pixels. One segment, the frame, has the size.
+_SEGMENT = struct.Struct(">BBH")  # marker, kind, length without the first two
 _FRAME = struct.Struct(">BHH")  # bits, height, width
 _NOT_FRAME_KINDS = (0xC4, 0xC8, 0xCC)  # kinds from 0xC0 to 0xCF that have no image size
 _SCAN_KIND = 0xDA  # the pixels follow
@@ -115,6 +118,7 @@ def encode_jpeg(stamp_ns: int, frame_id: str, rgb: np.ndarray, quality: int) -> 
 def _read_size(payload: bytes, begin: int, end: int, format_text: str) -> tuple[int, int, int]:
     """Return (height, width, bits per channel) of a JPEG or PNG from its first bytes."""
     if payload[begin : begin + 8] == _PNG and end - begin >= 8 + 4 + _IHDR.size:
+        # Behind the signature (8 bytes) and the first chunk's length (4).
         name, width, height, bits = _IHDR.unpack_from(payload, begin + 12)
         if name == b"IHDR":
             _check_chunks(payload, begin + 8, end)

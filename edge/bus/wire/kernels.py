@@ -12,14 +12,15 @@ from numba.extending import intrinsic
 
 from edge.jit import jit
 
-U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)  # unsigned, see `cloud_points`
-INF = np.uint32(0x7F800000)  # bits of a float32's exponent: all are set for NaN and inf
+U0, U1, U2 = np.uintp(0), np.uintp(1), np.uintp(2)  # unsigned indices, see `cloud_points`
+INF = np.uint32(0x7F800000)  # a float32's exponent bits, all set: so they are in NaN and inf
 
 
 def _make_load(data: Any, at: Any, word: Any, bits: int) -> Any:
     """Return the type and the code of an intrinsic that loads one unsigned number of these bits."""
 
     def load(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        # In C: *(uintN_t *)&data[at]
         array = context.make_array(signature.args[0])(context, builder, args[0])
         place = builder.gep(array.data, [args[1]])
         return builder.load(builder.bitcast(place, ir.IntType(bits).as_pointer()), align=1)
@@ -82,7 +83,7 @@ def cloud_points(
     Returns:
         The number of points written.
     """
-    kept = U0
+    kept = U0  # a point that is not kept is overwritten by the next
     # Unsigned indices: numba checks signed ones for negative values at each load.
     x_at, y_at, z_at = np.uintp(offsets[0]), np.uintp(offsets[1]), np.uintp(offsets[2])
     step = np.uintp(point_step)

@@ -78,15 +78,16 @@ BASE_FRAME = "base_link"
 
 # Sensors of a robot at this distance are still inside the map's limit.
 _FARTHEST_M = 0.9 * FARTHEST_M
-_POSE = struct.Struct("<7d")
-_TWIST = struct.Struct("<6d")
+_POSE = struct.Struct("<7d")  # x, y, z; quaternion x, y, z, w
+_TWIST = struct.Struct("<6d")  # linear x, y, z; angular x, y, z
 _COVARIANCE = struct.Struct("<36d")
+# sensor_msgs/CameraInfo: matrix K of the raw and P of the rectified camera, row by row.
 _K = struct.Struct("<9d")
 _P = struct.Struct("<12d")
 _HEIGHT_WIDTH = struct.Struct("<II")
-_MAX_COEFFICIENTS = 64
-_ROI = struct.Struct("<IIIIIIB")
-_GRID_INFO = struct.Struct("<fII")
+_MAX_COEFFICIENTS = 64  # of the distortion
+_ROI = struct.Struct("<IIIIIIB")  # binning x, y; region x, y, height, width; do_rectify
+_GRID_INFO = struct.Struct("<fII")  # resolution, width, height
 _IDENTITY_3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -101,6 +102,7 @@ def peek_header(payload: bytes) -> tuple[int, str]:
 
 
 def _finite(values: tuple[float, ...], what: str) -> tuple[float, ...]:
+    """Return the values; raise DecodeError, which names them `what`, for NaN or inf."""
     if not all(map(math.isfinite, values)):
         raise DecodeError(f"{what} holds NaN or inf")
     return values
@@ -197,7 +199,7 @@ def encode_camera_info(stamp_ns: int, frame_id: str, camera: CameraModel) -> byt
     fx, fy, cx, cy = camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px
     writer = CdrWriter().header(stamp_ns, frame_id)
     writer.write(_HEIGHT_WIDTH, 4, camera.height_px, camera.width_px).string("plumb_bob")
-    writer.write(U32, 4, 5).floats((0.0,) * 5, "d")
+    writer.write(U32, 4, 5).floats((0.0,) * 5, "d")  # d; then k, r and p
     writer.floats((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0), "d").floats(_IDENTITY_3, "d")
     writer.floats((fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0), "d")
     return writer.write(_ROI, 4, 0, 0, 0, 0, 0, 0, 0).bytes()
@@ -233,7 +235,7 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
         )
     d = struct.unpack_from(f"<{count}d", payload, begin)
     k = reader.read(_K, 8)
-    reader.skip(_K.size, 8)
+    reader.skip(_K.size, 8)  # r: rotation of a stereo camera
     p = reader.read(_P, 8)
     binning_x, binning_y, x, y, roi_height, roi_width, _ = reader.read(_ROI, 4)
     step_x, step_y = max(binning_x, 1), max(binning_y, 1)
@@ -246,6 +248,7 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
         )
 
     def pinhole(fx: float, fy: float, cx: float, cy: float) -> CameraModel:
+        """Return the camera of the sent images, from intrinsics of the whole sensor."""
         try:
             return CameraModel(
                 roi_width // step_x, roi_height // step_y,

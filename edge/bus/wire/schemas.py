@@ -7,6 +7,7 @@ from __future__ import annotations
 
 _SEPARATOR = "=" * 80
 
+# Type → its fields, one a line.
 DEFINITIONS: dict[str, str] = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -77,7 +78,7 @@ DEFINITIONS: dict[str, str] = {
 
 
 def full_name(type_name: str) -> str:
-    """Return the ROS 2 name of `nav_msgs/Odometry`: `nav_msgs/msg/Odometry`."""
+    """Return the full name of a type: `nav_msgs/msg/Odometry` for `nav_msgs/Odometry`."""
     package, name = type_name.split("/")
     return f"{package}/msg/{name}"
 

@@ -12,8 +12,8 @@ import numpy as np
 from edge.bus.wire.cdr import HEADER, U32, CdrReader, CdrWriter, DecodeError
 from edge.geometry import quaternion_of, se3_from_quaternion
 
-_TRANSFORM = struct.Struct("<7d")
-_MIN_TRANSFORM_BYTES = 12 + 1 + _TRANSFORM.size  # bytes of one transform
+_TRANSFORM = struct.Struct("<7d")  # x, y, z; quaternion x, y, z, w
+_MIN_TRANSFORM_BYTES = 12 + 1 + _TRANSFORM.size  # least bytes of one transform
 MOST_TRANSFORMS = 4096
 """Largest number of transforms in a message."""
 
@@ -85,11 +85,12 @@ def encode_path(
     writer = CdrWriter().header(stamp_ns, frame_id).write(U32, 4, n)
     if n == 0:
         return writer.bytes()
-    values = np.zeros((n, 7))
+    values = np.zeros((n, 7))  # by pose, as in `_TRANSFORM`; a turn by yaw has only z and w
     values[:, :2], values[:, 2] = poses[:, :2], z_m
     values[:, 5], values[:, 6] = np.sin(0.5 * poses[:, 2]), np.cos(0.5 * poses[:, 2])
     first = writer.header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
-    # A pose ends at a multiple of eight bytes, so all later poses have the same layout.
+    # A pose ends at a multiple of eight bytes, so all later poses have the same layout: copy the
+    # bytes of one n - 1 times, and overwrite the numbers at the end of each.
     unpadded = CdrWriter().header(stamp_ns, frame_id).write(_TRANSFORM, 8, *values[0]).bytes()
     rest = np.tile(np.frombuffer(unpadded[len(HEADER) :], np.uint8), (n - 1, 1))
     rest[:, -_TRANSFORM.size :] = values[1:].astype("<f8", copy=False).view(np.uint8)
