@@ -21,7 +21,7 @@ _GAP_M = 0.05  # smallest gap between a moved object and others
 _PASS_M = 0.1  # free space on each side of the robot in a passage that must stay open
 _APART_M = 2.0  # an object moves by at least this
 _PLACES = 40  # random places to try for an object
-_STRIDE = 4  # every fourth row and column is enough to find the cells near a goal
+_STRIDE = 4  # of the cells, each fourth row and column is checked for being near a goal
 _REACH_M = 0.8  # largest distance from a goal at which it counts as reached
 
 
