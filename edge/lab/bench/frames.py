@@ -182,7 +182,7 @@ def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str,
 
 
 def relations_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
-    """Return (labels, prompts) uint8: a relation, such as `SAME_NAME`, of each label to each prompt."""
+    """Return (labels, prompts) uint8, relation of each label to each prompt, see `SAME_NAME`."""
     relations = np.full((len(labels), len(prompts)), UNRELATED, np.uint8)
     for i, label in enumerate(labels):
         for j, prompt in enumerate(prompts):
