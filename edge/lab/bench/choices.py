@@ -167,8 +167,10 @@ def views_of(pictures: BenchFrames) -> list[MarkedView]:
             for i, (u, v, bearing_rad, away_m) in enumerate(_MARKS_AT)
         )
         truth = None if pictures.truth is None else pictures.truth[k]
+        # Names of the objects in the image that count.
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(DetectedObject(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
+        # Start with another target for each image; take the first one that is not in the image.
         turn = k % len(_TARGETS)
         targets = _TARGETS[turn:] + _TARGETS[:turn]
         unseen = (t for t in targets if not any(names.same_name(label, t) for label in labels))

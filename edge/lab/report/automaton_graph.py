@@ -244,6 +244,6 @@ def _draw_node(axes: Axes, node: StateNode, x: float, y: float) -> None:
 
 
 def _captions(node: StateNode) -> list[tuple[str, str]]:
-    """Return the lines under a state, with their colours."""
+    """Return the lines under a state, each as (text, colour)."""
     lines = [(line, FORBIDDEN) for line in node.forbidden]
     return [*lines, (f"+ {node.hidden}", MUTED)] if node.hidden else lines

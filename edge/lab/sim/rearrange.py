@@ -77,13 +77,13 @@ def _move(
     radius_m: float,
     goals: Sequence[str],
 ) -> bool:
-    """Move an object to the first of some random places at which it closes no way.
+    """Move an object to the first of some random places at which it blocks no passage.
 
     Returns:
         True if it was moved.
     """
     plan, (x_m, y_m) = world.plan, item.center_m[:2]
-    half_m = 0.5 * math.hypot(*item.size_m[:2])
+    half_m = 0.5 * math.hypot(*item.size_m[:2])  # half of the diagonal
     before = _drivable_area(plan, radius_m)
     goals_before = _goals_in_reach(world, goals, before)
     row, col = np.nonzero(before & (plan.clearance_m > half_m + _GAP_M))

@@ -152,6 +152,7 @@ class RoomFurnisher:
 
     def furnish(self) -> list[PlacedItem]:
         """Place the objects of this kind of room; try again if a necessary one finds no place."""
+        # Rules with `by` are left out: their objects need another object first.
         needed = {rule.category for rule in CONTENTS[self.kind] if rule.p == 1.0 and not rule.by}
         for _ in range(_ROOM_TRIES):
             self.placed = []
@@ -165,6 +166,7 @@ class RoomFurnisher:
         floor_m2 = self.inside.width_m * self.inside.depth_m
         for rule in CONTENTS[self.kind]:
             wanted = self.rng.chance(rule.p) and floor_m2 >= rule.from_m2
+            # Each object that found a place is followed by another with the probability `more`.
             for _ in range(rule.most):
                 wanted = wanted and self._place(rule) and self.rng.chance(rule.more)
         if self.rng.chance(STRAY_P):
