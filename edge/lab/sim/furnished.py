@@ -50,7 +50,7 @@ _SUPPORTS = frozenset(map(names.canonical, (*SUPPORTS, "table", "bookcase", "cou
 _TEXTURE_PX = 256  # side of the square texture of a floor or wall
 _TEXEL_M = 0.01  # side of one pixel of this texture on the floor or wall
 _UNIT = 200.0
-"""Value of a texture's pixel for the factor 1. It is below 255, because factors are up to 1.27."""
+"""Value of a texture's pixel for the factor 1. It is below 255, so that brighter factors fit in."""
 _LIGHT = (0.85, 1.2)
 """Smallest and largest factor on all colours of a house."""
 _WARMTH = 0.08
@@ -63,9 +63,9 @@ class PlacedModel:
 
     Attributes:
         model: the model.
-        x_m: middle of its lower side, in `map`, like y_m and z_m.
-        y_m: see `x_m`.
-        z_m: see `x_m`; the height of the lower side above the floor.
+        x_m: x of its middle in `map`.
+        y_m: y of its middle in `map`.
+        z_m: height of its lower side above the floor.
         yaw_rad: direction of its front.
         scale: factor on the size that the catalogue gives.
     """
@@ -99,7 +99,7 @@ class PlacedModel:
         return T
 
     def holds(self, x_m: float, y_m: float) -> bool:
-        """Return True if the point is above its footprint."""
+        """Return True if a point of `map` lies within its footprint."""
         x, y = self.to_local(x_m, y_m)
         return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
 
@@ -218,6 +218,7 @@ class Furnisher:
         if not choices:
             return None
         model = rng.pick(choices)
+        # The best direction in which the model fits.
         turn = next(turn for turn in turns if _scale(model, turn, hung))
         scale = _scale(model, turn, hung)
         # The back stays where the object's back was: at the wall.
