@@ -1,7 +1,8 @@
 """`edge bench --models`: comparison of all variants of a family on the same frames.
 
-Detectors are compared here, models that choose frontiers in `choices`. Each variant runs in its own
-process. `report` prints and saves the figures.
+A variant is one model on one provider (such as CPU or CUDA). Frames are images, with ground truth
+if they are rendered. Each variant runs in its own process. Detectors are compared here, models that
+choose frontiers in `choices`. `report` prints and saves the figures.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def _in_words(group: Sequence[TaskStatus]) -> str:
 
 
 def _attempt(number: int, attempt: PlanAttempt) -> str:
-    """Return one answer of a model as HTML: its code, or its text if it has no code."""
+    """Return one answer (attempt) of a model as HTML: its code, or its text without code."""
     outcome = (
         '<span class="over">refused</span>' if attempt.error else '<span class="ok">used</span>'
     )

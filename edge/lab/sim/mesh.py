@@ -432,8 +432,12 @@ def _object(
     triangles: np.ndarray,
     reach_m: float,
 ) -> WorldObject:
-    """Return an object with its footprint: the cells under its triangles up to `reach_m`."""
+    """Return an object with its footprint: the cells under its triangles up to `reach_m`.
+
+    `low` and `high` are the lowest and the highest corner of its box; see `objects_of`.
+    """
     center, size = 0.5 * (low + high), high - low
+    # The grid has a margin of 0.1 m around the box.
     cols, rows = np.ceil((size[:2] + 0.2) / CELL_M).astype(int)
     grid, corner = np.zeros((rows, cols), np.uint8), low[:2] - 0.1
     # If no part of it is at the robot's height (a lamp, a picture), all of it counts.
