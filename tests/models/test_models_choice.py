@@ -197,10 +197,10 @@ def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing,
     world, pose = Corridor(thing), SE2(0.0, 0.0, yaw_rad)
     pictures = BenchFrames("one", [], (), None, world, (pose,))
     view = MarkedView(Observation(0, 0, np.eye(4)), "bed", MARKS)
-    left_m = np.array([choices._left_m(pictures, view)])
-    assert choices.right_of(left_m).tolist() == [expected]
+    remaining_m = np.array([choices._remaining_m(pictures, view)])
+    assert choices.correct_marks(remaining_m).tolist() == [expected]
     blind = BenchFrames("one", [], (), None)
-    assert not choices.right_of(np.array([choices._left_m(blind, view)])).any()
+    assert not choices.correct_marks(np.array([choices._remaining_m(blind, view)])).any()
 
 
 def test_the_small_scorer_is_listed_next_to_the_detectors_of_its_family(

@@ -14,9 +14,10 @@ from edge.geometry import overlaps
 MATCH_IOU = 0.5
 """Boxes match if their intersection over union is at least this."""
 COVERED = 0.5
-"""A box is ignored if this share of it lies in an object that does not count."""
-NO, KIND, NAMED = 0, 1, 2
-"""Relation of an object's label to a prompt: none, a kind of it (armchair to chair), same name."""
+"""A box that hits nothing is ignored, not counted as false, if this share of it lies in an object
+that does not count, or that is only a kind of the prompt."""
+UNRELATED, KIND_OF_PROMPT, SAME_NAME = 0, 1, 2
+"""Relation of an object's label to a prompt. An armchair is a kind of the prompt "chair"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class GroundTruthBoxes:
 
     Attributes:
         xyxy_px: (m, 4) float32, box around the visible part of each object.
-        label: (m,) int32, index of its label.
+        label: (m,) int32, index of its label in `BenchFrames.labels`.
         counts: (m,) bool, False for an object that is too small or too hidden: it is neither a miss
             nor a false detection.
     """
@@ -94,11 +95,12 @@ def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.nd
     Args:
         xyxy_px: (n, 4) float32, highest score first.
         truth: the objects in this image.
-        relation: (labels,) of each label to the prompt: NO, KIND or NAMED.
+        relation: (labels,) uint8, relation of each label to the prompt, such as `SAME_NAME`.
     """
-    named = relation[truth.label] == NAMED
+    named = relation[truth.label] == SAME_NAME
     wanted = named & truth.counts
-    ignored = (named & ~truth.counts) | (relation[truth.label] == KIND)
+    ignored = (named & ~truth.counts) | (relation[truth.label] == KIND_OF_PROMPT)
+    # (n, m): intersection over union, and the share of each box that lies in each object.
     iou, share = overlaps(xyxy_px, truth.xyxy_px)
     free, hits, counted = wanted.copy(), 0, 0
     for i in range(len(xyxy_px)):
@@ -117,6 +119,7 @@ def match_to_reference(reference: DetectedBoxes, candidate: DetectedBoxes) -> Ta
     iou[candidate.class_id[:, None] != reference.class_id[None]] = 0.0
     hits, error = 0, 0.0
     for i in range(len(iou) if len(reference.score) else 0):
+        # Each box takes the reference box with the largest overlap that no earlier one has taken.
         j = int(iou[i].argmax())
         if iou[i, j] >= MATCH_IOU:
             iou[:, j] = 0.0

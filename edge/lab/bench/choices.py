@@ -1,7 +1,9 @@
-"""Comparison of choice models (VLM frontier selection) on the same views with lettered marks.
+"""Comparison of choice models (VLM frontier selection) on the same views.
 
-Each model runs in its own process. A model's choice is compared with the FP32 model of its family.
-In a simulated world it is also compared with the true remaining distance from each mark.
+A view is an image with marks, and a choice model picks one mark, or "elsewhere". Marks are letters
+in the image, and the card of a choice model is a `DirectionsCard`. Each model runs in its own
+process. A model's choice is compared with the FP32 model of its family. In a simulated world it is
+also compared with the true remaining distance from each mark.
 """
 
 from __future__ import annotations
@@ -12,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from functools import partial
 from pathlib import Path
 from typing import Any, Union
 
@@ -42,10 +43,11 @@ _VIEW_S, _LOAD_S = 60.0, 600.0  # time limits of one view, and of loading a mode
 _HEADINGS = (
     "variant", "on", "ready, s", "ms: p50", "p95", "MB", "same choice", "mean |Δp|", "right",
 )  # fmt: skip
-_RIGHT_M = 0.5
-"""A mark is right if the remaining distance from it is at most this much above the best mark's."""
+_CORRECT_WITHIN_M = 0.5
+"""A mark is correct if the remaining distance from it is at most this much above the best mark's.
+The table and the rows call correct choices "right"."""
 _ROBOT_M = 0.2  # radius of the robot
-_REACHED_M = 1.0  # distance from the target at which it stops
+_REACHED_M = 1.0  # distance from the target at which the robot stops
 _STEP_M = 0.1  # step along the line to a mark
 
 Row = dict[str, Any]
@@ -71,8 +73,9 @@ class ChoiceMeasurement:
 
     Attributes:
         took_ms: (n,) time of each view, for preparing the image and for all answers.
-        p: (n, marks + 2) float32, probability of each letter, of "elsewhere", and the
-            scene's score (`FrontierChoice.scene`).
+        p: (n, marks + 2) float32, the answers to each view. Columns: the probability of each mark,
+            then that of "elsewhere" (these sum to 1), then the scene's score, which is no choice
+            (`FrontierChoice.scene`, 0 to 1).
         load_s: time until the model was ready.
         memory_mb: growth of the process's resident memory.
     """
@@ -139,8 +142,9 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
     ]
-    left_m = np.array(list(map(partial(_left_m, pictures), views))).reshape(-1, len(_MARKS_AT))
-    return [_row(*result, results, right_of(left_m)) for result in results]
+    remaining_m = np.array([_remaining_m(pictures, view) for view in views])
+    correct = correct_marks(remaining_m.reshape(-1, len(_MARKS_AT)))
+    return [_row(*result, results, correct) for result in results]
 
 
 def any_ran(rows: Sequence[Row]) -> bool:
@@ -163,21 +167,26 @@ def views_of(pictures: BenchFrames) -> list[MarkedView]:
             for i, (u, v, bearing_rad, away_m) in enumerate(_MARKS_AT)
         )
         truth = None if pictures.truth is None else pictures.truth[k]
+        # Names of the objects in the image that count.
         labels = [] if truth is None else [pictures.labels[i] for i in truth.label[truth.counts]]
         seen = tuple(DetectedObject(label, 0.0, 1.0 + i) for i, label in enumerate(labels[:_SEEN]))
+        # Start with another target for each image; take the first one that is not in the image.
         turn = k % len(_TARGETS)
         targets = _TARGETS[turn:] + _TARGETS[:turn]
         unseen = (t for t in targets if not any(names.same_name(label, t) for label in labels))
         target = next(unseen, targets[0])
         straight_m = np.array([mark.distance_m for mark in marks], np.float32)
-        costs = MarkCosts(straight_m, np.ones_like(straight_m), np.zeros(3, np.float32))
+        # Without a map: straight distances, equal gains, and no frontiers without a mark.
+        costs = MarkCosts(
+            path_m=straight_m, gain_m2=np.ones_like(straight_m), others=np.zeros(3, np.float32)
+        )
         views.append(
             MarkedView(Observation(k, k, np.eye(4), rgb), target, marks, seen, mark_costs=costs)
         )
     return views
 
 
-def _left_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
+def _remaining_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     """Return the true remaining distance [m] to the view's target, for each of its marks.
 
     The distance counts from the mark, or from the last free point on the straight line to it. It is
@@ -191,32 +200,32 @@ def _left_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     field = geodesic.distance_field(plan, targets, _ROBOT_M, _REACHED_M)
     found = []
     for mark in view.marks:
-        yaw_rad, left_m = pose.yaw_rad + mark.bearing_rad, math.inf
+        yaw_rad, remaining_m = pose.yaw_rad + mark.bearing_rad, math.inf
         for away_m in np.arange(0.0, mark.distance_m, _STEP_M):
             x_m = pose.x_m + away_m * math.cos(yaw_rad)
             y_m = pose.y_m + away_m * math.sin(yaw_rad)
             if math.isinf(here_m := geodesic.value_at(plan, field, x_m, y_m)):
                 break
-            left_m = here_m
-        found.append(left_m)
+            remaining_m = here_m
+        found.append(remaining_m)
     return found
 
 
-def right_of(left_m: np.ndarray) -> np.ndarray:
-    """Return which marks are right, in the views where not all of them are.
+def correct_marks(remaining_m: np.ndarray) -> np.ndarray:
+    """Return which marks are correct, in the views where not all of them are.
 
     Args:
-        left_m: (n, m) remaining distance [m] from each mark.
+        remaining_m: (n, m) remaining distance from each mark.
 
     Returns:
         (n, m) bool; all False for a view in which the marks do not differ.
 
-    >>> right_of(np.array([[2.0, 2.4, 9.0], [3.0, 3.0, 3.0], [np.inf, np.inf, np.inf]])).tolist()
+    >>> correct_marks(np.array([[2.0, 2.4, 9.0], [3.0, 3.0, 3.0], [np.inf] * 3])).tolist()
     [[True, True, False], [False, False, False], [False, False, False]]
     """
-    least_m = left_m.min(axis=1, keepdims=True)
-    right = np.isfinite(least_m) & (left_m <= least_m + _RIGHT_M)
-    return right & ~right.all(axis=1, keepdims=True)
+    least_m = remaining_m.min(axis=1, keepdims=True)
+    correct = np.isfinite(least_m) & (remaining_m <= least_m + _CORRECT_WITHIN_M)
+    return correct & ~correct.all(axis=1, keepdims=True)
 
 
 def _measure(
@@ -233,9 +242,17 @@ def _row(
     on: str,
     found: ChoiceMeasurement | str,
     results: Results,
-    right: np.ndarray,
+    correct: np.ndarray,
 ) -> Row:
-    """Return the row of one result; the reference is among all `results`, `right`: `right_of`."""
+    """Return the row of one result.
+
+    Args:
+        card: the model.
+        on: its provider.
+        found: its measurement, or why there is none.
+        results: those of all models; one of them is the reference.
+        correct: see `correct_marks`.
+    """
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
         return {**row, "why": found}
@@ -251,31 +268,33 @@ def _row(
         "load_s": round(found.load_s, 1),
         "memory_mb": round(found.memory_mb),
         **(agreed or {}),
-        **against_truth(right, found.p),
+        **against_truth(correct, found.p),
     }
 
 
-def against_truth(right: np.ndarray, p: np.ndarray) -> dict[str, float]:
-    """Return the share of right choices, and the share that a random choice would get.
-
-    The result is empty if no view has both a right and a wrong mark.
+def against_truth(correct: np.ndarray, p: np.ndarray) -> dict[str, float]:
+    """Return the share of correct choices, and the share that a random choice would get.
 
     Args:
-        right: see `right_of`.
+        correct: see `correct_marks`.
         p: see `ChoiceMeasurement`.
 
-    >>> right = np.array([[True, False], [False, True], [False, False]])
-    >>> against_truth(right, np.array([[0.7, 0.2, 0.1, 0.5], [0.6, 0.4, 0, 0.5], [1, 0, 0, 1]]))
+    Returns:
+        `right`, the share of correct choices; `at_random`, the same for a random choice; and
+            `of_views`, the number of views with a correct and a wrong mark. Empty without any.
+
+    >>> correct = np.array([[True, False], [False, True], [False, False]])
+    >>> against_truth(correct, np.array([[0.7, 0.2, 0.1, 0.5], [0.6, 0.4, 0, 0.5], [1, 0, 0, 1]]))
     {'right': 0.5, 'at_random': 0.5, 'of_views': 2}
     """
-    decided = right.any(axis=1)
+    decided = correct.any(axis=1)
     if not decided.any():
         return {}
-    chosen = p[decided, : right.shape[1]].argmax(axis=1)
-    hits = right[decided][np.arange(len(chosen)), chosen]
+    chosen = p[decided, : correct.shape[1]].argmax(axis=1)  # the best mark; not "elsewhere"
+    hits = correct[decided][np.arange(len(chosen)), chosen]
     return {
         "right": round(float(hits.mean()), 3),
-        "at_random": round(float(right[decided].mean()), 3),
+        "at_random": round(float(correct[decided].mean()), 3),
         "of_views": int(decided.sum()),
     }
 
@@ -284,8 +303,8 @@ def agreement(reference: np.ndarray, p: np.ndarray) -> dict[str, float]:
     """Compare the answers of a model with those of the reference, both as `ChoiceMeasurement.p`.
 
     Returns:
-        `same`, the share of views with the same choice, and `difference`, the mean difference of
-            the probabilities.
+        `same`, the share of views with the same choice (a mark or "elsewhere"), and `difference`,
+            the mean absolute difference of all columns.
 
     >>> agreement(np.array([[0.7, 0.3, 0.5]]), np.array([[0.6, 0.4, 0.5]]))
     {'same': 1.0, 'difference': 0.0667}

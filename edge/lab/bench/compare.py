@@ -1,7 +1,8 @@
 """`edge bench --models`: comparison of all variants of a family on the same frames.
 
-Detectors are compared here, models that choose frontiers in `choices`. Each variant runs in its own
-process. `report` prints and saves the figures.
+A variant is one model on one provider (such as CPU or CUDA). Frames are images, with ground truth
+if they are rendered. Each variant runs in its own process. Detectors are compared here, models that
+choose frontiers in `choices`. `report` prints and saves the figures.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """
     config = load(args.config)
     family = _family(args.models, config)
+    # Some families have detectors, some have choice models, and some have both.
     has_choice_model = family in choices.families()
     if has_choice_model and family not in families():
         if args.update_cards:
@@ -64,11 +66,12 @@ def run(args: argparse.Namespace) -> int:
     sizes = [(v.card.input.height, v.card.input.width) for v in todo if v.card.is_here()]
     pictures = _pictures(args, config, sizes)
     found = compare(config, todo, pictures, _settings(config, args.threads))
+    # The rows of the choice models; the name of the key belongs to the report's format.
     found["directions"] = choices.compare(family, args, pictures) if has_choice_model else []
     print(report.as_text(found))
     if has_choice_model:
         print("\n" + choices.as_text(family, found["directions"], pictures))
-    print(f"saved to {report.keep(found, args.json)}")
+    print(f"saved to {report.save_report(found, args.json)}")
     if args.update_cards:
         for path in report.update_cards(found):
             print(f"written to {path}")
@@ -106,7 +109,7 @@ def _settings(config: Config, threads: int | None) -> DetectorOnnx:
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class VariantRunner:
     """Runner of variants on the same frames.
 
     Attributes:
@@ -156,9 +159,9 @@ def compare(
     tau_det = config.perception.tau_det
     limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
-    bench = Bench(DetectorJob(settings, prompts, pictures.rgb, tau_det), limit_s)
-    results = _run_all(bench, todo)
-    again = _measure_again(bench, results)
+    runner = VariantRunner(DetectorJob(settings, prompts, pictures.rgb, tau_det), limit_s)
+    results = _run_all(runner, todo)
+    again = _measure_again(runner, results)
     return {
         "version": VERSION,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -170,6 +173,7 @@ def compare(
             "source": pictures.source,
             "count": len(pictures.rgb),
             "hw": sorted({image.shape[:2] for image in pictures.rgb}),
+            # Number of objects that count; None without ground truth.
             "things": None if pictures.truth is None else pictures.counted,
         },
         "prompts": prompts,
@@ -181,7 +185,7 @@ def compare(
     }
 
 
-def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
+def _run_all(runner: VariantRunner, todo: Sequence[Variant]) -> Results:
     """Run all variants one after another."""
     results = []
     for number, variant in enumerate(todo, 1):
@@ -192,7 +196,7 @@ def _run_all(bench: Bench, todo: Sequence[Variant]) -> Results:
             variant.card.name,
             variant.provider,
         )
-        results.append((variant, bench.run(variant)))
+        results.append((variant, runner.run(variant)))
     return results
 
 
@@ -203,7 +207,10 @@ def _row(
     pictures: BenchFrames,
     prompts: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Return the figures of one variant; `results` are those of all, for the comparison."""
+    """Return the figures of one variant.
+
+    `results` are those of all variants: one of them is the FP32 model to compare with.
+    """
     row = {"name": variant.card.name, "on": variant.provider}
     if isinstance(result, str):
         state = "failed" if variant.card.is_here() else "missing"
@@ -221,7 +228,7 @@ def _row(
         "load_s": round(result.load_s, 2),
         "memory_mb": round(result.memory_mb, 1),
         "gpu_memory_mb": _rounded(result.gpu_memory_mb),
-        "others_cores": _rounded(result.others_cores),
+        "others_cores": _rounded(result.others_cores),  # cores that other processes kept busy
         "invalid_boxes": result.invalid_boxes,
         "agreement": _agreement(variant, result, results),
         "truth": truth,
@@ -261,7 +268,7 @@ def _agreement(
     return None
 
 
-def _measure_again(bench: Bench, results: Results) -> dict[str, Any] | None:
+def _measure_again(runner: VariantRunner, results: Results) -> dict[str, Any] | None:
     """Measure the first variant again, to see if the machine has become slower or faster."""
     ran = [
         (variant, result) for variant, result in results if isinstance(result, DetectorMeasurement)
@@ -272,7 +279,7 @@ def _measure_again(bench: Bench, results: Results) -> dict[str, Any] | None:
     log.info(
         "measuring %s again, to see if the speed of this computer has changed", variant.card.name
     )
-    second = bench.run(variant)
+    second = runner.run(variant)
     if isinstance(second, str):
         return None
     before, after = (latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))

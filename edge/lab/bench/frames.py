@@ -16,7 +16,7 @@ from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import SE2, invert
 from edge.host.c_stderr import silence_c_stderr
-from edge.lab.bench.boxes import KIND, NAMED, NO, GroundTruthBoxes
+from edge.lab.bench.boxes import KIND_OF_PROMPT, SAME_NAME, UNRELATED, GroundTruthBoxes
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
@@ -40,7 +40,7 @@ class BenchFrames:
     Attributes:
         source: where the images come from, as text for a person.
         rgb: (h, w, 3) uint8 each.
-        labels: names of the objects in them.
+        labels: names of the objects that may be in them.
         truth: one for each image, or None if unknown.
         world: the world that the images show, or None.
         poses: robot poses in `world` that the images were taken from.
@@ -116,7 +116,8 @@ def _truth(
     seen = np.flatnonzero(pixels)
     side = box[seen, 2:] - box[seen, :2]
     whole_px = np.array([whole_area_px(world.objects[k], T_camera_map, rig) for k in seen])
-    large = side.min(axis=1, initial=1 << 16) >= min_side_px  # `initial` for no objects
+    # NumPy needs `initial` if no object is seen; no side is as long as it.
+    large = side.min(axis=1, initial=1 << 16) >= min_side_px
     counts = large & (side.prod(axis=1) >= MIN_VISIBLE * whole_px.reshape(-1))
     index = {label: k for k, label in enumerate(labels)}
     label = np.array([index[world.objects[k].label] for k in seen], np.int32)
@@ -181,12 +182,12 @@ def words_for(labels: Sequence[str], resolve: Callable[[str], str]) -> dict[str,
 
 
 def relations_of(labels: Sequence[str], prompts: Sequence[str]) -> np.ndarray:
-    """Return (labels, prompts) uint8: the relation of each label to each prompt; see `boxes`."""
-    relations = np.full((len(labels), len(prompts)), NO, np.uint8)
+    """Return (labels, prompts) uint8, relation of each label to each prompt, see `SAME_NAME`."""
+    relations = np.full((len(labels), len(prompts)), UNRELATED, np.uint8)
     for i, label in enumerate(labels):
         for j, prompt in enumerate(prompts):
             if names.same_name(label, prompt):
-                relations[i, j] = NAMED
+                relations[i, j] = SAME_NAME
             elif names.is_kind_of(label, prompt):
-                relations[i, j] = KIND
+                relations[i, j] = KIND_OF_PROMPT
     return relations

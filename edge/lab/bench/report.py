@@ -51,6 +51,7 @@ def _header(report: Report) -> list[str]:
     """Return lines about the frames, the prompts, the settings and the machine."""
     frames, prompts = report["frames"], report["prompts"]
     sizes = ", ".join(f"{w}x{h}" for h, w in frames["hw"])
+    # Objects that count, see `boxes.GroundTruthBoxes`.
     things = f", {frames['things']} things in them" if frames["things"] is not None else ""
     unknown = report["unknown_labels"]
     lacking = f" (no word for {', '.join(unknown)})" if unknown else ""
@@ -95,7 +96,7 @@ def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
     """Return a line of the table, with its cells padded to the widths."""
-    if len(cells) < len(widths):
+    if len(cells) < len(widths):  # a variant without figures: its reason needs no width
         widths = [*widths[:_LEFT], 0]
     left = [cell.ljust(w) for cell, w in zip(cells[:_LEFT], widths, strict=False)]
     right = [cell.rjust(w) for cell, w in zip(cells[_LEFT:], widths[_LEFT:], strict=True)]
@@ -137,7 +138,7 @@ def _footnotes(report: Report) -> list[str]:
     return lines
 
 
-def keep(report: Report, also: Path | None) -> str:
+def save_report(report: Report, also: Path | None) -> str:
     """Write the report into the cache, and also to `also` if given; return the paths as text.
 
     Raises:
@@ -200,7 +201,7 @@ def card_figures(report: Report, row: dict[str, Any]) -> dict[str, float | int |
     """
     times, frames = row["latency_ms"], report["frames"]
     agreement, truth = row["agreement"] or {}, row["truth"] or {}
-    h, w = frames["hw"][0]
+    h, w = frames["hw"][0]  # images of a folder may have more sizes: the smallest one is named
     found = {
         "date": report["date"][:10],
         "file": row["sha256"][:12],

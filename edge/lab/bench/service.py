@@ -114,8 +114,9 @@ def run_bench(
     raise_if_stopped(stop)
     with ExitStack() as stack:
         playback = stack.enter_context(Playback(recording, config, 1.0, stop))
-        began_s += playback.read_s  # reading the recording is not
+        began_s += playback.read_s  # reading the recording is not part of it
         playback.check()
+        # Another process plays a recording with Zenoh topics; a robot's own is played here.
         has_topics = playback.has_bus_topics
         for line in () if has_topics else playback.describe_contents():
             log.info("%s", line)

@@ -48,9 +48,11 @@ class SwapBench:
         self._model = load_detector_card(model).name
         self._half_s = seconds / 2
         self._period_ns = int(1e9 / running.config.loop.hz)
-        self._first_ns = self._last_ns = self._since_ns = 0
-        self._longest_ns = self._lost = 0
+        self._first_ns = self._last_ns = 0  # ends of the first and of the newest iteration
+        # Of the present span: start, longest iteration, ticks lost, `_counts` at the start.
+        self._since_ns = self._longest_ns = self._lost = 0
         self._counts_before: tuple[int, int, int] = (0, 0, 0)
+        # Figures of both spans (keys of `_ROWS`), empty until the span has ended.
         self._before: dict[str, Any] = {}
         self._during: dict[str, Any] = {}
 
@@ -70,7 +72,7 @@ class SwapBench:
             if now_ns - self._first_ns >= self._half_s * 1e9:
                 self._before = self._end_span(now_ns)
                 self._begin_span(now_ns)
-                swapper.request(self._model, False, now_ns)
+                swapper.request(self._model, False, now_ns)  # not forced: it may be refused
         elif swapper.state in FINAL_STATES:
             self._during = self._end_span(now_ns)
 

@@ -1,6 +1,6 @@
-"""Variants that `edge bench --models` compares: each detector of a family on each runtime here.
+"""Variants that `edge bench --models` compares: each detector of a family on each provider here.
 
-A runtime is a provider of `PROVIDERS` (CPU, CUDA, TensorRT).
+A provider runs a model on certain hardware. Here it has a short name, a key of `PROVIDERS`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ PROVIDERS = {
     "ort-tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
     "tensorrt": (TENSORRT,),
 }
-"""Providers by their name in tables. TensorRT runs inside onnxruntime, or directly."""
+"""Short name of a provider -> onnxruntime's names of it, the preferred one first. TensorRT runs
+inside onnxruntime (`ort-tensorrt`) or without it (`tensorrt`)."""
 RUNTIMES = {
     "cpu": ("onnxruntime",),
     "cuda": ("onnxruntime",),
     "ort-tensorrt": ("onnxruntime", "tensorrt"),
     "tensorrt": ("tensorrt",),
 }
-"""Packages whose versions matter, by provider."""
+"""Short name of a provider -> packages that it needs, whose versions reports name."""
 _PRECISIONS = ("fp32", "fp16", "int8-cpu", "int8-trt")  # in the order of the table
 # Precisions whose zero points are not 0: TensorRT refuses them, and CUDA has no kernels for them.
 _CPU_ONLY = ("int8-cpu",)
@@ -88,13 +89,14 @@ def providers_here(asked: str | None) -> list[str]:
         asked: comma-separated names; None for all that this machine has.
 
     Raises:
-        UserError: no runtime is installed, or it lacks a provider that was asked for.
+        UserError: no package of `RUNTIMES` is installed, or none has a provider asked for.
     """
     available = _available()
     if not available:
         raise UnavailableError(
             "onnxruntime is not installed; run: pip install 'edge-vln[cpu]' (or [gpu])"
         )
+    # A provider is here if all of its onnxruntime providers are.
     here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
     if asked is None:
         return here
@@ -116,7 +118,7 @@ def _short(word: str) -> str:
 
 
 def _available() -> set[str]:
-    """Return the providers of the installed runtimes, without starting them."""
+    """Return the providers of the installed packages (onnxruntime's names); starts none of them."""
     found = set()
     if importlib.util.find_spec("onnxruntime") is not None:
         import onnxruntime

@@ -38,7 +38,7 @@ log = logging.getLogger("edge.lab.motion")
 GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
 NEAR_M = 0.4  # cells within this distance of an obstacle cost more
 LOOKAHEAD_M = 0.45  # distance along the path to the point that the robot aims at
-REPLAN_S = 0.5  # longest time between two plans
+REPLAN_S = 0.5  # longest time between two plans of a path
 GIVE_UP_NS = 3_000_000_000  # a goal without a path for longer fails
 CONTACT_M = 0.3  # commanded distance without movement that counts as contact with an obstacle
 AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of `LOOKAHEAD_M`, tried until the straight line is free
@@ -49,7 +49,8 @@ SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
-ARRIVE_SHARE = 0.7  # share of the goal tolerance within which the robot stops and turns
+# The robot drives until it is within this share of the goal tolerance; then it stops and turns.
+ARRIVE_SHARE = 0.7
 # A goal fails if the robot gets stuck again nearer than this to its last recovery: after a
 # standstill, or after a contact.
 REPEAT_M, REPEAT_CONTACT_M = 1.0, 0.3
@@ -85,7 +86,7 @@ class Controller:
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
         self._radius_m = settings.robot.radius_m
         self._trail = BacktrackPath()  # the last metres that the robot drove
-        self._held_at: SE2 | None = None  # where the last recovery did not move the robot
+        self._recovery_failed_at: SE2 | None = None  # pose, if the last recovery did not move it
         self._now_ns: int | None = None
         self._last_command = STOP
         self._goal: SE2 | None = None  # None: the robot stands
@@ -222,7 +223,8 @@ class Controller:
                 return command
             if self._recovery.is_held(pose):  # something behind the robot blocks it
                 self._blocked = pose.ahead(-self._radius_m)
-            self._held_at = None if self._recovery.has_moved(pose) else pose
+            # If no attempt moved the robot here, the next one takes another way (`_recover`).
+            self._recovery_failed_at = None if self._recovery.has_moved(pose) else pose
             self._recovery = None
             self._contact.reset()
             self._drop_path()
@@ -272,7 +274,7 @@ class Controller:
     def _follow(self, pose: SE2, remaining_m: float) -> VelocityCommand:
         """Aim as far along the path as a straight line is free."""
         here = (pose.x_m, pose.y_m)
-        escaping = not self._map.is_free(*here)
+        escaping = not self._map.is_free(*here)  # the robot is in blocked cells
         ahead = self._path[self._path_index : index_ahead(self._path, self._path_index, SAFE_M) + 1]
         # Stop before a newly blocked path. A robot in blocked cells must drive to get out of them.
         if not escaping and math.isinf(smoothing.polyline_cost_m(self._map, ahead)):
@@ -338,17 +340,17 @@ class Controller:
             self._no_path_since_ns = None
             path = smoothing.smooth(self._map, found.path_m)
             is_better = smoothing.polyline_cost_m(self._map, path) < BETTER_SHARE * old_cost
-            if is_better or found.escape_m:
+            if is_better or found.escape_m:  # the path begins in blocked cells
                 self._path, self._path_index = path, 0
         elif math.isinf(old_cost):
             self._path, self._path_index = np.empty((0, 2)), 0
             self._on_no_path(found.reason, now_ns)
 
     def _free_target(self) -> tuple[float, float]:
-        """Return the goal, or the nearest free cell if a newer map has blocked it."""
+        """Return x and y of the goal, or of the nearest free cell if a newer map has blocked it."""
         goal = (self._goal.x_m, self._goal.y_m)
         cell = self._map.cell_of(*goal)
-        if cell is None or self._map.weight[cell] != 0:
+        if cell is None or self._map.weight[cell] != 0:  # off the map, or free (weight 0: blocked)
             return goal
         cell = astar.nearest_free(self._map, cell, goal, SNAP_M)
         if cell is None:
@@ -357,7 +359,7 @@ class Controller:
         return float(x), float(y)
 
     def _remaining_cost_m(self, pose: SE2) -> float:
-        """Return the cost of the rest of the path.
+        """Return the cost of the rest of the path: its length, more in cells near obstacles.
 
         It is inf if the path is empty, blocked, far away, or leads to another target.
         """
@@ -385,9 +387,12 @@ class Controller:
             self._finish("failed", "stuck")
             return STOP
         log.info("robot stuck at (%.2f, %.2f) m: backing up or turning", pose.x_m, pose.y_m)
-        self._last_recovery_at, held = pose, self._held_at
-        held_here = held is not None and pose.distance_to(held.x_m, held.y_m) < REPEAT_CONTACT_M
-        trail = None if held_here else self._trail
+        self._last_recovery_at, failed_at = pose, self._recovery_failed_at
+        failed_here = (
+            failed_at is not None
+            and pose.distance_to(failed_at.x_m, failed_at.y_m) < REPEAT_CONTACT_M
+        )
+        trail = None if failed_here else self._trail  # None: try another way than back
         self._recovery = Recovery(pose, self._map, trail, self._limits, now_ns)
         return STOP
 

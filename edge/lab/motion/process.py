@@ -2,6 +2,9 @@
 
 It reads `map`, `goal` and `odom`, and writes `cmd_vel` and `goal_status` (`edge/bus/topics.py`).
 Any other controller with these topics can replace it.
+
+In lockstep, the clock of the simulator stands still until the controller has answered the
+service's tick. Without it, the controller runs in real time.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from edge.geometry import SE2
 
-NEARER_M = 0.1  # a path that is shorter by this is progress
+NEARER_M = 0.1  # a rest of the path that is shorter by this is progress
 DETOURS = 8  # most detours that restart the wait
 _DETOUR_M = 1.0  # a path that is longer by more than this is a detour
 
@@ -30,7 +30,12 @@ class ProgressMonitor:
         self._detours = 0
 
     def update(self, remaining_m: float, now_ns: int) -> bool:
-        """Return False if `wait_s` is over and the robot has not come `NEARER_M` nearer."""
+        """Return True while there is progress: False after `wait_s` without one.
+
+        Args:
+            remaining_m: length of the rest of the path.
+            now_ns: time of the pose.
+        """
         if self._best_m is None or remaining_m <= self._best_m - NEARER_M:
             self._best_m, self._since_ns = remaining_m, now_ns
         elif remaining_m > self._best_m + _DETOUR_M and self._detours < DETOURS:
@@ -54,8 +59,8 @@ class ContactDetector:
 
     def reset(self) -> None:
         """Start again: the robot was not driving."""
-        self._start: SE2 | None = None
-        self._commanded_m = 0.0
+        self._moved_at: SE2 | None = None  # pose at the last movement
+        self._since_m = 0.0  # commanded distance since then, negative for backwards
 
     def update(self, pose: SE2, v_mps: float, dt_s: float) -> bool:
         """Return True if the commanded distance since the last movement is `commanded_m` or more.
@@ -65,9 +70,10 @@ class ContactDetector:
             v_mps: speed that was commanded in the step, negative for backwards.
             dt_s: length of the step.
         """
-        last = self._start
+        last = self._moved_at
         has_moved = last is None or pose.distance_to(last.x_m, last.y_m) >= self._moved_m
-        if has_moved or v_mps == 0.0 or v_mps * self._commanded_m < 0.0:
-            self._start, self._commanded_m = pose, 0.0
-        self._commanded_m += v_mps * dt_s
-        return abs(self._commanded_m) >= self._contact_m
+        # The distance also starts at 0 again after a command to stand or to drive the other way.
+        if has_moved or v_mps == 0.0 or v_mps * self._since_m < 0.0:
+            self._moved_at, self._since_m = pose, 0.0
+        self._since_m += v_mps * dt_s
+        return abs(self._since_m) >= self._contact_m

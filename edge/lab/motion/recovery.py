@@ -1,6 +1,7 @@
 """Recovery of a robot that does not move: drive back the way it came, else back up, else turn.
 
-If that does not move it, the next attempt drives away from the closed cells around it.
+If that does not move it, the next attempt drives away from the blocked cells around it. Blocked are
+cells of the cost map that the robot may not enter.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from edge.trajectory.pursuit import TURN_GAIN, MotionLimits, VelocityCommand, tu
 
 BACK_MPS = 0.12  # speed on the way back
 BACK_M = 0.3  # length of the way back
-AWAY_M = 0.15  # length of the way from the closed cells within `BACK_M`
-HELD_M = 0.05  # a robot that moved less was held
+AWAY_M = 0.15  # length of the way from the blocked cells within `BACK_M`
+HELD_M = 0.05  # a robot that moved less in an attempt was held by something
 TURN_RAD = 0.6  # angle to turn, if there is no way back
 TIME_NS = 5_000_000_000  # longest time of an attempt
-FACING_RAD = 0.5  # if the trail lies farther to the side, turn to it before driving
+FACING_RAD = 0.5  # with a larger bearing of the trail, turn to it before driving
 STEP_M = 0.05  # distance between two points of the trail
 JUMP_M = 0.5  # a longer step is a jump of the pose
 MAX_POINTS = 40  # of the trail
@@ -46,6 +47,7 @@ class BacktrackPath:
             self.xy_m.clear()
         if moved_m < STEP_M:
             return
+        # Index of the first point that the robot has come back to; -1 for none.
         back_at = next((i for i, at in enumerate(self.xy_m) if pose.distance_to(*at) < STEP_M), -1)
         if back_at < 0:
             self.xy_m.append((pose.x_m, pose.y_m))
@@ -78,7 +80,7 @@ class Recovery:
         pose: pose at which the robot is held up.
         costmap: map to check the straight way on.
         trail: the robot's trail. None: the way back did not move the robot. It then drives
-            away from the closed cells around it, if the map is free there, else it turns.
+            away from the blocked cells around it, if the map is free there, else it turns.
         limits: speed limits.
         now_ns: start of the attempt.
     """
@@ -94,7 +96,7 @@ class Recovery:
         self._start, self._since_ns, self._limits = pose, now_ns, limits
         self._path = [] if trail is None else trail.back_from(pose)
         if not self._path and costmap is not None:
-            place = _away_from_closed(costmap, pose) if trail is None else pose.ahead(-BACK_M)
+            place = _away_from_blocked(costmap, pose) if trail is None else pose.ahead(-BACK_M)
             self._path = [place] if costmap.is_free(*place) else []
         self._turns = not self._path  # the attempt only turns
         self._drove_back = False  # True once it drove in reverse
@@ -119,7 +121,7 @@ class Recovery:
         if not self._path or pose.distance_to(self._start.x_m, self._start.y_m) >= BACK_M:
             return None
         error = pose.bearing_to(*self._path[0])
-        reverse = abs(error) > 0.5 * math.pi
+        reverse = abs(error) > 0.5 * math.pi  # the point is behind the robot
         if reverse:
             error = wrap_angle(error + math.pi)
         if abs(error) > FACING_RAD:
@@ -128,13 +130,13 @@ class Recovery:
         return self._limits.clip(-BACK_MPS if reverse else BACK_MPS, TURN_GAIN * error)
 
 
-def _away_from_closed(costmap: CostMap, pose: SE2) -> tuple[float, float]:
-    """Return the place `AWAY_M` from the robot, away from the closed cells within `BACK_M`.
+def _away_from_blocked(costmap: CostMap, pose: SE2) -> tuple[float, float]:
+    """Return the place `AWAY_M` from the robot, away from the blocked cells within `BACK_M`.
 
-    Near cells count most: each pushes with the inverse of its distance. Without a closed cell, the
+    Near cells count most: each pushes with the inverse of its distance. Without a blocked cell, the
     place is behind the robot.
     """
-    rows, columns = np.nonzero(costmap.weight == 0)
+    rows, columns = np.nonzero(costmap.weight == 0)  # weight 0: blocked
     xy_m = costmap.metres_of(np.stack((columns, rows), axis=1) + 0.5)
     from_m = np.array((pose.x_m, pose.y_m)) - xy_m
     distance_m = np.hypot(*from_m.T)

@@ -2,7 +2,7 @@
 
 States stand in even columns, ordered by their distance from the start. The labels of arrows stand
 in odd columns, so no label covers a state or another label. `edge.lab.report.dot` writes text for
-Graphviz, which draws better.
+Graphviz, which draws better. A scene is the `AutomatonGraph` to draw; its nodes are the states.
 """
 
 from __future__ import annotations
@@ -108,35 +108,40 @@ def draw(scene: AutomatonGraph) -> Axes:
 
 def lay_out(scene: AutomatonGraph) -> GraphLayout:
     """Place states, labels and arrow routes: evenly in each column, near their neighbours."""
+    # Number of the column that each item is in.
     column: dict[ColumnItem, int] = {i: 2 * rank for i, rank in _ranks(scene).items()}
     neighbours: dict[ColumnItem, list[ColumnItem]] = defaultdict(list)
-    chains: list[list[ColumnItem]] = []  # of each arrow: source, parts, target
+    # For each arrow its items: source, one part in each column that it passes, target.
+    chains: list[list[ColumnItem]] = []
     for k, arrow in enumerate(scene.arrows):
         first, last = column[arrow.source], column[arrow.target]
         step = 1 if first < last else -1
-        # An arrow is an item of each column that it passes, so that nothing lies on it.
+        # A part takes a place in its column, so that nothing lies on the arrow.
         passed = [(k, c) for c in range(first + step, last, step)]
         column.update((item, item[1]) for item in passed)
         chains.append([arrow.source, *passed, arrow.target])
         for a, b in pairwise(chains[-1]):
             neighbours[a].append(b)
             neighbours[b].append(a)
+    # Height of a row: a state with the most lines below it, or the label with the most lines.
     captions = [line for node in scene.nodes for line, _ in _captions(node)]
     lines = max((len(_captions(node)) for node in scene.nodes), default=0)
     label_lines = max((len(arrow.lines) for arrow in scene.arrows), default=1)
     row = max(2 * RADIUS + 16.0 + lines * CAPTION * LEADING, label_lines * LABEL * LEADING + 7.0)
+    # The items of each column, from top to bottom.
     columns = [[s for s in column if column[s] == c] for c in range(1 + max(column.values()))]
     # Sort each column by the mean height of the neighbours: forwards, backwards, forwards.
     y: dict[ColumnItem, float] = {}
     for sweep in (columns, columns[::-1], columns):
         for items in sweep:
             items.sort(key=lambda item: fmean([y[n] for n in neighbours[item] if n in y] or [0.0]))
+            # Rows are spread evenly around y = 0.
             y.update((s, (k - (len(items) - 1) / 2) * row) for k, s in enumerate(items))
     # Bold text is wider.
     widths = [text_width(line, LABEL * 1.08) for arrow in scene.arrows for line in arrow.lines]
     half = max(widths, default=0.0) / 2
     side = max([RADIUS, *(text_width(line, CAPTION) / 2 for line in captions)])
-    step, left = half + side + GAP, MARGIN + ENTRY + side
+    step, left = half + side + GAP, MARGIN + ENTRY + side  # between columns; x of the first one
     height = max(map(len, columns)) * row + 2 * MARGIN
     place = {s: (left + c * step, y[s] + height / 2 - lines * CAPTION * LEADING / 2)
              for s, c in column.items()}  # fmt: skip
@@ -159,7 +164,9 @@ def _ranks(scene: AutomatonGraph) -> dict[int, int]:
     graph = nx.DiGraph()
     graph.add_nodes_from(range(len(scene.nodes)))
     graph.add_edges_from((arrow.source, arrow.target) for arrow in scene.arrows)
+    # State -> number of the cycle (strongly connected component) that it is in.
     cycle = {i: k for k, c in enumerate(nx.strongly_connected_components(graph)) for i in c}
+    # Arrows back to a state with a smaller index: turn them round.
     back = [(a, b) for a, b in graph.edges if cycle[a] == cycle[b] and b < a]
     graph.remove_edges_from(back)
     graph.add_edges_from((b, a) for a, b in back)
@@ -237,6 +244,6 @@ def _draw_node(axes: Axes, node: StateNode, x: float, y: float) -> None:
 
 
 def _captions(node: StateNode) -> list[tuple[str, str]]:
-    """Return the lines under a state, with their colours."""
+    """Return the lines under a state, each as (text, colour)."""
     lines = [(line, FORBIDDEN) for line in node.forbidden]
     return [*lines, (f"+ {node.hidden}", MUTED)] if node.hidden else lines

@@ -12,7 +12,7 @@ from edge.geometry import CameraModel, invert
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad
 
-COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)
+COARSE_RGB, REFINED_RGB = (240, 140, 0), (214, 34, 91)  # of the two trajectories
 NEAREST_M = 0.3
 """Parts of the trajectory that are nearer to the camera are cut off."""
 COVER = 0.5
@@ -21,21 +21,22 @@ HIDDEN_COVER = 0.16
 """Opacity of the strip behind an object."""
 LEAST_PX = 1280
 """Narrower images are enlarged to this width."""
-_STEP = 3
-"""Number of poses from one seam of the strip to the next."""
+_POSES_PER_PIECE = 3
+"""Number of steps of the trajectory that one drawn piece of the strip spans."""
 _WHITE = (255, 255, 255)
 
 
 def draw_trajectory(
-    scene: Scene, coarse_m: np.ndarray | None, poses_m: np.ndarray | None, half_m: float
+    scene: Scene, coarse_m: np.ndarray | None, refined_m: np.ndarray | None, half_m: float
 ) -> np.ndarray | None:
     """Return the scene's image with a trajectory in it.
 
     Args:
         scene: image, camera and objects.
-        coarse_m: (n, 3) float64 in `map`, the coarse trajectory, drawn as a dashed line; None for
-            none.
-        poses_m: (n, 3) float64 in `map`, the refined trajectory, drawn as a strip; None for none.
+        coarse_m: (n, 3) float64, points x, y, z in `map` of the coarse trajectory, drawn as a
+            dashed line; None for none.
+        refined_m: (n, 3) float64, points x, y, z in `map` of the refined trajectory, drawn as a
+            strip; None for none.
         half_m: half the strip's width, the robot's radius.
 
     Returns:
@@ -46,36 +47,37 @@ def draw_trajectory(
     scale = max(1.0, LEAST_PX / scene.camera.width_px)
     size = round(scene.camera.width_px * scale), round(scene.camera.height_px * scale)
     image = scene.rgb.copy() if scale == 1.0 else cv2.resize(scene.rgb, size)
-    if poses_m is not None and len(poses_m) > 1:
-        _draw_strip(image, scene, poses_m, half_m, scale)
+    if refined_m is not None and len(refined_m) > 1:
+        _draw_strip(image, scene, refined_m, half_m, scale)
     if coarse_m is not None and len(coarse_m) > 1:
         for a, b in _pieces(coarse_m, 0.5)[::2]:  # every second piece: a dashed line
             ends = _pixels(scene, np.stack([a, b]), scale)
-            if len(ends) == 2:
+            if len(ends) == 2:  # 0 if both are behind the camera
                 cv2.line(image, *ends.tolist(), COARSE_RGB, 2, cv2.LINE_AA)
-    if poses_m is not None and len(poses_m):
-        _draw_end_ring(image, scene, poses_m[-1], half_m, scale)
+    if refined_m is not None and len(refined_m):
+        _draw_end_ring(image, scene, refined_m[-1], half_m, scale)
     return image
 
 
 def _draw_strip(
-    image: np.ndarray, scene: Scene, poses_m: np.ndarray, half_m: float, scale: float
+    image: np.ndarray, scene: Scene, refined_m: np.ndarray, half_m: float, scale: float
 ) -> None:
     """Draw the strip from far to near, so that nearer parts lie on top."""
-    heading = headings_rad(poses_m[:, :2])
+    heading = headings_rad(refined_m[:, :2])
     side_m = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
-    seams = np.unique(np.append(np.arange(0, len(poses_m), _STEP), len(poses_m) - 1))
+    # The strip is cut into pieces at these indices.
+    seams = np.unique(np.append(np.arange(0, len(refined_m), _POSES_PER_PIECE), len(refined_m) - 1))
     eye = scene.T_map_camera[:3, 3]
     visible, faint = np.zeros(image.shape[:2], np.uint8), np.zeros(image.shape[:2], np.uint8)
     for i, k in zip(seams[:-1].tolist(), seams[1:].tolist(), strict=True):
         corners = np.stack(
-            [poses_m[i] + side_m[i], poses_m[k] + side_m[k], poses_m[k] - side_m[k],
-             poses_m[i] - side_m[i]]
+            [refined_m[i] + side_m[i], refined_m[k] + side_m[k], refined_m[k] - side_m[k],
+             refined_m[i] - side_m[i]]
         )  # fmt: skip
         outline = _pixels(scene, corners, scale)
         if len(outline) < 3:
             continue
-        middle = 0.5 * (poses_m[i] + poses_m[k])
+        middle = 0.5 * (refined_m[i] + refined_m[k])
         hidden = _is_hidden(scene, middle, float(np.linalg.norm(middle - eye)))
         cv2.fillPoly(faint if hidden else visible, [outline], 255, cv2.LINE_AA)
     cover = np.maximum(COVER * visible, HIDDEN_COVER * faint)[..., None] / 255.0
@@ -110,15 +112,16 @@ def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
 
 
 def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
-    """Project the part of a polygon that is in front of the camera.
+    """Project the part of a polygon, a line or a point that is in front of the camera.
 
     Args:
         scene: camera and its pose.
-        points_m: (n, 3) corners in `map`.
+        points_m: (n, 3) in `map`: corners of a polygon, 2 ends of a line, or 1 point.
         scale: enlargement of the image.
 
     Returns:
-        (k, 2) int32 pixels, empty if all of it is behind the camera.
+        (k, 2) int32 pixels: the corners of the visible part. Both ends of a line, or the point;
+            empty if nothing is in front of the camera.
     """
     camera: CameraModel = scene.camera
     T_camera_map = invert(scene.T_map_camera)

@@ -1,6 +1,7 @@
 """Section of a report with a few answers of the choice model, and the value maps.
 
-A choice model chooses among the frontiers, which are lettered marks in the image.
+A choice model chooses among the frontiers, which are marks (letters) in the image. A value map has
+the value V of each cell, as the model's answers gave it (ViTL eq. 6).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from edge.policies.base import FRONTIER
 
 JPEG_QUALITY = 85
 MAX_VALUE_PX = 640  # longest side of a drawn value map
-_FIRST_INTERVAL_NS = 2_000_000_000  # least time between two kept answers, at first
+_FIRST_INTERVAL_NS = 2_000_000_000  # least time between two kept answers; it grows in long runs
 
 
 class ChoiceFrameBuffer:
@@ -47,17 +48,19 @@ class ChoiceFrameBuffer:
         ):
             return
         candidates = result.candidates()
+        # The frontiers that the model could choose, as far as they still exist.
         asked = np.isin(candidates.id, choice.ids) & (candidates.kind == FRONTIER)
         marks = visible_marks(observation, candidates.xy_m[asked], candidates.id[asked])
         if not marks:  # the robot has turned away since then
             return
-        image, lettered = draw(observation.rgb, marks, MAX_FRAME_PX)
-        p = dict(zip(choice.ids, choice.p.tolist(), strict=True))
-        shares = tuple((a, p[m.id]) for a, m in zip(LETTERS, lettered, strict=False))
+        # `shown`: marks that got a letter, in the order of the letters.
+        image, shown = draw(observation.rgb, marks, MAX_FRAME_PX)
+        p = dict(zip(choice.ids, choice.p.tolist(), strict=True))  # probability by candidate
+        letters = tuple((a, p[m.id]) for a, m in zip(LETTERS, shown, strict=False))
         self._last_ns = choice.stamp_ns
         self._kept.append(
             ChoiceFrame(
-                choice.stamp_ns, image, choice.target, shares, choice.elsewhere, choice.scene
+                choice.stamp_ns, image, choice.target, letters, choice.elsewhere, choice.scene
             )
         )
         if len(self._kept) > self._capacity:
@@ -90,7 +93,7 @@ def _figure(frame: ChoiceFrame, record: RunRecord) -> str:
         f"{record.seconds(frame.stamp_ns):.1f} s, {frame.target}: {shares} · elsewhere "
         f"{frame.elsewhere:.2f}; scene {frame.scene:.2f}"
     )
-    return _svg(_jpeg(frame.rgb), w, h, caption)
+    return _figure_html(_jpeg(frame.rgb), w, h, caption)
 
 
 def _value_map(name: str, grid: Grid) -> str:
@@ -102,10 +105,11 @@ def _value_map(name: str, grid: Grid) -> str:
     cells = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     step = -(-max(cells.shape) // MAX_VALUE_PX)  # rounded up
     cells = cells[::step, ::step][::-1]  # y points up
+    # Unknown cells (0) get the map's colour for unknown (-1).
     shown = cv2.applyColorMap(np.ascontiguousarray(cells), cv2.COLORMAP_VIRIDIS)[..., ::-1]
     shown = np.where((cells > 0)[..., None], shown, raster.colour(np.array([-1]))[0])
     h, w = cells.shape
-    return _svg(_jpeg(np.ascontiguousarray(shown, np.uint8)), w, h, name)
+    return _figure_html(_jpeg(np.ascontiguousarray(shown, np.uint8)), w, h, name)
 
 
 def _jpeg(rgb: np.ndarray) -> bytes:
@@ -113,7 +117,7 @@ def _jpeg(rgb: np.ndarray) -> bytes:
     return cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
 
 
-def _svg(jpeg: bytes, w: int, h: int, caption: str) -> str:
+def _figure_html(jpeg: bytes, w: int, h: int, caption: str) -> str:
     """Return an image with a caption as HTML."""
     return (
         f'<figure><svg viewBox="0 0 {w} {h}" role="img">'

@@ -21,7 +21,7 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
         state: current state; None for none.
         plan: letters to come, from the current state on.
     """
-    at, planned = 0 if state is None else state, set()
+    at, planned = 0 if state is None else state, set()  # planned: (state, next state) pairs
     for letter in plan:
         at, before = automaton.step(at, letter), at
         planned.add((before, at))

@@ -12,7 +12,7 @@ from edge.types import Detections
 
 FRAMES = 8  # most frames in a report
 FRAME_NS = 1_000_000_000  # least time between two frames
-BETTER_SCORE = 0.05  # a frame with a score that is higher by more replaces the last one
+BETTER_SCORE = 0.05  # a frame shows a target better if its score is higher by more than this
 MAX_FRAME_PX = 640  # longest side of a kept image
 
 
@@ -29,9 +29,9 @@ class KeyframeBuffer:
         self._taken_ns: int | None = None
 
     def offer(self, detections: Detections, targets: Sequence[str]) -> None:
-        """Keep a copy of the image, if the last kept one is at least `FRAME_NS` old.
+        """Keep a copy of the image, if the newest kept one is at least `FRAME_NS` old.
 
-        A newer image that shows the targets better replaces the last one before that time.
+        Before that time, an image that shows a target better replaces the newest kept one.
         """
         if self._capacity == 0 or detections.observation.rgb is None:
             return
@@ -62,13 +62,14 @@ class KeyframeBuffer:
 
         At most `_n_best` frames are returned.
         """
-        # Place among the views of a label, negative score, negative stamp, frame.
+        # (k, -score, -stamp, frame): the frame is the k-th best view of a label, from 0.
         ranks: list[tuple[int, float, int, Keyframe]] = []
         for label in dict.fromkeys(label for f in self._frames for label in f.best):
             views = [f for f in self._frames if label in f.best]
             views.sort(key=lambda f: (-f.best[label], -f.stamp_ns))
             ranks += [(k, -f.best[label], -f.stamp_ns, f) for k, f in enumerate(views)]
         ranks.sort(key=lambda rank: rank[:3])
+        # Each frame once, in this order.
         return list({id(f): f for *_, f in ranks}.values())[: self._n_best]
 
     def frames(self) -> tuple[Keyframe, ...]:

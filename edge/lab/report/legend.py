@@ -48,7 +48,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         mark("robot at the start", dart(math.pi / 2), "white", palette.START, 13),
         mark("robot at the end", dart(math.pi / 2), end_colour, "white", 13),
     ]
-    handles += more_lines(record)
+    handles += optional_entries(record)
     legend = figure.legend(
         handles=handles,
         loc="upper left",
@@ -61,7 +61,7 @@ def draw(figure: Figure, record: RunRecord, corner: tuple[float, float]) -> None
         text.set_color(palette.INK)
 
 
-def more_lines(record: RunRecord) -> list[Artist]:
+def optional_entries(record: RunRecord) -> list[Artist]:
     """Return the entries that not every report has: a task's trajectories, rooms, places, zones."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -1,7 +1,7 @@
 """Marks on the map of a report: goals, objects, places and zones with their labels, and the robot.
 
 Each public function draws one kind of mark. `instances` are the objects that the mission looks for,
-`objects` the others that the robot remembers.
+`objects` the others that the robot remembers. A number as `zorder` says what lies on top.
 """
 
 from __future__ import annotations
@@ -229,10 +229,11 @@ def _label(
     width, height = 0.57 * size * len(words) + 8, 1.5 * size  # estimated, in points
     to_points = 72.0 / axes.figure.dpi
     x, y = (float(v) * to_points for v in axes.transData.transform(xy_m))
-    places = [(dx, dy) for dy in (9, -9 - height, 22, -22 - height) for dx in (7, -7 - width)]
+    # Offsets of the label's lower left corner from the point: above and below, right and left.
+    offsets = [(dx, dy) for dy in (9, -9 - height, 22, -22 - height) for dx in (7, -7 - width)]
     inside = axes.get_window_extent()
     limits = (inside.x0 * to_points, inside.x1 * to_points)
-    for dx, dy in places:
+    for dx, dy in offsets:
         box = (x + dx, x + dx + width, y + dy, y + dy + height)
         fits = box[0] >= limits[0] and box[1] <= limits[1]
         if fits and not any(_overlap(box, other) for other in taken):
@@ -240,7 +241,7 @@ def _label(
     else:
         if not prominent:
             return
-        dx, dy = places[0]
+        dx, dy = offsets[0]
     taken.append((x + dx, x + dx + width, y + dy, y + dy + height))
     axes.annotate(
         plain(words),
@@ -283,5 +284,5 @@ def dart(yaw_rad: float) -> MarkerStyle:
     from matplotlib.path import Path as Outline
 
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    dart = np.array([(1.0, 0.0), (-0.75, 0.7), (-0.35, 0.0), (-0.75, -0.7), (1.0, 0.0)])
-    return MarkerStyle(Outline(dart @ np.array([(c, s), (-s, c)]), closed=True))
+    outline = np.array([(1.0, 0.0), (-0.75, 0.7), (-0.35, 0.0), (-0.75, -0.7), (1.0, 0.0)])
+    return MarkerStyle(Outline(outline @ np.array([(c, s), (-s, c)]), closed=True))

@@ -62,6 +62,7 @@ def _colours(record: RunRecord) -> list[str]:
     """Return one colour for each segment of the path, by the time of its end."""
     intervals = gantt.pursuit_intervals(record)
     starts_s = np.array([interval.start_s for interval in intervals])
+    # Index of the last interval that began before each segment's end; -1 for none.
     at = np.searchsorted(starts_s, record.trajectory_t_s[1:], side="right") - 1
     colours = [palette.target_colour(i.label, record.targets) for i in intervals]
     ends_s = [interval.end_s for interval in intervals]

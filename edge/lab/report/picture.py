@@ -56,7 +56,7 @@ def png(record: RunRecord) -> bytes:
     from matplotlib.figure import Figure
 
     box = _shown_area(record)
-    n_more = len(legend.more_lines(record))
+    n_more = len(legend.optional_entries(record))
     layout = _layout(box, n_more)
     figure = Figure(figsize=(layout.width, layout.height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
@@ -67,6 +67,7 @@ def png(record: RunRecord) -> bytes:
     marks.rooms(axes, record)
     marks.zones(axes, record)
     tasks.draw(axes, record)
+    # The path's legend is below the entries of every report (3.3 inches) and the optional ones.
     right, below_in = LEFT_IN + layout.map_width, 3.3 + LINE_IN * n_more
     path_plot.draw(figure, axes, record, layout.place(right + 0.3, TOP_IN + below_in, 0.17, 1.8))
     marks.goals(axes, record, layout.marks)
@@ -82,7 +83,7 @@ def png(record: RunRecord) -> bytes:
 
 
 def _layout(box: raster.Box, n_more: int) -> MapLayout:
-    """Return the sizes for a shown area; `n_more` is the number of further lines of the legend."""
+    """Return the sizes for a shown area; `n_more`: number of optional entries of the legend."""
     x_min, x_max, y_min, y_max = box
     shape = (y_max - y_min) / (x_max - x_min)
     width, height = MAP_IN

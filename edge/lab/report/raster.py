@@ -27,6 +27,7 @@ def colour(cells: np.ndarray) -> np.ndarray:
     """Return (h, w, 3) uint8 colours of cells: unknown < 0, free 0, inflated 1-99, occupied."""
     kinds = (palette.UNKNOWN, palette.FREE, palette.INFLATED, palette.OCCUPIED)
     table = np.array([_rgb(kind) for kind in kinds])
+    # Index into `kinds`: up to -1 it is 0, 0 gives 1, 1 to 99 give 2, and larger values 3.
     return table[np.searchsorted((-1, 0, 99), cells)]
 
 

@@ -96,7 +96,7 @@ class RunRecord:
         map: occupancy grid at the end; None if nothing was mapped.
         trajectory: (n, 3) float64: x_m, y_m, yaw_rad of the robot in `map`.
         trajectory_t_s: (n,) float64, time of each of these poses.
-        frontiers_m: (n, 2) float32 cells or centroids in `map`, at the end of the run.
+        frontiers_m: (n, 2) float32, points of frontiers in `map`, at the end of the run.
         goals: goals that were sent, in order of time.
         instances: objects that the mission looked for.
         objects: remembered objects, the most confident first.
@@ -104,7 +104,7 @@ class RunRecord:
         site: places and zones.
         frames: camera images with boxes.
         asked: answers of the choice model, in order of time.
-        values: value maps by name, uint8, 0 for no value.
+        values: value maps (ViTL eq. 6) by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
         counters: number of messages, goals and the like, by name.
         config: the whole configuration as JSON types, without the secrets of its URLs.

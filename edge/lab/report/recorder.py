@@ -22,9 +22,8 @@ from edge.text import redact, shorten
 from edge.types import Goal, MissionStatus
 
 MAX_TITLE = 160  # characters
-_TOO_CLOSE = (
-    50  # map value of cells too near to an obstacle, which reports draw in their own colour
-)
+_TOO_CLOSE = 50
+"""Map value of free cells that are too near to an obstacle: reports have an own colour for them."""
 _NS = 1e-9
 
 T = TypeVar("T")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 SCENE_NAME = "trajectory.html"  # file of the 3-D page
 COARSE, REFINED = "#b35309", "#7048e8"  # colours of the trajectories
 MAX_TEXT, MAX_CODE, MAX_PROMPT = 4000, 20_000, 100_000  # characters
-_TOO_CLOSE = (1, 99)  # map values of free cells that are too near to an obstacle
+_TOO_CLOSE = (1, 99)  # least and largest map value of free cells too near to an obstacle
 
 
 def section(record: RunRecord, linked: bool) -> str:
@@ -110,7 +110,7 @@ def _in_words(group: Sequence[TaskStatus]) -> str:
 
 
 def _attempt(number: int, attempt: PlanAttempt) -> str:
-    """Return one answer of a model as HTML: its code, or its text if it has no code."""
+    """Return one answer (attempt) of a model as HTML: its code, or its text without code."""
     outcome = (
         '<span class="over">refused</span>' if attempt.error else '<span class="ok">used</span>'
     )
@@ -187,6 +187,7 @@ def page(record: RunRecord) -> str | None:
 def _scene(record: RunRecord, known: Grid) -> Scene:
     """Return the scene at the end of the run; the robot stands at its start."""
     cells = known.cells
+    # Such cells count as free.
     near = (cells >= _TOO_CLOSE[0]) & (cells <= _TOO_CLOSE[1])
     occupancy = Grid(
         np.where(near, 0, cells).astype(np.int8), known.origin_xy_m, known.resolution_m
@@ -195,6 +196,7 @@ def _scene(record: RunRecord, known: Grid) -> Scene:
     area_m2 = float(np.count_nonzero(floor.cells)) * known.resolution_m**2
     start = SE2(*record.trajectory[0].tolist()) if len(record.trajectory) else SE2(0.0, 0.0, 0.0)
     found = [i for i in record.instances if len(i.points_m) and i.state != "rejected"]
+    # Without an image: no camera, no pose of a camera, no outlines.
     return Scene(
         record.start_ns, start, {instance.id: _scene_object(instance) for instance in found},
         {1: Region(1, "floor", area_m2)}, occupancy, floor, None, None, None, {},

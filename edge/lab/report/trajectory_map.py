@@ -72,6 +72,7 @@ def png(
     high_in = min(MOST_HIGH_IN, width_in * high / wide)
     legends = _legend_handles(scene, coarse_m, refined, box)
     legend_rows = math.ceil(max(map(len, legends[:panels])) / _LEGEND_COLUMNS[columns])
+    # 0.41: title and axis numbers.
     high_in += 0.41 + _LEGEND_ROW_IN * max(legend_rows, 2)
     figure, all_axes = canvas.plots((WIDTH_IN, rows * high_in), DPI, columns, rows)
     for axes in all_axes:

@@ -33,7 +33,7 @@ _GROUND_RGB = {
 _OTHERS_RGB = ((172, 158, 140), (140, 150, 172), (166, 146, 166))  # regions with other labels
 UNKNOWN_RGB, _OCCUPIED_RGB = (202, 208, 216), (58, 66, 78)
 _POINT_RGB = (112, 122, 136)  # points that belong to no object
-# Colours of the kinds of objects, for a dark and for a light background.
+# Colours of the kinds of objects (one label, one kind), for a dark and for a light background.
 _BRIGHT = (
     "#ff8787", "#74c0fc", "#ffd43b", "#8ce99a", "#e599f7", "#ffa94d", "#66d9e8", "#d0bfff",
 )  # fmt: skip
@@ -104,13 +104,13 @@ def scene_page(
         facts: (name, value) pairs, under the picture.
         ground_m: height of the ground in `map`.
     """
-    kinds = list(dict.fromkeys(item.label for item in scene.objects.values()))
+    labels = list(dict.fromkeys(item.label for item in scene.objects.values()))
     poses, pose_texts = _poses_with_text(refined)
     data = {
         "start": [scene.pose.x_m, scene.pose.y_m, scene.pose.yaw_rad],
         "ground": _ground(scene, ground_m),
-        "cloud": _cloud(scene, kinds, cloud_m),
-        "boxes": [_box(item, kinds) for item in scene.objects.values()],
+        "cloud": _cloud(scene, labels, cloud_m),
+        "boxes": [_box(item, labels) for item in scene.objects.values()],
         "lines": [_line(line, ground_m) for line in lines],
         "poses": poses,
         "when": pose_texts,
@@ -159,38 +159,40 @@ def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
     }
 
 
-def _cloud(scene: Scene, kinds: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
+def _cloud(scene: Scene, labels: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
     """Return one point per voxel, with its kind and the colours of the kinds.
 
-    Points of objects have kinds from 1 on; several labels may share a kind. Others have kind 0.
+    Points of objects have kinds from 1 on, by label; after eight, labels share kinds. Other points
+    have kind 0.
 
     Args:
         scene: objects with their points.
-        kinds: labels of the objects.
+        labels: the labels of all objects, each once.
         cloud_m: (n, 3) all other points; None for none.
     """
     points, kind = [np.empty((0, 3), np.float32)], [np.empty(0, np.uint8)]
     for item in scene.objects.values():
         points.append(item.points_m)
-        kind.append(np.full(len(item.points_m), 1 + kinds.index(item.label) % len(_DARK), np.uint8))
+        k = 1 + labels.index(item.label) % len(_DARK)
+        kind.append(np.full(len(item.points_m), k, np.uint8))
     if cloud_m is not None:
         points.append(cloud_m)
         kind.append(np.zeros(len(cloud_m), np.uint8))
-    xyz, kinds_of = np.concatenate(points), np.concatenate(kind)
+    xyz, all_kinds = np.concatenate(points), np.concatenate(kind)
     near = (np.abs(xyz) < FARTHEST_M).all(axis=1)  # False for NaN
-    xyz, kinds_of = xyz[near], kinds_of[near]
+    xyz, all_kinds = xyz[near], all_kinds[near]
     # Objects come first, and the first point of each voxel is kept.
     _, first = np.unique(np.floor(xyz / VOXEL_M).astype(np.int32), axis=0, return_index=True)
     return {
         "xyz_cm": _packed(np.rint(100.0 * xyz[first]).astype("<i2")),
-        "kind": _packed(kinds_of[first]),
+        "kind": _packed(all_kinds[first]),
         "colours": [_POINT_RGB, *(_rgb(colour) for colour in _DARK)],
     }
 
 
-def _box(item: SceneObject, kinds: Sequence[str]) -> dict[str, object]:
-    """Return an object's box and name for the viewer."""
-    k = kinds.index(item.label) % len(_DARK)
+def _box(item: SceneObject, labels: Sequence[str]) -> dict[str, object]:
+    """Return an object's box and name for the viewer; `labels` as for `_cloud`."""
+    k = labels.index(item.label) % len(_DARK)
     return {
         "id": item.id,
         "label": item.label,

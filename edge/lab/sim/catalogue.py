@@ -22,12 +22,13 @@ from edge import names
 from edge.lab.sim.base import WorldError
 
 _PROPERTIES = "PluginFurnitureCatalog.properties"
+# Key, number of the model, and value: "name#3 = Brown sofa" gives "name", "3", "Brown sofa".
 _ROW = re.compile(r"(\w+)#(\d+)\s*=\s*(.*)")
 _MAX_OBJ_BYTES = 2_000_000
-"""Larger models, such as a tree with all its needles, would take most of the time of a house."""
-_MAX_TEXTURE_PX = 256
-_KEPT_MODELS = 256  # in memory
-# Words that only describe a material, a maker, a size or a shape.
+"""Larger models are left out: a tree with all its needles takes most of a house's loading time."""
+_MAX_TEXTURE_PX = 256  # longest side of a texture; larger ones are reduced
+_KEPT_MODELS = 256  # number of models kept in memory
+# Leading words of a name that are dropped: materials, makers, sizes, shapes.
 _ADJECTIVES = frozenset({
     "black", "burlap", "child", "children", "clear", "concrete", "corner", "decorative", "folding",
     "glass", "gaz", "iron", "large", "little", "lower", "modern", "oak", "old", "opened", "osaka",
@@ -39,7 +40,7 @@ _LABELS = {
     "machine", "drawers cabinet": "chest of drawers", "dryer machine": "clothes dryer",
     "toilets unit": "toilet", "puff": "ottoman", "baby bed": "crib", "bath": "bathtub",
 }  # fmt: skip
-"""Names of catalogues that are not those of our prompts."""
+"""Name in a catalogue -> our name, where the two differ."""
 # From the models' axes (x right, y up, z to the viewer) to ours (x to the viewer, y left, z up).
 _AXES = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
@@ -54,9 +55,9 @@ class CatalogueModel:
         label: canonical name of the object (`edge.names`).
         section: section of the catalogue, such as "Bedroom".
         size_m: depth, width and height, as seen from its front.
-        bottom_m: height of its lower end above the floor; more than 0 on a wall.
+        bottom_m: height of its lower end above the floor; more than 0 for a model on a wall.
         top_m: height above its lower end at which other objects stand on it; None if unknown.
-        rotation: 3 x 3 rotation of the OBJ file's axes, row by row.
+        rotation: 9 numbers, a 3 x 3 matrix row by row: it turns the model in the OBJ file's axes.
     """
 
     archive: Path
@@ -86,6 +87,12 @@ def read_catalogue(folder: Path) -> tuple[CatalogueModel, ...]:
 
 
 def _models_of(file: Path) -> list[CatalogueModel]:
+    """Return the models of one catalogue file, without too large ones.
+
+    Raises:
+        WorldError: the file cannot be read.
+    """
+    # Number of the model -> its keys and values, for example 3 -> {"name": "Brown sofa", …}.
     rows: defaultdict[int, dict[str, str]] = defaultdict(dict)
     try:
         with zipfile.ZipFile(file) as archive:
@@ -100,7 +107,10 @@ def _models_of(file: Path) -> list[CatalogueModel]:
 
 
 def _model(file: Path, row: dict[str, str]) -> CatalogueModel | None:
-    """Return the model of one entry; None if its name is not the name of an object."""
+    """Return the model of one entry; None if its name is not the name of an object.
+
+    The entry has lengths in cm.
+    """
     try:
         label = object_label(row["name"])
     except names.NotANameError:
@@ -130,7 +140,7 @@ def object_label(name: str) -> str:
         NotANameError: the text is not the name of an object.
     """
     plain = name.lower().partition(" with ")[0].partition(",")[0]
-    words = re.sub(r"[\d:'’]+", " ", plain).split()
+    words = re.sub(r"[\d:'’]+", " ", plain).split()  # "sofa 2" -> "sofa"
     while len(words) > 1 and not names.is_known(" ".join(words)) and words[0] in _ADJECTIVES:
         del words[0]
     label = " ".join(words)
@@ -157,15 +167,16 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
             files = {name: io.BytesIO(archive.read(name)) for name in inside}
         resolver = ZipResolver(files, namespace=folder)
         scene = trimesh.load_scene(files[model.path], file_type="obj", resolver=resolver)
-        extents = scene.bounds
+        bounds = scene.bounds  # (2, 3): lowest and highest corner, in the OBJ file's axes
     except (OSError, KeyError, ValueError, IndexError, TypeError, zipfile.BadZipFile) as error:
         raise WorldError(
             f"{model.archive}: {model.path}: not a readable model: {error!r}"
         ) from None
     turn = _AXES @ np.array(model.rotation).reshape(3, 3)
-    corners = np.array(np.meshgrid(*extents.T)).reshape(3, -1)
+    corners = np.array(np.meshgrid(*bounds.T)).reshape(3, -1)  # (3, 8), of the box
     low, high = (f(turn @ corners, axis=1) for f in (np.min, np.max))
     scale = np.array(model.size_m) / np.maximum(high - low, 1e-9)
+    # The middle of the box's lower side comes to the origin.
     T = np.eye(4)
     T[:3, :3] = scale[:, None] * turn
     T[:3, 3] = -scale * np.array([*(0.5 * (low + high))[:2], low[2]])

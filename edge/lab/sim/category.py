@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from edge.lab.sim import kernels as k
 
-B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID  # shapes
+B, C, E = k.BOX, k.CYLINDER, k.ELLIPSOID  # shapes; short names for the long tables
 RGB = tuple[float, float, float]
 """Red, green and blue, 0 to 255."""
 
@@ -27,8 +27,9 @@ class Category:
 
     Attributes:
         size_m: usual depth, width, height.
-        colors: usual colours.
-        rows: the assembly; see `edge.lab.sim.assemblies`.
+        colors: usual colours; the first is the default.
+        rows: primitives, each (shape, centre, size, material[, texture]); centre and size are
+            fractions of `size_m`, see `edge.lab.sim.assemblies`.
     """
 
     size_m: tuple[float, float, float]
@@ -45,7 +46,7 @@ def legs(height: float, size: float, material: str, inset: float = 0.08) -> tupl
         material: of the legs.
         inset: distance of a leg's middle from the object's sides.
     """
-    d = 0.5 - inset
+    d = 0.5 - inset  # from the object's middle to a leg's
     return tuple(
         (B, (x, y, height / 2), (size, size, height), material)
         for x, y in ((d, d), (d, -d), (-d, d), (-d, -d))

@@ -1,8 +1,9 @@
 """3-D shapes of furniture for the simulator.
 
 Each category has its usual depth, width and height [m], its usual colours, and its shape: rows of
-boxes (`B`), cylinders (`C`) and ellipsoids (`E`). `edge.lab.sim.assemblies` explains the entries of
-a row.
+boxes (`B`), cylinders (`C`) and ellipsoids (`E`). A row is (shape, centre, size, material[,
+texture]). Centre and size are fractions of the depth, width and height; textures are constants of
+`shading`. `edge.lab.sim.assemblies` explains more.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from edge.lab.sim.category import CLOTHS, VIVID, WHITES, WOODS, B, C, Category, 
 
 
 def _seat(*cushions: float) -> tuple[tuple, ...]:
-    """Return a sofa with a cushion at each y fraction."""
+    """Return the rows of a sofa with a cushion at each of the given y (fractions of the width)."""
     width = 0.78 / len(cushions) - 0.01
     return (
         (B, (0.03, 0, 0.22), (0.9, 0.96, 0.28), "dark", s.FABRIC),
@@ -26,7 +27,7 @@ def _seat(*cushions: float) -> tuple[tuple, ...]:
 
 
 def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
-    """Return a chest's body with `count` drawer fronts."""
+    """Return the rows of a chest with `count` drawer fronts; `knob` is a material."""
     step = 0.86 / count
     rows: list[tuple] = [
         (B, (0, 0, 0.5), (0.94, 0.98, 0.92), "main", s.GRAIN),
@@ -41,7 +42,7 @@ def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
 
 
 def _doors(y_handles: tuple[float, float]) -> tuple[tuple, ...]:
-    """Return a cupboard's body with two doors."""
+    """Return the rows of a cupboard with two doors; `y_handles` are the y of their handles."""
     return (
         (B, (-0.01, 0, 0.51), (0.94, 0.98, 0.94), "main", s.GRAIN),
         (B, (0, 0, 0.985), (1.0, 1.0, 0.03), "dark", s.GRAIN),
@@ -53,7 +54,7 @@ def _doors(y_handles: tuple[float, float]) -> tuple[tuple, ...]:
 
 
 def _wardrobe() -> tuple[tuple, ...]:
-    """Return two long doors with bar handles over one wide drawer, under a cornice."""
+    """Return the rows of a wardrobe: two long doors over one wide drawer."""
     return (
         (B, (-0.02, 0, 0.5), (0.92, 0.96, 0.94), "main", s.GRAIN),
         (B, (0, 0, 0.975), (1.0, 1.0, 0.05), "dark", s.GRAIN),

@@ -1,8 +1,9 @@
 """3-D shapes of appliances, bathroom fittings and small objects for the simulator.
 
 Each category has its usual depth, width and height [m], its usual colours, and its shape: rows of
-boxes (`B`), cylinders (`C`) and ellipsoids (`E`). `edge.lab.sim.assemblies` explains the entries of
-a row.
+boxes (`B`), cylinders (`C`) and ellipsoids (`E`). A row is (shape, centre, size, material[,
+texture]). Centre and size are fractions of the depth, width and height; textures are constants of
+`shading`. `edge.lab.sim.assemblies` explains more.
 """
 
 from __future__ import annotations

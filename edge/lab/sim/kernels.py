@@ -24,13 +24,16 @@ X, Y, Z, HALF_X, HALF_Y, HALF_Z, COS, SIN = range(8)
 
 NEAR_M = 0.02  # nearer surfaces are not seen
 TILE_PX = 16  # side of a tile of the image
-# A direction without a part along an axis would divide 0 by 0 in the slab test.
+# A direction without a part along an axis would divide 0 by 0 in `_slab`.
 _TINY = 1e-12
 
 
 @jit(error_model="numpy")
 def _slab(o, d, h):
-    """Return entry and exit of the ray o + t d in |x| <= h."""
+    """Return the t at which the ray o + t d enters and leaves |x| <= h, along one axis.
+
+    A box is the intersection of three such slabs.
+    """
     inverse = 1.0 / (d if abs(d) > _TINY else _TINY)
     t_a, t_b = (-h - o) * inverse, (h - o) * inverse
     return (t_a, t_b) if t_a < t_b else (t_b, t_a)
@@ -38,7 +41,7 @@ def _slab(o, d, h):
 
 @jit(error_model="numpy")
 def _quadratic(a, b, c):
-    """Return entry and exit of a t^2 + 2 b t + c <= 0; an empty interval if there is none."""
+    """Return the least and largest t with a t^2 + 2 b t + c <= 0; (inf, -inf) if there is none."""
     if a < _TINY:
         return (-math.inf, math.inf) if c <= 0.0 else (math.inf, -math.inf)
     disc = b * b - a * c
@@ -77,7 +80,10 @@ def _hit(shape, ox, oy, oz, dx, dy, dz, hx, hy, hz):
 
 @jit(error_model="numpy")
 def into_local(geometry, T, local):
-    """Fill `local` (3, 4) with the transform from the sensor's frame to the primitive's."""
+    """Fill `local` (3, 4) with the transform from a sensor's frame to a primitive's.
+
+    `geometry` (8,) is the primitive's row, `T` (4, 4) the pose of the sensor in the world.
+    """
     c, s = geometry[COS], geometry[SIN]
     for j in range(3):
         local[0, j] = c * T[0, j] + s * T[1, j]
@@ -89,8 +95,9 @@ def into_local(geometry, T, local):
 
 @jit(error_model="numpy")
 def _corners(geometry, local, corners):
-    """Fill `corners` (8, 3) with the bounding box's corners in the sensor frame.
+    """Fill `corners` (8, 3) with the corners of a primitive's box in the sensor's frame.
 
+    `geometry` and `local` are as for `into_local`.
     Bits 0, 1 and 2 of a corner's index say if it lies on the positive side in x, y and z.
     """
     for k in range(8):
@@ -169,8 +176,9 @@ def _box_row(index, hx, hy, hz, local, u0, fx, bx, by, bz, depth, prim):
 def _draw(index, shape, geometry, local, rect, z_min, fx, fy, cx, cy, depth, prim, tile_z):
     """Draw one primitive into `depth` and `prim`: ray-test the pixels of its rectangle `rect`.
 
-    `tile_z` is the largest depth in each tile. A tile is skipped if the primitive, nearest at
-    `z_min`, lies behind all of it.
+    `index` is the primitive's index, `geometry` its row, `local` its `into_local`. `tile_z`
+    is the largest depth in each tile. A tile is skipped if the primitive, nearest at `z_min`, lies
+    behind all of it.
     """
     height, width = depth.shape
     ox, oy, oz = local[0, 3], local[1, 3], local[2, 3]
@@ -200,7 +208,7 @@ def _draw(index, shape, geometry, local, rect, z_min, fx, fy, cx, cy, depth, pri
                         depth[v, u] = t
                         prim[v, u] = index
                         drawn = True
-            if drawn:
+            if drawn:  # compute the largest depth in this tile again
                 far = 0.0
                 for v in range(top, min(height, top + TILE_PX)):
                     for u in range(left, min(width, left + TILE_PX)):
@@ -263,20 +271,22 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
     columns. `corners` are in the LiDAR's frame.
     """
     r_max, z_lo, z_hi = 0.0, math.inf, -math.inf
-    mid_x, mid_y = 0.0, 0.0
+    mid_x, mid_y = 0.0, 0.0  # middle of the box
     for k in range(8):
         r_max = max(r_max, math.hypot(corners[k, 0], corners[k, 1]))
         z_lo, z_hi = min(z_lo, corners[k, 2]), max(z_hi, corners[k, 2])
         mid_x += corners[k, 0] / 8.0
         mid_y += corners[k, 1] / 8.0
     middle = math.atan2(mid_y, mid_x)
+    # `low`, `high`: azimuths of the outermost corners, from the middle's azimuth. `spread`: largest
+    # planar distance of a corner from the middle. `r_min`: least planar distance of the box.
     low, high, spread, r_min = 0.0, 0.0, 0.0, math.inf
     for k in range(8):
         off = math.atan2(corners[k, 1], corners[k, 0]) - middle
         off -= 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5)  # to -pi..pi
         low, high = min(low, off), max(high, off)
-        # The planar hull is at least as far away as the nearest projection of a corner on the
-        # line of sight to its middle.
+        # In the plane, no point of the box is nearer than the nearest corner is along the line of
+        # sight to the middle.
         r_min = min(r_min, corners[k, 0] * math.cos(middle) + corners[k, 1] * math.sin(middle))
         spread = max(spread, math.hypot(corners[k, 0] - mid_x, corners[k, 1] - mid_y))
     window[2], window[3] = 0, n_azimuth
@@ -286,6 +296,7 @@ def _fan_window(corners, n_azimuth, el_min, el_step, n_rings, window):
         first = math.floor((middle + low + math.pi) / step)
         window[2] = (first + n_azimuth) % n_azimuth
         window[3] = min(n_azimuth, int((high - low) / step) + 3)
+    # Above the sensor, an edge looks highest where it is nearest; below, where it is farthest.
     top = math.atan2(z_hi, r_min if z_hi > 0.0 else r_max)
     bottom = math.atan2(z_lo, r_min if z_lo < 0.0 else r_max)
     window[0] = max(0, math.floor((bottom - el_min) / el_step))
@@ -323,7 +334,10 @@ def cast_fan(shape, geometry, T_map_lidar, directions, el_min, el_step, ranges):
 
 @jit(error_model="numpy")
 def rasterise(shape, geometry, z_lo, z_hi, origin_m, cell_m, grid):
-    """Set `grid` (rows, columns) uint8 to 1 where a solid reaches into z_lo..z_hi [m]."""
+    """Set `grid` (rows, columns) uint8 to 1 where a solid reaches into z_lo..z_hi [m].
+
+    `origin_m` is x and y of the grid's corner, `cell_m` the side of a cell.
+    """
     pad = 0.5 * cell_m  # a cell counts if its centre is within half a cell of the solid
     for i in range(len(shape)):
         z, hz, c, s = geometry[i, Z], geometry[i, HALF_Z], geometry[i, COS], geometry[i, SIN]

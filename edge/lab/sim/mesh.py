@@ -39,13 +39,13 @@ class Faces:
         normals: (n, 3, 3) float32, normals at the corners, of any length.
         uvs: (n, 3, 2) float32, texture coordinates of the corners.
         tint: (n, 3) float32, factors on red, green and blue.
-        first_level: (n,) int64, see `edge.lab.sim.mesh_kernels`.
-        level_count: (n,) int64, see `edge.lab.sim.mesh_kernels`.
+        first_level: (n,) int64, row of `levels` with the largest copy of the face's texture.
+        level_count: (n,) int64, number of copies of this texture; they follow in `levels`.
         texel_density: (n,) float32, texels per metre of the largest copy of the texture.
         node: (n,) int32, index into `node_names`.
-        node_names: names of the nodes of the scene.
-        texels: (t, 3) uint8, see `edge.lab.sim.mesh_kernels`.
-        levels: (m, 3) int64, see `edge.lab.sim.mesh_kernels`.
+        node_names: names of the nodes (placed parts) of the scene.
+        texels: (t, 3) uint8, colours of all textures and their smaller copies, one after another.
+        levels: (m, 3) int64, for each copy: index of its first texel, its height and its width.
     """
 
     triangles: np.ndarray
@@ -101,7 +101,9 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
 
 
 def read_objects(path: Path) -> list[dict[str, Any]]:
-    """Read the list of objects: name, category, yaw, aabb_min, aabb_max.
+    """Read the list of objects: each has name, category, yaw, aabb_min and aabb_max.
+
+    The last two are the lowest and the highest corner of its axis-parallel box, x, y, z in `map`.
 
     Raises:
         WorldError: the file is missing or not JSON, or an entry lacks a field or has an invalid
@@ -134,22 +136,21 @@ class Atlas:
     """Textures one after another, each with its smaller copies (mipmap levels).
 
     Attributes:
-        texels: (k, 3) uint8 colours of each copy.
-        levels: (offset of the copy in all texels, its height, its width); see
-            `edge.lab.sim.mesh_kernels`.
+        texels: one (k, 3) uint8 array of colours for each copy.
+        levels: for each copy: index of its first texel (in all arrays joined), height, width.
     """
 
     def __init__(self) -> None:
         self.texels: list[np.ndarray] = []
         self.levels: list[tuple[int, int, int]] = []
-        self._next = 0
-        self._seen: dict[int, tuple[int, int]] = {}
+        self._next = 0  # index of the next texel
+        self._added: dict[int, tuple[int, int]] = {}  # id of an image -> result of `add`
 
     def add(self, image: Any) -> tuple[int, int]:
-        """Return (first level, level count) of an image (PIL); plain white for None."""
+        """Add an image (PIL), or plain white for None; return (first level, level count)."""
         key = id(image)  # faces of several geometries share an image
-        if key in self._seen:
-            return self._seen[key]
+        if key in self._added:
+            return self._added[key]
         pixels = np.full((1, 1, 3), 255.0) if image is None else np.asarray(image.convert("RGB"))
         first = len(self.levels)
         while True:
@@ -160,22 +161,22 @@ class Atlas:
             if height == width == 1:
                 break
             pixels = _halve(np.asarray(pixels, np.float32))
-        self._seen[key] = (first, len(self.levels) - first)
-        return self._seen[key]
+        self._added[key] = (first, len(self.levels) - first)
+        return self._added[key]
 
 
 def _halve(pixels: np.ndarray) -> np.ndarray:
     """Average 2x2 pixels; an odd last row or column is dropped."""
     for axis in (0, 1):
         size = pixels.shape[axis]
-        if size > 1:
+        if size > 1:  # add the odd rows (columns) to the even ones
             even = np.take(pixels, range(0, size - size % 2, 2), axis)
             pixels = 0.5 * (even + np.take(pixels, range(1, size, 2), axis))
     return pixels
 
 
 def read_faces(scene: Any) -> Faces:
-    """Return every instance of every geometry of a trimesh scene, placed in the map.
+    """Return all triangles of a trimesh scene, in `map`; a geometry may be placed several times.
 
     Raises:
         ValueError: the scene has no triangles.
@@ -191,7 +192,14 @@ def read_faces(scene: Any) -> Faces:
 
 
 def face_arrays(mesh: Any, T: np.ndarray, atlas: Atlas, node: int) -> tuple[np.ndarray, ...]:
-    """Return the arrays of `Faces` from `triangles` to `node`, for one geometry placed at `T`."""
+    """Return the arrays of `Faces` from `triangles` to `node`, in this order, for one geometry.
+
+    Args:
+        mesh: the geometry (trimesh).
+        T: (4, 4) transform from the geometry's frame to `map`.
+        atlas: the geometry's texture is added to it.
+        node: index of the geometry's node.
+    """
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]
     triangles = corners[mesh.faces]
@@ -206,6 +214,7 @@ def face_arrays(mesh: Any, T: np.ndarray, atlas: Atlas, node: int) -> tuple[np.n
     factor = getattr(material, "baseColorFactor", None)
     tint = np.ones(3) if factor is None else np.asarray(factor[:3]) / 255.0
     _, height, width = atlas.levels[first]
+    # Square root of the face's area in texels by its area in m².
     density = np.sqrt(
         _twice_area_2d(uvs * (width, height)) / np.maximum(_twice_area_3d(triangles), 1e-12)
     )
@@ -226,6 +235,7 @@ def _vertex_normals(triangles: np.ndarray, faces: np.ndarray, count: int) -> np.
 
     trimesh's own function needs scipy to be fast, and the extra does not install scipy.
     """
+    # (faces, 3), each as long as twice the face's area.
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     corner = faces.ravel()
     return np.stack(
@@ -328,10 +338,11 @@ class MeshWorld:
     def _first_hits(
         self, rays: np.ndarray, T_map_sensor: np.ndarray
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the rays' directions in `map`, and the first hit of each.
+        """Return the rays' directions in `map`, (n, 3), and the first hit of each.
 
-        A hit has arrays `primID` (face, -1 for none), `u`, `v` (barycentrics) and `tfar` (distance
-        in lengths of the direction).
+        The hits have arrays (n,): `primID` (index of the face, -1 for none), `u`, `v` (weights of
+        the face's second and third corner at the point) and `tfar` (distance, in lengths of the
+        direction).
         """
         # Camera and LiDAR run in different threads: each has its own arrays.
         key = (threading.get_ident(), len(rays))
@@ -367,6 +378,7 @@ def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
     origins = origins.reshape(-1, 3)
     down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(origins), 1))
     hit = scene.run(origins, down, output=True)
+    # The rays start `FLOOR_CLEARANCE_M` above the floor.
     near = (hit["primID"] >= 0) & (hit["tfar"] < 3 * FLOOR_CLEARANCE_M)
     return near.reshape(rows, cols)
 
@@ -387,7 +399,8 @@ def objects_of(
     owner = np.zeros(len(faces.node), np.uint16)
     centers = faces.triangles.mean(axis=1)
     named_nodes = {node.partition(".")[0] for node in faces.node_names}
-    objects, boxed = [], []
+    objects: list[tuple[Any, ...]] = []  # (item, label, low, high): arguments of `_object`
+    boxed = []  # objects without a node: (volume, id, lowest corner, highest corner)
     for item in items:
         label = names.canonical(item["category"])
         if label in STRUCTURE:
@@ -395,12 +408,12 @@ def objects_of(
         low, high = np.array(item["aabb_min"], float), np.array(item["aabb_max"], float)
         object_id = len(objects) + 1
         if item["name"] in named_nodes:
-            is_node = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
-            owner[is_node[faces.node]] = object_id
+            is_own = np.array([n.partition(".")[0] == item["name"] for n in faces.node_names])
+            owner[is_own[faces.node]] = object_id  # the faces of the nodes with its name
         else:
             boxed.append((float(np.prod(high - low + 0.01)), object_id, low - 0.01, high + 0.01))
         objects.append((item, label, low, high))
-    named = owner > 0
+    named = owner > 0  # faces that belong to an object by name
     # Largest box first, so that smaller boxes overwrite it.
     for _, object_id, low, high in sorted(boxed, key=lambda entry: -entry[0]):
         owner[((centers > low) & (centers < high)).all(axis=1) & ~named] = object_id
@@ -419,8 +432,12 @@ def _object(
     triangles: np.ndarray,
     reach_m: float,
 ) -> WorldObject:
-    """Return an object with its footprint: the cells under its triangles up to `reach_m`."""
+    """Return an object with its footprint: the cells under its triangles up to `reach_m`.
+
+    `low` and `high` are the lowest and the highest corner of its box; see `objects_of`.
+    """
     center, size = 0.5 * (low + high), high - low
+    # The grid has a margin of 0.1 m around the box.
     cols, rows = np.ceil((size[:2] + 0.2) / CELL_M).astype(int)
     grid, corner = np.zeros((rows, cols), np.uint8), low[:2] - 0.1
     # If no part of it is at the robot's height (a lamp, a picture), all of it counts.

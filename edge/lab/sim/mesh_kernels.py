@@ -1,5 +1,6 @@
 """Shading and rasterising of textured triangles, for `edge.lab.sim.mesh` (numba).
 
+A texel is a pixel of a texture. `uvs` are positions in a texture: s to the right, t down, 0 to 1.
 Textures lie one after another in `texels` (n, 3) uint8, each with all its smaller copies (halved
 until one texel is left). `levels` (m, 3) int64 holds offset, height, width of each copy.
 `first_level` (faces,) is the largest copy of a face's texture, and `level_count` the number of its
@@ -32,7 +33,10 @@ def aim(rays, T_map_sensor, origins, directions):
 
 @jit(error_model="numpy")
 def _sample(texels, offset, height, width, s, t):
-    """Return r, g, b by bilinear lookup with wrap-around at s (right), t (down)."""
+    """Return r, g, b of a texture at s (right), t (down): the mean of four texels (bilinear).
+
+    Positions outside 0 to 1 repeat the texture. The copy has `height` rows and begins at `offset`.
+    """
     x, y = (s - math.floor(s)) * width - 0.5, (t - math.floor(t)) * height - 0.5
     x0, y0 = math.floor(x), math.floor(y)
     fx, fy = x - x0, y - y0
@@ -58,10 +62,12 @@ def shade_hits(
 ):  # fmt: skip
     """Fill rgb (n, 3) uint8 for n rays' first hits.
 
-    `face`, `u`, `v`, `distance` (n,): face index (-1 = none), barycentrics, distance along the ray.
-    `rays` (n, 3) float32 are in the map frame with z-depth 1, so `distance` is the depth. `normals`
-    (faces, 3, 3) are at the corners, of any length; `uvs` (faces, 3, 2) count t down. `tint`
-    (faces, 3) is in 0..1; `texel_density` (faces,) is in texels per metre of the largest copy.
+    `face` (n,) is the index of the face, -1 for none; `u` and `v` (n,) are the weights of the
+    face's second and third corner at the point; `distance` (n,) is in lengths of the ray. `rays`
+    (n, 3) float32 are in the map frame with z-depth 1, so `distance` is the depth. `fx` is the
+    focal length [px]. `normals` (faces, 3, 3) are at the corners, of any length; `uvs` is
+    (faces, 3, 2). `tint` (faces, 3) is in 0..1; `texel_density` (faces,) is in texels per metre of
+    the largest copy. `sky` (3,) is the colour for no face.
     """
     for k in range(len(face)):
         f = face[k]
@@ -74,8 +80,8 @@ def shade_hits(
         t = b0 * uvs[f, 0, 1] + b1 * uvs[f, 1, 1] + b2 * uvs[f, 2, 1]
         # Take the copy in which a texel is about as large as the pixel. The footprint is the
         # number of texels along a pixel; 1.42 is the square root of 2, halfway to the next copy.
-        footprint, level, last = texel_density[f] * z / fx, first_level[f], level_count[f] - 1
-        last += level
+        footprint, level = texel_density[f] * z / fx, first_level[f]
+        last = level + level_count[f] - 1
         while footprint > 1.42 and level < last:
             footprint *= 0.5
             level += 1
@@ -85,10 +91,12 @@ def shade_hits(
         nz = b0 * normals[f, 0, 2] + b1 * normals[f, 1, 2] + b2 * normals[f, 2, 2]
         dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
         facing = nx * dx + ny * dy + nz * dz
-        # Triangles are visible from both sides.
+        # Triangles are visible from both sides: times `scale`, the normal faces the camera and
+        # has length 1.
         scale = -math.copysign(1.0, facing) / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+        # Cosine of the angle between this normal and the line to the camera.
         head = -facing * scale / math.sqrt(dx * dx + dy * dy + dz * dz)
-        # A lamp at the camera, light from above, and ambient light.
+        # Ambient light, a lamp at the camera, and light from above.
         light = 0.66 + 0.24 * head + 0.14 * scale * (0.3 * nx + 0.42 * ny + 0.86 * nz)
         rgb[k, 0] = np.uint8(min(255.0, r * tint[f, 0] * light))
         rgb[k, 1] = np.uint8(min(255.0, g * tint[f, 1] * light))

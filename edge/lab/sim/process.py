@@ -133,12 +133,12 @@ def _move(config: Config, drive: DriveTrain, bus: SimBus, stop: threading.Event)
 
 def _sense(rig: Rig, drive: DriveTrain, bus: SimBus, stop: threading.Event) -> None:
     """Send one sensor's data at its rate, and its description once a second."""
-    next_s = described_s = time.monotonic()
+    next_s = describe_at_s = time.monotonic()
     while not stop.is_set():
         motion = drive.motion
-        if time.monotonic() >= described_s:
+        if time.monotonic() >= describe_at_s:
             bus.send(rig.description(motion.stamp_ns))
-            described_s += 1.0 / _DESCRIPTION_HZ
+            describe_at_s += 1.0 / _DESCRIPTION_HZ
         rig.look(motion.pose)
         bus.send(rig.messages(motion.stamp_ns))
         next_s = next_frame(next_s, 1.0 / rig.rate_hz, time.monotonic())

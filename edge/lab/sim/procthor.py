@@ -121,9 +121,9 @@ def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, fl
     out = []
     for low, high in pairwise(ys):
         middle = 0.5 * (low + high)
-        xs = sorted(
-            a[0] for a, b in sides if min(a[1], b[1]) < middle < max(a[1], b[1])
-        )  # an even number: the strip is inside between each pair
+        # x of the sides along y that cross the strip. They are an even number: the strip is inside
+        # the polygon between the first two, the next two, and so on.
+        xs = sorted(a[0] for a, b in sides if min(a[1], b[1]) < middle < max(a[1], b[1]))
         out += [(x0, low, x1, high) for x0, x1 in zip(xs[::2], xs[1::2], strict=True)]
     return out
 

@@ -21,7 +21,7 @@ _GAP_M = 0.05  # smallest gap between a moved object and others
 _PASS_M = 0.1  # free space on each side of the robot in a passage that must stay open
 _APART_M = 2.0  # an object moves by at least this
 _PLACES = 40  # random places to try for an object
-_STRIDE = 4  # every fourth row and column is enough to find the cells near a goal
+_STRIDE = 4  # of the cells, each fourth row and column is checked for being near a goal
 _REACH_M = 0.8  # largest distance from a goal at which it counts as reached
 
 
@@ -77,13 +77,13 @@ def _move(
     radius_m: float,
     goals: Sequence[str],
 ) -> bool:
-    """Move an object to the first of some random places at which it closes no way.
+    """Move an object to the first of some random places at which it blocks no passage.
 
     Returns:
         True if it was moved.
     """
     plan, (x_m, y_m) = world.plan, item.center_m[:2]
-    half_m = 0.5 * math.hypot(*item.size_m[:2])
+    half_m = 0.5 * math.hypot(*item.size_m[:2])  # half of the diagonal
     before = _drivable_area(plan, radius_m)
     goals_before = _goals_in_reach(world, goals, before)
     row, col = np.nonzero(before & (plan.clearance_m > half_m + _GAP_M))

@@ -63,9 +63,10 @@ class DriveTrain:
             )
         rng = np.random.default_rng(sim.seed)
         self._robot, self._world = robot, world
+        # Distance and angle by odometry, as factors on the true ones.
         self._scale = 1.0 + sim.drift_m_per_m * rng.standard_normal()
         self._turn_scale = 1.0 + sim.drift_rad_per_rad * rng.standard_normal()
-        self._bumped_at = start
+        self._bumped_at = start  # pose at the newest collision
         self.motion = MotionState(stamp_ns, start, start, 0.0, 0.0, 0, False, 0.0)
 
     def step(self, dt_s: float, v_cmd_mps: float, w_cmd_radps: float) -> MotionState:
@@ -107,7 +108,7 @@ class DriveTrain:
 
 
 def _towards(now: float, wanted: float, limit: float, change: float) -> float:
-    """Return the next speed: the wanted one within ±`limit`, at most `change` from `now`."""
+    """Return the next speed: `wanted`, but within ±`limit` and at most `change` from `now`."""
     wanted = min(max(wanted, -limit), limit)
     return min(max(wanted, now - change), now + change)
 

@@ -49,6 +49,7 @@ def _line(a, period, width, blur):
 def _texture(kind, a, b, px, py, pz, blur):
     """Return the factors of a texture on r, g, b, at the coordinates a, b [m] of a face.
 
+    `kind` is one of PLAIN … PICTURE. Lengths in the formulas are in m: planks are 0.13 m wide.
     `px`, `py`, `pz` [m] are the same point in the primitive's frame. Detail smaller than the
     pixel's size `blur` [m] fades to its mean, to avoid aliasing.
     """
@@ -128,8 +129,9 @@ def shade(
 ):  # fmt: skip
     """Fill `rgb` (h, w, 3) uint8 with the colours of the pixels that `render_depth` has found.
 
-    The light is half-Lambert from above. The floor next to obstacles, and the foot of upright
-    faces, are darker, as in the shadow of a contact.
+    The light comes from above, and also brightens faces that are turned away from it
+    (half-Lambert). The floor next to obstacles, and the foot of upright faces, are darker, as in
+    the shadow of a contact.
 
     Args:
         shape: see `edge.lab.sim.kernels`.
@@ -146,8 +148,8 @@ def shade(
         clearance_m: (rows, columns) distance to the nearest obstacle on the floor plan.
         origin_m: x and y of the floor plan's corner.
         cell_m: cell size of the floor plan.
-        sky: (3,) colour of pixels that show nothing.
-        rgb: the result.
+        sky: (3,) uint8 colour of pixels that show nothing.
+        rgb: (h, w, 3) uint8, the result.
     """
     height, width = depth.shape
     local = np.empty((3, 4))
@@ -162,6 +164,7 @@ def shade(
             if i != last:
                 into_local(geometry[i], T_map_camera, local)
                 last = i
+            # The point in the primitive's frame.
             t = float(depth[v, u])
             x = (u - cx) / fx
             px = local[0, 3] + t * (local[0, 0] * x + local[0, 1] * y + local[0, 2])
@@ -170,10 +173,11 @@ def shade(
             hx, hy, hz = geometry[i, HALF_X], geometry[i, HALF_Y], geometry[i, HALF_Z]
             nx, ny, nz, axis = _normal(shape[i], px, py, pz, hx, hy, hz)
             c, s = geometry[i, COS], geometry[i, SIN]
+            # The normal in `map`, times the direction of the light.
             light = 0.80 + 0.20 * (0.30 * (c * nx - s * ny) + 0.42 * (s * nx + c * ny) + 0.86 * nz)
             z = pz + geometry[i, Z]  # height above the floor
-            a, b = px, py
-            if axis != 2:
+            a, b = px, py  # coordinates on the face
+            if axis != 2:  # an upright face; else one that faces up or down
                 a, b = (py, pz) if axis == 0 else (px, pz)
                 light *= 0.84 + 0.16 * min(1.0, max(0.0, z) / 0.35)
             elif z < 0.02:

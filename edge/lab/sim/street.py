@@ -22,7 +22,7 @@ from edge.lab.sim.generator.rng import PortableRng, Rect
 RGB = tuple[float, float, float]
 BEHIND_M, AHEAD_M = 14.0, 50.0  # length of the street behind and ahead of the origin
 SLAB_M = 0.1  # thickness of the ground
-_KEY = 16  # separates these random numbers from others with the same seed
+_RNG_KEY = 16  # separates these random numbers from others with the same seed
 _APART_M = 0.6  # least distance between objects, except between parked cars
 
 CAR_COLOURS: dict[str, RGB] = {
@@ -132,16 +132,17 @@ def street(*key: int) -> Street:
     area. Houses stand behind, cars at the kerbs and sometimes in the lane, and trees, poles, bins
     and benches. The robot starts in its lane or on a sidewalk, turned by up to 12 degrees.
     """
-    rng = PortableRng(_KEY, *key)
+    rng = PortableRng(_RNG_KEY, *key)
     # Half the road's width, width of a sidewalk, and distance from it to the houses.
     half_m, walk_m, yard_m = rng.between(3.6, 4.4), rng.between(2.2, 3.2), rng.between(3.0, 6.0)
-    outer_m = half_m + walk_m
+    outer_m = half_m + walk_m  # from the road's middle to the far side of a sidewalk
     grounds = [
         GroundArea(1, "road", Rect(-BEHIND_M, -half_m, AHEAD_M, half_m)),
         GroundArea(2, "sidewalk", Rect(-BEHIND_M, half_m, AHEAD_M, outer_m)),
         GroundArea(3, "sidewalk", Rect(-BEHIND_M, -outer_m, AHEAD_M, -half_m)),
     ]
     breaks: list[Break] = []
+    # A side road, then a parking area that keeps clear of it; side: -1 right, 1 left.
     if rng.chance(0.5):
         side, x_m, width_m = rng.pick((-1, 1)), rng.between(16.0, 30.0), rng.between(5.5, 7.0)
         grounds.append(GroundArea(1, "road", _strip(side, x_m, x_m + width_m, half_m, 40.0)))
@@ -161,6 +162,7 @@ def street(*key: int) -> Street:
     if rng.chance(0.6):
         placed.place(_car(rng, rng.between(11.0, 24.0), -0.5 * half_m, 0.0))
     name = "street-" + "-".join(map(str, key))
+    # Houses are up to 10 m deep.
     return Street(
         name, start, 2 * (outer_m + yard_m + 10.0), tuple(grounds), tuple(placed.accepted)
     )
@@ -241,7 +243,10 @@ class _PlacedObjects:
 
 
 def _strip(side: int, x0: float, x1: float, inner_m: float, outer_m: float) -> Rect:
-    """Return a rectangle on one side of the road; `inner_m`, `outer_m`: from its middle."""
+    """Return a rectangle on one side of the road (-1 right, 1 left), from `x0` to `x1`.
+
+    `inner_m` and `outer_m` are the distances of its long sides from the road's middle.
+    """
     low, high = sorted((side * inner_m, side * outer_m))
     return Rect(x0, low, x1, high)
 
@@ -261,7 +266,7 @@ def _place_houses(placed: _PlacedObjects, side: int, y_m: float) -> None:
         colour = rng.pick(tuple(HOUSE_COLOURS))
         parts = (
             _box((0, 0, 0.5 * size[2]), size, HOUSE_COLOURS[colour]),
-            *(
+            *(  # two rows of three windows in the front
                 _box((u * size[0], -side * 0.5 * size[1], z * size[2]), (1.2, 0.04, 1.3), _WINDOW)
                 for u in (-0.3, 0.0, 0.3) for z in (0.3, 0.72)
             ),
@@ -299,6 +304,7 @@ def _car(rng: PortableRng, x_m: float, y_m: float, yaw_rad: float) -> StreetObje
     size = tuple(rng.between(a, b) for a, b in zip(low, high, strict=True))
     length, width, height = size
     colour = rng.pick(tuple(CAR_COLOURS))
+    # Heights of the body's upper side and of the windows' middle; the cabin's length and its x.
     paint, belt, glass = CAR_COLOURS[colour], 0.55 * height, 0.72 * height
     cabin, back = (0.78 * length, -0.1 * length) if is_van else (0.5 * length, -0.06 * length)
     parts = (

@@ -383,7 +383,8 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     place("tiny-fp32", b"x")
     (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
-    made = compare.Bench(measure.DetectorJob(config.DetectorOnnx(), [], [], 0.3), limit_s=0.3)
+    job = measure.DetectorJob(config.DetectorOnnx(), [], [], 0.3)
+    made = compare.VariantRunner(job, limit_s=0.3)
     assert made.run(one).startswith("failed: not done after 0.3 s (")
 
 

@@ -33,7 +33,7 @@ class FurnitureRule:
     Attributes:
         category: key of `edge.lab.sim.assemblies.CATEGORIES`.
         p: probability that the room gets the object; 1 for a necessary one.
-        where: a key of `furnish.PLACES`.
+        where: a key of `furnish.PLACES`, such as "wall" (with its back to one) or "on".
         by: categories that it is placed next to, on, or in front of, if `where` needs that. Without
             any of them in the room the object is left out.
         most: largest number of objects by this rule in a room.
@@ -149,7 +149,6 @@ CONTENTS: dict[str, tuple[FurnitureRule, ...]] = {
 }
 """Rules in the order of placing: necessary and large objects come first."""
 
-# Objects that may stand in a room of any kind.
 STRAY_P = 0.2
 STRAYS = (
     FurnitureRule("ball", 1.0, "anywhere"), FurnitureRule("box", 1.0), FurnitureRule("backpack",

@@ -25,7 +25,7 @@ _CELL_M = 0.05  # side of a cell of the raster
 _TRIES = 10  # poses to try for an object
 _ROOM_TRIES = 50  # furnishings to try for a room
 _LOW_M = 1.15
-"""Lower objects may stand below a picture."""
+"""Objects that are lower than this may stand below a picture."""
 _ROUNDING_M = 0.011
 """Objects may lie this much outside the walls, because positions are rounded."""
 
@@ -76,8 +76,12 @@ def _box(pose: Pose, size_m: tuple[float, float, float]) -> Rect:
 class RoomReachability:
     """Checks that a robot can reach all doors and objects of a room.
 
-    It uses a raster of the places for the robot's centre: the floor without a border as wide as
-    half a passage.
+    It uses a raster of the places for the robot's centre: the floor without a border of
+    `PASSAGE_M`.
+
+    Args:
+        rect: the room, to the middle of its walls.
+        doors: its doors.
     """
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
@@ -99,7 +103,7 @@ class RoomReachability:
         for box in (box for box, raised in boxes if not raised):
             free[self._cells(box.grown(PASSAGE_M))] = 0
         _, component = cv2.connectedComponents(free, connectivity=4)
-        floor = component[self._doors[0]]
+        floor = component[self._doors[0]]  # number of the connected area; 0 for occupied cells
         if floor == 0 or any(component[door] != floor for door in self._doors):
             return None
         reached = component == floor
@@ -134,7 +138,7 @@ class RoomFurnisher:
 
     Attributes:
         rng: draws sizes, colours and places.
-        kind: kind of the room.
+        kind: kind of the room, one of `layout.KINDS`.
         placed: objects placed so far.
         inside: floor between the walls, without the gap between a wall and an object's back.
     """
@@ -148,6 +152,7 @@ class RoomFurnisher:
 
     def furnish(self) -> list[PlacedItem]:
         """Place the objects of this kind of room; try again if a necessary one finds no place."""
+        # Rules with `by` are left out: their objects need another object first.
         needed = {rule.category for rule in CONTENTS[self.kind] if rule.p == 1.0 and not rule.by}
         for _ in range(_ROOM_TRIES):
             self.placed = []
@@ -161,6 +166,7 @@ class RoomFurnisher:
         floor_m2 = self.inside.width_m * self.inside.depth_m
         for rule in CONTENTS[self.kind]:
             wanted = self.rng.chance(rule.p) and floor_m2 >= rule.from_m2
+            # Each object that found a place is followed by another with the probability `more`.
             for _ in range(rule.most):
                 wanted = wanted and self._place(rule) and self.rng.chance(rule.more)
         if self.rng.chance(STRAY_P):
@@ -223,7 +229,8 @@ def _any_meets(boxes: list[Rect], box: Rect) -> bool:
 
 
 # The functions below yield poses to try for an object, each with the height of its underside.
-# Their arguments are the room, the rule, and the object's size.
+# Their arguments are the room, the rule, and the object's size. "The object it belongs to" is an
+# object of a category in `FurnitureRule.by`.
 PosesToTry = Iterator[tuple[Pose, float]]
 Size = tuple[float, float, float]
 """Depth, width, height [m]."""
@@ -299,9 +306,9 @@ def _around(room: RoomFurnisher, rule: FurnitureRule, size: Size) -> PosesToTry:
     ahead = 0.5 * (table.size_m[0] + size[0]) + rule.gap_m
     aside = 0.5 * (table.size_m[1] + size[0]) + rule.gap_m
     along = 0.25 * table.size_m[1]
+    # Seats: distance ahead of the table's middle and to its left, quarter turns from the table's.
     seats = [(sign * ahead, left, 1 + sign) for sign in (1, -1) for left in (along, -along)]
     seats += [(0.0, sign * aside, 2 + sign) for sign in (1, -1)]
-    # A seat has its place ahead of the table and to its left, and quarter turns from the table's.
     for forward, left, turn in room.rng.shuffled(seats):
         yield (*table.local(forward, left), (table.quarter + turn) % 4), 0.0
 

@@ -48,8 +48,8 @@ _DOOR_COST = {
         ((OFFICE,), 6.0), ((OFFICE, BATHROOM), 7.0), ((BEDROOM,), 8.0), ((BATHROOM,), 12.0),
     )
 }  # fmt: skip
-"""Cost of a door between two kinds of room; one kind alone stands for two rooms of this kind. All
-rooms are joined by the doors that cost least in all."""
+"""Cost of a door between two kinds of room; one kind alone stands for two rooms of this kind. The
+rooms are joined by the set of doors with the least sum of costs."""
 _SECOND_DOOR = {
     frozenset(pair): p
     for pair, p in (
@@ -66,7 +66,7 @@ _BESIDE_DOOR_M = 0.12  # least length of wall on each side of a door
 
 @dataclass(frozen=True, slots=True)
 class PlannedRoom:
-    """A room; its rectangle reaches to the middle of its walls."""
+    """A room; `kind` is one of `KINDS`, and `rect` reaches to the middle of its walls."""
 
     kind: str
     rect: Rect
@@ -81,7 +81,7 @@ class Door:
         x_m: centre of the gap.
         y_m: centre of the gap.
         width_m: width of the gap.
-        upright: True if the wall runs along y.
+        upright: True if the wall runs along y (upright on the plan).
     """
 
     rooms: tuple[int, int]
@@ -187,13 +187,14 @@ def _along_hallway(rng: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
     """Return rooms on both sides of a hallway; sometimes the living room lies across its end."""
     wanted = list(wanted)
     across = wanted.pop(0) if rng.chance(0.5) else None  # the living room is the first
-    sides: tuple[list, list] = ([], [])
+    sides: tuple[list, list] = ([], [])  # rooms below the hallway (smaller y), and above it
     for item in rng.shuffled(wanted):
         lighter = min(sides, key=lambda side: sum(a for _, a in side))
         lighter.append(item)
     areas = [sum(a for _, a in side) for side in sides]
     length = sum(areas) / (2 * rng.between(3.2, 4.6))
     wide = rng.between(1.15, 1.6)
+    # y of the hallway's two sides, and of the upper end of the house.
     low, high = areas[0] / length, areas[0] / length + wide
     top = high + areas[1] / length
     placed = [(HALLWAY, Rect(0.0, low, length, high))]
@@ -212,6 +213,7 @@ def _cut(rect: Rect, wanted: Wanted) -> list[tuple[str, Rect]]:
     if len(wanted) <= 1:
         return [(kind, rect) for kind, _ in wanted]
     total = sum(a for _, a in wanted)
+    # Share of the area in the first 1, 2, … rooms; cut where it is nearest to one half.
     parts = [sum(a for _, a in wanted[:k]) / total for k in range(1, len(wanted))]
     k = min(range(len(parts)), key=lambda i: abs(parts[i] - 0.5))
     if rect.width_m >= rect.depth_m:
@@ -246,6 +248,7 @@ def _choose_doors(
     least_m = DOOR_M[1] + 2 * _BESIDE_DOOR_M + WALL_M
     pairs = [pair for pair, wall in shared.items() if _length(wall) >= least_m]
     kinds = {pair: frozenset(rooms[i].kind for i in pair) for pair in pairs}
+    # The random part varies the choice. Pairs that are not in the table cost nothing.
     cost = {pair: _DOOR_COST.get(kinds[pair], 0.0) + 0.9 * rng.unit() for pair in pairs}
     group = list(range(len(rooms)))  # rooms that are joined so far have the same number
     joined = []
@@ -267,6 +270,7 @@ def _draw_door(
     wide = frozenset(rooms[i].kind for i in pair) in _WIDE and rng.chance(0.4)
     if wide and space_m >= _WIDE_M[1]:
         width = rng.between(*_WIDE_M)
+    # Least and largest distance of the door's middle from the wall's end.
     least = 0.5 * (WALL_M + width) + _BESIDE_DOOR_M
     most = _length(wall) - least
     # Most doors are near a corner, so that a wall is left for furniture.
@@ -295,7 +299,7 @@ def _outer_walls(rooms: list[PlannedRoom], shared: list[WallSegment]) -> list[Wa
 def _parts_outside(side: WallSegment, shared: list[WallSegment]) -> list[WallSegment]:
     """Return the parts of a room's side that no shared wall covers."""
     upright = side.x0 == side.x1
-    taken = []
+    taken = []  # (start, end) of each covered part, as y of an upright side, else as x
     for s in shared:
         on_it = (s.x0 == s.x1 == side.x0) if upright else (s.y0 == s.y1 == side.y0)
         low, high = (s.y0, s.y1) if upright else (s.x0, s.x1)
@@ -303,9 +307,9 @@ def _parts_outside(side: WallSegment, shared: list[WallSegment]) -> list[WallSeg
             taken.append((low, high))
     start, end = (side.y0, side.y1) if upright else (side.x0, side.x1)
     edges = [(start, start), *sorted(t for t in taken if t[0] < end and t[1] > start), (end, end)]
-    left = []
-    for (_, low), (high, _) in pairwise(edges):
+    parts = []
+    for (_, low), (high, _) in pairwise(edges):  # from the end of one to the start of the next
         if high > low:
             ends = (side.x0, low, side.x0, high) if upright else (low, side.y0, high, side.y0)
-            left.append(WallSegment(*ends))
-    return left
+            parts.append(WallSegment(*ends))
+    return parts

@@ -88,7 +88,13 @@ class Rect:
 
 
 def wall_span_m(room: Rect, side: int) -> float:
-    """Return the length of a wall; `side` is the quarter turn that furniture along it faces."""
+    """Return the length of a wall.
+
+    Args:
+        room: the room.
+        side: the wall: 0 at x0, 1 at y0, 2 at x1, 3 at y1. It is also the quarter turns of
+            furniture that has its back to this wall.
+    """
     return room.width_m if side % 2 else room.depth_m
 
 
