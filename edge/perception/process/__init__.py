@@ -11,7 +11,8 @@ process (`serve_detector.py`):
  3. An image lies in the frame file (`wire.py`): memory without a name on disk, which the service
     owns and alone writes. A sequence number is written before the pixels and again after them.
  4. On `images` the service sends {seq, hw, prompts}. The process reads the pixels in place and
-    answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}.
+    answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}. Here
+    seq is the request's number, hw the image's height and width, and n the number of boxes.
  5. On `control` the service sends {id, prompts} to check prompts at once: the process answers
     {id} or {id, error, text}. The prompts of the next request on `images` take effect.
  6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One

@@ -1,7 +1,9 @@
 """The object map: all objects that the detector found, merged by word and place over time.
 
-`ObjectTracker` updates it with each image. The memory, the prior, rooms and policies read it as
-`TrackedObjects`. The targets among the objects are tracked in more detail, in `instances`.
+A word is a canonical class name. It names a target, or it belongs to the context: the other classes
+that the detector looks for. Each object is one row of parallel arrays. `ObjectTracker` updates them
+with each image. The memory, the prior, rooms and policies read them as `TrackedObjects`. The
+targets among the objects are tracked in more detail, in `instances`.
 """
 
 from __future__ import annotations
@@ -61,8 +63,8 @@ class TrackedObjects:
         last_seen_ns: (capacity,) int64, stamp of the newest detection.
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
-        near_hits: (capacity,) int32, number of such images from near by with a score of at least
-            `confirm_score`.
+        near_hits: (capacity,) int32, number of these images that were taken at most
+            `confirm_range_m` away and gave a score of at least `confirm_score`.
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
         n_points: (capacity,) int32, number of surface points.
@@ -128,7 +130,7 @@ class MappedObject(NamedTuple):
 
 
 class VanishedObject(NamedTuple):
-    """An object that was certain, and then was not found at its place.
+    """An object that was certain (see `ObjectTracker._vanish`), and then missing at its place.
 
     Attributes:
         id: id of the object's row.
@@ -162,9 +164,10 @@ class ObservedObject(NamedTuple):
 class ObjectTracker:
     """Fuses the boxes of targets and context into objects, by word and place.
 
-    A strong box (score above `tau_det`) starts an object; a weak one counts at a known place. Each
-    view that should show an object but has no box for it lowers the object's confidence. The arrays
-    are allocated once: over `MAX_SIGHTINGS` the least confident object is dropped.
+    A strong box (score above `tau_det`) starts an object; a weak one (any other box) only counts at
+    a known place. Each view that should show an object but has no box for it lowers the object's
+    confidence. The arrays are allocated once: over `MAX_SIGHTINGS` the least confident object is
+    dropped.
 
     Args:
         perception: the configuration.
@@ -172,7 +175,8 @@ class ObjectTracker:
     Attributes:
         read_only: read-only view, for policies.
         observed: objects that the newest image showed with a strong box.
-        vanished: certain objects that were not found at their place, nor elsewhere, oldest first.
+        vanished: certain objects that are missing at their place and were not found elsewhere,
+            oldest first.
         renamed: new id → old id of the objects that the newest image showed to have moved.
     """
 
@@ -186,7 +190,7 @@ class ObjectTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        # Confidence, x, y, z when they last raised the generation.
+        # Columns: confidence, x, y, z, at the last time when the row raised the generation.
         self._counted = np.zeros((cap, 4), np.float32)
         # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
         self._peak_confidence = np.zeros(cap, np.float32)
@@ -248,7 +252,7 @@ class ObjectTracker:
     def has_competing_object(
         self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0
     ) -> bool:
-        """Return True if another object is more likely to stand at the place of an object.
+        """Return True if an object of another word is more likely to stand at an object's place.
 
         Only words that the detector looks for now count. For others, no view could lower the
         confidence.
@@ -285,6 +289,7 @@ class ObjectTracker:
 
         Return -1 if none is within `within_m`.
         """
+        # The index has centres; a surface reaches up to `_farthest_m` from its centre.
         s, rows = self._objects, self._rows_near(x_m, y_m, within_m + self._farthest_m)
         return int(
             kernels.match(
@@ -470,7 +475,10 @@ class ObjectTracker:
         s.generation += 1
 
     def _vanish(self, at: int) -> None:
-        """Drop a row; if it was certain, another row may be the same object, moved."""
+        """Drop a row; if it was certain, another row may be the same object, moved.
+
+        A row is certain with `min_hits` images and if its confidence once was `tau_det` or more.
+        """
         s, c = self._objects, self.config
         gone = VanishedObject(
             int(s.id[at]), int(s.word[at]), int(s.first_seen_ns[at]), int(s.last_seen_ns[at]),
@@ -480,6 +488,8 @@ class ObjectTracker:
         self._drop(at)
         if not certain:
             return
+        # Rows that may be this object: certain, first seen after it was last seen, and with an
+        # identity of their own (`moves` is 0).
         later = (s.word[: s.n] == gone.word) & (s.first_seen_ns[: s.n] > gone.last_seen_ns)
         later &= (s.hits[: s.n] >= c.min_hits) & (s.moves[: s.n] == 0)
         rows = np.flatnonzero(later)
@@ -584,6 +594,7 @@ class ObjectTracker:
         self.read_only.n, self.read_only.generation = self._objects.n, self._objects.generation
 
 
+# Arrays of a `state_dict` with the attributes of `VanishedObject`, in their order.
 _VANISHED = tuple(
     f"vanished_{name}" for name in ("id", "word", "first_ns", "last_ns", "xyz_m", "moves")
 )
