@@ -202,8 +202,8 @@ class Instance:
         hits: Number of frames with a detection of the object.
         first_seen_ns: Stamp of the first of these frames.
         last_seen_ns: Stamp of the newest of these frames.
-        state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is no
-            candidate; `reached`: the mission reached it.
+        state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is not
+            the target, and the robot does not drive to it; `reached`: the mission reached it.
     """
 
     id: int

@@ -126,8 +126,8 @@ def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Return `ObjectPrior.neighbours`.
 
     Args:
-        doors: (k, k), number of doors between rooms of two kinds.
         pairs: (k, k), number of pairs of rooms of two kinds in one house.
+        doors: (k, k), number of these pairs that share a door.
     """
     by_chance = pairs * doors.sum() / max(pairs.sum(), 1.0)
     ratio = (doors + _PRIOR_DOORS) / (by_chance + _PRIOR_DOORS)
