@@ -159,7 +159,7 @@ def open_service(
             stack.callback(sink.close)
         source = make_source(config=config, session=session)
         stack.callback(source.close)
-        lockstep = config.loop.lockstep
+        lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
         detector = _load_detector(

@@ -200,6 +200,7 @@ ORDINALS = tuple(_ORDINALS.split())
 STOREYS = ("floor", "level", "storey", "story")  # "floor 2" is the "second floor"
 _MOST_SPELLED = 10  # largest number that a normalised name has as a word
 
+# Any name in `ALIASES` → the canonical name.
 _CANONICAL: dict[str, str] = {name: name for name in ALIASES}
 for _name, _others in ALIASES.items():
     for _other in _others:

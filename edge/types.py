@@ -43,7 +43,8 @@ class Observation:
             the pose and the mounts. 0 if all are interpolated at the stamp.
         distortion: Distortion of the lens. `none`: it has none; `rectified`: the source removed
             it; `ignored`: the images are distorted, but used as if they were rectified.
-        lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep.
+        lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep (`loop.lockstep`: one
+            tick for each observation).
     """
 
     seq: int

@@ -206,6 +206,7 @@ def competing_scores(
     """
     scored = np.flatnonzero(anchor_best)  # most anchors have no score
     for k in range(n):
+        # others: (classes,) bool, the classes that compete with this box's class.
         i, others = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
         for j in scored:

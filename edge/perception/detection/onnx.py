@@ -1,4 +1,7 @@
-"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime."""
+"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime.
+
+The network returns one box for each anchor, which is a place and size in its input.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,8 @@ INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 NMS_IOU = 0.5  # overlap above which the box with the lower score is suppressed
 MAX_DETECTIONS = 64  # boxes of targets, and boxes of the context
-# Numbers of texts (`TextClasses`): prompts, synonyms, background and contrasts all count.
+# Numbers of texts (`TextClasses`): prompts, synonyms, background words and contrasts (such as the
+# prompt with another colour) all count.
 USUAL_TEXTS = 16  # a TensorRT engine is tuned for this number
 MAX_TEXTS = 256  # a TensorRT engine takes at most this number
 

@@ -2,7 +2,8 @@
 
 A vocabulary file holds embeddings of single words, made beforehand. A CLIP text model (`clip.py`
 describes its ONNX file and its card) understands whole phrases. A small detector of our own brings
-its encoder along (`attributes.py`). `encoders.py` chooses.
+its encoder along (`attributes.py`). `encoders.py` chooses. The alias table (`edge.names`) has the
+names of known objects.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ process (`serve_detector.py`):
 
 A model for VLM frontier selection (`scoring/choice/process.py`) gets its requests on `images`: a
 language model {seq, hw, rules, view, asked, limit_s}, with hw null for a view in words; a network
-for marks {seq, hw, marks, others, target, limit_s}. It answers {seq, p}. Its `control` socket
-carries no requests after the start. It runs at a low priority.
+for marks {seq, hw, marks, others, target, limit_s}. Here rules is the system message, and asked are
+the questions with their possible answers. It answers {seq, p}, where p is the probabilities of the
+answers. Its `control` socket carries no requests after the start. It runs at a low priority.
 """

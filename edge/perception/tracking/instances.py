@@ -6,6 +6,8 @@
 - a view is from near by if the robot is within `confirm_range_m` of the object;
 - a competing class is another class that may explain a box (`Detections.competing_score`);
 - an instance is contested if another object of the map explains its place better.
+
+Names such as `tau_det` and `merge_m` are keys of `perception` in the configuration.
 """
 
 from __future__ import annotations
@@ -210,23 +212,23 @@ class InstanceTracker:
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
-    def update(self, lifted: BackProjectedBoxes, stamp_ns: int) -> None:
+    def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
         """Merge the detections of one image, strongest first.
 
         Args:
-            lifted: detections with positions.
+            boxes: detections with positions.
             stamp_ns: stamp of the image.
         """
-        seen = lifted.detections
+        seen = boxes.detections
         pose = seen.observation.pose
         name_of_class = [names.canonical(prompt) for prompt in seen.prompts]
         unsuppressed = seen.not_suppressed()
         hit: set[int] = set()  # instances with a strong detection in this image
-        for i in np.flatnonzero(lifted.valid).tolist():
+        for i in np.flatnonzero(boxes.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
             strong = score > self.config.tau_det and bool(unsuppressed[i])
-            points = lifted.surface_m(i)
-            x_m, y_m, _ = lifted.center_m[i].tolist()
+            points = boxes.surface_m(i)
+            x_m, y_m, _ = boxes.center_m[i].tolist()
             track = self._match(name_of_class[class_id], x_m, y_m)
             if track is None:
                 if not strong:

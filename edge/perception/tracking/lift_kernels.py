@@ -118,6 +118,7 @@ def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
     Returns:
         Number of rows of `samples` (SIDE*SIDE, 3) float32 that were written.
     """
+    # Divide the box into at most SIDE x SIDE blocks, and take the middle pixel of each.
     h, w = depth.shape
     u0, v0, u1, v1 = max(0, int(x0)), max(0, int(y0)), min(w, int(x1) + 1), min(h, int(y1) + 1)
     step_u, step_v = max(1, -(-(u1 - u0) // SIDE)), max(1, -(-(v1 - v0) // SIDE))

@@ -3,7 +3,8 @@
 A word is a canonical class name. It names a target, or it belongs to the context: the other classes
 that the detector looks for. Each object is one row of parallel arrays. `ObjectTracker` updates them
 with each image. The memory, the prior, rooms and policies read them as `TrackedObjects`. The
-targets among the objects are tracked in more detail, in `instances`.
+targets among the objects are tracked in more detail, in `instances`. Names such as `tau_det` and
+`merge_m` are keys of `perception` in the configuration.
 """
 
 from __future__ import annotations
@@ -225,9 +226,9 @@ class ObjectTracker:
         self.observed.clear()
         self.renamed.clear()
         self._farthest_m = float(self._objects.reach_m[: self._objects.n].max(initial=0.0))
-        for lifted, words in zip((targets, context), self._word_of_class, strict=True):
-            if lifted is not None:
-                self._merge_boxes(lifted, words, observation)
+        for boxes, words in zip((targets, context), self._word_of_class, strict=True):
+            if boxes is not None:
+                self._merge_boxes(boxes, words, observation)
         self._merge_duplicates()
         if observation.camera is not None:
             self._fuse(observation)
@@ -411,14 +412,14 @@ class ObjectTracker:
         return np.array([self._word_index[word] for word in words], np.int16)
 
     def _merge_boxes(
-        self, lifted: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
+        self, boxes: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
     ) -> None:
         """Merge the boxes of one image; they come strongest first."""
-        seen, s, c = lifted.detections, self._objects, self.config
+        seen, s, c = boxes.detections, self._objects, self.config
         pose = observation.pose
-        for i in np.flatnonzero(lifted.valid).tolist():
+        for i in np.flatnonzero(boxes.valid).tolist():
             score, word = float(seen.score[i]), int(word_of_class[seen.class_id[i]])
-            x_m, y_m, z_m = lifted.center_m[i].tolist()
+            x_m, y_m, z_m = boxes.center_m[i].tolist()
             at = self._match(word, x_m, y_m, c.merge_m)
             strong = score > c.tau_det
             if at < 0:
@@ -434,9 +435,9 @@ class ObjectTracker:
             s.hits[at] += 1
             near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
             s.near_hits[at] += near and score >= c.confirm_score
-            s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
+            s.xyz_m[at] += (boxes.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
             kernels.add_points(
-                s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
+                s.points_m, s.n_points, self._cursor, at, boxes.points_m[i], boxes.n_points[i],
                 c.voxel_m,
             )  # fmt: skip
             self._place(at)
