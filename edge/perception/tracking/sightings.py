@@ -226,9 +226,9 @@ class ObjectTracker:
         self.observed.clear()
         self.renamed.clear()
         self._farthest_m = float(self._objects.reach_m[: self._objects.n].max(initial=0.0))
-        for boxes, words in zip((targets, context), self._word_of_class, strict=True):
+        for boxes, word_of_class in zip((targets, context), self._word_of_class, strict=True):
             if boxes is not None:
-                self._merge_boxes(boxes, words, observation)
+                self._merge_boxes(boxes, word_of_class, observation)
         self._merge_duplicates()
         if observation.camera is not None:
             self._fuse(observation)
@@ -390,14 +390,14 @@ class ObjectTracker:
             ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
         )  # fmt: skip
 
-    def _set_words(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
-        """Set the words that the detector looked for in this image."""
-        if (prompts, words) == self._prompts_and_words:
+    def _set_words(self, prompts: tuple[str, ...], context: tuple[str, ...]) -> None:
+        """Set the prompts and context words that the detector looked for in this image."""
+        if (prompts, context) == self._prompts_and_words:
             return
-        self._prompts_and_words = prompts, words
+        self._prompts_and_words = prompts, context
         self._word_of_class = (
             self._word_indices([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
-            self._word_indices(words),
+            self._word_indices(context),
         )  # fmt: skip
         self._looked_for = np.zeros(len(self._objects.words), np.bool_)
         for indices in self._word_of_class:
