@@ -94,7 +94,7 @@ class ChatClient:
         limits = httpx.Limits(max_keepalive_connections=0)
         self._http = httpx.Client(verify=verify, trust_env=False, limits=limits)
         self._under_way: set[CancellableRequest] = set()
-        if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):
+        if not re.fullmatch(r"[\x21-\x7e]*", self._api_key):  # printable ASCII without spaces
             raise ChatError(
                 f"{self.url}: the API key has characters that no HTTP header can have; "
                 "set a valid key"
@@ -233,7 +233,7 @@ class ChatClient:
         return content
 
     def _parse_log_probabilities(self, reply: HttpReply) -> list[tuple[str, float]]:
-        """Return the first token's alternatives; see `next_tokens`."""
+        """Return (token, log-probability) of the first token's alternatives; see `next_tokens`."""
         answer = self._parse_json(reply)
         try:
             found = answer["choices"][0]["logprobs"]["content"][0]["top_logprobs"]
@@ -297,7 +297,7 @@ def _split(url: str) -> SplitResult:
 
 
 def _reason(error: Exception) -> str:
-    """Return the problem and the remedy."""
+    """Return the problem and the remedy; raise an error that is none of the network's again."""
     match error:
         case RequestCancelledError():
             return "cancelled: the client is closed"

@@ -129,9 +129,10 @@ class Grid:
 
 
 def downsample(grid: Grid, max_side: int) -> Grid:
-    """Merge blocks of k x k cells: occupied wins over free, free over unknown.
+    """Merge blocks of k x k cells of an occupancy grid; the largest value of a block wins.
 
-    k is the smallest factor that keeps both sides within `max_side` cells.
+    So occupied wins over free, and free over unknown. k is the smallest factor that keeps both
+    sides within `max_side` cells.
     """
     h, w = grid.cells.shape
     k = max(1, -(-max(h, w) // max_side))  # `-(-a // b)` rounds up
@@ -233,6 +234,7 @@ def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray
     """
     q_a, q_b = quaternion_of(T_a), quaternion_of(T_b)
     dot = sum(a * b for a, b in zip(q_a, q_b, strict=True))
+    # q and -q are the same rotation: take the one on the side of q_a.
     f_a, f_b = 1.0 - fraction, fraction if dot >= 0.0 else -fraction
     x, y, z, w = (f_a * a + f_b * b for a, b in zip(q_a, q_b, strict=True))
     t = (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3]

@@ -101,8 +101,8 @@ def open_service(
             is left to a background thread (`edge.host.interruptible`).
         progress: Function that is called, by any thread, with the step that begins. A step that
             takes several minutes calls it again and again.
-        problems: Function that returns the reasons why the service is not ready, for requests on
-            the bus.
+        problems: Function that returns the reasons why the service is not ready, one line each, for
+            requests on the bus.
         make_source: Function that makes a source other than that of the configuration; see
             `find_source`.
 
@@ -121,6 +121,7 @@ def open_service(
     stop = stop or threading.Event()
     make_source, make_sinks = make_source or find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
+    # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
     if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
         log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add one to "
                     "drive a robot", config.locate("sinks"))  # fmt: skip
@@ -133,6 +134,7 @@ def open_service(
             checkpoint = ServiceCheckpoint(config, resources.expand(mission.checkpoint), given)
             stack.callback(checkpoint.close)
             spec = checkpoint.saved_spec()
+        # Start without a mission: none was given, and none continues from the checkpoint.
         idle = mission.on_request and spec is None and {instruction, formula, task} == {None}
         if spec is None:
             progress("understanding the mission")
@@ -157,7 +159,7 @@ def open_service(
             stack.callback(sink.close)
         source = make_source(config=config, session=session)
         stack.callback(source.close)
-        lockstep = config.loop.lockstep
+        lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
         progress("loading the detector")
         detector = _load_detector(

@@ -153,7 +153,7 @@ BROADER: dict[str, tuple[str, ...]] = {
     "truck": ("vehicle",),
     "van": ("vehicle",),
 }
-"""Canonical name → broader kinds of object, if they are not its last word."""
+"""Canonical name → broader kinds of object, if they are not its last word (dining table: table)."""
 
 NEAR: dict[str, tuple[str, ...]] = {
     "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
@@ -168,19 +168,21 @@ NEAR: dict[str, tuple[str, ...]] = {
 # For `singular`: irregular plural → singular.
 _PLURALS = {"shelves": "shelf", "knives": "knife", "people": "person", "couches": "couch",
             "cookies": "cookie"}  # fmt: skip
-# Nouns without a singular; "glasses" is one only as eyeglasses.
+# Nouns that `singular` leaves as they are; "glasses" only as eyeglasses.
 _PAIRS = ("scissors", "trousers", "headphones", "binoculars", "pliers", "tweezers", "sunglasses")
 _EYEGLASSES = ("glasses", "reading glasses", "safety glasses")
 _NO_PLURAL = ("ss", "us", "is")  # endings of singular nouns
 _ARTICLES = ("a ", "an ", "the ", "some ", "any ", "my ", "our ")
-# Words after which a phrase describes the place or the state of its object.
+# Words after which a phrase describes the place or the state of its object, such as " next to " in
+# "lamp next to the sofa".
 _AFTER_HEAD = re.compile(
     r"\s+(?:near|next to|beside|behind|in|inside|on|under|below|above|by|at|with|without|from|"
     r"to|that|which|where|between|against|opposite|close to|in front of)\s+"
 )
 # Borders between words in CamelCase: "TVStand" is "TV" and "Stand".
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-# A number after a space belongs to the name ("room 12"). These suffixes do not: "Sofa_01", "SofaC".
+# Suffixes of 3-D models, which are no part of the name: "_01" in "Sofa_01", "_A_2" in "Sofa_A_2";
+# "C" in "SofaC". A number after a space is part of it ("room 12"), but not after "- " ("Sofa- 2").
 _VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
 _VARIANT_LETTER = re.compile(r"(?<=[a-z])[A-Z]$")
 
@@ -198,6 +200,7 @@ ORDINALS = tuple(_ORDINALS.split())
 STOREYS = ("floor", "level", "storey", "story")  # "floor 2" is the "second floor"
 _MOST_SPELLED = 10  # largest number that a normalised name has as a word
 
+# Any name in `ALIASES` → the canonical name.
 _CANONICAL: dict[str, str] = {name: name for name in ALIASES}
 for _name, _others in ALIASES.items():
     for _other in _others:
@@ -251,6 +254,8 @@ def _normalise_number(text: str) -> str:
     words = text.split(" ")
     if len(words) < 2:
         return text
+    # The last word or the last two ("twenty one") may be a number. Else the first of two may be an
+    # ordinal ("2nd floor").
     head, n = words[:-1], number(words[-1:])
     if n is not None and len(head) > 1 and (tens := number(words[-2:])) is not None:
         head, n = words[:-2], tens
@@ -263,7 +268,7 @@ def _normalise_number(text: str) -> str:
     if len(head) == 1 and head[0] in STOREYS and 0 < n <= len(ORDINALS):
         return f"{ORDINALS[n - 1]} {head[0]}"
     if words[-1].isdecimal() and words[-1] != str(n):
-        return text  # "room 007"
+        return text  # digits with leading zeros stay: "room 007"
     return " ".join([*head, SMALL_NUMBERS[n] if n <= _MOST_SPELLED else str(n)])
 
 
@@ -291,7 +296,10 @@ _TEENTHS = {"eleventh": 11, "twelfth": 12, "twentieth": 20}
 
 
 def ordinal(word: str) -> int | None:
-    """Return the number of "12th", "twelfth" or "second"; None for other words."""
+    """Return the number of an ordinal, such as 12 for "12th" or "twelfth"; None for other words.
+
+    Known are all in digits, and those in words up to "twentieth".
+    """
     if found := _NTH.fullmatch(word):
         return int(found[1])
     if word in ORDINALS:
@@ -306,7 +314,7 @@ def _quoted(word: str) -> str:
 
 
 def singular(phrase: str) -> str:
-    """Return the phrase with its last word in the singular, by regular English endings.
+    """Return the phrase with its last word in the singular, by the usual English endings.
 
     >>> singular("dining chairs"), singular("boxes"), singular("glass")
     ('dining chair', 'box', 'glass')
@@ -344,7 +352,7 @@ def is_known(word: str) -> bool:
 
 
 def is_alias(word: str) -> bool:
-    """Return True if the alias table has exactly this word."""
+    """Return True if the alias table has exactly this word, also as a canonical name."""
     return word in _CANONICAL
 
 

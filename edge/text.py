@@ -11,15 +11,18 @@ from urllib.parse import SplitResult, urlsplit
 MAX_CHARS = 200
 """Default limit of `one_line`."""
 
-# Scheme, user and password, host and path, query and fragment. No scheme is longer than 32
-# characters. Without a limit, a long word would be scanned again from each of its letters.
+# Scheme, user and password, host and path, query and fragment: "https://me:pw@host/v1?key=42" has
+# the groups "https://" and "host/v1". No scheme is longer than 32 characters. Without a limit, a
+# long word would be scanned again from each of its letters.
 _URL = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]{0,31}://)(?:[^\s/?#]*@)?([^\s?#]*)(?:[?#]\S*)?")
 # A Zenoh endpoint: protocol and address. Metadata (`?`) and configuration (`#`) follow, which may
-# hold a private key.
+# hold a private key: "tls/host:7447#key=42" has the groups "tls/" and "host:7447".
 _LOCATOR = re.compile(
     r"(?<![\w/])((?:tcp|udp|tls|quic|ws|serial|vsock|unixpipe|unixsock-stream)/)([^\s?#]*)[?#]\S*"
 )
-_BREAK = re.compile(r" *[^\S ]\s*")  # white space that has a line break or a tab in it
+# White space with a line break or a tab in it: [^\S ] is any white space except a space.
+_BREAK = re.compile(r" *[^\S ]\s*")
+# The end of a key whose value is secret, such as "api_key" or "db_password".
 _SECRET_KEY = re.compile(
     r"(pass(word|wd|phrase)?|secret|token|api_?key|private_key)$", re.IGNORECASE
 )
@@ -69,7 +72,8 @@ def _repr_pieces(value: Any, limit: int) -> Iterator[str]:
     if isinstance(value, (str, bytes)):
         yield repr(value[:limit])
     elif isinstance(value, int) and (unseen := value.bit_length() // 4 - limit) > 0:
-        yield ("-" if value < 0 else "") + hex(abs(value) >> 4 * unseen)  # its first digits
+        # A huge integer: its first `limit` hexadecimal digits, since decimal ones cost too much.
+        yield ("-" if value < 0 else "") + hex(abs(value) >> 4 * unseen)
     elif (brackets := _BRACKETS.get(type(value))) is not None:
         yield brackets[0]
         for k, item in enumerate(value):
@@ -134,7 +138,7 @@ def read_json(text: bytes | str, max_values: int | None = None) -> Any:
     Args:
         text: The JSON text.
         max_values: Largest number of commas and opening brackets, an estimate of the number of
-            values. A parsed value takes about twenty times the memory of its text.
+            values; None: no limit. A parsed value takes about twenty times the memory of its text.
 
     Raises:
         ValueError: The text is not JSON, is nested too deeply, or has too many values.
@@ -243,5 +247,5 @@ def redact(data: Any, depth: int = 100) -> Any:
 def _without_secrets(url: re.Match[str]) -> str:
     """Return a URL without user and password, and with `***` for its query and fragment."""
     scheme, place = url.groups()
-    rest = url[0][url.end(2) - url.start() :]
+    rest = url[0][url.end(2) - url.start() :]  # after the host and path
     return f"{scheme}{place}{'?***' if rest else ''}"

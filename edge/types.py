@@ -43,7 +43,8 @@ class Observation:
             the pose and the mounts. 0 if all are interpolated at the stamp.
         distortion: Distortion of the lens. `none`: it has none; `rectified`: the source removed
             it; `ignored`: the images are distorted, but used as if they were rectified.
-        lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep.
+        lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep (`loop.lockstep`: one
+            tick for each observation).
     """
 
     seq: int
@@ -202,8 +203,8 @@ class Instance:
         hits: Number of frames with a detection of the object.
         first_seen_ns: Stamp of the first of these frames.
         last_seen_ns: Stamp of the newest of these frames.
-        state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is no
-            candidate; `reached`: the mission reached it.
+        state: `tentative` until enough detections confirm it; `confirmed`; `rejected`: it is not
+            the target, and the robot does not drive to it; `reached`: the mission reached it.
     """
 
     id: int

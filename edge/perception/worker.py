@@ -44,7 +44,9 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
     """A worker whose model can be replaced while it runs.
 
     Args:
-        what, work, more: see `Worker`; `work` calls `_use` for the model to run.
+        what: name of the work, for the log and the thread.
+        work: handles one item, with the model that `_use` returns.
+        more: further arguments of `Worker`.
         model: runs on the next item.
 
     Attributes:
@@ -99,7 +101,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
 
     Args:
         detector: runs on the next image.
-        inline: see `Worker`.
+        inline: True: `submit` runs the detector, without a thread, so that a run replays the same.
         masker: adds masks to detections; None: no masks.
 
     Attributes:
@@ -234,7 +236,9 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
     Args:
         kind: purpose of the scorer, for messages.
         scorer: answers the next question.
-        rest_s, inline, pause_s: see `Worker`.
+        rest_s: pause after an answer.
+        inline: see `DetectorWorker`.
+        pause_s: pause after a failure; see `Worker`.
     """
 
     def __init__(

@@ -1,8 +1,9 @@
 """Kernels around a detector's network: image to input, output to boxes. Arrays only.
 
 The network returns one box for each anchor (a place and size in its input), with a score for each
-text. The texts are names of classes (`TextClasses`). A box is (x0, y0, x1, y1) in pixels of the
-input. The last kernel is for simulated detectors.
+text. The texts are names of classes (`TextClasses`): first the targets, then the context words
+(other objects that are reported, too), then classes that only compete. A box is (x0, y0, x1, y1) in
+pixels of the input; there are `a` boxes. The last kernel is for simulated detectors.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ def is_valid(boxes, scores, i, far_px):
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, from `best_per_class`; each must lie in 0 to 1, so NaN is invalid.
+        scores: (a, classes) float32, from `best_per_class`; each must lie in 0 to 1, so NaN is
+            invalid.
         i: index of the anchor.
         far_px: largest distance of a corner from the origin.
     """
@@ -100,35 +102,36 @@ def best_per_class(scores, class_of_text, out):
                 s = np.float32(1.0)
             elif -ROUNDING <= s < 0.0:
                 s = np.float32(0.0)
-            if k != last or s > out[i, k] or s != s:  # s != s: NaN
+            # Write the first text's score, a higher one, or NaN (s != s).
+            if k != last or s > out[i, k] or s != s:
                 out[i, k] = s
             last = k
 
 
 @jit
-def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
+def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, anchor_best):
     """Collect the targets and context words that score at least `tau`, for every anchor.
 
-    A candidate is an anchor with one class, its label. One anchor may give several candidates; see
-    `suppress`.
+    A candidate is an anchor with one class; the class's index is its label. One anchor may give
+    several candidates; see `suppress`.
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, from `best_per_class`.
+        scores: (a, classes) float32, from `best_per_class`.
         n_named: number of targets and context words. Classes from there on only compete.
         tau: least score.
         far_px: see `is_valid`.
         anchor: (a * n_named,) int32 out, row of `boxes`.
         label: (a * n_named,) int32 out, column of `scores`.
         score: (a * n_named,) float32 out.
-        top: (a,) float32 out, the best score of any class, 0 if it is below `tau`.
+        anchor_best: (a,) float32 out, the best score of any class, 0 if it is below `tau`.
 
     Returns:
         (number of candidates, number of anchors that were skipped as invalid).
     """
     m, invalid = 0, 0
     for i in range(len(boxes)):
-        top[i] = 0.0
+        anchor_best[i] = 0.0
         if not is_valid(boxes, scores, i, far_px):
             invalid += 1
             continue
@@ -136,7 +139,7 @@ def candidates(boxes, scores, n_named, tau, far_px, anchor, label, score, top):
             s = scores[i, j]
             if s < tau:
                 continue
-            top[i] = max(top[i], s)
+            anchor_best[i] = max(anchor_best[i], s)
             if j < n_named:
                 anchor[m], label[m], score[m] = i, j, s
                 m += 1
@@ -156,7 +159,7 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
         first: first label.
         end: one past the last label.
         one_word: True: boxes of different labels suppress each other, too, so that each place has
-            one word.
+            one label.
         iou_max: overlap above which the lower score is suppressed.
         keep: (k,) int32 out, indices of kept candidates, highest score first.
 
@@ -164,7 +167,7 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
         Number of kept candidates, at most k.
     """
     in_range = np.flatnonzero((label[:m] >= first) & (label[:m] < end))
-    order = in_range[np.argsort(-score[in_range], kind="mergesort")]
+    order = in_range[np.argsort(-score[in_range], kind="mergesort")]  # highest score first
     n = 0
     for i in order:
         if n == len(keep):
@@ -183,16 +186,16 @@ def suppress(boxes, anchor, label, score, m, first, end, one_word, iou_max, keep
 
 @jit
 def competing_scores(
-    boxes, scores, competes, tau, top, anchor, label, keep, n, cut, iou_max, out
+    boxes, scores, competes, tau, anchor_best, anchor, label, keep, n, cut, iou_max, out
 ):  # fmt: skip
     """Write the best score of any competing class at the place of each kept box.
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, n) float32, as in `candidates`.
-        competes: (2, n_targets, n) bool, see `TextClasses.competes`.
+        scores: (a, classes) float32, as in `candidates`.
+        competes: (2, targets, classes) bool, see `TextClasses.competes`.
         tau: lower scores do not count.
-        top: from `candidates`.
+        anchor_best: from `candidates`.
         anchor: from `candidates`.
         label: from `candidates`.
         keep: (k,) int32, of which the first `n` are indices of candidates.
@@ -201,12 +204,14 @@ def competing_scores(
         iou_max: another anchor is at the same place if its IoU is above this.
         out: (k,) float32.
     """
-    scored = np.flatnonzero(top)  # most anchors have no score
+    scored = np.flatnonzero(anchor_best)  # most anchors have no score
     for k in range(n):
+        # others: (classes,) bool, the classes that compete with this box's class.
         i, others = anchor[keep[k]], competes[1 if cut[k] else 0, label[keep[k]]]
         best = np.float32(0.0)
         for j in scored:
-            if top[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
+            # Skip anchors that cannot raise `best`, and those at another place.
+            if anchor_best[j] <= best or (j != i and iou(boxes, i, j) <= iou_max):
                 continue
             for c in range(scores.shape[1]):
                 if others[c] and scores[j, c] >= tau and scores[j, c] > best:

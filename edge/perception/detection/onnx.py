@@ -1,4 +1,7 @@
-"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime."""
+"""Open-vocabulary detection with an ONNX model (YOLO-World) in onnxruntime.
+
+The network returns one box for each anchor, which is a place and size in its input.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,8 @@ INPUTS = ("images", "txt_feats")
 OUTPUTS = ("boxes", "scores")
 NMS_IOU = 0.5  # overlap above which the box with the lower score is suppressed
 MAX_DETECTIONS = 64  # boxes of targets, and boxes of the context
-# Numbers of texts (`TextClasses`): prompts, synonyms, background and contrasts all count.
+# Numbers of texts (`TextClasses`): prompts, synonyms, background words and contrasts (such as the
+# prompt with another colour) all count.
 USUAL_TEXTS = 16  # a TensorRT engine is tuned for this number
 MAX_TEXTS = 256  # a TensorRT engine takes at most this number
 
@@ -194,7 +198,7 @@ class OnnxDetector:
             engine_options(self.card, detector, progress),
         )
         self._anchors = self._count_anchors()
-        self._top = np.empty(self._anchors, np.float32)  # see `kernels.candidates`
+        self._anchor_best = np.empty(self._anchors, np.float32)  # see `kernels.candidates`
         self._competing_score = np.empty(MAX_DETECTIONS, np.float32)
         self._target_boxes, self._context_boxes = (
             _BoxBuffer.empty(MAX_DETECTIONS) for _ in range(2)
@@ -213,16 +217,17 @@ class OnnxDetector:
     def _encode_prompts(self, prompts: tuple[str, ...]) -> _PromptSet:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
         classes = text_classes_for(prompts, self._background, self._text)
-        text = self._text.embed(classes.words)
-        if text.shape[1] > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
+        embeddings = self._text.embed(classes.words)
+        texts = embeddings.shape[1]
+        if texts > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
-                f"{text.shape[1]} text classes (prompts, synonyms, background and contrast words), "
+                f"{texts} text classes (prompts, synonyms, background and contrast words), "
                 f"but TensorRT engines are built for at most {MAX_TEXTS}: name fewer"
             )
         bound = bind(
             self._session,
-            dict(zip(INPUTS, (self._images, text), strict=True)),
-            {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, text.shape[1])},
+            dict(zip(INPUTS, (self._images, embeddings), strict=True)),
+            {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, texts)},
             live=("images",),
         )
         n = self._anchors * (len(prompts) + len(classes.context))
@@ -306,11 +311,11 @@ class OnnxDetector:
         The run also warms up the session.
         """
         self._images.fill(self.card.preprocess.letterbox_pad * self._scale)
-        text = np.zeros((1, 1, self.card.text_dim), np.float32)
-        text[..., 0] = 1.0
+        embedding = np.zeros((1, 1, self.card.text_dim), np.float32)
+        embedding[..., 0] = 1.0
         with raise_as_model_error(f"model {self.name}: it fails at its first image"):
             boxes, scores = self._session.run(
-                list(OUTPUTS), {"images": self._images, "txt_feats": text}
+                list(OUTPUTS), {"images": self._images, "txt_feats": embedding}
             )
         anchors = boxes.shape[1] if boxes.ndim == 3 else 0
         most = self.card.input.height * self.card.input.width  # all get buffers
@@ -361,7 +366,7 @@ class OnnxDetector:
         kernels.best_per_class(scores, prompt_set.classes.class_of_text, prompt_set.class_scores)
         found, invalid = kernels.candidates(
             boxes, prompt_set.class_scores, named, tau, self._far_px, prompt_set.anchor,
-            prompt_set.label, prompt_set.score, self._top,
+            prompt_set.label, prompt_set.score, self._anchor_best,
         )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
@@ -372,7 +377,7 @@ class OnnxDetector:
             self.invalid_boxes += invalid
         kept = self._suppress(prompt_set, boxes, found, (0, targets), self._target_boxes)
         kernels.competing_scores(
-            boxes, prompt_set.class_scores, prompt_set.classes.competes, tau, self._top,
+            boxes, prompt_set.class_scores, prompt_set.classes.competes, tau, self._anchor_best,
             prompt_set.anchor, prompt_set.label, kept.selected, len(kept.selected), kept.cut,
             NMS_IOU, self._competing_score,
         )  # fmt: skip

@@ -102,7 +102,7 @@ class ProcessDetector(SupervisedProcess):
         return self._model_health
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """See `SupervisedProcess`.
+        """Run one process from its start to its end; see `SupervisedProcess._run_once`.
 
         The process starts with the current prompts, since encoding them later may take longer than
         an image. If they are unusable, the process starts with the last usable ones, and `detect`

@@ -23,7 +23,7 @@ class TextClasses:
     words, then other words that compete with a prompt.
 
     Attributes:
-        words: all texts, for the text encoder, in the order of their classes.
+        words: the texts of all classes, in the order of the classes.
         class_of_text: (texts,) int32, index of each text's class, ascending.
         n_classes: number of classes.
         context: canonical names of the classes from `len(prompts)` on.
@@ -52,7 +52,7 @@ def text_classes_for(
     Raises:
         PromptError: see `TextEncoder.resolve`.
     """
-    context: dict[str, list[str]] = {}
+    context: dict[str, list[str]] = {}  # canonical name → the background words with this name
     context_names = names.non_targets(background, prompts)
     for word in background:
         context.setdefault(names.canonical(word), []).append(word)
@@ -97,16 +97,16 @@ def competing_classes(
     """
     # Each name in two forms: as given, and as the text encoder reads it.
     known = words_for(classes, text.resolve)
-    words = [(name, known.get(name, name)) for name in classes]
+    forms = [(name, known.get(name, name)) for name in classes]
     competes = np.ones((2, len(prompts), len(classes)), np.bool_)
     for row, prompt in enumerate(prompts):
         contrasts = set(text.contrasts(prompt))
         visible_in_part = set(text.contrasts(prompt, whole=False))
-        for column, others in enumerate(words):
-            is_contrast = not contrasts.isdisjoint(others)
+        for column, others in enumerate(forms):
+            is_contrast = not contrasts.isdisjoint(others)  # one of both forms is a contrast
             # A contrast, such as the height, that cannot be seen if the object is cut off.
             is_hidden = is_contrast and visible_in_part.isdisjoint(others)
-            look_alike = any(names.look_alike(a, b) for a in words[row] for b in others)
+            look_alike = any(names.look_alike(a, b) for a in forms[row] for b in others)
             competes[0, row, column] = is_contrast or not look_alike
             competes[1, row, column] = competes[0, row, column] and not is_hidden
     return competes

@@ -54,7 +54,7 @@ ALIKE: dict[str, tuple[str, ...]] = {
     "large": ("tall", "wide"),
     "small": ("short", "narrow"),
 }
-"""Size → other sizes that the same object may have; they are no contrast (`contrasting`)."""
+"""Size → other sizes that the same object may have; they are no contrast (see `contrasting`)."""
 
 _PLAIN = {canonical: canonical for canonical in SYNONYMS} | {
     other: canonical for canonical, others in SYNONYMS.items() for other in others
@@ -146,7 +146,7 @@ def _category(noun: str, vocabulary: Vocabulary) -> str | None:
     for name in names.head_nouns(thing):
         if (category := names.canonical(name)) in vocabulary.categories:
             return category
-        if not names.is_known(noun):
+        if not names.is_known(noun):  # an unknown noun is a kind of nothing: try no shorter ending
             return None
     return None
 
@@ -196,7 +196,7 @@ def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> l
 
 
 def nearest(word: str, vocabulary: Vocabulary, n: int = 5) -> list[str]:
-    """Return at most `n` categories whose names are spelt like a phrase or its last word."""
+    """Return at most `n` categories spelt like a phrase or its last word; else the first `n`."""
     category_of = {alias: c for c in vocabulary.categories for alias in names.names_of(c)}
     found: list[str] = []
     for text in (word, word.split()[-1]):

@@ -43,17 +43,17 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
     return encoder
 
 
-def check_text_encoder(named: str | None, vocabulary: str | None) -> None:
+def check_text_encoder(card_name: str | None, vocabulary: str | None) -> None:
     """Check that `open_text_encoder` would find an encoder, without loading a network.
 
     Args:
-        named: the text card; None for CLIP ViT-B/32's.
+        card_name: name of the text card; None for CLIP ViT-B/32's.
         vocabulary: configured path; see `find_vocabulary`.
 
     Raises:
         ModelError, PromptError: see `make_text_encoder`.
     """
-    card = None if named is None else load_card_of(TextCard, named)
+    card = None if card_name is None else load_card_of(TextCard, card_name)
     models = [card] if card is not None else _vocabulary_models()
     here = [model for model in models if model.path.is_file()]
     if not here:  # opens the vocabulary, which has no network, or raises

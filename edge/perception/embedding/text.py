@@ -2,7 +2,8 @@
 
 A vocabulary file holds embeddings of single words, made beforehand. A CLIP text model (`clip.py`
 describes its ONNX file and its card) understands whole phrases. A small detector of our own brings
-its encoder along (`attributes.py`). `encoders.py` chooses.
+its encoder along (`attributes.py`). `encoders.py` chooses. The alias table (`edge.names`) has the
+names of known objects.
 """
 
 from __future__ import annotations
@@ -89,8 +90,8 @@ class TextEncoder(Protocol):
 
         Args:
             prompt: a word or phrase.
-            whole: False: the thing is only partly in view, so only attributes that a part shows
-                are used.
+            whole: False: the thing is only partly in view, so only attributes that a part shows,
+                such as the colour, are used.
         """
         ...
 
@@ -236,7 +237,7 @@ class TextEmbeddings:
         return np.ascontiguousarray(self._rows[rows])[None]
 
     def synonyms(self, prompt: str) -> list[str]:
-        """Return names of the word and words within SYNONYM_COSINE of it, at most MAX_SYNONYMS.
+        """Return other names of the word, and words that SYNONYM_COSINE counts as names of it.
 
         See `TextEncoder.synonyms`.
         """
@@ -247,9 +248,11 @@ class TextEmbeddings:
         for name, row in by_nearness:
             if near[row] < SYNONYM_COSINE:
                 break
-            if not names.is_name(name) or names.is_kind_of(word, name):
+            if not names.is_name(name) or names.is_kind_of(word, name):  # no name, or a broader one
                 continue
-            if names.is_kind_of(name, word) or not names.is_known(name):  # not a separate thing
+            # Kinds of the word, and words without an entry in the alias table: all others that the
+            # table knows are different things.
+            if names.is_kind_of(name, word) or not names.is_known(name):
                 found.append(name)
         return [name for name in dict.fromkeys(found) if name != word][:MAX_SYNONYMS]
 

@@ -88,7 +88,9 @@ class SamSegmenter:
     def segment(
         self, rgb: np.ndarray, boxes: np.ndarray, out: np.ndarray, deadline: Deadline
     ) -> int:
-        """See `Segmenter.segment`.
+        """Make masks of the boxes until the deadline; return the number of boxes done.
+
+        See `Segmenter.segment`.
 
         Raises:
             ModelError: a mask is not finite.
@@ -122,7 +124,7 @@ class SamSegmenter:
     def _match_features(self) -> dict[str, str]:
         """Map each feature input of the decoder to an output of the encoder.
 
-        Inputs and outputs match by name; or, whatever their names are, if there is one of each.
+        Inputs and outputs match by name. If there is one of each, their names do not matter.
         """
         outputs = [value.name for value in self._encoder.get_outputs()]
         inputs = [v.name for v in self._decoder.get_inputs() if v.name not in PROMPTS]
@@ -140,7 +142,8 @@ class SamSegmenter:
         """Write the image into the encoder's input.
 
         Returns:
-            (2,) prompt units per image pixel, in x and y.
+            (2,) scale from image pixels to the decoder's points, in x and y. The points are in a
+            square with the side `card.prompt_px`.
         """
         height, width = rgb.shape[:2]
         rows, columns = self._pixels.shape[2:]
@@ -164,7 +167,15 @@ class SamSegmenter:
         self, logits: np.ndarray, iou: np.ndarray, scale: np.ndarray, box: np.ndarray,
         out: np.ndarray,
     ) -> None:  # fmt: skip
-        """Write the mask with the highest predicted IoU; the decoder returns several for a box."""
+        """Write the mask with the highest predicted IoU; the decoder returns several for a box.
+
+        Args:
+            logits: (1, k, rows, columns), k masks over the decoder's square.
+            iou: (1, k), predicted IoU of each mask.
+            scale: see `_fill_pixels`.
+            box: (4,) xyxy in pixels of the image.
+            out: (MASK_SIDE, MASK_SIDE) bool out.
+        """
         best = np.ascontiguousarray(logits[0, int(np.argmax(iou[0]))], np.float32)
         if not np.isfinite(best).all():
             raise ModelError(f"{self.name}: masks are not finite: export the model again")

@@ -74,6 +74,7 @@ def rasterise(
         box: (4,) xyxy in pixels of the camera's image.
         out: (MASK_SIDE, MASK_SIDE) bool.
     """
+    # Columns and rows of `values` at the middles of the mask's cells; k is 0 for x and 1 for y.
     x, y = (
         (box[k] + _MIDDLES * (box[k + 2] - box[k]) - origin_px[k]) * scale[k] - 0.5 for k in (0, 1)
     )

@@ -11,10 +11,10 @@ _UNCHECKED_M = 0.25
 
 
 @jit
-def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, kind, weight, n_objects, radius_m, out):
-    """Write the confidence that each kind of thing is near each place and in sight of it.
+def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, thing, weight, n_objects, radius_m, out):
+    """Write the confidence that each thing is near each place and in sight of it.
 
-    Of several objects of a kind, the one with the highest confidence counts.
+    A thing is a kind of object, such as chair. Of several objects, the most confident counts.
 
     Args:
         wall: (h, w) bool, cells that block the view.
@@ -24,16 +24,16 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, kind, weight, n_objects,
         xy_m: (n or more, 2) float32, places in `map`.
         n: number of places.
         object_m: (n_objects or more, 2 or more) float32, x and y of the objects in `map`.
-        kind: (n_objects or more,) int32, kind of each object; -1: the object is ignored.
+        thing: (n_objects or more,) int32, thing of each object; -1: the object is ignored.
         weight: (n_objects or more,) float32 in [0, 1], confidence of each object.
         n_objects: number of objects.
         radius_m: largest distance.
-        out: (n or more, kinds) float32, written for the first n.
+        out: (n or more, things) float32, written for the first n.
     """
     out[:n] = 0.0
     for i in range(n):
         for j in range(n_objects):
-            k = kind[j]
+            k = thing[j]
             if k < 0 or weight[j] <= out[i, k]:
                 continue
             dx, dy = object_m[j, 0] - xy_m[i, 0], object_m[j, 1] - xy_m[i, 1]

@@ -78,12 +78,14 @@ def included_kinds(
     log_p = np.empty((len(seen), len(members)))
     for column, kinds in enumerate(members):
         in_view = 1.0 - np.prod(1.0 - p_thing[list(kinds)], axis=0)  # in at least one of the rooms
-        base = np.log(prior[list(kinds)]).sum() + np.log(1.0 - _P_TWO)
+        log_prior = np.log(prior[list(kinds)]).sum() + np.log(1.0 - _P_TWO)
         if len(kinds) == 2:  # 2: the pair may come in either order
-            base += np.log(2.0 * _P_TWO / (1.0 - _P_TWO)) - np.maximum(_TWO_ROOMS_M2 - area_m2, 0.0)
-        log_p[:, column] = base + _PAIR_EVIDENCE * (seen @ np.log(in_view / (prior @ p_thing)))
+            missing_m2 = np.maximum(_TWO_ROOMS_M2 - area_m2, 0.0)
+            log_prior += np.log(2.0 * _P_TWO / (1.0 - _P_TWO)) - missing_m2
+        log_p[:, column] = log_prior + _PAIR_EVIDENCE * (seen @ np.log(in_view / (prior @ p_thing)))
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     p /= p.sum(1, keepdims=True)
+    # Sum, for each kind, the probabilities of the hypotheses that include it.
     return p @ np.array([[i in kinds for i in range(k)] for kinds in members], np.float64)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from edge import names
 
 FILE = Path(__file__).with_name("table.json")
-# Pseudo-counts of rooms and doors: with them, the likelihood ratio of small counts is close to 1.
+# Rooms and doors that are added to all counts: so the likelihood ratio of small counts is near 1.
 _PRIOR_ROOMS = 2.0
 _PRIOR_DOORS = 10.0
 SCALE = 100
@@ -100,6 +100,7 @@ def parse(data: dict[str, Any]) -> ObjectPrior:
     """Build the table from a file's content."""
     n, rooms, near = len(data["things"]), data["kinds"], data["near"]
     both = np.zeros((n, n), np.int64)
+    # The file has the lower triangle, row by row: mirror it.
     both[np.tril_indices(n)] = np.concatenate(data["rooms_with_both"])
     both += np.tril(both, -1).T
     weight = np.zeros((n, n), np.float32)
@@ -122,7 +123,12 @@ def parse(data: dict[str, Any]) -> ObjectPrior:
 
 
 def _neighbours(doors: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return `ObjectPrior.neighbours` from counts of door-sharing and of all pairs of rooms."""
+    """Return `ObjectPrior.neighbours`.
+
+    Args:
+        pairs: (k, k), number of pairs of rooms of two kinds in one house.
+        doors: (k, k), number of these pairs that share a door.
+    """
     by_chance = pairs * doors.sum() / max(pairs.sum(), 1.0)
     ratio = (doors + _PRIOR_DOORS) / (by_chance + _PRIOR_DOORS)
     np.fill_diagonal(ratio, 1.0)

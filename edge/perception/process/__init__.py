@@ -11,7 +11,8 @@ process (`serve_detector.py`):
  3. An image lies in the frame file (`wire.py`): memory without a name on disk, which the service
     owns and alone writes. A sequence number is written before the pixels and again after them.
  4. On `images` the service sends {seq, hw, prompts}. The process reads the pixels in place and
-    answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}.
+    answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}. Here
+    seq is the request's number, hw the image's height and width, and n the number of boxes.
  5. On `control` the service sends {id, prompts} to check prompts at once: the process answers
     {id} or {id, error, text}. The prompts of the next request on `images` take effect.
  6. Sizes, types and values of every answer are checked (`wire.py`); nothing is unpickled. One
@@ -22,6 +23,7 @@ process (`serve_detector.py`):
 
 A model for VLM frontier selection (`scoring/choice/process.py`) gets its requests on `images`: a
 language model {seq, hw, rules, view, asked, limit_s}, with hw null for a view in words; a network
-for marks {seq, hw, marks, others, target, limit_s}. It answers {seq, p}. Its `control` socket
-carries no requests after the start. It runs at a low priority.
+for marks {seq, hw, marks, others, target, limit_s}. Here rules is the system message, and asked are
+the questions with their possible answers. It answers {seq, p}, where p is the probabilities of the
+answers. Its `control` socket carries no requests after the start. It runs at a low priority.
 """

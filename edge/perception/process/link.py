@@ -120,6 +120,7 @@ class ModelProcessClient:
             if time.monotonic() >= deadline_s:
                 raise self.kill(f"not ready after {timeout_s:g} s ({limit}): killed")
         if not message:
+            # If the process has not ended yet, the empty message is not JSON: `_decode` kills it.
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_END_S)
                 raise self.kill(f"{_end_reason(code)} before it was ready")
@@ -210,6 +211,7 @@ class ModelProcessClient:
                 raise ModelProcessError(self.fault)
             if core_wait_before_s is None:  # read only for slow answers
                 core_wait_before_s = _core_wait_s(self._process.pid)
+            # It may be late by the time that it waited for a core, but at most by `timeout_s`.
             elif time.monotonic() - deadline_s >= min(
                 _core_wait_s(self._process.pid) - core_wait_before_s, timeout_s
             ):

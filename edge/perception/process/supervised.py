@@ -20,7 +20,7 @@ BACKOFF_S = 0.2
 BACKOFF_MAX_S = 5.0
 """Longest such pause [s]. A process that was ready for longer starts with `BACKOFF_S` again."""
 MOST_ENDS = 8
-"""After more ends of the process in a series than this, there is one restart in `WINDOW_S`."""
+"""After more ends in a series than this, restarts are at least `WINDOW_S` apart."""
 WINDOW_S = 60.0
 """If a process was ready for longer than this [s], its end starts a new series."""
 _CLOSE_S = 10.0  # wait for the thread to end after its process was killed
@@ -136,7 +136,10 @@ class SupervisedProcess(ABC):
 
     @abstractmethod
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """Run one process from its start to its end; by `_run_link`, which describes `first`.
+        """Run one process from its start to its end, by `_run_link`.
+
+        Args:
+            first: gets a result when the process is ready for the first time.
 
         Returns:
             (seconds that the process was ready, how it ended).
@@ -152,10 +155,10 @@ class SupervisedProcess(ABC):
         progress: ProgressCallback,
         program: Sequence[str] = (),
     ) -> tuple[float, str]:
-        """Run one process from its start to its end; see `_run_once`.
+        """Run one process from its start to its end; for the result and the errors see `_run_once`.
 
         Args:
-            first: gets a result when the process is ready for the first time.
+            first: see `_run_once`.
             request: see `ModelProcessClient`.
             progress: see `ModelProcessClient.wait_ready`.
             program: see `ModelProcessClient`.

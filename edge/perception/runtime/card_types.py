@@ -33,7 +33,10 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
 Side = Annotated[int, Field(ge=32, multiple_of=32)]
 Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
-"""In `int8` and `q4` only the weights have few bits, in blocks with a scale each (MatMulNBits)."""
+"""Number format of a network.
+
+`int8-cpu` and `int8-trt` are quantized for CPUs and for TensorRT. In `int8` and `q4` only the
+weights have few bits, in blocks with a scale each (MatMulNBits)."""
 _NOT_GIVEN = ""  # default of `sha256`; null in a card means that `FILE.json` has the hash
 Measured = dict[str, dict[str, Union[float, int, str]]]
 """Figures by machine or test set, then by name."""
@@ -108,7 +111,10 @@ class EncoderImageSize(_Part):
 
 
 class Preprocess(_Part):
-    """Preprocessing of pixels: `rgb * scale`; the border around the image is `letterbox_pad`."""
+    """Preprocessing of pixels: the value of a channel is `rgb * scale`, with rgb from 0 to 255.
+
+    The image is scaled to fit into the input. The border around it has the grey `letterbox_pad`.
+    """
 
     color: Literal["rgb"]
     scale: Annotated[float, Field(gt=0)]
@@ -150,7 +156,9 @@ class AttributesTokenizer(_Part):
 
 
 class Parity(_Part):
-    """Comparison of a detector with its source variant, on images not used for calibration.
+    """Comparison of a detector with the variant that it was made from, its source.
+
+    The images were not used for calibration.
 
     Attributes:
         reference: the source variant.
@@ -207,6 +215,7 @@ class BaseCard(_Part):
     """Fields of all cards.
 
     Attributes:
+        name: name of the card, and of its file without `.yaml`.
         family: name of the model; all its variants have the same family.
         sources: places to get the files from, in order. A source whose hash is that of the model
             (or the tokenizer) gives that file; any other gives the weights to make the model from.
@@ -238,6 +247,7 @@ class _FileCard(BaseCard):
             None if a server runs the model.
         sha256: hash of the file; None if the file is made here, then `FILE.json` next to it has
             the hash.
+        precision: number format of the network.
     """
 
     server: InferenceServer | None = None
@@ -289,7 +299,10 @@ class _FileCard(BaseCard):
 
 
 class DetectCard(_FileCard):
-    """An open-vocabulary detector: `images`, `txt_feats` → `boxes`, `scores`.
+    """An open-vocabulary detector: `images`, `txt_feats` → `boxes`, `scores`, all float32.
+
+    `images` (1, 3, h, w), `txt_feats` (1, n, text_dim) with a row for each text → `boxes`
+    (1, a, 4), x0, y0, x1, y1 in pixels of the input, and `scores` (1, a, n) in 0 to 1.
 
     Attributes:
         text_dim: length of a text embedding.
@@ -308,7 +321,8 @@ class DetectCard(_FileCard):
 class TextCard(_FileCard):
     """A text encoder: `tokens` (n, t) int64 → `embeddings` (n, dim) float32 unit rows.
 
-    No server may run it, since the loop waits for it when a mission begins.
+    t is the length of a text in tokens. No server may run it, since the loop waits for it when a
+    mission begins.
     """
 
     task: Literal["text"]
@@ -346,10 +360,10 @@ class MaskEncoderCard(_FileCard):
 
 
 class MaskDecoderCard(_FileCard):
-    """The prompt encoder and mask decoder of a `SegmentCard`.
+    """The prompt encoder and mask decoder of a `SegmentCard`; it gives k masks for one box.
 
-    Features, `point_coords` and `point_labels` → `low_res_masks` or `masks` (1, k, rows, columns),
-    `iou_predictions` (1, k).
+    Features, `point_coords` (1, 2, 2) and `point_labels` (1, 2) → `low_res_masks` or `masks`
+    (1, k, rows, columns), positive on the object, and `iou_predictions` (1, k), their quality.
     """
 
     task: Literal["segment"] = "segment"
@@ -410,10 +424,10 @@ class MarksCard(_FileCard):
 
     `images` (1, 3, h, w), `txt_feats` (1, text_dim) of the target, `marks` (1, MAX_MARKS,
     MARK_FIELDS) and `others` (1, OTHERS_FIELDS) → `directions` (1, MAX_MARKS + 1), logits of the
-    marks and of "elsewhere", and `scene` (1, 1), the logit of the second question; all float32. A
-    row of `marks` is the mark's column and row as shares of the letterboxed image, its bearing
-    [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown area
-    that it is expected to show [m²], and 1. The row is all 0 if there is no mark. `others` is
+    marks and of "elsewhere", and `scene` (1, 1), the logit that the view leads to the target; all
+    float32. A row of `marks` is the mark's column and row as shares of the letterboxed image, its
+    bearing [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown
+    area that it is expected to show [m²], and 1. The row is all 0 if there is no mark. `others` is
     `MarkCosts.others` of `edge.perception.scoring.choice.question`.
 
     Attributes:
@@ -451,8 +465,8 @@ class SimilarityCard(BaseCard):
     Attributes:
         image_encoder, text_encoder: cards of the two encoders; both None for a detector.
         detector: card of the detector, or `RUNNING`; None for two encoders.
-        related: `cooccurrence`: boxes of other objects count, too, by how often the target is in
-            one room with them.
+        related: None: only boxes of the target count. `cooccurrence`: boxes of other objects count,
+            too, by how often the target is in one room with them.
     """
 
     task: Literal["similarity"]

@@ -1,7 +1,8 @@
 """Reads model cards, and checks a model's files against them.
 
 Cards come with the package or are in the models' cache. If both have a card of one name, the
-package's card counts.
+package's card counts. A file that was made or pulled here may have a sidecar, `FILE.json` next to
+it, with its hash, size and parity.
 """
 
 from __future__ import annotations
@@ -205,7 +206,7 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
     covered = {part.file for part in card.parts}  # files whose hashes were checked
     for part in card.networks:
         folder = os.path.dirname(part.file)
-        # `d=folder` binds the folder of this part.
+        # `file` is relative to the part's folder. `d=folder` binds the folder of this part.
         check_network(card.path_of(part), lambda file, d=folder: os.path.join(d, file) in covered)
 
 

@@ -27,7 +27,7 @@ def load() -> Any:
 
 
 class Device:
-    """One GPU with one stream.
+    """One GPU with one stream, which is a queue of work for the GPU.
 
     `upload` and `download` only enqueue a copy: the arrays must not change until `wait` returns.
 

@@ -132,6 +132,7 @@ def report_progress(
     Yields:
         A function that sets the progress text, for any thread.
     """
+    # `notes` has one text; it is a list, so that `note` can replace it.
     ended, notes, start_s = threading.Event(), [first], time.monotonic()
 
     def report() -> None:

@@ -91,7 +91,7 @@ class KServeSession:
         outputs: Mapping[str, tuple[int, ...]],
         live: Sequence[str],
     ) -> KServeBoundSession:
-        """See `edge.perception.runtime.binding.bind`; each request contains all inputs."""
+        """Bind as `binding.bind` does. `live` is ignored: each request contains all inputs."""
         return KServeBoundSession(self, inputs, outputs)
 
     def infer(
@@ -249,7 +249,7 @@ class _ServerLink:
 
 
 def _specs(values: Sequence[Value]) -> dict[str, tuple[str, messages.Shape]]:
-    """Return datatype and shape by name; None stands for a free size."""
+    """Return datatype and shape by name; a size None means any, as None and -1 in `values`."""
     return {
         v.name: (_DATATYPES[v.dtype], tuple(s if s and s > 0 else None for s in v.shape or ()))
         for v in values

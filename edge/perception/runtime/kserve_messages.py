@@ -26,7 +26,7 @@ _NAMES = {dtype: name for name, dtype in DTYPES.items()}
 _SHOWN = 8  # most names in a message, and most dimensions of a shape
 
 Shape = tuple["int | None", ...]
-"""Sizes of a tensor; None: any."""
+"""Sizes of a tensor; None: any size."""
 
 
 def infer_request(
@@ -59,13 +59,13 @@ def infer_request(
 
 
 def infer_answer(
-    body: bytes, head_bytes: str | None, wanted: Mapping[str, Shape]
+    body: bytes, header_length: str | None, wanted: Mapping[str, Shape]
 ) -> dict[str, np.ndarray]:
     """Decode the tensors of an answer.
 
     Args:
         body: body of the answer.
-        head_bytes: value of the header `HEADER_LENGTH`; None: it is missing.
+        header_length: value of the header `HEADER_LENGTH`; None: it is missing.
         wanted: shapes of the float32 outputs to return, by name; other outputs are ignored.
 
     Returns:
@@ -74,7 +74,7 @@ def infer_answer(
     Raises:
         ValueError: the answer does not fit the request; one line.
     """
-    length = len(body) if head_bytes is None else _length(head_bytes, len(body))
+    length = len(body) if header_length is None else _length(header_length, len(body))
     answer, at = read_json_object(body[:length]), length  # at: position of the next tensor's bytes
     entries = answer.get("outputs")
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
@@ -125,7 +125,7 @@ def check_metadata(
             if name not in named:
                 raise ValueError(f"the model has no {name!r} among its {kind} ({shown})")
             entry = named[name]
-            sizes = _sizes(entry.get("shape"), allow_free=True)
+            sizes = _sizes(entry.get("shape"), allow_any=True)
             if entry.get("datatype") != datatype or not _fits(sizes, shape):
                 found_text = f"{one_line(entry.get('datatype'), 20)} {sizes}"
                 raise ValueError(
@@ -183,16 +183,16 @@ def _tensor(entry: dict[str, Any], block: memoryview | None, wanted: Shape) -> n
         return numbers.astype(np.float32).reshape(shape)
 
 
-def _sizes(shape: object, allow_free: bool = False) -> tuple[int, ...] | None:
+def _sizes(shape: object, allow_any: bool = False) -> tuple[int, ...] | None:
     """Return a shape from JSON; None if it is invalid.
 
     Args:
         shape: value in the JSON.
-        allow_free: True: sizes may be -1, which means a free size.
+        allow_any: True: sizes may be -1, which means any size.
     """
     if not isinstance(shape, list) or len(shape) > _SHOWN:
         return None
-    right = all(_is_size(size) or (allow_free and size == -1) for size in shape)
+    right = all(_is_size(size) or (allow_any and size == -1) for size in shape)
     return tuple(shape) if right else None
 
 

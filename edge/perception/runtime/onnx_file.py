@@ -49,7 +49,7 @@ MASK_OUTPUTS = ("low_res_masks", "masks")
 
 FLOAT, INT64 = 1, 7  # numbers of tensor types (TensorProto.DataType)
 _TYPES = {FLOAT: "float32", INT64: "int64", 10: "float16", 11: "float64", 6: "int32", 2: "uint8"}
-_ANY = -1  # in an expected shape: any size
+_ANY = -1  # in an expected shape: any size, free or not
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # wire types of protocol buffers
 _LONGEST_TEXT = 4096  # a text is cut off after this number of bytes
 
@@ -57,7 +57,7 @@ Tree = dict[str, list[Any]]
 """A parsed message: by field name, the values of the field, in order: numbers, texts, or messages.
 """
 Shape = tuple["int | None", ...]
-"""Sizes of a tensor; None: a free size."""
+"""Sizes of a tensor; None: a free size, which each run of the network may choose."""
 
 _FIELDS: dict[str, dict[int, str]] = {
     "model": {1: "ir", 7: "graph", 8: "opset", 20: "training", 25: "function"},
@@ -77,7 +77,9 @@ _FIELDS: dict[str, dict[int, str]] = {
     "shape": {1: "dim"},
     "dim": {1: "size"},
 }
-"""Fields to parse, by message; a field that is a message has its own entry."""
+"""Fields to parse: for each message its field numbers → our names of the fields.
+
+A field that is a message has its own entry, under the same name."""
 _NUMBERS = {"ir", "version", "location", "dtype", "size"}  # fields that hold a number
 
 
@@ -292,6 +294,7 @@ def _fits(value: Value, spec: Value, allow_free: bool = False) -> bool:
         return False
     if value.shape is None:
         return allow_free
+    # A wanted size fits if it is `_ANY` or equal (None: both are free), or may be left free.
     return len(value.shape) == len(spec.shape) and all(
         want in (_ANY, size) or (allow_free and size is None)
         for want, size in zip(spec.shape, value.shape, strict=True)
@@ -367,7 +370,7 @@ def _all(message: Tree, name: str) -> Iterator[Tree]:
 
 
 def _is_outside(tensor: Tree) -> bool:
-    """Return True if the tensor's values are in another file."""
+    """Return True if the tensor's values are in another file, by either of its two fields."""
     return "external" in tensor or any(tensor.get("location", []))
 
 
@@ -421,7 +424,10 @@ class _Reader:
         return found
 
     def _fields_in(self, begin: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-        """Yield (field number, wire type, value or first byte, end) of each field in order."""
+        """Yield (field number, wire type, value, end) of each field in order.
+
+        A number's value is the number. For other fields it is the position of the first byte.
+        """
         at = begin
         while at < end:
             self._fields += 1
@@ -445,7 +451,10 @@ class _Reader:
             at += size
 
     def _varint(self, at: int, end: int) -> tuple[int, int]:
-        """Return (number, position after it): seven bits a byte, the lowest first."""
+        """Return (number, position after it): seven bits a byte, the lowest first.
+
+        The top bit of a byte is set if another byte follows. There are at most ten bytes.
+        """
         value = 0
         for shift in range(0, 70, 7):
             if at >= end:

@@ -58,7 +58,8 @@ def open_session(
         providers: names, in order of preference.
         threads: number of CPU threads.
         device_id: number of the GPU.
-        engine: options for TensorRT; by default an `fp32` model of fixed shapes.
+        engine: options of the model for TensorRT, not used by other providers; by default an `fp32`
+            model of fixed shapes.
         key: configuration key of the providers, for messages.
 
     Raises:
@@ -141,6 +142,7 @@ def _open_onnxruntime(
 
     if ORT_TENSORRT not in providers:
         return load(engine.folder)
+    # The first load writes the engine into the cache's folder; the last one reads it there.
     built = cached_engine(
         path,
         engine,
@@ -193,8 +195,11 @@ def raise_as_model_error(what: str) -> Iterator[None]:
 def short_reason(error: Exception) -> str:
     """Return onnxruntime's reason without the path and source location in front of it."""
     text = " ".join(str(error).split()) or type(error).__name__
+    # Such as "[ONNXRuntimeError] : 7 : INVALID_PROTOBUF : "
     text = re.sub(r"^\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
+    # Such as "Load model from /tmp/a.onnx failed:"
     text = re.sub(r"^.* failed: ?", "", text)
+    # Such as "/onnxruntime_src/core/graph/model.cc:181 onnxruntime::Model::Model(…) "
     text = re.sub(r"/onnxruntime_src/\S+:\d+ .*?\) ", "", text)
     return one_line(text.rpartition(", Error ")[2])
 
@@ -205,7 +210,7 @@ def provider_options(
     """Return the options of an onnxruntime provider; empty if it needs none.
 
     The TensorRT provider builds weakly typed networks: the flags allow the types that are in the
-    file. Q/DQ pairs in the file replace a calibration table.
+    file. Nodes that quantize and dequantize (Q/DQ) in the file replace a calibration table.
     https://onnxruntime.ai/docs/execution-providers/TensorRT-ExecutionProvider.html
     """
     if provider == "CUDAExecutionProvider":
@@ -221,6 +226,7 @@ def provider_options(
         "trt_fp16_enable": str(engine.precision in ("fp16", "int8-trt")),
         "trt_int8_enable": str(engine.precision == "int8-trt"),
     }
+    # Such as trt_profile_min_shapes: "txt_feats:1x1x512".
     for index, end in enumerate(("min", "opt", "max")):
         shapes = (f"{n}:{'x'.join(map(str, s[index]))}" for n, s in engine.shapes.items())
         if text := ",".join(shapes):

@@ -75,7 +75,7 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     def verdict(self, idle: bool) -> str:
         """Return the result of the probation, or "" while it lasts.
 
-        Set `fault` if the model failed the probation.
+        If the model fails the probation, set `fault`; the returned text then does not count.
 
         Args:
             idle: True: no more items will come, so the probation would never end.

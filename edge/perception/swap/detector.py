@@ -86,7 +86,10 @@ class DetectorSwap(ModelSwap[Detector]):
 class _DetectorAttempt(SwapAttempt[Detector, Observation]):
     """One detector that is to replace the worker's; see `SwapAttempt`.
 
-    The attempt's thread also copies the running detector's prompts to the new one.
+    The steps: the attempt's thread loads the model, collects images, and runs the trial, which sets
+    `finding`. Until the switch it copies the running detector's prompts to the new one. Then
+    `switched` is set, and the probation begins. At the end `decided` is set, and the thread closes
+    the model that lost.
 
     Attributes:
         perception: configuration from which the model is made and by which it is judged.
@@ -141,7 +144,10 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
         super().end()
 
     def verdict(self, idle: bool) -> str:
-        """See `SwapAttempt.verdict`; `idle` is ignored, since a camera always sends more images."""
+        """Return the result of the probation; "" while it lasts. If it failed, set `fault`.
+
+        `idle` is ignored, since a camera always sends more images.
+        """
         swap, health = self.perception.swap, self.model.health()
         if health.state in ("restarting", "degraded"):
             self.fault = self.fault or f"{health.state}: {health.detail}"

@@ -80,6 +80,7 @@ def run_trial(
     """
     for _ in range(_WARM_UPS):
         run(detector, samples[0].observation)
+    # Detections by round and image; for each image, the shortest time of its rounds counts.
     runs = [[run(detector, s.observation) for s in samples] for _ in range(_ROUNDS)]
     took_ms = median_ms([min(f.latency_ns for f in same) for same in zip(*runs, strict=True)])
     pace = f"median {took_ms:.1f} ms on {len(samples)} images"

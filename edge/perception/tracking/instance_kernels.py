@@ -21,10 +21,10 @@ LEAST_RADIUS_M = 0.3
 def merge_points(old, support, new, voxel_m, max_points):
     """Merge two point sets into one point per voxel, at most `max_points` in all.
 
-    The points kept are spread evenly over the voxels' order. A point of `old` wins over one of
-    `new` in the same voxel. Each point of `old` counts one more view if a point of `new` is within
-    NEAR_M in the plane. A point of `new` starts with 1, or with the highest count of its neighbours
-    in `old`.
+    If there are more voxels, points are taken at equal steps in the order of the voxels. A point of
+    `old` wins over one of `new` in the same voxel. Each point of `old` counts one more view if a
+    point of `new` is within NEAR_M in the plane. A point of `new` starts with 1, or with the
+    highest count of its neighbours in `old`.
 
     Args:
         old: (k, 3) float32, finite; k + m > 0.
@@ -57,7 +57,7 @@ def merge_points(old, support, new, voxel_m, max_points):
             key = (key << 21) | (np.int64(np.floor(joined[i, axis] / voxel_m)) + (1 << 20))
         keys[i] = key
     order = np.argsort(keys, kind="mergesort")  # stable: `old` stays before `new` in a voxel
-    first = np.empty(total, np.int64)
+    first = np.empty(total, np.int64)  # index of the first point of each voxel
     n = 0
     for j in range(total):
         if j == 0 or keys[order[j]] != keys[order[j - 1]]:

@@ -1,6 +1,13 @@
 """Instances: objects that may be the target, merged over time (VL-Nav III.C).
 
-`InstanceTracker` decides which of them is confirmed as the target, and which is rejected.
+`InstanceTracker` decides which of them is confirmed as the target, and which is rejected. Here
+
+- a strong detection has a score above `tau_det`; all others are weak;
+- a view is from near by if the robot is within `confirm_range_m` of the object;
+- a competing class is another class that may explain a box (`Detections.competing_score`);
+- an instance is contested if another object of the map explains its place better.
+
+Names such as `tau_det` and `merge_m` are keys of `perception` in the configuration.
 """
 
 from __future__ import annotations
@@ -37,7 +44,7 @@ MAX_INSTANCES = 128
 RISE = 0.5  # if the new score is above the running one
 FALL = 0.15  # if it is below
 DECAY = 0.9
-"""Factor on the score of an instance that was in view and not detected."""
+"""Factor on the score of an instance for each view that should show it and does not."""
 FORGET_SHARE = 0.5
 """An instance that is not confirmed is forgotten if its score is below this share of `tau_det`."""
 FORGET_VIEWS = 100
@@ -46,9 +53,9 @@ REJECT_VIEWS = 30
 """After this many views an instance is rejected if its mean competing score exceeds its mean score.
 """
 SURER = 1.6
-"""Factor by which a competing object must be more confident than a confirmed instance.
+"""A confirmed instance is contested only by an object with this multiple of its confidence.
 
-From near by the object is only partly in view, and what stands in front of it fills the image."""
+From near by the instance is only partly in view, and an object in front of it fills the image."""
 _PROTECTED = ("confirmed", "rejected", "reached")  # states that `_limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Attributes that a checkpoint saves: of an instance, and of the evidence of its track.
@@ -64,7 +71,7 @@ _EVIDENCE = (
 
 
 class LabelResolver(Protocol):
-    """Finds the instances of labels that describe a thing by its relation to others."""
+    """Finds the instances of labels that describe an object by others, as "chair next to desk"."""
 
     def resolve(
         self, label: str, of: Callable[[str], Sequence[Instance]], last: bool
@@ -72,8 +79,8 @@ class LabelResolver(Protocol):
         """Return the instances of a label, best first; None if the label is a plain name.
 
         Args:
-            label: a target.
-            of: returns the instances of a plain name, best first.
+            label: name or description of a target.
+            of: returns the instances of a plain name ("chair"), best first.
             last: True if the search is over, so that the best instance is accepted even if it is
                 doubtful.
         """
@@ -89,6 +96,7 @@ class _Track:
     """An instance with the evidence that decides about its state.
 
     Attributes:
+        instance: the instance, as other modules see it.
         name: canonical form of the label.
         evidence_ns: newest stamp of any detection of the instance, weak ones included.
         good_hits: number of frames from near by with a score of `confirm_score` or more.
@@ -175,12 +183,13 @@ class InstanceTracker:
         These were detected in at least `min_hits` images and are not rejected.
 
         Args:
-            label: a prompt.
+            label: name or description of a target.
             only_confirmed: True: leave out instances that are not confirmed.
             doubted: True: keep contested instances, whose place another object explains better.
         """
         if self.resolver is not None:
             plain = partial(self._with_name, only_confirmed=only_confirmed, doubted=doubted)
+            # `last` has the meaning of `doubted`: accept doubtful instances, too.
             if (found := self.resolver.resolve(label, plain, last=doubted)) is not None:
                 return found
         return self._with_name(label, only_confirmed, doubted)
@@ -203,24 +212,24 @@ class InstanceTracker:
         ]
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
-    def update(self, lifted: BackProjectedBoxes, stamp_ns: int) -> None:
+    def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
         """Merge the detections of one image, strongest first.
 
         Args:
-            lifted: detections with positions.
+            boxes: detections with positions.
             stamp_ns: stamp of the image.
         """
-        seen = lifted.detections
+        seen = boxes.detections
         pose = seen.observation.pose
-        words = [names.canonical(prompt) for prompt in seen.prompts]
+        name_of_class = [names.canonical(prompt) for prompt in seen.prompts]
         unsuppressed = seen.not_suppressed()
         hit: set[int] = set()  # instances with a strong detection in this image
-        for i in np.flatnonzero(lifted.valid).tolist():
+        for i in np.flatnonzero(boxes.valid).tolist():
             class_id, score = int(seen.class_id[i]), float(seen.score[i])
             strong = score > self.config.tau_det and bool(unsuppressed[i])
-            points = lifted.surface_m(i)
-            x_m, y_m, _ = lifted.center_m[i].tolist()
-            track = self._match(words[class_id], x_m, y_m)
+            points = boxes.surface_m(i)
+            x_m, y_m, _ = boxes.center_m[i].tolist()
+            track = self._match(name_of_class[class_id], x_m, y_m)
             if track is None:
                 if not strong:
                     continue
@@ -252,7 +261,7 @@ class InstanceTracker:
 
         Args:
             observation: an image's camera, pose and depth.
-            prompts: names that the detector looked for.
+            prompts: names that the detector looked for in this image.
 
         Returns:
             Ids of instances that were forgotten.
@@ -356,6 +365,7 @@ class InstanceTracker:
             ValueError: the state is invalid.
         """
         each = tuple(name for name, _ in (*_COLUMNS, *_EVIDENCE))
+        # Most rows of each group of arrays, and largest values: a file may be damaged.
         rows = {(*each, "label", "state", "n_points"): 1 << 13}
         rows[("points_m", "support")] = MAX_POINTS << 13
         most = {"state": len(_STATES) - 1, "n_points": MAX_POINTS, "score": 2}
@@ -368,7 +378,7 @@ class InstanceTracker:
             rows_of_points = slice(end[row] - n_points[row], end[row])
             points_m = state["points_m"][rows_of_points].copy()
             instance = Instance(
-                label=label, center_m=points_m[0], points_m=points_m,
+                label=label, center_m=points_m[0], points_m=points_m,  # `_adopt` sets both
                 state=_STATES[state["state"][row]],
                 **{name: state[name][row].item() for name, _ in _COLUMNS},
             )  # fmt: skip
@@ -387,10 +397,10 @@ class InstanceTracker:
         return self._next_id - 1
 
     def promote_context(self, labels: Sequence[str]) -> None:
-        """Make instances from the context objects that these labels name, with their evidence.
+        """Make instances from the objects of the map that these labels name, with their evidence.
 
-        A new target that was already seen as context then need not be found again. Weak context
-        objects, which would be forgotten at once, are skipped, and so are known instances.
+        A new target that was already seen as context (an object that was no target) then need not
+        be found again. Objects that would be forgotten at once, and known ones, are skipped.
         """
         if self._objects is None:
             return
@@ -399,8 +409,8 @@ class InstanceTracker:
             name = names.canonical(label)
             for seen in self._objects.named(label):
                 known = self._match(name, *seen.center_m[:2].tolist())
-                weak = seen.confidence < least or seen.hits < self.config.min_hits
-                if weak or known is not None:
+                is_doubtful = seen.confidence < least or seen.hits < self.config.min_hits
+                if is_doubtful or known is not None:
                     continue
                 track = self._create(label, seen.points_m, seen.confidence, seen.last_seen_ns)
                 track.instance.hits = seen.hits
@@ -448,7 +458,7 @@ class InstanceTracker:
                 if apart_m <= self.config.reject_radius_m:
                     return track
                 continue
-            if apart_m - track.radius_m >= best_m:
+            if apart_m - track.radius_m >= best_m:  # no surface point can be nearer
                 continue
             apart_m = min(apart_m, kernels.nearest(track.instance.points_m, x_m, y_m))
             if apart_m < best_m:
@@ -556,7 +566,7 @@ class InstanceTracker:
         c, instance = self.config, track.instance
         if instance.state not in ("tentative", "confirmed"):
             return
-        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead
+        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead  # over competing classes
         is_confirmed = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views

@@ -103,6 +103,7 @@ class BackProjector:
         seen, context = detections.observation, detections.context_detections()
         k, boxes, word = len(detections), detections.xyxy_px, detections.class_id
         if context is not None:
+            # One array for all: the context's class numbers follow those of the targets.
             boxes = np.concatenate((boxes, context.xyxy_px))
             word = np.concatenate((word, context.class_id + np.int32(len(detections.prompts))))
         n = len(boxes)

@@ -3,6 +3,14 @@
 A box is sampled at a grid of pixels. Samples of the floor and of other boxes' objects are dropped.
 The rest is split into surfaces by depth, and the surface that fits the box best is the object's.
 
+Arguments of many kernels:
+
+- `view`: (depth, raster, points, cell_px, fx, fy, cx, cy). Depth: (h, w) float32. The next three
+  are those of `cloud_raster`; cell_px is 0 if the depth image is sampled. The rest in pixels.
+- `samples`: (SIDE*SIDE, 3) float32, points x, y, z in the optical frame, where z is the depth, all
+  in metres. The first `n` rows count.
+- `word`: number of a box's class.
+
 `-(-a // b)` is a / b rounded up.
 """
 
@@ -110,6 +118,7 @@ def sample_depth(depth, fx, fy, cx, cy, x0, y0, x1, y1, max_range, samples):
     Returns:
         Number of rows of `samples` (SIDE*SIDE, 3) float32 that were written.
     """
+    # Divide the box into at most SIDE x SIDE blocks, and take the middle pixel of each.
     h, w = depth.shape
     u0, v0, u1, v1 = max(0, int(x0)), max(0, int(y0)), min(w, int(x1) + 1), min(h, int(y1) + 1)
     step_u, step_v = max(1, -(-(u1 - u0) // SIDE)), max(1, -(-(v1 - v0) // SIDE))
@@ -179,8 +188,7 @@ def drop_floor(samples, n, T, floor_z):
 def drop_unmasked(samples, n, view, boxes, masks, own):
     """Move the samples that lie on their box's mask to the front.
 
-    `view`, `boxes` and `masks` are those of `back_project_boxes`; `own` is the index of the
-    sampled box.
+    For `boxes` and `masks` see `back_project_boxes`; `own` is the index of the sampled box.
 
     Returns:
         Number of samples on the mask; `n` if the mask has hardly any (an empty mask).
@@ -209,12 +217,12 @@ def drop_unmasked(samples, n, view, boxes, masks, own):
 
 @jit
 def drop_others(samples, n, view, boxes, word, own, depths, fit):
-    """Move the samples that no box of another word claims to the front.
+    """Move the samples to the front that no box of another word claims.
 
     Args:
         samples: points of the box.
         n: number of samples.
-        view: see `back_project_boxes`.
+        view: see the module.
         boxes: see `back_project_boxes`.
         word: see `back_project_boxes`.
         own: index of the box that was sampled.
@@ -273,6 +281,8 @@ def surfaces(samples, n, max_range, histogram, found):
     histogram[:] = 0
     for i in range(n):
         histogram[min(BINS - 1, int(samples[i, 2] / width))] += 1
+    # low, high: first and last filled bin of the current surface; low is -1 between surfaces.
+    # `gap` sparse bins end a surface; the bins from BINS on are empty and end the last one.
     k, count, low, high = 0, 0, -1, -1
     for b in range(BINS + gap):
         if b < BINS and histogram[b] > sparse:
@@ -301,7 +311,8 @@ def surface_points(samples, n, low, high, T, points, scratch):
         scratch: (3, SIDE*SIDE) float32.
 
     Returns:
-        (x, y, z, number of samples, number of rows of `points`), in `map`.
+        (x, y, z, m, k): the median point in `map`, the number of samples in the range, and the
+        number of rows of `points` that were written.
     """
     m = 0
     for i in range(n):
@@ -325,7 +336,7 @@ def surface_points(samples, n, low, high, T, points, scratch):
 
 @jit
 def sample(view, x0, y0, x1, y1, max_range, samples):
-    """Sample a box of a view (see `back_project_boxes`) by `sample_raster` or `sample_depth`."""
+    """Sample a box of a view by `sample_raster` or `sample_depth`."""
     depth, raster, points, cell_px, fx, fy, cx, cy = view
     if cell_px > 0:
         return sample_raster(raster, points, cell_px, x0, y0, x1, y1, max_range, samples)
@@ -337,7 +348,7 @@ def sample_strips(view, box, max_range, strips, n):
     """Sample a strip next to each side of a box.
 
     Args:
-        view: see `back_project_boxes`.
+        view: see the module.
         box: (4,) float32, the whole box.
         max_range: largest depth in metres.
         strips: (4, SIDE*SIDE, 3) float32 out.
@@ -408,7 +419,7 @@ def choose_surface(view, box, samples, n, T, floor_z, max_range, scratch):
     76 %. The exponent and `FARTHER` were fitted to these boxes.)
 
     Args:
-        view: see `back_project_boxes`.
+        view: see the module.
         box: (4,) float32.
         samples: points in the optical frame.
         n: number of samples.
@@ -452,7 +463,7 @@ def back_project_boxes(
     surface belongs to a third box, the box is invalid.
 
     Args:
-        view: depth, raster, the raster's points, its cell_px (0: sample the depth), fx, fy, cx, cy.
+        view: see the module.
         boxes: (n, 4) float32, x0, y0, x1, y1 in pixels.
         masks: (m, rows, columns) bool, rasters over the first m boxes, m <= n.
         word: (n,) int32, class of each box.

@@ -15,7 +15,7 @@ LOOK_MIN_M = 1.0
 LOOK_RIM = 0.1
 """Share of the image at each border in which a view is unreliable."""
 OCCLUDED_M = 0.4
-"""A return that is nearer than the object by more than this hides the object."""
+"""The object is hidden if the depth in its direction is less than its own by more than this."""
 WHOLE_SHARE = 0.7
 """An object is wholly in the image if at least this share of its surface is."""
 
@@ -67,8 +67,8 @@ def visibility(x, y, z, points, n_points, T_camera_map, view, depth, far_m):
     if not (0 <= u < width and 0 <= v < height):
         return HIDDEN
     if depth.shape[0] == height and depth.shape[1] == width:
-        return_m = depth[int(v), int(u)]
-        if 0.0 < return_m < zc - OCCLUDED_M:
+        measured_m = depth[int(v), int(u)]  # 0 or NaN: no return
+        if 0.0 < measured_m < zc - OCCLUDED_M:
             return HIDDEN
     rim_u, rim_v = LOOK_RIM * width, LOOK_RIM * height
     inside = rim_u < u < width - rim_u and rim_v < v < height - rim_v

@@ -10,20 +10,20 @@ from edge.perception.tracking.place_index import rows_near
 
 POINTS = 32
 """Number of surface points kept of each row, that is, of each object."""
-_POINTS_OF_VIEW = 6
+_POINTS_PER_VIEW = 6
 """About this many points of a view are added, evenly spread: later views bring others."""
 PARTIAL = 0.25
-"""Weight of a view that does not show the object as a whole."""
+"""Factor on the weight of a view that does not show the object as a whole."""
 FORGET = 40.0
-"""Weight at which the evidence is halved, so that old evidence fades."""
+"""Sum of weights at which the evidence is halved, so that old evidence fades."""
 SAME_M = 0.2
 """Surface points at most this far apart (along each axis) belong to one surface."""
 WITHIN = 0.5
-"""Share of a row's points that must lie on an object's surface, to count fully against it.
+"""Share of a row's points that must lie on another object's surface, to count fully against it.
 
 With a smaller share the row counts in proportion."""
 PRIOR = 0.5
-"""Weight of a prior view with score 0, so that one view is not enough for a high confidence."""
+"""Weight of an assumed first view with score 0: one view alone gives no high confidence."""
 
 
 @jit
@@ -48,7 +48,7 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
             continue
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
         d = dx * dx + dy * dy
-        if d >= (merge_m + reach[i]) ** 2:
+        if d >= (merge_m + reach[i]) ** 2:  # no surface point can be near enough
             continue
         for k in range(n_points[i]):
             dx, dy = points[i, k, 0] - x, points[i, k, 1] - y
@@ -115,7 +115,7 @@ def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
         n_surface: number of rows of `surface` that count.
         voxel_m: side of a voxel.
     """
-    step = max(1, n_surface // _POINTS_OF_VIEW)
+    step = max(1, n_surface // _POINTS_PER_VIEW)
     for j in range(0, n_surface, step):
         known = False
         for k in range(n_points[i]):
@@ -198,7 +198,7 @@ def fuse(
 
 @jit
 def competing_confidence(
-    surface, centers, points, n_points, word, confidence, rows, against, reach_m
+    surface, centers, points, n_points, word, confidence, rows, against, within_m
 ):  # fmt: skip
     """Return the confidence that another object stands at the place of an object.
 
@@ -216,7 +216,7 @@ def competing_confidence(
         rows: (r,) int32, the rows that may cover the object.
         against: (words,) float32, weight of each word's confidence; 0: the word names the same
             object.
-        reach_m: largest planar distance of a row's centre from the centre of the surface.
+        within_m: largest planar distance of a row's centre from the centre of the surface.
 
     Returns:
         The maximum over words of the mean, over the surface, of the confidence of the word's
@@ -228,7 +228,7 @@ def competing_confidence(
     cover = np.zeros((len(against), k), np.float32)
     for i in rows:
         dx, dy = centers[i, 0] - x, centers[i, 1] - y
-        if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > reach_m * reach_m:
+        if against[word[i]] == 0.0 or n_points[i] == 0 or dx * dx + dy * dy > within_m * within_m:
             continue
         is_covered = np.zeros(k, np.bool_)
         inside = 0
@@ -243,6 +243,7 @@ def competing_confidence(
                     is_covered[s] = True
                     is_on_surface = True
             inside += is_on_surface
+        # The row counts with `share` of its confidence at each point that it covers.
         share = min(1.0, inside / (WITHIN * n_points[i]))
         found[word[i]] = True
         for s in range(k):

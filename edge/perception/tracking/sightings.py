@@ -1,7 +1,10 @@
 """The object map: all objects that the detector found, merged by word and place over time.
 
-`ObjectTracker` updates it with each image. The memory, the prior, rooms and policies read it as
-`TrackedObjects`. The targets among the objects are tracked in more detail, in `instances`.
+A word is a canonical class name. It names a target, or it belongs to the context: the other classes
+that the detector looks for. Each object is one row of parallel arrays. `ObjectTracker` updates them
+with each image. The memory, the prior, rooms and policies read them as `TrackedObjects`. The
+targets among the objects are tracked in more detail, in `instances`. Names such as `tau_det` and
+`merge_m` are keys of `perception` in the configuration.
 """
 
 from __future__ import annotations
@@ -61,8 +64,8 @@ class TrackedObjects:
         last_seen_ns: (capacity,) int64, stamp of the newest detection.
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
-        near_hits: (capacity,) int32, number of such images from near by with a score of at least
-            `confirm_score`.
+        near_hits: (capacity,) int32, number of these images that were taken at most
+            `confirm_range_m` away and gave a score of at least `confirm_score`.
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
         n_points: (capacity,) int32, number of surface points.
@@ -128,7 +131,7 @@ class MappedObject(NamedTuple):
 
 
 class VanishedObject(NamedTuple):
-    """An object that was certain, and then was not found at its place.
+    """An object that was certain (see `ObjectTracker._vanish`), and then missing at its place.
 
     Attributes:
         id: id of the object's row.
@@ -162,9 +165,10 @@ class ObservedObject(NamedTuple):
 class ObjectTracker:
     """Fuses the boxes of targets and context into objects, by word and place.
 
-    A strong box (score above `tau_det`) starts an object; a weak one counts at a known place. Each
-    view that should show an object but has no box for it lowers the object's confidence. The arrays
-    are allocated once: over `MAX_SIGHTINGS` the least confident object is dropped.
+    A strong box (score above `tau_det`) starts an object; a weak one (any other box) only counts at
+    a known place. Each view that should show an object but has no box for it lowers the object's
+    confidence. The arrays are allocated once: over `MAX_SIGHTINGS` the least confident object is
+    dropped.
 
     Args:
         perception: the configuration.
@@ -172,7 +176,8 @@ class ObjectTracker:
     Attributes:
         read_only: read-only view, for policies.
         observed: objects that the newest image showed with a strong box.
-        vanished: certain objects that were not found at their place, nor elsewhere, oldest first.
+        vanished: certain objects that are missing at their place and were not found elsewhere,
+            oldest first.
         renamed: new id → old id of the objects that the newest image showed to have moved.
     """
 
@@ -186,7 +191,7 @@ class ObjectTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        # Confidence, x, y, z when they last raised the generation.
+        # Columns: confidence, x, y, z, at the last time when the row raised the generation.
         self._counted = np.zeros((cap, 4), np.float32)
         # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
         self._peak_confidence = np.zeros(cap, np.float32)
@@ -221,9 +226,9 @@ class ObjectTracker:
         self.observed.clear()
         self.renamed.clear()
         self._farthest_m = float(self._objects.reach_m[: self._objects.n].max(initial=0.0))
-        for lifted, words in zip((targets, context), self._word_of_class, strict=True):
-            if lifted is not None:
-                self._merge_boxes(lifted, words, observation)
+        for boxes, word_of_class in zip((targets, context), self._word_of_class, strict=True):
+            if boxes is not None:
+                self._merge_boxes(boxes, word_of_class, observation)
         self._merge_duplicates()
         if observation.camera is not None:
             self._fuse(observation)
@@ -248,7 +253,7 @@ class ObjectTracker:
     def has_competing_object(
         self, name: str, surface_m: np.ndarray, radius_m: float, surer: float = 1.0
     ) -> bool:
-        """Return True if another object is more likely to stand at the place of an object.
+        """Return True if an object of another word is more likely to stand at an object's place.
 
         Only words that the detector looks for now count. For others, no view could lower the
         confidence.
@@ -285,6 +290,7 @@ class ObjectTracker:
 
         Return -1 if none is within `within_m`.
         """
+        # The index has centres; a surface reaches up to `_farthest_m` from its centre.
         s, rows = self._objects, self._rows_near(x_m, y_m, within_m + self._farthest_m)
         return int(
             kernels.match(
@@ -384,14 +390,14 @@ class ObjectTracker:
             ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
         )  # fmt: skip
 
-    def _set_words(self, prompts: tuple[str, ...], words: tuple[str, ...]) -> None:
-        """Set the words that the detector looked for in this image."""
-        if (prompts, words) == self._prompts_and_words:
+    def _set_words(self, prompts: tuple[str, ...], context: tuple[str, ...]) -> None:
+        """Set the prompts and context words that the detector looked for in this image."""
+        if (prompts, context) == self._prompts_and_words:
             return
-        self._prompts_and_words = prompts, words
+        self._prompts_and_words = prompts, context
         self._word_of_class = (
             self._word_indices([names.canonical(names.head_phrase(prompt)) for prompt in prompts]),
-            self._word_indices(words),
+            self._word_indices(context),
         )  # fmt: skip
         self._looked_for = np.zeros(len(self._objects.words), np.bool_)
         for indices in self._word_of_class:
@@ -406,14 +412,14 @@ class ObjectTracker:
         return np.array([self._word_index[word] for word in words], np.int16)
 
     def _merge_boxes(
-        self, lifted: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
+        self, boxes: BackProjectedBoxes, word_of_class: np.ndarray, observation: Observation
     ) -> None:
         """Merge the boxes of one image; they come strongest first."""
-        seen, s, c = lifted.detections, self._objects, self.config
+        seen, s, c = boxes.detections, self._objects, self.config
         pose = observation.pose
-        for i in np.flatnonzero(lifted.valid).tolist():
+        for i in np.flatnonzero(boxes.valid).tolist():
             score, word = float(seen.score[i]), int(word_of_class[seen.class_id[i]])
-            x_m, y_m, z_m = lifted.center_m[i].tolist()
+            x_m, y_m, z_m = boxes.center_m[i].tolist()
             at = self._match(word, x_m, y_m, c.merge_m)
             strong = score > c.tau_det
             if at < 0:
@@ -429,9 +435,9 @@ class ObjectTracker:
             s.hits[at] += 1
             near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
             s.near_hits[at] += near and score >= c.confirm_score
-            s.xyz_m[at] += (lifted.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
+            s.xyz_m[at] += (boxes.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
             kernels.add_points(
-                s.points_m, s.n_points, self._cursor, at, lifted.points_m[i], lifted.n_points[i],
+                s.points_m, s.n_points, self._cursor, at, boxes.points_m[i], boxes.n_points[i],
                 c.voxel_m,
             )  # fmt: skip
             self._place(at)
@@ -470,7 +476,10 @@ class ObjectTracker:
         s.generation += 1
 
     def _vanish(self, at: int) -> None:
-        """Drop a row; if it was certain, another row may be the same object, moved."""
+        """Drop a row; if it was certain, another row may be the same object, moved.
+
+        A row is certain with `min_hits` images and if its confidence once was `tau_det` or more.
+        """
         s, c = self._objects, self.config
         gone = VanishedObject(
             int(s.id[at]), int(s.word[at]), int(s.first_seen_ns[at]), int(s.last_seen_ns[at]),
@@ -480,6 +489,8 @@ class ObjectTracker:
         self._drop(at)
         if not certain:
             return
+        # Rows that may be this object: certain, first seen after it was last seen, and with an
+        # identity of their own (`moves` is 0).
         later = (s.word[: s.n] == gone.word) & (s.first_seen_ns[: s.n] > gone.last_seen_ns)
         later &= (s.hits[: s.n] >= c.min_hits) & (s.moves[: s.n] == 0)
         rows = np.flatnonzero(later)
@@ -584,6 +595,7 @@ class ObjectTracker:
         self.read_only.n, self.read_only.generation = self._objects.n, self._objects.generation
 
 
+# Arrays of a `state_dict` with the attributes of `VanishedObject`, in their order.
 _VANISHED = tuple(
     f"vanished_{name}" for name in ("id", "word", "first_ns", "last_ns", "xyz_m", "moves")
 )

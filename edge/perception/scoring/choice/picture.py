@@ -1,6 +1,7 @@
 """Set-of-marks: frontiers that the camera sees, and an image with their letters (ViTL fig. 3a).
 
-`visible_marks` finds the marks of a view, `draw` shows them to a model that reads images.
+A mark is such a frontier; in the image it has a letter. `visible_marks` finds the marks of a view,
+`draw` shows them to a model that reads images.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def _in_camera(
     T_map_base: np.ndarray, T_base_camera: np.ndarray, xy_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Transform points (n, 2) on the robot's floor into the camera's optical frame, x, y and z."""
-    # A point has the height of the robot's base, so its z adds the same to all: c.
+    # All points have the height of the robot's base, so a point is x_m * a + y_m * b + c.
     T = invert(T_map_base @ T_base_camera)
     a, b = T[:3, 0].tolist(), T[:3, 1].tolist()
     c = (T[:3, 2] * T_map_base[2, 3] + T[:3, 3]).tolist()

@@ -38,16 +38,16 @@ class _Process(SupervisedProcess):
     Args:
         card: the model's card.
         choice: the configuration of the scorer.
-        rules: time limits of the process.
+        process: time limits of the process.
 
     Raises:
         ModelError, PromptError: the model cannot be loaded, or its process cannot be started.
     """
 
     def __init__(
-        self, card: DirectionsCard, choice: config.ChoiceOnnx, rules: config.ModelProcessConfig
+        self, card: DirectionsCard, choice: config.ChoiceOnnx, process: config.ModelProcessConfig
     ) -> None:
-        super().__init__(card.name, rules)
+        super().__init__(card.name, process)
         self._request = {"choice": choice.model_dump(mode="json")}
         self._not_ready = f"model {self.name}: its process is not ready"
         self._begin("choice-model")
@@ -101,11 +101,11 @@ class ProcessModel(_Process):
     """
 
     def __init__(
-        self, card: ChoiceCard, choice: config.ChoiceOnnx, rules: config.ModelProcessConfig
+        self, card: ChoiceCard, choice: config.ChoiceOnnx, process: config.ModelProcessConfig
     ) -> None:
         """See `_Process`."""
         self.takes_images = card.vision_encoder is not None
-        super().__init__(card, choice, rules)
+        super().__init__(card, choice, process)
 
     def ask(
         self,

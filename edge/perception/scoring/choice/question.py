@@ -87,7 +87,7 @@ class MarkedView:
         observation: observation with the image, which is read while the caller holds it.
         target: name of the object that the robot looks for.
         marks: from left to right; only the first `MAX_MARKS` get letters.
-        objects: objects in view, for a model that takes no images.
+        objects: objects just detected, for a model that takes no images.
         likelihood_ratio: (n,) float32, P(target near the mark) / P(target near an average place),
             given all objects seen so far; None: there is no prior.
         mark_costs: paths to the marks; None: there is no map.
@@ -112,7 +112,7 @@ class FrontierChoice:
             may no longer exist.
         p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4, the probability of each mark.
         elsewhere: the probability of "explore elsewhere"; `p` and `elsewhere` sum to 1.
-        scene: S_curr of ViTL eq. 5, in [0, 1].
+        scene: S_curr of ViTL eq. 5, the probability that the view leads to the target.
     """
 
     stamp_ns: int
@@ -124,7 +124,7 @@ class FrontierChoice:
 
     @property
     def value(self) -> np.ndarray:
-        """V_curr(f_i) of ViTL eq. 6, (n,) float32."""
+        """V_curr(f_i) of ViTL eq. 6, the score of each candidate in `ids`, (n,) float32."""
         return np.float32(self.scene) * self.p
 
 

@@ -1,4 +1,7 @@
-"""Frontier selection by a chat server (ViTL eq. 4 and 5)."""
+"""Frontier selection by a chat server (ViTL eq. 4 and 5).
+
+Each mark (a frontier in view) has a letter in the image or the text, and the model names a letter.
+"""
 
 from __future__ import annotations
 

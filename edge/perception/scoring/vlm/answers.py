@@ -18,8 +18,8 @@ MISSING_NATS = 1.0
 """Penalty for an answer whose tokens the server does not list.
 
 The server lists only the likeliest tokens. An answer without a listed token gets the
-log-probability of the least likely listed token minus this. It gets less if all such answers would
-otherwise have more probability than the listed tokens leave of 1."""
+log-probability of the least likely listed token minus this. But all such answers together get at
+most the probability that is not listed: 1 minus the sum of the listed ones."""
 _LEAST_LEFT = 1e-9  # least remaining probability: keeps the logarithm finite if rounding leaves 0
 
 # Characters around an answer in a token: white space (also as tokenizers write it), punctuation.
@@ -61,9 +61,9 @@ def probabilities(tokens: Sequence[tuple[str, float]], answers: Sequence[str]) -
         )
     missing = np.isneginf(logits)
     if missing.any():
-        left = max(1.0 - math.fsum(math.exp(logprob) for _, logprob in tokens), _LEAST_LEFT)
+        unlisted = max(1.0 - math.fsum(math.exp(logprob) for _, logprob in tokens), _LEAST_LEFT)
         least = min(logprob for _, logprob in tokens) - MISSING_NATS
-        logits[missing] = min(least, math.log(left / missing.sum()))
+        logits[missing] = min(least, math.log(unlisted / missing.sum()))
     p = np.exp(logits - logits.max())
     return (p / p.sum()).astype(np.float32)
 

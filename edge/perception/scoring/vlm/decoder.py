@@ -1,4 +1,8 @@
-"""The decoder network of a language model with its key-value cache, so no token is read twice."""
+"""The decoder network of a language model with its key-value cache, so no token is read twice.
+
+The decoder reads tokens, as ids or as embeddings (rows). For each token and layer it returns a key
+and a value, which are its input when it reads the next tokens.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +21,11 @@ _PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
 
 
 class KeyValueCache(NamedTuple):
-    """Keys and values of the tokens read so far, by input name.
+    """Keys and values of the tokens read so far.
 
     Attributes:
         length: number of tokens.
-        arrays: (1, heads, length, d) each.
+        arrays: (1, heads, length, d) each, by name of the decoder's input.
     """
 
     length: int
@@ -117,7 +121,7 @@ class Decoder:
         """Read more tokens.
 
         Args:
-            rows: (n, d), or (n,) ids; at least one.
+            rows: n tokens, at least one: (n, d) embeddings, or (n,) ids if `takes_ids`.
             places: (3, n) int64; see `pictures.positions`.
             past: cache of the tokens read before.
 
@@ -173,7 +177,10 @@ class Decoder:
         return KeyValueCache(length, kept), logits
 
     def _as_position_ids(self, places: np.ndarray) -> np.ndarray:
-        """Return positions as the decoder takes them: (1, n), or (3, 1, n) for M-RoPE."""
+        """Return positions as the decoder takes them: (1, n), or (3, 1, n).
+
+        Models with M-RoPE, a rotary embedding by time, row and column, take three for each token.
+        """
         declared = self._inputs.get("position_ids")
         threefold = declared is not None and len(declared.shape) == 3
         return places[:, None] if threefold else places[:1]

@@ -157,8 +157,8 @@ class LanguageModel:
     ) -> KeyValueCache:
         """Return the cache after `ids`.
 
-        Tokens with which the last call began, too, are not read again. The tokens of all images
-        have the same id, so only tokens before an image are kept for the next call.
+        Tokens at the beginning that are those of the last call are not read again. The tokens of
+        all images have the same id, so only tokens before an image are kept for the next call.
         """
         image_id = self._prompter.image_id
         images = np.flatnonzero(ids == image_id) if len(features) else ids[:0]
@@ -184,7 +184,7 @@ class LanguageModel:
         return rows
 
     def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the (n, d) features of an image.
+        """Return the (n, d) features of an image: row i replaces the embedding of image token i.
 
         Args:
             feeds: see `PreparedImage.feeds`.

@@ -121,12 +121,12 @@ def _idefics3(
     longest = min(_size(settings["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
     resample = Image.Resampling(settings.get("resample", 1))
     normalise = _Normalise(settings)
-    length = _size(files.processor, "image_seq_len", 1 << 30, 169)
-    _check_limit(most_tokens, length)
-    most_squares = most_tokens // length if settings.get("do_image_splitting", True) else 1
+    per_square = _size(files.processor, "image_seq_len", 1 << 30, 169)  # tokens of a square
+    _check_limit(most_tokens, per_square)
+    most_squares = most_tokens // per_square if settings.get("do_image_splitting", True) else 1
     # Texts of Idefics3's prompt: around each square, before the whole image, and of one square.
     around, whole, square_tokens = (
-        "<fake_token_around_image>", "<global-img>", image_token * length
+        "<fake_token_around_image>", "<global-img>", image_token * per_square
     )  # fmt: skip
 
     def prepare(rgb: np.ndarray) -> PreparedImage:
@@ -134,7 +134,7 @@ def _idefics3(
         while edge > side and 1 + math.prod(_tiling(rgb, edge, side)) > most_squares:
             edge = (math.ceil(edge / side) - 1) * side
         columns, rows = _tiling(rgb, edge, side)
-        squares, text = [], ""
+        squares, text = [], ""  # images of the squares, and the prompt's text for the tiles
         # Without tiles, transformers enlarges the image and shrinks it again; skip that.
         if columns * rows > 1:
             rgb = _resize(
@@ -174,7 +174,11 @@ def _to_longest(rgb: np.ndarray, longest: int) -> tuple[int, int]:
 
 
 def _tiling(rgb: np.ndarray, longest: int, side: int) -> tuple[int, int]:
-    """Return (columns, rows) of tiles of `side` for an image scaled to `longest`."""
+    """Return (columns, rows) of tiles of `side` for an image scaled to `longest`.
+
+    The longer side has as many tiles as cover it. The shorter side then follows from the scaled
+    image's aspect ratio.
+    """
     width, height = _to_longest(rgb, longest)
     long, short = max(width, height), min(width, height)
     most = math.ceil(long / side)
@@ -187,7 +191,7 @@ def _qwen2_vl(
 ) -> Prepare:
     """Prepare images for Qwen2-VL: patches at about the image's own size, merged by the encoder."""
     patch, merge = (_size(settings, key, MAX_EDGE_PX) for key in ("patch_size", "merge_size"))
-    times = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
+    frames = _size(settings, "temporal_patch_size", _MAX_FRAMES, 2)
     resample = Image.Resampling(settings.get("resample", 3))
     if patch * merge > MAX_EDGE_PX:
         raise ValueError(
@@ -210,17 +214,17 @@ def _qwen2_vl(
         height, width = smart_resize(rgb.shape[0], rgb.shape[1], patch * merge, least, most)
         planes = normalise(_resize(rgb, (width, height), resample))
         rows, columns = height // patch, width // patch
-        # A still image is a film of `times` equal frames.
-        film = np.broadcast_to(planes, (times, *planes.shape))
+        # A still image is a film of equal frames.
+        film = np.broadcast_to(planes, (frames, *planes.shape))
         # One row for each patch; the patches that the encoder merges into one token come together.
         blocks = film.reshape(
-            1, times, 3, rows // merge, merge, patch, columns // merge, merge, patch
+            1, frames, 3, rows // merge, merge, patch, columns // merge, merge, patch
         ).transpose(0, 3, 6, 4, 7, 2, 1, 5, 8)
         patches = np.ascontiguousarray(blocks).reshape(rows * columns, -1)
-        grid = np.array([[1, rows, columns]], np.int64)
-        feeds = {"pixel_values": patches, "image_grid_thw": grid, "grid_thw": grid}
-        tokens = (1, rows // merge, columns // merge)
-        return PreparedImage(feeds, image_token * math.prod(tokens), tokens)
+        patch_grid = np.array([[1, rows, columns]], np.int64)  # time, rows, columns
+        feeds = {"pixel_values": patches, "image_grid_thw": patch_grid, "grid_thw": patch_grid}
+        token_grid = (1, rows // merge, columns // merge)
+        return PreparedImage(feeds, image_token * math.prod(token_grid), token_grid)
 
     return prepare
 

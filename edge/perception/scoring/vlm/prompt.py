@@ -53,7 +53,7 @@ class Prompter:
             system: Any = [{"type": "text", "text": rules}]
             seen = {"type": "image"} if view is None else {"type": "text", "text": view}
             user: Any = [seen, {"type": "text", "text": question}]
-        else:
+        else:  # without a view, the check of the number of images below fails
             system, user = rules, f"{view}\n{question}"
         messages = [{"role": "system", "content": system}, {"role": "user", "content": user}]
         text = self._render(messages)
@@ -64,10 +64,11 @@ class Prompter:
                 f"{one_line(missing[0], 40)!r}: the template is of another model, or damaged"
             )
         images = text.count(self.image_token) if self.image_token else 0
-        if images != (view is None):
+        expected = 1 if view is None else 0
+        if images != expected:
             raise ModelError(
                 f"model {self._name}: its chat template shows {images} images "
-                f"({self.image_token or 'the model takes none'}), expected {int(view is None)}"
+                f"({self.image_token or 'the model takes none'}), expected {expected}"
             )
         return text
 
