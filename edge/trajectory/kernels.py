@@ -95,7 +95,8 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     head[bucket & (BUCKETS - 1)] = 0
     g[start] = 1
     unused = int64(2)
-    expansions, lo, hi, idle = -1, start, start, 0  # -1: the start is popped twice
+    expansions, lo, hi = -1, start, start  # -1: the start is popped twice
+    idle = 0  # empty buckets in a row; after `BUCKETS` of them the queue is empty
     status = UNREACHABLE
     while idle < BUCKETS:
         # No entry that is left has a smaller key than the goal, so none leads to it at less cost.
