@@ -81,7 +81,7 @@ class HealthWatch:
         error_boundary: Counts the exceptions of the loop.
         overruns: Returns the number of reads that found a message ring full, by ring.
         load_shedding: Returns the state of the load shedder; None if there is none.
-        event: Reports an event for people, at a loop time.
+        event: Called with a text for people and the loop time in ns.
         sinks: See `edge.loop.publish.statuses`.
         inputs: Returns the source's table of inputs; empty if it has none.
         plausibility: See `edge.loop.plausibility.Plausibility.status`.
