@@ -1,8 +1,8 @@
 """Refinement of a coarse trajectory into one that can be driven (OpenNav III-A4).
 
 It runs A* over the value map, fits a spline, and adds headings, speeds and times. The value map
-prefers the *tube*, a strip around the coarse trajectory, and then the regions that were chosen;
-other ground has the weight `HIGH`.
+prefers the *tube*, a strip around the coarse trajectory, then the rest of the regions that were
+chosen. Other ground has the weight `HIGH`.
 """
 
 from __future__ import annotations
