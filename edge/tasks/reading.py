@@ -236,6 +236,7 @@ def _read_step(
         return _read_leaving(reader, scene, before)
     if doing == "reach":
         return _read_destination(reader, scene, before)
+    # "go 3 metres straight on", "go half a metre forward"
     counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
     if doing == "go" and (counted or reader.is_at("half")):
         return _read_straight(reader)
@@ -361,6 +362,7 @@ def _read_passing(
         side = reader.take("its left", "its right")
         whose = _SIDE_OF[side.kind] if side else _read_own_side(reader)
         return InstructionStep(kind, (_only_one(found, reader, start),), whose)
+    # The side may also choose the object: read the phrase again in that sense.
     end, reader.at = reader.at, begin
     try:
         on_that_side = _read_objects(reader, scene, before)
@@ -402,6 +404,7 @@ def _read_passing_side(reader: TokenReader) -> _PassingSide | None:
     token, at = reader.peek(), reader.at
     if _is_passing_side(reader):
         reader.at += 1
+        # "on your left", "on the robot's left"; but "on the left" is a side of the object.
         of_robot = token.text.split()[1] != "the" or "robot" in token.text
         return _PassingSide(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
@@ -459,9 +462,10 @@ def _read_distance_m(reader: TokenReader) -> float:
         distance_m = 0.5
     elif start.text == "a" and reader.take("article"):
         distance_m = 1.0
-    more = start.kind == "number" and reader.take("and a half")
+    more = start.kind == "number" and reader.take("and a half")  # "3 and a half metres"
     if not reader.take("metres") or not distance_m:
         reader.refuse("say how far, as 'straight for 5 metres'", start)
+    # "3 metres and a half"
     more = more or (start.kind != "half" and reader.take("and a half"))
     return distance_m + (0.5 if more else 0.0)
 
@@ -674,6 +678,7 @@ def _objects_named(reader: TokenReader, scene: Scene, words: list[Token]) -> lis
         if kinds := _objects_of_kind(scene, words[begin:]):
             del words[begin:]
             return kinds
+    # No object has such a name. If fewer words are a name, the next word is the wrong one.
     for end in range(len(words) - 1, 0, -1):
         if any(_objects_of_kind(scene, words[begin:end]) for begin in range(end)):
             reader.refuse(f"unknown word after {words[end - 1].text!r}", words[end])

@@ -245,7 +245,7 @@ class CheckAnswer:
 
 
 class CheckPursuit(Pursuit[CheckTarget]):
-    """A look if a thing is there: at where it was before, then everywhere.
+    """Pursuit that checks if a thing is there: first where it was seen before, then everywhere.
 
     The target counts as reached with either answer.
     """
@@ -550,7 +550,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
-    """A look if a thing is in one room."""
+    """Pursuit that checks if a thing is in one room."""
 
     def __init__(
         self,
