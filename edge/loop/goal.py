@@ -1,5 +1,6 @@
 """Goal tracking: from the choice of a goal to the controller's status and its consequences.
 
+An *instance* is an object that was detected as a target, as opposed to a frontier or a place.
 Only this module stores the current goal and the failed attempts. A controller drives to the last
 goal that it received. To abandon a goal, the tracker therefore sends a goal at the robot's own
 position.

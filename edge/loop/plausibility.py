@@ -129,6 +129,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     """
     # Each is "depth" or "cloud".
     mapped, back_projected = config.mapping.input, config.perception.back_projection
+    # Without the sensor of the map nothing is permitted; without the other one, only mapping.
     permits: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }

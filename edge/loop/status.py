@@ -30,7 +30,10 @@ _MAX_CODE_CHARS, _MAX_TEXT_CHARS, _MAX_STEP_CHARS = 2000, 500, 100  # of one tex
 
 
 def status_message(result: TickResult) -> dict[str, object]:
-    """Return the status message, JSON-ready, with units in the field names."""
+    """Return the status message, JSON-ready, with units in the field names.
+
+    `instances` are the objects that were detected as a target.
+    """
     pose, goal, status, health = result.pose, result.goal, result.status, result.health()
     return {
         "instruction": status.instruction,

@@ -185,7 +185,7 @@ def gains(layers, origin_x, origin_y, inv_res, xy, indices, n, direction, area, 
 
 @jit
 def sector_bits(ahead, fov):
-    """Return the rays within a field of view, as bits."""
+    """Return the rays within a field of view around the direction `ahead`, as bits; radians."""
     bits = np.uint64(0)
     for k in range(RAYS):
         offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi

@@ -65,7 +65,7 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
             if not main_follows or for_next:
                 _refuse(text, tokens, clause)
             (for_next if clause.depends == "before" else ordered).append(clause)
-        elif (
+        elif (  # "go to the gate, passing the van, go to the tree": which step passes the van?
             (clause.joints and main_follows)
             or ordered[-1].depends
             or not _has_clear_order(clauses[n - 1 : n + 1])

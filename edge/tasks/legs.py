@@ -15,7 +15,7 @@ from edge.errors import UserError
 from edge.tasks.speeds import headings_rad
 
 TURN_RAD = math.radians(45.0)
-"""A* shortens no bend by more than this turn.
+"""A segment is cut where it has turned by this angle, so that A* cannot shorten a longer bend.
 
 A circle as wide as three tubes becomes an octagon whose sides lie inside the tube.
 """

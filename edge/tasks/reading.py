@@ -290,7 +290,7 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
     """
     token, comma = reader.peek(), reader.is_at("comma", ahead=-1)
     passing = last.kind in ("past", "around")
-    # "to the gate, past the van": only these relations begin a new step after a comma.
+    # "to the gate, past the van" may pass the van first, so only these may follow a comma.
     after_comma = ("past", "around", "between", "to") if passing else ("to",)
     changes_order = comma and token.kind not in after_comma
     # "go past the left of the van and right of the gate" may pass the gate too, but

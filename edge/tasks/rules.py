@@ -40,7 +40,8 @@ from edge.trajectory.smoothing import resample
 SNAP_M = 1.0
 """Largest distance by which a point of a path is moved to a place that the robot can reach."""
 BEYOND_RAD = math.radians(45)
-"""An object is passed when it lies this angle behind the side on which the robot passes it."""
+"""The robot has passed an object when it is this angle beyond the object's side, as seen from the
+object's centre."""
 SNAPPED_RAD = math.radians(20)
 """Tolerance of `BEYOND_RAD`, because points may have been moved to reachable places."""
 PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
@@ -216,9 +217,8 @@ def _check_side(
 
 _ANGLE_STEP_M = 0.1  # spacing of the points at which the angle of a path is measured
 DETOUR = 4.0
-"""Largest ratio of the path between two points of an arc to their distance.
-
-A longer path goes back."""
+"""If the path between two points of an arc is longer than their distance by more than this factor,
+it leads back around the object. The path may then end at the first of these points."""
 
 
 def _is_past(obj: SceneObject, side: str, path: Sequence[Point]) -> bool:
