@@ -1,5 +1,6 @@
 """Candidates: goal points of frontiers and instances, with ids that last over ticks.
 
+An *instance* is an object that was detected as a target.
 A frontier moves as the map grows. It keeps its id while it stays within `r_assoc_m` of its first
 position.
 """

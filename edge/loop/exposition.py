@@ -84,6 +84,7 @@ def read_table(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[
             )
             continue
         found = {} if found is None else found
+        # A metric without labels has one series, with the empty tuple of label values.
         samples = found if isinstance(found, Mapping) else {(): found}
         metric = _CLASSES[spec.kind](spec.name, spec.help, labels=spec.labels)
         if spec.kind == "histogram":

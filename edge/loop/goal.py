@@ -1,5 +1,6 @@
 """Goal tracking: from the choice of a goal to the controller's status and its consequences.
 
+An *instance* is an object that was detected as a target, as opposed to a frontier or a place.
 Only this module stores the current goal and the failed attempts. A controller drives to the last
 goal that it received. To abandon a goal, the tracker therefore sends a goal at the robot's own
 position.
@@ -41,7 +42,8 @@ _AT_PLACE_M = 0.5
 _PLACE_TRIES = 3
 """Number of failed goals at a place after which the target is abandoned."""
 POINT_SNAP_M = np.array([0.08])
-"""Largest distance of a goal from a point in a room: the cell of the point, or the next cell."""
+"""Largest distance of a goal from a point in a room: the cell of the point, or the next cell. An
+array of one radius, because `path_lengths_m` takes one for each kind of point."""
 _SAME_POINT_M = 0.6
 """A goal is kept if one of the new points is this near: points move as the map grows."""
 _STOP_SHORT_M = 0.05
@@ -112,8 +114,8 @@ class GoalTracker:
         self._next_view = NextBestView(config.perception.confirm_hits)
         self._standstill = StandstillMonitor(config, event)
         self._warned_ids: set[int] = set()
-        self._reported: tuple[str, int] | None = None
-        self._n_retargets = -1
+        self._reported: tuple[str, int] | None = None  # target and instance of `_report_relation`
+        self._n_retargets = -1  # `MissionRun.retargets` of the target that is followed; -1: none
         self._place_failures = 0
         # State from a checkpoint, and the target that it belongs to.
         self._restored: tuple[str, SearchState, _TrackedGoal | None] | None = None
@@ -219,7 +221,7 @@ class GoalTracker:
             grid: the map.
             place: position and final heading.
             target: the place's name.
-            images: number of images that the detector has searched so far.
+            images: number of images that the detector has processed so far.
         """
         cell = grid.travel_cost.nearest(place.x_m, place.y_m, _AT_PLACE_M)
         if cell is None:
@@ -272,8 +274,8 @@ class GoalTracker:
             and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= _SAME_POINT_M
         ):
             return goal
-        path_m = np.empty(n, np.float32)
-        grid.travel_cost.path_lengths_m(points_m, np.zeros(n, np.int8), POINT_SNAP_M, n, path_m)
+        path_m, kind = np.empty(n, np.float32), np.zeros(n, np.int8)  # one kind of points
+        grid.travel_cost.path_lengths_m(points_m, kind, POINT_SNAP_M, n, path_m)
         best = int(path_m.argmin())
         at = points_m[best].tolist()
         cell = grid.travel_cost.nearest(at[0], at[1], float(POINT_SNAP_M[0]))
@@ -371,17 +373,18 @@ class GoalTracker:
         c, tracked = context.candidates, self._tracked
         if not self._search.has_moved or (c.kind[: c.n] == INSTANCE).any():
             return None
-        view = self._next_viewpoint(context, grid, images)
-        if view is None or chosen is None or view is tracked:
-            return view
+        view_goal = self._next_viewpoint(context, grid, images)
+        if view_goal is None or chosen is None or view_goal is tracked:
+            return view_goal
         index = c.index_of(FRONTIER, chosen.goal.candidate_id)
         if chosen.goal.kind != "frontier" or index < 0:
             return None  # a spin costs little
-        assert view.view is not None
-        path_m = grid.travel_cost.distance_m(view.goal.pose.x_m, view.goal.pose.y_m)
-        value = grid.coverage.area_m2(view.view) / (START_M + path_m)
+        assert view_goal.view is not None
+        path_m = grid.travel_cost.distance_m(view_goal.goal.pose.x_m, view_goal.goal.pose.y_m)
+        value = grid.coverage.area_m2(view_goal.view) / (START_M + path_m)
         candidate_value = float(c.gain_m2[index]) / (START_M + float(c.path_m[index]))
-        return view if value > (1.0 + self._config.policy.switch_margin) * candidate_value else None
+        is_better = value > (1.0 + self._config.policy.switch_margin) * candidate_value
+        return view_goal if is_better else None
 
     def _discard_vanished(self, context: PolicyInput) -> None:
         """Discard the goal's frontier if it vanished and is not reliable.
@@ -673,6 +676,7 @@ class GoalTracker:
         The goal is sent again with a new stamp, because the result of the old one is unknown.
         """
         tracked, goal_rows = None, ("kind", "id", "at")
+        # Largest number of rows of each group of arrays.
         rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
         max_values = {"kind": len(_KINDS) - 1, "turns": 1000}
         check_arrays(state, self.state_dict(), rows, max_values)

@@ -33,6 +33,8 @@ _MAX_STAMPS = 256
 class GoalClient:
     """The state of the controller: the last goal that was sent, and its statuses.
 
+    The stamp of a goal identifies it: a status has the stamp of its goal.
+
     Args:
         config: The configuration.
         transmit: Transmits a goal.

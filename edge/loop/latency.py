@@ -167,7 +167,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _line(cells: tuple[str, ...]) -> str:
-    """Return the cells as one line; the last cell is the bar."""
+    """Return the cells as one line of the table; the last cell is the bar of `_bar`."""
     widths = (12, 8, 9, 9, 9, 9, 10, 7, 7)  # characters, all but the bar
     name, *numbers, bar = cells
     padded = "".join(f"{cell:>{width}}" for cell, width in zip(numbers, widths[1:], strict=True))
@@ -346,6 +346,7 @@ class LatencyRing:
     def report(self, last: int | None = None) -> LatencyReport:
         """Return percentiles over the last `last` ticks and background spans (None: all kept)."""
         with self._lock:
+            # By column: the newest ticks. Background stages have their own write positions.
             windows = list(self._spans_ns[self._newest(self._ticks, last)].T)
             for i in np.flatnonzero(~self._in_tick_columns):
                 windows[i] = self._spans_ns[self._newest(int(self._count[i]), last), i]
@@ -411,9 +412,10 @@ class LatencyRing:
 
 
 def _summary(window_ns: np.ndarray) -> tuple[int, float, float, float, float]:
-    """Return (n, p50, p95, p99, max) in ms of the spans that ran, with linear interpolation.
+    """Return (number of spans, p50, p95, p99, max) of the spans that ran, times in ms.
 
-    One sort is used for all four. `np.percentile` would sort and check its arguments for each.
+    Percentiles are interpolated linearly. One sort is used for all four. `np.percentile` would sort
+    and check its arguments for each.
     """
     spans = np.sort(window_ns[window_ns >= 0])
     n = len(spans)

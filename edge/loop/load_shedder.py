@@ -65,13 +65,13 @@ class LoadShedder:
         self._event = event
         self.steps = {"down": 0, "up": 0}
         self._last_change = ""
-        self._unfit_models: set[str] = set()
+        self._unfit_models: set[str] = set()  # models whose swap for a level failed
         self._detector_ms: deque[float] = deque(maxlen=_MAX_TIMES)
         self._n_detected = 0
         self._measured_from_ns = 0
         self._pending_change: LevelChange | None = None  # waits for its model
         self._reading: BoardReading | None = None
-        self._distress, self._cool = "", True
+        self._distress, self._cool = "", True  # reason of `MARGIN_C` ("": none); see `COOL_C`
         self._board: Worker[bool, BoardReading] = Worker("board", lambda _: board(), rest_s=BOARD_S)
         self._restart()
 
@@ -179,6 +179,7 @@ class LoadShedder:
     def _begin_change(self, change: LevelChange, now_ns: int) -> None:
         """Report a change of the level, and start it; a swap of the detector takes some time."""
         down = change.level > self.level
+        # The entry in which the two levels differ.
         paused = self._settings[max(change.level, self.level) - 1].pause
         wanted = self._model_on(change.level)
         action = f"model {wanted}"

@@ -167,12 +167,14 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     )
     if same_values and state.value_targets:
         values.set_targets(state.value_targets)
+    # Unpacked size of a tile, with value and weight (2 bytes each) of each target.
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = ObjectTracker(perception)
     tracker = InstanceTracker(perception, sightings)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
+    # Name of the arrays, the part that loads them, and its other arguments; 0: a shift of a clock.
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same_values),
         ("gain", grid.gain), ("bumps", grid.bumps, 0),

@@ -128,7 +128,7 @@ HEALTH_METRICS: tuple[MetricSpec[ServiceHealth], ...] = (
            lambda h: h.silent_s),
     MetricSpec("edge_observation_age_seconds", "gauge",
            "Time since the newest usable observation; infinite before the first.",
-           lambda h: h.unseen_s),
+           lambda h: h.no_observation_s),
 )  # fmt: skip
 """Metrics of the service's health, available from its start on."""
 

@@ -127,7 +127,9 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
         config: The configuration.
         blind_s: Time without an observation after which the robot stands still.
     """
-    mapped, lifted = config.mapping.input, config.perception.back_projection
+    # Each is "depth" or "cloud".
+    mapped, back_projected = config.mapping.input, config.perception.back_projection
+    # Without the sensor of the map nothing is permitted; without the other one, only mapping.
     permits: dict[str, Use] = {
         kind: "none" if kind == mapped else "map" for kind in ("depth", "cloud")
     }
@@ -180,7 +182,7 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "speed up the localization or the network, or raise source.wait_s",
                   "warn", highest=_POSE_OLD_S),
     )  # fmt: skip
-    unused = {"depth", "cloud"} - {mapped, lifted}
+    unused = {"depth", "cloud"} - {mapped, back_projected}
     return tuple(check for check in table if check.name.partition("_")[0] not in unused)
 
 

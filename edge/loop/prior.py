@@ -104,12 +104,12 @@ class LocationPrior:
             self._layers_version = objects.generation, self._regions_version
             self._layers.clear()
         if target not in self._layers:
-            things = self._index.of(objects)
-            things = things._replace(xyz_m=read_only(things.xyz_m.copy()))
-            self._layers[target] = cache(lambda: self._draw(row, things, regions))
+            seen = self._index.of(objects)
+            seen = seen._replace(xyz_m=read_only(seen.xyz_m.copy()))
+            self._layers[target] = cache(lambda: self._draw(row, seen, regions))
         return self._layers[target]
 
-    def _draw(self, row: int, things: SeenObjects, regions: RegionMap) -> Grid:
+    def _draw(self, row: int, seen: SeenObjects, regions: RegionMap) -> Grid:
         """Draw the layer, on any thread; see `layer`."""
         grid = regions.grid
         step = max(
@@ -118,7 +118,7 @@ class LocationPrior:
         is_open = grid.cells[step // 2 :: step, step // 2 :: step] == OPEN
         drawn = Grid(np.zeros(is_open.shape, np.uint8), grid.origin_xy_m, step * grid.resolution_m)
         xy_m = drawn.to_metres(np.argwhere(is_open)[:, ::-1] + 0.5).astype(np.float32)
-        ratio = self._ratio_of(row, *self._surroundings(things, regions, xy_m))
+        ratio = self._ratio_of(row, *self._surroundings(seen, regions, xy_m))
         share = np.log(ratio / LEAST) / math.log(MOST / LEAST)
         drawn.cells[is_open] = np.where(ratio == 1.0, 0, np.round(1 + 254 * share))
         return drawn
@@ -146,11 +146,11 @@ class LocationPrior:
         self._objects_version, self._places_version = objects.generation, version
         self._xy_m = np.array(xy_m, np.float32)
         self._ratios.clear()
-        things = self._index.of(objects)
-        self._near_objects, self._room_kinds = self._surroundings(things, self._regions, self._xy_m)
+        seen = self._index.of(objects)
+        self._near_objects, self._room_kinds = self._surroundings(seen, self._regions, self._xy_m)
 
     def _surroundings(
-        self, things: SeenObjects, regions: RegionMap, xy_m: np.ndarray
+        self, seen: SeenObjects, regions: RegionMap, xy_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the surroundings of places.
 
@@ -164,17 +164,17 @@ class LocationPrior:
             grid = regions.grid
             nearby(
                 regions.wall, *grid.origin_xy_m, grid.resolution_m, xy_m, n,
-                things.xyz_m, things.row, things.weight, len(things.row), NEAR_M, near_objects,
+                seen.xyz_m, seen.row, seen.weight, len(seen.row), NEAR_M, near_objects,
             )  # fmt: skip
         if self._by == "cooccurrence":
             return near_objects, np.zeros((n, len(self._table.kinds)))
-        return near_objects, self._kinds_of_rooms(things, regions, xy_m)
+        return near_objects, self._kinds_of_rooms(seen, regions, xy_m)
 
     def _kinds_of_rooms(
-        self, things: SeenObjects, regions: RegionMap, xy_m: np.ndarray
+        self, seen: SeenObjects, regions: RegionMap, xy_m: np.ndarray
     ) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
-        objects = objects_by_region(regions, things, len(self._table.things))
+        objects = objects_by_region(regions, seen, len(self._table.things))
         by_region = kinds_by_region(self._table, self._p_object_given_kind, regions.border, objects)
         return by_region[regions.at(xy_m)]
 

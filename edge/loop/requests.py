@@ -120,6 +120,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
             (*_INSTRUCTION_FIELDS, "reading", "from_pose", "rounds", "for_s", "id", "if_free"),
             _check_new,
             prepare_new,
+            # The instruction "stop" becomes a request with another verb.
             instead=_as_control if in_words else lambda fields: None,
         ),
         "pause": Verb(("for_s",), _check_pause, stops_robot=True),

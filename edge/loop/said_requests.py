@@ -1,5 +1,9 @@
 """Answers to instructions that are no mission: questions, and orders to learn a place or zone.
 
+`said` is what the parser of instructions understood (`edge.mission.language.said`). The site holds
+the places and zones that people gave (`service.site.site`); `service.site.known` has the place
+`start` in addition.
+
 `edge.loop.requests` calls `carry_out` for them: "where is the mug?", "this is the kitchen".
 """
 
@@ -43,8 +47,8 @@ def _call_handler(
     """Check a request like one that came over the bus, and return its answer.
 
     Args:
-        handle: Handler of the key.
-        verbs: Verbs of the key.
+        handle: Handler of the requests: `handle_memory` or `handle_site`.
+        verbs: Verbs of these requests.
         service: The running service.
         now_ns: Loop time.
         data: The request: `do`, and the fields of that verb.

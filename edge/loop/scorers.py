@@ -85,7 +85,10 @@ class _ChoiceQuestion(NamedTuple):
 
 
 class _SimilarityAnswers:
-    """A similarity scorer that returns the question with its answer; `ScorerWorker` runs it."""
+    """A similarity scorer that returns the question with its answer; `ScorerWorker` runs it.
+
+    The worker calls `prepare`, releases the observation, and then calls `answer`.
+    """
 
     def __init__(self, scorer: SimilarityScorer) -> None:
         self.name = scorer.name
@@ -109,7 +112,7 @@ class _SimilarityAnswers:
 
 
 class _ChoiceAnswers:
-    """A choice scorer that returns the question with its answer; `ScorerWorker` runs it."""
+    """A choice scorer that returns the question with its answer; see `_SimilarityAnswers`."""
 
     def __init__(self, scorer: ViewScorer) -> None:
         self.name = scorer.name
@@ -371,6 +374,7 @@ def mark_costs(candidates: Candidates, unblocked: np.ndarray, marks: Sequence[Ma
     path_m, gain_m2 = candidates.path_m[unblocked], candidates.gain_m2[unblocked]
     ids = np.array([mark.id for mark in marks], np.int64)
     is_mark = candidates.id[unblocked] == ids[:, None]  # (marks, k)
+    # `index`: the frontier of each mark. Other frontiers count only if a path is known.
     index, is_other = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
     others = np.zeros(3, np.float32)  # their number, shortest path and largest gain
     if is_other.any():

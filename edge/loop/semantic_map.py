@@ -46,7 +46,7 @@ class SemanticMap:
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
         view: The part of the grid that policies see.
         objects: Objects of all classes.
-        tracker: Instances of the targets.
+        tracker: Instances: the objects that were detected as a target.
         described: Finds the instances of targets that a relation describes.
         crops: Pictures of the objects in `objects`.
         pool: Candidates.

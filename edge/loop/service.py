@@ -71,7 +71,8 @@ class Service:
         sinks: Receive the results; their methods never block.
         checkpoint: Saves the state, and holds the state to restore.
         scorers: Models that are queried in the background; None if none is configured.
-        overruns: Function that returns the number of reads that found a message ring full, by ring.
+        overruns: Function that returns the number of reads that found a message ring (the buffer of
+            received messages) full, by ring.
         calibration: Calibration of this computer; None: stages have no budgets but deadlines.
         idle: Do not start the mission. The robot stands still until a mission is requested.
         input_log: Input log; None: a new one is made.
@@ -216,7 +217,7 @@ class Service:
         decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
         use = self._input_log.record_decision(USE, decide_use, usual="")
         self._end_stage(CHECK)
-        self.refused = use != ""
+        self.refused = use != ""  # "": everything is permitted
         if self.refused:
             # A refused observation may show that the newest complete ticks used old pictures.
             surroundings_ns = self._input_log.record_decision(
@@ -301,8 +302,8 @@ class Service:
         if detections is None:
             return
         try:
-            void = detections.observation.seq <= self._last_void_seq
-            if not void and detections.prompts == self.mission.spec.prompts:
+            is_in_old_frame = detections.observation.seq <= self._last_void_seq
+            if not is_in_old_frame and detections.prompts == self.mission.spec.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
                     self.scorers.on_detections(detections, self.map.grid.values)
@@ -383,11 +384,13 @@ class Service:
         if not inside:
             return None
         for radius_m in _EXIT_M:
+            # The nearest free cell, then a free cell `_BEYOND_M` farther, if there is one.
             if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
                 yaw_rad = math.atan2(cell[1] - pose.y_m, cell[0] - pose.x_m)
                 beyond_m = SE2(*cell[:2], yaw_rad).ahead(_BEYOND_M)
                 x_m, y_m, _ = grid.travel_cost.nearest(*beyond_m, _BEYOND_RADIUS_M) or cell
                 exit_pose = SE2(x_m, y_m, yaw_rad)
+                # Keep the goal while the robot drives to it, although the nearest cell changes.
                 apart_m = 0.0 if self.goals.arrived else _EXIT_M[0]
                 return self.goals.override(exit_pose, self.mission, context.now_ns, apart_m)
         return None

@@ -26,8 +26,8 @@ log = logging.getLogger("edge.loop.service_health")
 STEP_S = 300.0
 """Longest time between two progress reports of the start."""
 HANGS_S = 10.0
-"""The loop hangs if it has no cycle for this time, the detector if it works at one image for this
-time."""
+"""The loop hangs if it has no cycle for this time. The detector hangs if it works at one image for
+this time."""
 PROBES = ("/healthz", "/readyz")
 """Pages whose HTTP status is public, but whose content needs the token."""
 _CHECK_PERIOD_S = 1.0  # time between two searches for problems
@@ -108,9 +108,9 @@ class ServiceHealth:
         images = stats.done + stats.failed
         if images != self._images or running.worker.idle:
             self._images, self._detected_s = images, now_s
-        unseen_s, at_one_image_s = now_s - self._observed_s, now_s - self._detected_s
-        self._problems = tuple(_problems(running, unseen_s, at_one_image_s))
-        self._log_unseen(now_s)
+        no_observation_s, at_one_image_s = now_s - self._observed_s, now_s - self._detected_s
+        self._problems = tuple(_problems(running, no_observation_s, at_one_image_s))
+        self._log_missing_inputs(now_s)
         if (files_problem := open_files_problem()) and files_problem != self._open_files_problem:
             log.error("%s: new files and connections fail until others are closed", files_problem)
         elif self._open_files_problem and not files_problem:
@@ -129,18 +129,18 @@ class ServiceHealth:
             self._sent_line = line
             self._manager.status(line)
 
-    def _log_unseen(self, now_s: float) -> None:
+    def _log_missing_inputs(self, now_s: float) -> None:
         """Log the missing inputs after a while without observations, and again if they change."""
-        unseen = next((why for why in self._problems if why.startswith(_NO_OBSERVATIONS)), "")
-        if not unseen:
+        problem = next((why for why in self._problems if why.startswith(_NO_OBSERVATIONS)), "")
+        if not problem:
             self._logged = ""
         elif (
-            unseen != self._logged
+            problem != self._logged
             and now_s - max(self._observed_s, self._ready_s) >= _LOG_AFTER_S
             and now_s - self._logged_s >= _LOG_AGAIN_S
         ):
-            self._logged, self._logged_s = unseen, now_s
-            log.warning("%s", unseen)
+            self._logged, self._logged_s = problem, now_s
+            log.warning("%s", problem)
 
     # -- for any thread ------------------------------------------------------------------------
 
@@ -150,7 +150,7 @@ class ServiceHealth:
         return self._clock() - self._last_beat_s
 
     @property
-    def unseen_s(self) -> float:
+    def no_observation_s(self) -> float:
         """Time since the newest observation that was not refused; infinite before the first."""
         return self._clock() - self._observed_s
 
@@ -180,21 +180,25 @@ class ServiceHealth:
         return json_response({"ok": not why, "state": self.state, "why": why}, status)
 
 
-def _problems(running: RunningService, unseen_s: float, at_one_image_s: float) -> Iterator[str]:
+def _problems(
+    running: RunningService, no_observation_s: float, at_one_image_s: float
+) -> Iterator[str]:
     """Yield the reasons why the running service is not ready.
 
     Args:
         running: The service.
-        unseen_s: Time since the newest observation that was not refused.
+        no_observation_s: Time since the newest observation that was not refused.
         at_one_image_s: Time for which the detector has worked at one image.
     """
     service = running.service
-    if unseen_s > service.blind_s:
+    if no_observation_s > service.blind_s:
         why = service.error_boundary.call(
             "inputs", running.now_ns, lambda: missing_inputs(service.inputs())
         )
+        # Checks of the sensor data for which observations are refused, so that the robot stands.
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))
         yield f"{_NO_OBSERVATIONS}: {why}" if why else _NO_OBSERVATIONS
+    # Checks that only make the service not ready.
     if problem := service.plausibility.why("degrade"):
         yield problem
     if service.error_boundary.state != "ok":

@@ -30,7 +30,10 @@ _MAX_CODE_CHARS, _MAX_TEXT_CHARS, _MAX_STEP_CHARS = 2000, 500, 100  # of one tex
 
 
 def status_message(result: TickResult) -> dict[str, object]:
-    """Return the status message, JSON-ready, with units in the field names."""
+    """Return the status message, JSON-ready, with units in the field names.
+
+    `instances` are the objects that were detected as a target.
+    """
     pose, goal, status, health = result.pose, result.goal, result.status, result.health()
     return {
         "instruction": status.instruction,
@@ -81,7 +84,7 @@ class HealthWatch:
         error_boundary: Counts the exceptions of the loop.
         overruns: Returns the number of reads that found a message ring full, by ring.
         load_shedding: Returns the state of the load shedder; None if there is none.
-        event: Reports an event for people, at a loop time.
+        event: Called with a text for people and the loop time in ns.
         sinks: See `edge.loop.publish.statuses`.
         inputs: Returns the source's table of inputs; empty if it has none.
         plausibility: See `edge.loop.plausibility.Plausibility.status`.

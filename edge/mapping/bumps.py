@@ -1,6 +1,7 @@
 """Obstacles that no sensor shows, but at which the robot was blocked: a sill, glass, a cable.
 
-A *bump* is one such contact. It closes cells of the map for some time.
+A *sill* is a low bar across the way, such as at the bottom of a door. A *bump* is one contact with
+such an obstacle. It closes cells of the map for some time.
 """
 
 from __future__ import annotations
@@ -149,7 +150,7 @@ class ContactObstacles:
             near = [b for b in self._opened if math.dist(b.place_m, bump.place_m) <= self._same_m]
             self._opened = [b for b in self._opened if b not in near]
             to_close += [b._replace(again=True) for b in near]
-            same = [b for b in self._bumps if b.felt <= bump.felt]
+            same = [b for b in self._bumps if b.felt <= bump.felt]  # the new bump replaces these
             again = bump.again or bool(near) or any(b.again for b in same)
             memory_ns = self._memory_ns if again else int(_FIRST_TOUCH_SHARE * self._memory_ns)
             guessed = bump.guessed.union(*(b.guessed for b in same))
@@ -201,6 +202,7 @@ class ContactObstacles:
         """
         opened = self._opened[-_MAX_BUMPS:]
         all_bumps = (*opened, *self._bumps)
+        # `guessed` is 0 for the cells in `felt` and 1 for those in `guessed`.
         cells = [
             (i, *cell, guessed)
             for i, bump in enumerate(all_bumps)
@@ -228,6 +230,7 @@ class ContactObstacles:
         rows = {fields: 2 * _MAX_BUMPS, ("cell",): 1 << 16, ("closed",): 1 << 16}
         check_arrays(state, self.state_dict(), rows, {})
         cells, raw_top = state["cell"], state["closed"][:, 2:]
+        # Columns 0 and 3 of `cell`: the bump's index, and 0 or 1.
         if ((cells[:, ::3] < 0) | (cells[:, ::3] >= (len(state["opened"]), 2))).any():
             raise ValueError("cell: a row names a bump that does not exist")
         if ((raw_top < 0) | (raw_top > 255)).any():
@@ -334,6 +337,7 @@ class ContactObstacles:
         gap_m = math.dist(a.place_m, b.place_m)
         if not self._window.resolution_m <= gap_m <= _SAME_SILL_M:
             return
+        # Unit vector from a to b.
         x, y = ((q - p) / gap_m for p, q in zip(a.place_m, b.place_m, strict=True))
         if any(
             abs(x * math.cos(bump.heading_rad) + y * math.sin(bump.heading_rad)) > _MAX_COSINE
@@ -349,7 +353,7 @@ class ContactObstacles:
     def _cells_on_line(self, start_m: XY, direction: XY, length_m: float) -> Iterator[Cell]:
         """Yield the cells on a line from a place, up to a known obstacle or the robot's trail."""
         res, n = self._window.resolution_m, self._window.n
-        for k in range(1, math.floor(2.0 * length_m / res) + 1):
+        for k in range(1, math.floor(2.0 * length_m / res) + 1):  # steps of half a cell
             cell = self._window.cell_of(
                 start_m[0] + 0.5 * k * res * direction[0], start_m[1] + 0.5 * k * res * direction[1]
             )
@@ -394,5 +398,5 @@ def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset
     """Return (felt, guessed) of each of `n` bumps, from rows of `ContactObstacles.state_dict`."""
     sets: list[tuple[set[Cell], set[Cell]]] = [(set(), set()) for _ in range(n)]
     for i, x, y, guessed in cells.tolist():
-        sets[i][guessed].add((x, y))
+        sets[i][guessed].add((x, y))  # `guessed` is 0 or 1
     return [(frozenset(felt), frozenset(guessed)) for felt, guessed in sets]

@@ -106,6 +106,8 @@ def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
             sw = (w + (shift_x >> 6)) % words
             free = layers.known[sy, sw] & ~layers.blocked[sy, sw]
             unknown = _unknown(layers, sy, sw)
+            # Bit b is cell b of the word: shifts look at the neighbours to the left and right, also
+            # across the ends of the word. The words above and below need no shift.
             next_to_unknown = (unknown << one) | (unknown >> one)
             if w > 0:
                 next_to_unknown |= _unknown(layers, sy, (sw + words - 1) % words) >> top
@@ -141,13 +143,17 @@ def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
 
 @jit
 def regroup(layers, shift_x, shift_y, clusters, n_pending, large_cells, spacing_cells):
-    """Grow changed clusters again (BFS, 8-connected) and choose their target points.
+    """Grow changed clusters again (breadth-first, 8-connected) and choose their target points.
+
+    - `n_pending`: number of cells in `clusters.pending`.
+    - `large_cells`, `spacing_cells`: see `_sample`.
 
     Returns:
         True if any cluster changed.
     """
     n = layers.raw.shape[0]
-    flat = layers.label.ravel()
+    flat = layers.label.ravel()  # by flat storage cell
+    # Clusters next to a new frontier cell are grown again.
     for i in range(n_pending):
         sy, sx = clusters.pending[i] // n, clusters.pending[i] % n
         y, x = (sy - shift_y) % n, (sx - shift_x) % n
@@ -319,6 +325,10 @@ def list_targets(n, shift_x, shift_y, origin_x, origin_y, res, clusters, min_cel
 
     If there is no room for all, the smallest clusters are left out, by doubling the least size. If
     even the largest clusters have too many, the rest is dropped.
+
+    - `xy`: (cap, 2) float32 output, points in `map`, in metres (`res` is metres per cell).
+    - `cells`: (cap,) int32 output, number of cells of the point's cluster.
+    - `ids`: (cap,) int32 output, id of the cluster.
 
     Returns:
         The number of target points.

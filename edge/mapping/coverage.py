@@ -34,15 +34,17 @@ SAFE_SHARE = 0.85
 The robot stops slightly off the planned pose.
 """
 WORK_PER_STEP = 100_000
-"""Work of one search step. The unit is one visit of a lattice point, some 10 ns."""
-_REACHED_WORK = 64  # work of counting the unseen places around a point
-_CAST_WORK = 2048  # work of casting rays from a point
+"""Work of one search step. The search tests one cell of each place, the lattice points. The unit of
+work is one visit of such a point, some 10 ns."""
+_REACHED_WORK = 64  # work of counting the unseen places around a lattice point
+_CAST_WORK = 2048  # work of casting rays from a lattice point
 MAX_RAYS = 512
 """Largest number of rays of a full circle."""
 # A place's byte holds its number of looks up to `MOST_LOOKS`, and a flag. A kernel sets the flag on
 # places that the current rays have crossed, so that each place counts once, and clears it.
 MOST_LOOKS, _FLAG = 127, 128
-# Action on the places that a ray cast showed.
+# Action of `show` on the places that the rays show: only count those that were not seen well, also
+# count a look at each, or exclude those that were not seen well from later searches.
 KEEP, COUNT, WRITE_OFF = range(3)
 # Entries of the best view so far; x and y are a world cell.
 _WORTH, _X, _Y, _HEADING = range(4)
@@ -201,7 +203,7 @@ class Coverage:
         far: float,
         action: int,
     ) -> int:
-        """Call the kernel `show` with coordinates in metres of `map`."""
+        """Call the kernel `show` with a place in metres of `map`; `far` is in cells."""
         window, res, (ox, oy) = self._window, self._window.resolution_m, self._window.origin
         if action != KEEP:
             x, y = window.cell_of(x_m, y_m)
@@ -216,7 +218,7 @@ class Coverage:
 
 @jit
 def sector(fov, far, bits):
-    """Return (angle between two rays, number of rays) of a sector.
+    """Return (angle between two rays, number of rays) of a field of view of range `far` in cells.
 
     Two rays are about a place apart at the end, and the angle divides a full circle evenly.
     """
@@ -315,7 +317,7 @@ def _ray(raw, looks, bits, shift_x, shift_y, x, y, dx, dy, near, far, looks_need
 
 @jit
 def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, looks_needed):
-    """Count the places with too few looks in the square around a cell: the most a view shows."""
+    """Count the places with too few looks in the square around a cell; no view shows more."""
     m = looks.shape[0]
     x0, y0, x1, y1 = _square(x, y, far, bits, m)
     count = 0
@@ -329,7 +331,11 @@ def _unseen_around(looks, bits, shift_x, shift_y, x, y, far, looks_needed):
 
 @jit
 def _best_sector(new_places, circle, width):
-    """Return (places, first ray) of the best `width` neighbouring rays of a full circle."""
+    """Find the best `width` neighbours among the `circle` rays of a full circle.
+
+    Returns:
+        (sum of their `new_places`, index of the first ray).
+    """
     now = 0
     for k in range(width):
         now += new_places[k]
@@ -351,7 +357,9 @@ def best_view(
     The value of a view is the number of places it shows over the length of the path to it plus
     `start_cells`.
 
-    - `distance`: driving-distance field, valid in the world cells `x0`, `y0`, `x1`, `y1`.
+    - `distance`: see `Wave.distance`; valid in the world cells `x0`, `y0`, `x1`, `y1`.
+    - `bits`, `looks_needed`, `near`, `far`, `new_places`: see `show`.
+    - `fov`: field of view in radians.
     - `least`: a view with fewer places has no value.
     - `work`: see `WORK_PER_STEP`.
     - `best`: (4,) float64: value, world cell x and y, heading of the best view so far.
@@ -361,6 +369,7 @@ def best_view(
     """
     n, side = layers.raw.shape[0], 1 << bits
     shift_x, shift_y = origin_x % n, origin_y % n
+    # Round up to the next place's corner.
     x0, y0 = (x0 + side - 1) >> bits << bits, (y0 + side - 1) >> bits << bits
     columns, rows = (x1 - x0 + side - 1) >> bits, (y1 - y0 + side - 1) >> bits
     ray_step_rad, width = sector(fov, far, bits)
@@ -375,10 +384,10 @@ def best_view(
         wx, wy = x0 + at % columns * side, y0 + at // columns * side
         at += 1
         sx, sy = wx % n, wy % n
-        steps = distance[sy, sx]
-        if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+        entry = distance[sy, sx]
+        if entry == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
             continue
-        cost = start_cells + (steps - 1) / STRAIGHT
+        cost = start_cells + (entry - 1) / STRAIGHT
         if most_places / cost <= best[_WORTH]:
             continue
         work -= _REACHED_WORK

@@ -56,7 +56,7 @@ class InformationGain:
         self._ray_m2 = np.zeros(RAYS)
         # Remembered places: (x, y), and the rays that the camera saw from there, as bits.
         self._at_m = np.full((PLACES, 2), np.inf)
-        self._viewed = np.zeros(PLACES, np.uint64)
+        self._looked = np.zeros(PLACES, np.uint64)
         self._next = 0  # place that is overwritten next
 
     def around(self, xy_m: np.ndarray, indices: np.ndarray, n: int, out_m2: np.ndarray) -> None:
@@ -77,7 +77,7 @@ class InformationGain:
     def on_view(self, pose: SE2, camera_yaw_rad: float, fov_rad: float) -> None:
         """Remember a view of the camera: it shows nothing new from this place in this direction."""
         ahead, k = pose.yaw_rad + camera_yaw_rad, self._place(pose)
-        self._viewed[k] |= sector_bits(ahead, SAFE_SHARE * fov_rad)
+        self._looked[k] |= sector_bits(ahead, SAFE_SHARE * fov_rad)
 
     def best_spin(
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
@@ -102,7 +102,7 @@ class InformationGain:
             self._ray_m2,
         )  # fmt: skip
         near = np.hypot(self._at_m[:, 0] - pose.x_m, self._at_m[:, 1] - pose.y_m) < SAME_PLACE_M
-        looked = np.bitwise_or.reduce(self._viewed[near], initial=np.uint64(0))
+        looked = np.bitwise_or.reduce(self._looked[near], initial=np.uint64(0))
         ahead = pose.yaw_rad + camera_yaw_rad
         turn, sweep, area_m2 = best_sweep(self._ray_m2, looked, SAFE_SHARE * fov_rad, ahead)
         return wrap_angle(pose.yaw_rad + turn), sweep, area_m2
@@ -111,7 +111,7 @@ class InformationGain:
         """Return the places and the directions that the camera saw from them."""
         used = np.isfinite(self._at_m[:, 0])  # used entries come first
         return {
-            "at_m": self._at_m[used], "looked": self._viewed[used], "next": np.array(self._next),
+            "at_m": self._at_m[used], "looked": self._looked[used], "next": np.array(self._next),
         }  # fmt: skip
 
     def load_state_dict(self, state: Arrays) -> None:
@@ -123,7 +123,7 @@ class InformationGain:
         rows: Rows = {("at_m", "looked"): PLACES}
         check_arrays(state, self.state_dict(), rows, {"next": PLACES - 1})
         n = len(state["at_m"])
-        self._at_m[:n], self._viewed[:n] = state["at_m"], state["looked"]
+        self._at_m[:n], self._looked[:n] = state["at_m"], state["looked"]
         self._next = int(state["next"])
 
     def _place(self, pose: SE2) -> int:
@@ -133,7 +133,7 @@ class InformationGain:
         if away[k] > 0.5 * SAME_PLACE_M:
             k, self._next = self._next, (self._next + 1) % PLACES
             self._at_m[k] = pose.x_m, pose.y_m
-            self._viewed[k] = 0
+            self._looked[k] = 0
         return k
 
 
@@ -185,7 +185,7 @@ def gains(layers, origin_x, origin_y, inv_res, xy, indices, n, direction, area, 
 
 @jit
 def sector_bits(ahead, fov):
-    """Return the rays within a field of view, as bits."""
+    """Return the rays within a field of view around the direction `ahead`, as bits; radians."""
     bits = np.uint64(0)
     for k in range(RAYS):
         offset = (2.0 * math.pi / RAYS * k - ahead + math.pi) % (2.0 * math.pi) - math.pi

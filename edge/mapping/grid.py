@@ -1,4 +1,8 @@
-"""Rolling occupancy map with its frontiers (VL-Nav III.A, III.B)."""
+"""Rolling occupancy map with its frontiers (VL-Nav III.A, III.B).
+
+Cells have three kinds of coordinates: world, window and storage. `edge.mapping.layers` explains
+them. Updates work on a *scratch grid*: a square of cells with the sensor's cell in its centre.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +115,7 @@ class RollingMap:
         self._layers = ly.make_layers(n)
         self.layers = ly.Layers(*map(ly.read_only, self._layers))
         self._clusters = cl.make_clusters(n)
-        self._n_pending = 0
+        self._n_pending = 0  # frontier cells that wait for a cluster
         self._scan = points.make_scan(self._polar, 1024)
         self._robot_cell: tuple[int, int] | None = None  # its world cell at the last update
         self._lost_rays = np.zeros(self._polar.sectors, np.uint64)
@@ -119,11 +123,13 @@ class RollingMap:
         self._floor_m = math.nan  # height of the floor over the base; NaN until it was seen
         self._base_z_m = math.nan  # height of the base when the floor was last seen
         self._no_floor = False  # True if the ground is far below the base; then no cell is freed
+        # Half-open window rectangles: cells changed since the last `_refresh_frontiers`, and all
+        # cells ever written.
         self._changed = np.array(_EMPTY_RECT, np.int64)
         self._explored = np.array(_EMPTY_RECT, np.int64)
-        self._flipped = np.zeros(self._polar.bin_of.size, np.int32)
-        self._flood = (np.zeros(64, np.uint64), np.zeros(64, np.uint64))
-        self._flood_disc = (0.0, ly.disc_half_widths(0.0))
+        self._flipped = np.zeros(self._polar.bin_of.size, np.int32)  # scratch of `apply_scan`
+        self._flood = (np.zeros(64, np.uint64), np.zeros(64, np.uint64))  # of `unknown_ratios`
+        self._flood_disc = (0.0, ly.disc_half_widths(0.0))  # newest radius [m], and its disc
         self._camera: CameraModel | None = None
         self.frontiers = Frontiers(
             0,
@@ -319,7 +325,11 @@ class RollingMap:
         return tiles.tile_bytes(self.planes[: -tiles.VALUE_PLANES])
 
     def state_dict(self) -> Arrays:
-        """Return the state outside `planes`; unknown `robot` and `floor_m` have no row."""
+        """Return the state outside `planes`.
+
+        A row of `robot` is its world cell (x, y). A row of `floor_m` is (height of the floor over
+        the base, height of the base in `map`). They have no row while they are unknown.
+        """
         robot = np.array([] if self._robot_cell is None else [self._robot_cell], np.int64)
         floor_m = self._floor_m, self._base_z_m
         known = all(abs(z_m) < FARTHEST_M for z_m in floor_m)
@@ -408,9 +418,11 @@ class RollingMap:
     def _locate(
         self, T_map_base: np.ndarray, T_base_sensor: np.ndarray
     ) -> tuple[np.ndarray, tuple[int, int], tuple[np.float32, np.float32]]:
-        """Return the transform, (3, 4) float32, and the place of the sensor.
+        """Return the sensor's pose and place.
 
-        The place is its world cell, and its coordinates in the scratch grid in cells.
+        Returns:
+            `T_map_sensor` without its last row, (3, 4) float32; the sensor's world cell (x, y); and
+            its (x, y) in the scratch grid in cells, with fractions.
         """
         T_map_sensor = T_map_base @ T_base_sensor
         x_m, y_m = T_map_sensor[:2, 3].tolist()
@@ -439,7 +451,18 @@ class RollingMap:
         T_base_sensor: np.ndarray,
         rolled: bool,
     ) -> MapUpdate:
-        """Complete an update after scan.xyz is filled: first `hits`, then the ends of free rays."""
+        """Complete an update after `scan.xyz` is filled: first `hits`, then the ends of free rays.
+
+        Args:
+            n_points: number of points in `scan.xyz`.
+            hits: number of these that are returns; the others are ends of rays that hit nothing.
+            T: (3, 4) float32, see `_locate`.
+            cell: the sensor's world cell.
+            fraction: see `_locate`.
+            T_map_base: (4, 4) pose of the base.
+            T_base_sensor: (4, 4) pose of the sensor on the base.
+            rolled: True if the window moved.
+        """
         c, polar, scan, layers = self.config, self._polar, self._scan, self._layers
         sensor_z, robot = float(T[2, 3]), self._robot_config
         if robot.self_filter_m:
@@ -495,7 +518,7 @@ class RollingMap:
         """
         c, polar, scan, floor = self.config, self._polar, self._scan, self._floor
         step_m = c.obstacle_min_m
-        floor_z, below_m2 = base_z + self._floor_m, 0.0
+        floor_z, below_m2 = base_z + self._floor_m, 0.0  # area [m²] of ground below the base
         if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
             near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
             search = scan.lowest_m, polar, sensor_z, base_z, step_m
@@ -506,13 +529,13 @@ class RollingMap:
                 # Without a visible floor, assume it is at least two steps below the sensor.
                 heights_z = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
                 floor_z = next(z for z in heights_z if math.isfinite(z))
-        floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0
+        floor[0], floor[1], floor[2] = floor_z, 0.0, 0.0  # height, slope along x and y
         sweep = (
             scan, polar, floor, sensor_z, GROUND_SLOPE, step_m, c.range_m,
             1.0 / self.resolution_m,
         )  # fmt: skip
         total, count = points.sweep_ground(*sweep)
-        if not count:
+        if not count:  # no height near the robot: fit a plane to the ground farther away
             near_m = points.search_range_m(sensor_z - base_z, c.min_range_m)
             fit = scan.lowest_m, polar, sensor_z, step_m
             if any(points.fit_floor(*fit, m, floor) for m in (near_m, 2.0 * near_m)):

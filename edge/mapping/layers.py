@@ -1,10 +1,15 @@
-"""Storage of the map: one torus for all layers, and the kernels that write single cells.
+"""Storage of the map: one torus (ring buffer in x and y) for all layers, and kernels for cells.
 
-The window is a square of N x N cells, N a multiple of 64. Its lower-left world cell (ox, oy) also
-lies on multiples of 64, so a move of the window clears whole 64-cell strips, and its seam is never
-inside a word of the bit planes. Kernels take *window* coordinates (0 .. N-1 from the lower-left
-corner). The *storage* coordinate is (window + shift) mod N with shift = origin mod N. Every layer
-is zero where nothing was seen, so memory that was never visited stays untouched.
+The map holds a square *window* of N x N cells that follows the robot. Cells have three kinds of
+coordinates:
+
+- *world*: floor(x_m / resolution) and floor(y_m / resolution) in `map`.
+- *window*: 0 .. N-1 from the lower-left corner of the window, whose world cell is its origin.
+- *storage*: index into the arrays: world mod N = (window + shift) mod N, with shift = origin mod N.
+
+N and the origin are multiples of 64. So a move of the window clears whole strips of 64 cells, and
+the place where the storage wraps around is never inside a word of the bit planes. Every layer is
+zero where nothing was seen, so memory that was never visited stays untouched.
 """
 
 from __future__ import annotations
@@ -21,7 +26,8 @@ UNSEEN, FREE, OCCUPIED = 0, 1, 2
 """Values of `Layers.raw`; all values from `OCCUPIED` on are occupied."""
 ZONE = np.uint16(0x8000)
 """Bit of `Layers.near`: a zone closes the cell (see `edge.mapping.zones`). The rest is a count."""
-BUMPED = 255  # also occupied, but no ray clears it: see `edge.mapping.bumps`
+BUMPED = 255
+"""Value of `Layers.raw` where the robot was blocked: occupied, and no ray clears it."""
 
 
 class Layers(NamedTuple):
@@ -126,6 +132,7 @@ def bit_get(plane, sy, sx):
 def add_disc(layers, shift_x, shift_y, x, y, delta, disc, clip, changed):
     """Add an occupied cell (delta 1) to the inflation around it, or remove it (delta -1).
 
+    - `disc`: the inflation, see `disc_half_widths`.
     - `x`, `y`: window coordinates of the occupied cell.
     - `clip`: (x0, y0, x1, y1) half-open window rectangle outside which nothing is written.
     - `changed`: rectangle that is extended by the cells whose state changed.

@@ -40,7 +40,7 @@ _GROUND_RUN_M = 0.3
 _RUN_GAP = 2  # largest number of rings without ground in such a length
 # Largest height of the base frame over the floor (a legged robot has it in its body).
 _HIGHEST_BASE_M = 0.9
-# Smaller areas are not floor: a wall has one ring, and objects on the floor are narrower.
+# Ground of a smaller area is not the floor: a wall fills one ring, and objects are narrower.
 LEAST_FLOOR_M2 = 0.3
 # The same, as a share of the largest area at one height.
 _LEAST_FLOOR_SHARE = 0.3
@@ -259,10 +259,12 @@ def is_open(lost, below_m, over_m, d, step_m, high_m):
     first, end = max(first, 0), min(end, _LOST_BITS)
     if end <= first:
         return True
+    # Bits `first` to `end` - 1: the slopes of rays that would meet the cell below `below_m`.
     bits = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(_LOST_BITS - (end - first))
     hidden = lost & (bits << np.uint64(first))
+    # Open if fewer than `_LOST_LEAST` bits are set: clear the lowest one that many times less one.
     for _ in range(_LOST_LEAST - 1):
-        hidden &= hidden - np.uint64(1)  # clear the lowest bit
+        hidden &= hidden - np.uint64(1)
     return hidden == np.uint64(0)
 
 
@@ -288,7 +290,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
         xyz[2, n] = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
         n += 1
     hits = n
-    for i in range(cloud_m.shape[0] if ends else 0):
+    for i in range(cloud_m.shape[0] if ends else 0):  # most clouds have no ends: skip this pass
         a, b = cloud_m[i, 0], cloud_m[i, 1]
         squared = a * a + b * b
         if (
@@ -418,6 +420,7 @@ def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
             if 0 <= k < used:
                 area[k] += m2
                 moment[k] += m2 * z
+    # Largest area in `_LEVELS_OF_FLOOR` levels in a row; then the lowest such levels with enough.
     most = 0.0
     for k in range(used - _LEVELS_OF_FLOOR + 1):
         most = max(most, area[k : k + _LEVELS_OF_FLOOR].sum())
@@ -533,9 +536,14 @@ def _last_ring(lowest_m, s):
 
 @jit(inline="always")
 def _follow_ground(lowest_m, ground_m, s, last, ring_m, floor_z, floor_slope, slope, step_m):
-    """Fill one sector's ground; return its reach, and sum and number of near floor heights."""
+    """Fill one sector's ground; return its reach, and sum and number of near floor heights.
+
+    The parameters are as in `sweep_ground`. `last` is the sector's farthest ring with a point.
+    """
+    # Newest ground seen: its height and distance (0: none yet), and True after a drop.
     ground, ground_d, drop = floor_z, 0.0, False
     near_sum, near_count = 0.0, 0
+    # The present run of rings with ground. Its heights count when it is `_GROUND_RUN_M` long.
     run_from, run_to, run_sum, run_count = 0, -1 - _RUN_GAP, 0.0, 0
     for r in range(last + 1):
         d = (r + 0.5) * ring_m

@@ -1,7 +1,8 @@
 """Kernels of `TravelCostField`: the wavefront, and queries on a complete field.
 
 A *step* is a straight move by one cell, with cost `STRAIGHT`, or a diagonal one, with cost
-`DIAGONAL`.
+`DIAGONAL`. The wavefront takes the queued cells in the order of their cost. A cell that was taken
+is *settled*: its cost is final.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ BUCKETS = 8
 _NEXT_TO_DIAGONAL = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
 UNREACHED = np.int32(0)
 """Entry of `Wave.distance` of a cell that the field has not reached."""
-# Entries of `Wave.state`: cost being settled, number of queued cells, squared escape radius (-1 if
-# the start is free), storage cell of the start, number of cells that found their bucket full.
+# Entries of `Wave.state`: 1 + cost of the cells that are taken now, number of queued cells, squared
+# escape radius (-1 if the start is free), storage cell of the start, number of cells that found
+# their bucket full.
 _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 # An obstacle this near to a point of an object's surface is the object itself. With more cells, the
 # robot would stop behind the wall that the object stands at: noise puts some points into that wall.
@@ -71,7 +73,7 @@ def start_wave(layers, wave, sx, sy, escape_cells):
 
 
 @jit
-def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
+def _edge_offsets(cell, n, shift_x, shift_y, x0, y0, x1, y1, offsets):
     """Write storage offsets of the eight neighbours at the torus' seam; 0 outside the rectangle."""
     x, y = (cell % n - shift_x) % n, (cell // n - shift_y) % n
     k = 0
@@ -80,9 +82,9 @@ def _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, steps):
             if dx == 0 and dy == 0:
                 continue
             nx, ny = x + dx, y + dy
-            steps[k] = 0
+            offsets[k] = 0
             if x0 <= nx < x1 and y0 <= ny < y1:
-                steps[k] = ((ny + shift_y) % n) * n + (nx + shift_x) % n - cell
+                offsets[k] = ((ny + shift_y) % n) * n + (nx + shift_x) % n - cell
             k += 1
 
 
@@ -119,9 +121,10 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
     x0, x1, y0, y1 = x0 - origin_x, x1 - origin_x, y0 - origin_y, y1 - origin_y
     level, queued = wave.state[_LEVEL], wave.state[_QUEUED]
     bounds_x0, bounds_y0, bounds_x1, bounds_y1 = wave.bounds
+    # Offsets of the eight neighbours in a flat layer, in row order; `edge` where storage wraps.
     inner = np.array([-n - 1, -n, -n + 1, -1, 1, n - 1, n, n + 1])
     edge = np.zeros(8, np.int64)
-    cost = np.array([DIAGONAL, 5, DIAGONAL, 5, 5, DIAGONAL, 5, DIAGONAL], np.int32)
+    cost = np.array([DIAGONAL, 5, DIAGONAL, 5, 5, DIAGONAL, 5, DIAGONAL], np.int32)  # 5: STRAIGHT
     done = 0
     while queued > 0 and done < budget:
         slot = level & (BUCKETS - 1)
@@ -140,18 +143,18 @@ def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
         bounds_y0, bounds_y1 = min(bounds_y0, sy), max(bounds_y1, sy + 1)
         y = sy - shift_y if sy >= shift_y else sy - shift_y + n
         x = sx - shift_x if sx >= shift_x else sx - shift_x + n
-        steps = inner
+        offsets = inner
         if (
             not (x0 < x < x1 - 1 and y0 < y < y1 - 1)
             or not (0 < sx < n - 1 and 0 < sy < n - 1)
         ):  # fmt: skip
-            _edge_steps(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
-            steps = edge
+            _edge_offsets(cell, n, shift_x, shift_y, x0, y0, x1, y1, edge)
+            offsets = edge
         for k in range(8):
-            neighbour = cell + steps[k]
+            neighbour = cell + offsets[k]
             if cost[k] == DIAGONAL and (
-                near[cell + steps[_NEXT_TO_DIAGONAL[k, 0]]] != 0
-                or near[cell + steps[_NEXT_TO_DIAGONAL[k, 1]]] != 0
+                near[cell + offsets[_NEXT_TO_DIAGONAL[k, 0]]] != 0
+                or near[cell + offsets[_NEXT_TO_DIAGONAL[k, 1]]] != 0
             ):
                 continue  # no cut corners, as in the planner
             old_cost = distance[neighbour]
@@ -189,10 +192,10 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
     n = layers.raw.shape[0]
     x, y = int(np.floor(px)), int(np.floor(py))
     if x0 <= x < x1 and y0 <= y < y1:
-        steps = distance[y % n, x % n]
+        entry = distance[y % n, x % n]
         free = bit_get(layers.known, y % n, x % n) and not bit_get(layers.blocked, y % n, x % n)
-        if steps != 0 and free:
-            return x, y, steps
+        if entry != 0 and free:
+            return x, y, entry
     best, best_x, best_y = radius * radius, 0, 0
     found = np.int32(0)
     for y in range(max(int(np.floor(py - radius)), y0), min(int(np.floor(py + radius)) + 1, y1)):
@@ -205,10 +208,10 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
             if d2 > best or (d2 == best and found != 0):
                 continue
             sx = x % n
-            steps = distance[sy, sx]
-            if steps == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+            entry = distance[sy, sx]
+            if entry == 0 or bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
                 continue
-            best, best_x, best_y, found = d2, x, y, steps
+            best, best_x, best_y, found = d2, x, y, entry
     return best_x, best_y, found
 
 
@@ -216,10 +219,10 @@ def nearest_reached(layers, distance, x0, y0, x1, y1, px, py, radius):
 def path_lengths(layers, distance, x0, y0, x1, y1, res, xy, kind, radius, n, out):
     """Do the work of `TravelCostField.path_lengths_m`."""
     for i in range(n):
-        _, _, steps = nearest_reached(
+        _, _, entry = nearest_reached(
             layers, distance, x0, y0, x1, y1, xy[i, 0] / res, xy[i, 1] / res, radius[kind[i]] / res
         )
-        out[i] = (steps - 1) / STRAIGHT * res if steps != 0 else np.inf
+        out[i] = (entry - 1) / STRAIGHT * res if entry != 0 else np.inf
 
 
 @jit
@@ -268,13 +271,13 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, point
         sy = y % n
         for x in range(max(first_x, x0), min(last_x, x1)):
             sx = x % n
-            steps = distance[sy, sx]
-            if steps == 0 or (found != 0 and steps >= found):
+            entry = distance[sy, sx]
+            if entry == 0 or (found != 0 and entry >= found):
                 continue
             if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
                 continue
             if _sees(layers, x, y, at, radius, points):
-                best_x, best_y, found = x, y, steps
+                best_x, best_y, found = x, y, entry
     return best_x, best_y, found
 
 

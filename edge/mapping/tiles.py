@@ -18,7 +18,7 @@ from edge.mapping.window import TILE, Window
 
 MOST_PER_STEP = 128
 """Tiles copied per step in addition to those of one update; takes 0.1 to 0.2 ms."""
-_LEVEL = 1  # compression level of zlib
+_ZLIB_LEVEL = 1  # compression level
 
 TileIndex = tuple[int, int]
 """(row, column) of a storage tile, or (x, y) of a world tile."""
@@ -111,7 +111,7 @@ class PackedTiles:
                     self._packed.pop(tile_index, None)
                 else:
                     tile = b"".join(plane[i].tobytes() for plane in planes)
-                    self._packed[tile_index] = zlib.compress(tile, _LEVEL)
+                    self._packed[tile_index] = zlib.compress(tile, _ZLIB_LEVEL)
 
     def state_dict(self, origin: np.ndarray, n: int) -> Arrays:
         """Return the packed tiles, one after the other.
@@ -125,6 +125,7 @@ class PackedTiles:
             (k,) int32, packed size of each tile. `packed` (n_bytes.sum(),) uint8.
         """
         (x0, y0), m = (int(at) // TILE for at in origin), n // TILE
+        # World tile of each storage tile (row r, column c).
         xy = [(x0 + (c - x0) % m, y0 + (r - y0) % m) for r, c in self._packed]
         return {
             "xy": np.array(xy, np.int32).reshape(-1, 2),

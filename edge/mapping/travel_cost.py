@@ -125,10 +125,10 @@ class TravelCostField:
         x0, y0, x1, y1 = self._valid_rect(self._complete)
         if not (x0 <= x < x1 and y0 <= y < y1):
             return math.inf
-        steps = int(self._waves[self._complete].distance[y % window.n, x % window.n])
-        if steps == UNREACHED:
+        entry = int(self._waves[self._complete].distance[y % window.n, x % window.n])
+        if entry == UNREACHED:
             return math.inf
-        return (steps - 1) / STRAIGHT * window.resolution_m  # `Wave.distance` is 1 + cost
+        return (entry - 1) / STRAIGHT * window.resolution_m  # `Wave.distance` is 1 + cost
 
     def nearest(self, x_m: float, y_m: float, radius_m: float) -> tuple[float, float, float] | None:
         """Return the nearest free cell that the robot can reach, within `radius_m` of a point.
@@ -165,8 +165,8 @@ class TravelCostField:
         if self.generation == 0:
             return None
         distance, rect = self.field
-        x, y, steps = search(self._layers, distance, *rect, *args)
-        return _centre_m(x, y, steps, self._window.resolution_m)
+        x, y, entry = search(self._layers, distance, *rect, *args)
+        return _centre_m(x, y, entry, self._window.resolution_m)
 
     def path_xy_m(self, x_m: float, y_m: float) -> np.ndarray:
         """Return the shortest path to a point's cell, from the start of the field, for display.
@@ -226,11 +226,11 @@ class TravelCostField:
         return True
 
 
-def _centre_m(x: int, y: int, steps: int, res_m: float) -> tuple[float, float, float] | None:
+def _centre_m(x: int, y: int, entry: int, res_m: float) -> tuple[float, float, float] | None:
     """Return (x_m, y_m, distance_m) of a cell's centre; None if it was not reached.
 
-    `steps` is a value of `Wave.distance`.
+    `entry` is a value of `Wave.distance`.
     """
-    if steps == UNREACHED:
+    if entry == UNREACHED:
         return None
-    return (x + 0.5) * res_m, (y + 0.5) * res_m, (steps - 1) / STRAIGHT * res_m
+    return (x + 0.5) * res_m, (y + 0.5) * res_m, (entry - 1) / STRAIGHT * res_m

@@ -35,6 +35,7 @@ def count(plane):
 def _spread_in_row(x, p):
     """Return the bits of p that are connected to a bit of x within one row of 64 cells."""
     while x != p:
+        # Two cells further in each direction.
         wider = (x | (x << np.uint64(1)) | (x >> np.uint64(1))) & p
         wider |= ((wider << np.uint64(1)) | (wider >> np.uint64(1))) & p
         if wider == x:

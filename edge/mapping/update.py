@@ -105,7 +105,8 @@ def _update_obstacle(
 ):
     """Update a cell that is or was occupied; return True if it became occupied or free.
 
-    A bumped cell stays occupied. Its top counts the updates in a row that saw only floor there.
+    `state` is the cell's value in `Layers.raw`, `code` that in `PolarScan.seen`. A bumped cell
+    stays occupied. Its top counts the updates in a row that saw only floor there.
     """
     if state == BUMPED:
         if code == FLOOR:

@@ -1,4 +1,8 @@
-"""Value maps: a score of each place for each target (ViTL IV-B2, or as VLFM writes them).
+"""Value maps: a score of each place for each target.
+
+There are two ways to write scores: VLFM (Yokoyama et al., ICRA 2024) writes one score for a whole
+view, and ViTL (IV-B2) one for each direction. ViTL's scene score S rates the whole image; its value
+V of a direction is S times the probability that the target lies there.
 
 A cell is about 0.2 m wide. For each target it has a value and a weight of 16 bits each. The weight
 is the scene score when ViTL writes, and the confidence when VLFM writes. Weight 0: no score yet.
@@ -154,6 +158,7 @@ class ValueMap:
     def write_view(self, profile: RangeProfile, targets: Sequence[str], score: np.ndarray) -> None:
         """Write one VLFM score per target for everything in view, with more weight in the middle.
 
+        The value v and confidence c of a cell are merged with those of the view (v', c'):
         v = (c v + c' v') / (c + c'), c = (c^2 + c'^2) / (c + c'). The confidence c' falls as cos^2
         from 1 in the middle of the field of view to 0 at its edges.
 
@@ -184,7 +189,7 @@ class ValueMap:
             target: target of the scores; without a channel nothing is written.
             xy_m: (n, 2) frontiers in `map`.
             p: (n,) probabilities of eq. 4.
-            scene: S_curr of eq. 5, in [0, 1].
+            scene: scene score S of eq. 5, in [0, 1].
         """
         n = self._find_seen_cells(profile)
         if n == 0 or target not in self._targets:
@@ -192,6 +197,7 @@ class ValueMap:
         channel, half = self._targets.index(target), 0.5 * profile.fov_rad
         bearing = profile.bearing_rad(xy_m)
         inside = np.flatnonzero(np.abs(bearing) <= half)
+        # (bearing, fused value) of each frontier in view, from right to left; then both edges.
         points = sorted(
             (float(bearing[i]), fuse(*self._value_at(channel, xy_m[i]), scene * float(p[i]), scene))
             for i in inside
@@ -295,7 +301,8 @@ def depth_profile(depth, fx, fy, cx, cy, R, fov, limit, range_m):
     k = len(range_m)
     cos_pitch = math.hypot(R[0, 2], R[1, 2])  # cosine of the camera's pitch
     column = np.empty(k, np.int64)
-    a0, a1, best = np.empty(k), np.empty(k), np.zeros(k)
+    # The ray of a pixel in x and y of `map` is a (from its column) plus b (from its row).
+    a0, a1, best = np.empty(k), np.empty(k), np.zeros(k)  # best: squared range
     for i in range(k):
         bearing = ((i + 0.5) / k - 0.5) * fov
         u = cx - fx * math.tan(bearing) / max(cos_pitch, 1e-3)

@@ -71,6 +71,7 @@ class Zones:
         if not self._window.placed:
             return
         if _same_polygons(old_inside, new.stay_inside_m):
+            # Keep-out polygons that are gone or new.
             changed_polygons = [p for p in old if not _contains_polygon(p, new.keep_out_m)]
             changed_polygons += [p for p in new.keep_out_m if not _contains_polygon(p, old)]
             if changed_polygons:
@@ -117,7 +118,7 @@ class Zones:
     @property
     def any(self) -> bool:
         """True if there is a zone."""
-        return any(self.polygons)
+        return any(self.polygons)  # a tuple of two tuples: empty ones are False
 
     def contains(self, x_m: float, y_m: float) -> bool:
         """Return True if the zones close the cell of a point."""

@@ -24,8 +24,8 @@ class _Clause:
     """Tokens up to the next joint, or up to the next clause that depends on this one.
 
     Attributes:
-        depends: dependence on another clause: "after", "before", "by" (the manner of driving); "" =
-            none.
+        depends: dependence on another clause, its *main* clause: "after", "before", "by" (the
+            manner of driving: "with the van on your left"); "" = none.
         joints: tokens that join this clause to the one before; empty for the first clause, and for
             a clause that follows without a joint.
         tokens: the tokens of the clause, without joints.
@@ -60,27 +60,29 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
         if not clause.depends:
             ordered += [clause, *for_next]
             for_next = []
-        elif not ordered or (
-            clause.joints and not _are_commas(clause.joints)
-        ):  # before its main one
+        elif not ordered or (clause.joints and not _are_commas(clause.joints)):
+            # The clause comes before its main one: "after passing the van, go to the gate".
             if not main_follows or for_next:
                 _refuse(text, tokens, clause)
             (for_next if clause.depends == "before" else ordered).append(clause)
-        elif (
+        elif (  # "go to the gate, passing the van, go to the tree": which step passes the van?
             (clause.joints and main_follows)
             or ordered[-1].depends
             or not _has_clear_order(clauses[n - 1 : n + 1])
         ):
             _refuse(text, tokens, clause)
-        else:
-            ordered.insert(len(ordered) - (clause.depends != "before"), clause)
-    in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
+        elif clause.depends == "before":  # "go to the gate before passing the van"
+            ordered.append(clause)
+        else:  # "go to the gate after passing the van": driven before the last clause
+            ordered.insert(len(ordered) - 1, clause)
+    # By the identity of a clause, the clause before it in the text.
+    before_in_text = dict(zip(map(id, clauses[1:]), clauses, strict=False))
     joined: list[Token] = []
     for last, clause in zip([None, *ordered], ordered, strict=False):
-        is_ambiguous = (
-            clause.depends == "by" and last is not None and last.depends
-        )  # may qualify either one
-        if _refers(clause) and (is_ambiguous or in_text.get(id(clause)) is not last):
+        # The clause may describe the last one or the main clause of both.
+        is_ambiguous = clause.depends == "by" and last is not None and last.depends
+        # `it` must mean the same object in the text and in driving order.
+        if _refers(clause) and (is_ambiguous or before_in_text.get(id(clause)) is not last):
             _refuse(text, tokens, clause)
         first = clause.tokens[0]
         comma = Token("comma", ",", first.start, first.start)
@@ -103,7 +105,10 @@ def _has_clear_order(pair: list[_Clause]) -> bool:
 
 
 def _refers(clause: _Clause) -> bool:
-    """Return True if a clause refers to an object of the clause before it by `it` or `its`."""
+    """Return True if a clause refers to an object of the clause before it by `it` or `its`.
+
+    In "with the van on its left", `its` refers to the van in the same clause.
+    """
     return any(
         token.kind == "pronoun"
         or (token.kind.startswith("its ") and not any(t.kind == "word" for t in clause.tokens[:n]))

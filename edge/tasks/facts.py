@@ -88,8 +88,8 @@ def thinned(refined: RefinedTrajectory, index: int, max_poses: int) -> tuple[np.
     """Return a trajectory with fewer poses for drawing; the last pose is always kept.
 
     Returns:
-        (k, 3) float64: x, y [m] and heading [rad], k <= most; and the index in it of the last pose
-        that is not after pose `index` of `refined`, -1 if there is none.
+        (k, 3) float64: x, y [m] and heading [rad], k <= max_poses; and the index in it of the last
+        pose that is not after pose `index` of `refined`, -1 if there is none.
     """
     n = len(refined.poses)
     stride = math.ceil(n / max_poses)

@@ -75,6 +75,7 @@ def goal_ahead(
     # The goal is between these two: the farthest one that cuts no bend.
     nearest = min(index_ahead(path_m, index, min(MIN_AHEAD_M, look_ahead_m)), end)
     farthest = index_ahead(path_m, index, look_ahead_m)
+    # Largest deviation at each pose from `index` on; less at the ends of legs.
     max_cut_m = np.full(farthest - index + 1, MAX_CUT_M + math.dist(robot_m, path_m[index]))
     max_cut_m[:-1][np.diff(trajectory.leg[index : farthest + 1]) > 0] = MAX_END_CUT_M
     ahead = next(
@@ -105,6 +106,7 @@ def index_at_goal(trajectory: RefinedTrajectory, goal: SE2, from_index: int) -> 
     `from_index` is the index before. If the goal was the end of a leg, the index is after this end.
     Else it is at the goal, but not after the end of the leg.
     """
+    # Poses that equal the goal in x, y and heading (columns 0, 1 and 3).
     at = np.flatnonzero(
         (trajectory.poses[from_index:, [0, 1, 3]] == (goal.x_m, goal.y_m, goal.yaw_rad)).all(axis=1)
     )

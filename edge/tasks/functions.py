@@ -89,7 +89,7 @@ class ScriptFunctions:
         return [describe_object(obj) for obj in found]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
-        """Return the cheapest path over open ground.
+        """Return the cheapest path over open ground; it prefers `regions`, a list of ids.
 
         If the end is not on open ground, the path leads to the nearest such point within 0.5 m.
         """
@@ -117,7 +117,7 @@ class ScriptFunctions:
     def give_trajectory(
         self, segments: Any, regions: Any = (), speed_mps: Any = None, heading_rad: Any = None
     ) -> None:
-        """Hand over the trajectory; it is checked at once."""
+        """Hand over the trajectory; it is checked at once. See `coarse_of` for the arguments."""
         if self.trajectory is not None:
             raise CallError("give_trajectory: a trajectory was given already; call it only once")
         coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)

@@ -21,7 +21,7 @@ ESCAPE_M = 0.6
 REACH_M = 5.0
 """The robot is not sent to an object that it cannot come this near to."""
 ABOUT_M = 0.35
-"""Stopping points that are farther from an object by less than this count as equally near.
+"""Stopping points count as equally near to an object if their distances differ by at most this.
 
 A robot has reached an object when it stands within 1 m of it. A robot that gets within 0.4 m still
 meets this, with some room for errors of the outline and of the controller.
@@ -158,7 +158,7 @@ class ReachableGround:
         first = self._first_with_view(
             obj, centres_m, equally_near[np.argsort(away_m, kind="stable")]
         )
-        assert first is not None  # about is not empty
+        assert first is not None  # `equally_near` is not empty
         x_m, y_m = centres_m[first].tolist()
         return (x_m, y_m), nearest_m
 

@@ -15,7 +15,7 @@ from edge.errors import UserError
 from edge.tasks.speeds import headings_rad
 
 TURN_RAD = math.radians(45.0)
-"""A* shortens no bend by more than this turn.
+"""A segment is cut where it has turned by this angle, so that A* cannot shorten a longer bend.
 
 A circle as wide as three tubes becomes an octagon whose sides lie inside the tube.
 """
@@ -67,6 +67,7 @@ def cut_into_legs(
                 f"segment {number} of the trajectory has NaN or inf; ask for the trajectory again"
             )
         points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        # Index k of the polyline with `last` in front is the end of `points[:k]`.
         bends = _bends(np.concatenate([last[None], points]), 0.5 * tube_m)
         for part in np.split(points, bends):
             legs.append(Leg(part, ends_segment=False))
@@ -78,7 +79,10 @@ def cut_into_legs(
 
 
 def _bends(points_m: np.ndarray, tolerance_m: float) -> list[int]:
-    """Return the indices, each at least 1, where a polyline has turned by `TURN_RAD` again."""
+    """Return the indices of the points where a polyline has turned by `TURN_RAD` once more.
+
+    Turns are counted from the start, or from the bend before. No index is 0.
+    """
     rough = simplified(points_m[:, :2], tolerance_m)
     headings = headings_rad(points_m[rough, :2])[:-1]
     found, first = list[int](), headings[0] if len(headings) else 0.0

@@ -33,7 +33,8 @@ _FIT_POINTS = 400  # points from which a box's heading is estimated
 MOST_POINTS = 4096
 """Most points of an object."""
 MIN_VOTES = 3
-"""Votes with which a voxel belongs to an object that is in many pictures."""
+"""A voxel belongs to an object if votes for minus votes against it reach this number; less is
+enough for an object in few pictures."""
 MOST_VOTES = 1 << 16
 """Largest number of voxels with votes; the least recently seen ones are dropped."""
 LEAST_POINTS = 5
@@ -116,6 +117,7 @@ def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
     """Return the heading whose box has the points (n, 2) nearest to its sides."""
     c, s = np.cos(turns), np.sin(turns)
     along, across = xy @ np.stack((c, s)), xy @ np.stack((-s, c))  # (n, turns)
+    # Distance of each point from the nearest of the four sides, for each heading.
     off = np.minimum(*(np.minimum(v - v.min(axis=0), v.max(axis=0) - v) for v in (along, across)))
     return float(turns[np.argmax((1.0 / (off + _CLOSE_M)).sum(axis=0))])
 
@@ -185,6 +187,7 @@ def overlap_share(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> f
     corner = np.minimum(a_m.min(axis=0), b_m.min(axis=0)) if len(a_m) and len(b_m) else None
     if corner is None:
         return 0.0
+    # Cubes as flat indices: a point is near if its cube is one of `b` or next to one of `b`.
     a, b = (np.floor((points - corner) / near_m).astype(np.int64) + 1 for points in (a_m, b_m))
     sides = np.maximum(a.max(axis=0), b.max(axis=0)) + 2
     steps = np.array([sides[1] * sides[2], sides[2], 1])
@@ -204,7 +207,8 @@ class ObjectMap:
     def __init__(self) -> None:
         self.objects: dict[int, MapObject] = {}
         self._newest = 0
-        self._votes: Counter[tuple[str, int, int, int]] = Counter()  # the newest last
+        # Votes by label and voxel (x, y, z), the newest last.
+        self._votes: Counter[tuple[str, int, int, int]] = Counter()
 
     def add(
         self,

@@ -52,15 +52,16 @@ class Outline:
     def point_at(self, angle_rad: float, distance_m: float) -> tuple[float, float]:
         """Return the point in a direction from the centre, at a distance from the hull."""
         ray = np.array([math.cos(angle_rad), math.sin(angle_rad)])
-        along_m = self.hull_m @ ray
+        hull_along_m = self.hull_m @ ray
         # Along the ray the distance from a convex hull grows, so bisect.
-        low_m, high_m = max(float(along_m.mean()), 0.0), max(float(along_m.max()), 0.0) + distance_m
+        low_m = max(float(hull_along_m.mean()), 0.0)
+        high_m = max(float(hull_along_m.max()), 0.0) + distance_m
         while high_m - low_m > 1e-4:
-            middle_m = 0.5 * (low_m + high_m)
-            if self._distance_to_hull_m(middle_m * ray) < distance_m:
-                low_m = middle_m
+            along_ray_m = 0.5 * (low_m + high_m)
+            if self._distance_to_hull_m(along_ray_m * ray) < distance_m:
+                low_m = along_ray_m
             else:
-                high_m = middle_m
+                high_m = along_ray_m
         x_m, y_m = self.middle_m.tolist()
         return SE2(x_m, y_m, angle_rad).ahead(high_m)
 
@@ -82,6 +83,7 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
         box_m = (corners * half_m) @ turn
         cells_m = resample(np.concatenate([box_m, box_m[:1]]), occupancy.resolution_m) + middle_m
         rim_m = 0.0
+    # Corners of all cells, relative to the centre.
     around_m = (cells_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
     hull_m = cv2.convexHull(around_m.astype(np.float32))[:, 0].astype(np.float64)
     return Outline(middle_m, cells_m, hull_m, rim_m)

@@ -75,6 +75,7 @@ PHRASES: dict[str, str] = {
 }
 """Kind → its phrases, separated by `|`."""
 
+# Also with an adverb: "right behind", "directly in front of".
 for _kind in ("at", "in front of", "behind", "here ahead", "here behind", "there"):
     PHRASES[_kind] += "".join(
         f"|{how} {phrase}"
@@ -82,6 +83,9 @@ for _kind in ("at", "in front of", "behind", "here ahead", "here behind", "there
         for phrase in PHRASES[_kind].split("|")
     )
 
+# For each side five more kinds: "leftmost" ("the far left"), "from the left" ("from your left"),
+# "left of" ("to the left side of"), "its left" ("on its left side"), and "on the left" ("on your
+# left", "on the left side of the road").
 for _side in _SIDES:
     PHRASES[_side] = _side
     PHRASES[f"{_side}most"] = f"{_side}most|{_side} most|" + "|".join(
@@ -115,12 +119,16 @@ for _side in _SIDES:
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
 NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
+# Words of a phrase → its kind.
 TABLE = {
     tuple(phrase.split()): kind for kind, listed in PHRASES.items() for phrase in listed.split("|")
 }
 LONGEST = max(map(len, TABLE))  # words of the longest phrase
 MOST_DIGITS = 9  # a number with more digits becomes a "mark", which no rule accepts
 
+# One token. Groups: `quoted` and `quote`: text in double or single quotation marks; `ordinal`:
+# "2nd"; `number`: "3.5"; `word`: "van", "van's" or "&"; `dash`: that of "to the van - then stop";
+# `mark`: any other character.
 _TOKEN = re.compile(
     r"""["“](?P<quoted>[^"“”]*\w[^"“”]*)["”]|(?<!\w)['‘](?P<quote>[^'‘’]*\w[^'‘’]*)['’](?!\w)"""
     r"""|(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
@@ -141,7 +149,7 @@ def tokenise(text: str) -> list[Token]:
     - "number", "ordinal": the text of an ordinal is its number.
     - "comma", "stop mark" (end of a sentence), "mark" (any other character), "end".
     """
-    found: list[tuple[str, str, int, int]] = []
+    found: list[tuple[str, str, int, int]] = []  # group of `_TOKEN`, text, start, end
     for match in _TOKEN.finditer(_HYPHEN.sub(" ", text)):
         kind = match.lastgroup or "mark"
         if kind in ("quoted", "quote"):
@@ -177,6 +185,9 @@ def tokenise(text: str) -> list[Token]:
 
 
 def _phrase_at(found: list[tuple[str, str, int, int]], at: int) -> int:
-    """Return the number of words that make the longest phrase at an index; 0 if there is none."""
+    """Return the number of words that make the longest phrase at an index; 0 if there is none.
+
+    Words in quotation marks belong to no phrase.
+    """
     words = tuple("" if kind == "quoted" else word for kind, word, *_ in found[at : at + LONGEST])
     return next((n for n in range(len(words), 0, -1) if words[:n] in TABLE), 0)

@@ -23,10 +23,10 @@ from edge.perception.masks.masker import make_masker
 from edge.tasks.captions import compose_captions
 from edge.types import Detections, Observation
 
-# See `in_tiles`.
+# A wide picture is cut into parts (`in_tiles`) if it is this many times as wide as a part.
 TILE_FROM = 1.5
-TILE_OVERLAP = 0.25
-TILE_MERGE_SHARE = 0.6
+TILE_OVERLAP = 0.25  # share of a part's width that neighbours have in common
+TILE_MERGE_SHARE = 0.6  # share of the smaller box from which two boxes are merged
 
 # The parts of a `PerceptionPipeline`.
 Tags = Callable[[Observation], Sequence[str]]

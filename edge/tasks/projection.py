@@ -87,7 +87,7 @@ def points_of_masks(
         capacity = found
     mask_of, point_of, depth_m = mask_of[:found], point_of[:found], depth_m[:found]
     on_mask = mask_of >= 0
-    window = np.where(on_mask, mask_of, -1 - mask_of)
+    window = np.where(on_mask, mask_of, -1 - mask_of)  # see `points_of_windows`
     order = np.lexsort((depth_m, window))
     ends = np.searchsorted(window[order], np.arange(k + 1))
     out = []

@@ -10,14 +10,17 @@
            | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
     thing  = [article] { description } name { place } | "it"
            | "object" number | [article] { description } name ["number"] number
-             with `which` anywhere before the places
+             with `chooser` anywhere before the places
     distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
-    which  = order | "second" | "left" | "right"
+    chooser = order | "second" | "left" | "right"
     order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
            | "second from the left"
     place  = "on the left" | "on the right" | "ahead" | "behind you" | "near" thing
            | order | "that is" (description | place)
     aside  = "on the left" | "on your left" | …
+
+`_read_step` reads a step, `_read_objects` a thing, `_read_distance_m` a distance, `_read_word` a
+chooser, and `_read_passing_side` an aside: the side on which an object is passed.
 
 A clause may depend on another ("after passing …", "before you …", see `edge.tasks.clauses`). Words
 in double quotes can only name or describe an object.
@@ -76,15 +79,15 @@ class InstructionStep:
     said: str = ""
 
     def __str__(self) -> str:
-        object_name = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
+        listed = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
         match self.kind:
             case "straight":
                 return f"straight on for {self.distance_m:g} m"
             case "past" | "around" if self.side:
-                return f"{self.kind} the {self.side} of {object_name}"
+                return f"{self.kind} the {self.side} of {listed}"
             case "beside":
-                return f"{self.side}{OF_SUFFIX.get(self.side, '')} {object_name}"
-        return f"{self.kind} {object_name}".strip()
+                return f"{self.side}{OF_SUFFIX.get(self.side, '')} {listed}"
+        return f"{self.kind} {listed}".strip()
 
 
 def parse_steps(
@@ -102,9 +105,14 @@ def parse_steps(
         TranslationError: the instruction is not understood; the error names the part.
     """
     steps = _read_steps(
-        instruction, lambda n: scene if n in range(n + 1)[step_slice] else _UnseenScene()
+        instruction, lambda n: scene if _is_selected(n, step_slice) else _UnseenScene()
     )
     return steps[step_slice]
+
+
+def _is_selected(n: int, step_slice: slice) -> bool:
+    """Return True if a slice selects step n. The slice counts from the start: no negative ends."""
+    return n in range(n + 1)[step_slice]
 
 
 def _read_steps(
@@ -125,9 +133,9 @@ def _read_steps(
         on_to = step.kind in ("past", "around") and reader.is_at("to")  # "past the van to the gate"
         if not (on_to or reader.is_at("end", "then", "and", "comma", "stop mark")):
             reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
-        joints = reader.at
+        first_joint = reader.at
         reader.skip("then", "and", "comma", "stop mark", "filler", "first")
-        for joint in reader.tokens[joints : reader.at]:
+        for joint in reader.tokens[first_joint : reader.at]:
             if joint.kind in ("then", "and") and reader.is_at("end"):
                 reader.refuse("no step follows", joint)
         if start.kind == "stop" and not reader.is_at("end"):
@@ -144,8 +152,8 @@ def _read_steps(
 def task_steps(instruction: str) -> tuple[TaskStep, ...]:
     """Parse the steps of an instruction by its grammar alone, before any object was seen.
 
-    Names are in the singular, as they are first written. Of a phrase only the known noun is kept;
-    the words before it only describe the object.
+    Names are nouns in the singular; a repeated name keeps its first spelling. Words before the
+    noun only describe the object and are left out.
 
     Raises:
         TranslationError: the instruction is not understood; the error names the part.
@@ -157,9 +165,10 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
         return unseen[-1]
 
     steps = _read_steps(instruction, scene_for)
-    first: dict[str, str] = {}
-    named_objects = [
-        tuple(first.setdefault(one, name) for one, name in there.names.items()) for there in unseen
+    spelling: dict[str, str] = {}  # canonical name -> its first spelling in the instruction
+    names_of_steps = [
+        tuple(spelling.setdefault(canonical, name) for canonical, name in scene.names.items())
+        for scene in unseen
     ]
     return tuple(
         TaskStep(
@@ -167,7 +176,9 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
             # A path around an object ends towards the object of the next step.
             tuple(
                 dict.fromkeys(
-                    sum(named_objects[n : n + 2], ()) if step.kind == "around" else named_objects[n]
+                    sum(names_of_steps[n : n + 2], ())
+                    if step.kind == "around"
+                    else names_of_steps[n]
                 )
             ),
             unseen[n].refers,
@@ -190,7 +201,7 @@ class _UnseenScene:
     """Stand-in for a scene: every name that is read gives one placeholder object.
 
     Attributes:
-        names: names that were read, by their canonical name.
+        names: names that were read, by their canonical name (see `edge.names.canonical`).
         refers: True if the step refers to the object of the previous step.
     """
 
@@ -202,8 +213,8 @@ class _UnseenScene:
         if _is_name(words):
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
             noun = next(filter(names.is_known, nouns), nouns[0])
-            one = names.singular(noun)  # wrong for "chest of drawers", so compare the two
-            noun = one if names.same_name(one, noun) else noun
+            singular = names.singular(noun)  # wrong for "chest of drawers", so compare the two
+            noun = singular if names.same_name(singular, noun) else noun
             self.names.setdefault(names.canonical(noun), noun)
         return SceneObject(0, "", "", np.zeros(3), np.zeros(3), 0.0, np.empty((0, 3)), {})
 
@@ -225,6 +236,7 @@ def _read_step(
         return _read_leaving(reader, scene, before)
     if doing == "reach":
         return _read_destination(reader, scene, before)
+    # "go 3 metres straight on", "go half a metre forward"
     counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
     if doing == "go" and (counted or reader.is_at("half")):
         return _read_straight(reader)
@@ -278,12 +290,14 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
     """
     token, comma = reader.peek(), reader.is_at("comma", ahead=-1)
     passing = last.kind in ("past", "around")
-    if comma and token.kind not in (("past", "around", "between", "to") if passing else ("to",)):
-        clear = False
-    else:
-        goes = token.text.startswith("to ") and verb.kind != "pass"
-        clear = not passing or token.kind not in _SIDE_OF or goes
-    if not clear:
+    # "to the gate, past the van" may pass the van first, so only these may follow a comma.
+    after_comma = ("past", "around", "between", "to") if passing else ("to",)
+    changes_order = comma and token.kind not in after_comma
+    # "go past the left of the van and right of the gate" may pass the gate too, but
+    # "go past the left of the van and to the right of the gate" goes there.
+    goes_there = token.text.startswith("to ") and verb.kind != "pass"
+    may_extend_passing = passing and token.kind in _SIDE_OF and not goes_there
+    if changes_order or may_extend_passing:
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
@@ -323,7 +337,7 @@ _RELATIONS = (
     "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
     "straight", "its left", "its right",
 )  # fmt: skip
-_RETURN = "say where to return to, as 'back to the gate'"
+_RETURN = "say where to return to, as 'back to the gate'"  # error for a bare "go back"
 OTHER_SIDE = {"left": "right", "right": "left"}
 """Side → the opposite one."""
 
@@ -348,6 +362,7 @@ def _read_passing(
         side = reader.take("its left", "its right")
         whose = _SIDE_OF[side.kind] if side else _read_own_side(reader)
         return InstructionStep(kind, (_only_one(found, reader, start),), whose)
+    # The side may also choose the object: read the phrase again in that sense.
     end, reader.at = reader.at, begin
     try:
         on_that_side = _read_objects(reader, scene, before)
@@ -389,6 +404,7 @@ def _read_passing_side(reader: TokenReader) -> _PassingSide | None:
     token, at = reader.peek(), reader.at
     if _is_passing_side(reader):
         reader.at += 1
+        # "on your left", "on the robot's left"; but "on the left" is a side of the object.
         of_robot = token.text.split()[1] != "the" or "robot" in token.text
         return _PassingSide(token.kind.removeprefix("on the "), of_robot)
     if reader.take("to") and reader.take("article"):
@@ -446,9 +462,10 @@ def _read_distance_m(reader: TokenReader) -> float:
         distance_m = 0.5
     elif start.text == "a" and reader.take("article"):
         distance_m = 1.0
-    more = start.kind == "number" and reader.take("and a half")
+    more = start.kind == "number" and reader.take("and a half")  # "3 and a half metres"
     if not reader.take("metres") or not distance_m:
         reader.refuse("say how far, as 'straight for 5 metres'", start)
+    # "3 metres and a half"
     more = more or (start.kind != "half" and reader.take("and a half"))
     return distance_m + (0.5 if more else 0.0)
 
@@ -523,17 +540,17 @@ def _read_objects(
         else _objects_described(_objects_named(reader, scene, words), reader, words)
     )
     origin = _read_origin(reader, scene, before, choosers)
-    maybe_sides, says_which = list(choosers), False  # says_which: the last word was "that is"
-    while (says_which or not (is_passed and _is_passing_side(reader))) and (
+    words_before_that_is, after_that_is = list(choosers), False
+    while (after_that_is or not (is_passed and _is_passing_side(reader))) and (
         token := reader.take(*_PLACES, "at", *_ORDER, "which is")
     ):
-        if not says_which:
-            maybe_sides.append(token)
+        if not after_that_is:
+            words_before_that_is.append(token)
         if token.kind == "which is":
             at, found = reader.at, _read_that_is(found, reader, scene)
-            says_which = reader.at == at
+            after_that_is = reader.at == at  # no description: a place or an order must follow
             continue
-        says_which = False
+        after_that_is = False
         if token.kind in _ORDER:
             choosers.append(token)
             origin = origin or _read_origin(reader, scene, before, [token])
@@ -549,7 +566,7 @@ def _read_objects(
             found = _filtered(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
             reader.refuse("no such thing is there", token)
-    for token in maybe_sides if is_passed else ():
+    for token in words_before_that_is if is_passed else ():
         if token.kind in ("leftmost", "rightmost") and token.text.startswith(_SIDE_OPENERS):
             side = token.kind.removesuffix("most")
             hint = f"say 'past the {side} of …', or 'the {token.kind} …'"
@@ -565,6 +582,7 @@ def _read_objects(
 _SIDE_OPENERS = ("on ", "to ", "at ")
 """First words of "on the far left"; a bare "far left" has none of them."""
 _COUNTS = ("ordinal", "first")
+"""Kinds of words that count: "from the left" needs one, as in "second from the left"."""
 
 
 def _read_word(reader: TokenReader, has_name: bool) -> Token | None:
@@ -660,6 +678,7 @@ def _objects_named(reader: TokenReader, scene: Scene, words: list[Token]) -> lis
         if kinds := _objects_of_kind(scene, words[begin:]):
             del words[begin:]
             return kinds
+    # No object has such a name. If fewer words are a name, the next word is the wrong one.
     for end in range(len(words) - 1, 0, -1):
         if any(_objects_of_kind(scene, words[begin:end]) for begin in range(end)):
             reader.refuse(f"unknown word after {words[end - 1].text!r}", words[end])
@@ -703,7 +722,8 @@ def _choose(
 
     `nearest` and `farthest` are measured from `origin`; None: from the robot.
     """
-    of_order: dict[bool, Token] = {}
+    order: Token | None = None  # "nearest", "leftmost", …
+    number: Token | None = None  # "first", "second", …
     for token in choosers:
         if token.kind in ("left", "right"):
             side = _PLACES[f"on the {token.kind}"]
@@ -712,11 +732,15 @@ def _choose(
                 _none_there(found, reader, token)
             found = kept
             continue
-        if of_order.setdefault(token.kind in _ORDER, token) is not token:
+        is_order = token.kind in _ORDER
+        if (order if is_order else number) is not None:
             reader.refuse("this chooses the object in two ways; say only one", token)
-    if not of_order:
+        if is_order:
+            order = token
+        else:
+            number = token
+    if order is None and number is None:
         return found
-    order, number = of_order.get(True), of_order.get(False)
     place = int(number.text) - 1 if number and number.kind == "ordinal" else 0
     kind = order.kind if order else "nearest"
     found = [thing for thing in found if thing is not origin]

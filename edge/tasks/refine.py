@@ -1,6 +1,8 @@
 """Refinement of a coarse trajectory into one that can be driven (OpenNav III-A4).
 
-It runs A* over the value map, fits a spline, and adds headings, speeds and times.
+It runs A* over the value map, fits a spline, and adds headings, speeds and times. The value map
+prefers the *tube*, a strip around the coarse trajectory, then the rest of the regions that were
+chosen. Other ground has the weight `HIGH`.
 """
 
 from __future__ import annotations
@@ -305,7 +307,7 @@ def _joined(paths: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return one polyline without repeated points, and for each point the index of its path."""
     points = np.concatenate(paths)
     leg = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
-    moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
+    moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)  # not repeated
     return points[moved], leg[moved]
 
 
@@ -326,8 +328,10 @@ def _repeat_at_ends(
         The control points and their legs, with these repetitions. The last of three equal points
         belongs to the next leg.
     """
+    # Segment of each control point, and True at the last point of a segment but the last one.
     segment = np.cumsum([0, *(leg.ends_segment for leg in legs)])[leg]
     ends = np.append(np.diff(segment) > 0, False)
+    # Also the ends of other legs where the path turns by more than 90 degrees.
     way_m = np.diff(control_m, axis=0)
     ends[1:-1] |= (np.diff(leg)[1:] > 0) & ((way_m[:-1] * way_m[1:]).sum(axis=1) < 0.0)
     repeats = np.where(ends, 3, 1)
@@ -337,7 +341,7 @@ def _repeat_at_ends(
 
 
 def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:
-    """Return the length of a polyline in cells of a weight."""
+    """Return the length in metres of the parts of a polyline in cells of a weight."""
     cells = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
     legs = np.hypot(*np.diff(points_m, axis=0).T)
     return float(legs[costmap.weight[cells[:, 1], cells[:, 0]] == weight].sum())

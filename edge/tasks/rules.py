@@ -40,7 +40,8 @@ from edge.trajectory.smoothing import resample
 SNAP_M = 1.0
 """Largest distance by which a point of a path is moved to a place that the robot can reach."""
 BEYOND_RAD = math.radians(45)
-"""An object is passed when it lies this angle behind the side on which the robot passes it."""
+"""The robot has passed an object when it is this angle beyond the object's side, as seen from the
+object's centre."""
 SNAPPED_RAD = math.radians(20)
 """Tolerance of `BEYOND_RAD`, because points may have been moved to reachable places."""
 PAST_RAD = math.pi / 2 + BEYOND_RAD - SNAPPED_RAD
@@ -72,11 +73,12 @@ def plan_by_rules(
     segments: list[list[Point]] = []
     for step, following in zip(steps, [*steps[1:], None], strict=True):
         try:
+            # Steps after the slice are not planned now, but will follow.
             more_follow = following is None and step_slice.stop is not None
             segments += _plan_step(step, following, SE2(*here, heading_rad), functions, more_follow)
         except TrajectoryError as error:
             raise TrajectoryError(f"{one_line(step.said, 60)!r}: {error}") from None
-        (x0, y0), (x1, y1) = ([here] + segments[-1])[-2:]
+        (x0, y0), (x1, y1) = ([here] + segments[-1])[-2:]  # last piece of the path
         here = segments[-1][-1]
         if (x0, y0) != (x1, y1):
             heading_rad = math.atan2(y1 - y0, x1 - x0)
@@ -102,8 +104,9 @@ def _plan_step(
 ) -> list[list[Point]]:
     """Return the path of one step from `here`, as one segment.
 
-    `more_follow` is True if unknown steps follow. The robot must then be completely past an object,
-    or it may have to turn back later.
+    `following` is the next step, if it is known. `more_follow` is True if `following` is None, but
+    other steps follow. The robot must then be completely past an object, or it may have to turn
+    back later.
     """
     at = (here.x_m, here.y_m)
     match step.kind:
@@ -149,7 +152,7 @@ def _plan_past(
     Without a given side, try both. Past a long object, the path may go as far as one around it.
     """
     errors: list[str] = []
-    for kind in dict.fromkeys((step.kind, "around")):
+    for kind in dict.fromkeys((step.kind, "around")):  # "past" and then "around", or only "around"
         paths = []
         for side in [step.side] if step.side else ["left", "right"]:
             try:
@@ -214,9 +217,8 @@ def _check_side(
 
 _ANGLE_STEP_M = 0.1  # spacing of the points at which the angle of a path is measured
 DETOUR = 4.0
-"""Largest ratio of the path between two points of an arc to their distance.
-
-A longer path goes back."""
+"""If the path between two points of an arc is longer than their distance by more than this factor,
+it leads back around the object. The path may then end at the first of these points."""
 
 
 def _is_past(obj: SceneObject, side: str, path: Sequence[Point]) -> bool:
@@ -242,7 +244,7 @@ def _side_points(
     side: str,
     functions: ScriptFunctions,
 ) -> list[Point]:
-    """Return points on the arc past a side of an object.
+    """Return points on the arc past a side of an object, for a step from the place `at`.
 
     "past" goes to `BEYOND_RAD` behind the side. "around" goes to the next step's object, or to the
     far side. The point at the side itself must be reachable and on that side. Other points are left
@@ -256,8 +258,9 @@ def _side_points(
     arc = functions.arc(obj.id, at, end, side, PASSING_DISTANCE_M)
     looking_rad = functions.heading(at, centre_m(obj))
     points = [_place_next_to(obj, side, at, functions)]
-    k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))
+    k = min(range(len(arc)), key=lambda i: math.dist(arc[i], abeam))  # point of the arc at the side
     for point in arc[k + 1 :]:
+        # Angle between the point and the far side, from the centre: pi / 2 at the side itself.
         angle_rad = functions.heading(centre_m(obj), point)
         behind_rad = abs(math.remainder(angle_rad - looking_rad, math.tau))
         if step.kind == "past" and behind_rad < math.pi / 2 - BEYOND_RAD - 1e-6:

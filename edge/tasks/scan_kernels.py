@@ -21,8 +21,8 @@ def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, poi
     - `masks`: (k, rows, columns) bool, over each box; (0, rows, columns): the boxes are the masks.
     - `margin`: share of a box's width and height by which its window is larger on each side.
     - `keep`: (n,) bool, points to use.
-    - `mask_of`: (m,) int32 output; for window i the value is i for a point on its mask, else -1 -
-      i.
+    - `mask_of`: (m,) int32 output; for a point in window i the value is i if it is on the mask,
+      else -1 - i.
     - `point_of`: (m,) int32 output, index into `cloud`, ascending.
     - `depth_of`: (m,) float32 output.
 

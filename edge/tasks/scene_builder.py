@@ -1,7 +1,8 @@
 """Building of a scene from sensor data: objects, occupancy, regions (OpenNav III-B).
 
 `SceneBuilder` accumulates frames of a camera with LiDAR or depth. `scene_of_map` describes the
-data that the service has already: its rolling map and its instances.
+data that the service has already: its rolling map and its instances. A *frame* is one observation;
+its *picture* is the camera's image.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ GROUND_VOXEL_M = 0.2  # side of the cells in which ground points of one kind cou
 MASK_SCALE = 4
 """Factor by which masks are enlarged before contours are drawn, for finer corners."""
 
-_INFLATED_VALUE = 50  # of inflated cells, in a copy of the map
+_INFLATED_VALUE = 50  # of inflated cells in a copy of the map; occupied ones have 100
 
 OUTDOORS = config.MappingConfig(
     input="cloud", resolution_m=0.2, extent_m=110.0, range_m=50.0, min_range_m=3.0,
@@ -241,6 +242,7 @@ def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> li
     """
     objects: dict[int, MapObject] = {}
     for instance in sorted(instances, key=lambda instance: instance.id):
+        # Key of the result: the id in the object map, or minus the id of an instance without one.
         points_m, key = instance.points_m, -instance.id
         same_name = [
             obj for obj in object_map.objects.values() if names.same_name(obj.label, instance.label)
@@ -394,7 +396,8 @@ def _scene(
 ) -> Scene:
     """Build the scene: regions of each kind of ground, and points of them nearest to each object.
 
-    If `kind` is None, the ground is free ground that the robot could drive to.
+    `kind` is (h, w) uint8, index into `labels` plus 1; 0: not drivable. If it is None, the ground
+    is free ground that the robot could drive to, all of the first label.
     """
     pose = observation.pose
     if kind is None:

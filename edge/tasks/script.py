@@ -31,7 +31,7 @@ _EPOCH = datetime(2000, 1, 1)
 
 @dataclass(frozen=True, slots=True)
 class ScriptResult:
-    """Result of a script; the trajectory it gave is in `ScriptFunctions.given`.
+    """Result of a script; the trajectory it gave is in `ScriptFunctions.trajectory`.
 
     Attributes:
         printed: output without control characters, cut to the limit.

@@ -14,7 +14,7 @@ def headings_rad(path_m: np.ndarray) -> np.ndarray:
     """
     if len(path_m) < 2:
         return np.zeros(len(path_m))
-    leg = np.arctan2(*np.diff(path_m, axis=0).T[::-1])
+    leg = np.arctan2(*np.diff(path_m, axis=0).T[::-1])  # arctan2(dy, dx)
     return np.append(leg, leg[-1])
 
 
@@ -39,6 +39,7 @@ def speeds_mps(path_m: np.ndarray, limits: MotionLimits, start_mps: float = 0.0)
         return speeds
     legs = np.hypot(*np.diff(path_m, axis=0).T)
     turn = np.abs((np.diff(headings_rad(path_m)[: n - 1]) + np.pi) % (2 * np.pi) - np.pi)
+    # The robot turns at a corner on the way from the middle of one leg to the middle of the next.
     with np.errstate(divide="ignore"):
         corner = limits.turn_radps * 0.5 * (legs[:-1] + legs[1:]) / turn
     speeds[1:-1] = np.minimum(speeds[1:-1], corner)

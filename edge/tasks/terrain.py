@@ -112,7 +112,9 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
     around_robot = free & (part == part[cell])
     if around_robot.sum() * occupancy.resolution_m**2 >= MIN_REGION_M2:
         return occupancy
+    # Lines start inside the robot's own free ground, so it counts as unknown.
     state = np.where(around_robot, np.int8(-1), cells)
+    # Points on straight lines from the robot: (2, lines, points of a line).
     angle_rad = np.arange(0.0, 2.0 * np.pi, step_m / BLIND_M)[:, None]
     away_m = np.arange(0.0, BLIND_M, step_m)
     xy_m = np.stack((pose.x_m + away_m * np.cos(angle_rad), pose.y_m + away_m * np.sin(angle_rad)))
@@ -121,6 +123,7 @@ def with_blind_spot(occupancy: Grid, pose: SE2) -> Grid:
     inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
     at = row.clip(0, h - 1).astype(np.intp), column.clip(0, w - 1).astype(np.intp)
     known = inside & (state[at] >= 0)
+    # For each line the first known point; True if it is free; then the points before it.
     first = np.argmax(known, axis=1)
     lines = np.arange(len(first))
     ground = known[lines, first] & (state[at][lines, first] == 0)
@@ -150,11 +153,13 @@ def classify_ground(
         return np.zeros((h, w), np.uint8)
     column, row = np.floor(grid.to_cells(xy_m)).astype(np.int64).reshape(-1, 2).T
     inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    # Number of points by cell and kind, counted by one flat index.
     flat = (row * w + column)[inside] * (n_kinds + 1) + kind[inside]
     votes = np.bincount(flat, minlength=h * w * (n_kinds + 1)).reshape(h, w, n_kinds + 1)
     out = np.argmax(votes, axis=2).astype(np.uint8)
     if not out.any():
         return out
+    # For each cell, the distance to the nearest cell with a kind, and the label of that cell.
     away, nearest = cv2.distanceTransformWithLabels(
         (out == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -164,6 +169,7 @@ def classify_ground(
     from_robot_m = np.linalg.norm(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=2)
     unseen = (votes.sum(axis=2) == 0) & (grid.cells == 0)
     gap = unseen & (away * grid.resolution_m <= FILL_M + FILL_SHARE * from_robot_m)
+    # Under the robot: the kind that is most frequent near by.
     near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
     under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
     return np.where(under, np.argmax(near), np.where(gap, kind_of_label[nearest], out)).astype(

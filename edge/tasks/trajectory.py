@@ -22,8 +22,8 @@ from edge.trajectory.pursuit import CREEP_MPS
 
 MOST_HEIGHT_M = 1000.0  # largest height of a point, up or down
 _SHOWN = 40  # most characters of a text from a script in a message
-
-MAX_POINTS, MAX_SEGMENTS = 5_000, 50  # of a trajectory that a script hands over
+MAX_POINTS, MAX_SEGMENTS = 5_000, 50
+"""Largest numbers of points and of segments of a trajectory that a script hands over."""
 
 
 class TrajectoryError(UserError):
@@ -184,8 +184,8 @@ def _check_points(points: np.ndarray, segment: int, ground: ReachableGround) -> 
             raise TrajectoryError(
                 f"{where}, is outside the map (x {x0:g} to {x1:g}, y {y0:g} to {y1:g})"
             )
-        robots = scene.pose.distance_to(x, y) <= ESCAPE_M and occupancy.cells[cell] <= 0
-        if not (robots or ground.reachable[cell]):
+        near_robot = scene.pose.distance_to(x, y) <= ESCAPE_M and occupancy.cells[cell] <= 0
+        if not (near_robot or ground.reachable[cell]):
             raise TrajectoryError(
                 f"{where}, {_reason_not_reachable(ground, cell)}{_advice(ground, x, y)}"
             )

@@ -21,10 +21,13 @@ from edge.tasks.script import ScriptLimits, run_script
 from edge.tasks.trajectory import CoarseTrajectory
 from edge.text import one_line
 
-# Parts of an answer: code, what a model thinks aloud, and a refusal as `prompt.txt` asks for it.
+# Parts of a model's answer. A block of code: "```python\nprint(1)\n```" gives its language and its
+# code. The end of the answer also ends a block.
 _BLOCK = re.compile(r"```[ \t]*(\w*)[ \t]*\n(.*?)(?:^[ \t]*```|\Z)", re.DOTALL | re.MULTILINE)
 _LANGUAGES = ("", "py", "python", "python3")
+# Reasoning at the begin of an answer: "<think>The van is …</think>".
 _THOUGHTS = re.compile(r"\A\s*<think>.*?</think>", re.DOTALL)
+# A refusal in the form that `prompt.txt` asks for: "REFUSED: there is no van" gives the reason.
 _REFUSED = re.compile(r"^\W*REFUSED\b\W*(.*)", re.MULTILINE)
 _MAX_ANSWER_CHARS = 20_000  # of a wrong answer in the next request
 # Errors of an answer, also sent to the model.
@@ -58,12 +61,12 @@ class WrittenTrajectory:
         coarse: the trajectory.
         ground: the ground on which the trajectory was checked.
         understood: interpretation by the rules, in words; "" for a model.
-        rounds: answers of a model; the last one gave the trajectory.
+        rounds: answers of a model, oldest first; the last one gave the trajectory.
         prompt: version of the model's prompt; "" for the rules.
-        stops_at: id of the object that the rules' trajectory ends at, as near as the robot gets;
+        stops_at: id of the object at which the whole trajectory ends, as near as the robot gets;
             None if it ends elsewhere or a model wrote it.
-        stops: for each step of the rules the ids of the objects that the robot stops at; empty for
-            a model.
+        stops: for each step, the ids of the objects that the robot stops at in this step; () for a
+            step without a stop. Empty if a model wrote the trajectory.
     """
 
     instruction: str
@@ -80,7 +83,7 @@ class WriteError(UserError):
     """No trajectory was written; the message gives the reason.
 
     Attributes:
-        rounds: answers of the model.
+        rounds: answers of the model, oldest first.
     """
 
     def __init__(self, message: str, rounds: tuple[PlanAttempt, ...] = ()) -> None:
@@ -196,8 +199,9 @@ def _ask_model(
         on_answer(rounds[-1])
         if not rounds[-1].error:
             return tuple(rounds)
-        if why := _REFUSED.search(_THOUGHTS.sub("", answer)) if not rounds[-1].code else None:
-            reason = one_line(why[1]) or "no reason given"
+        refused = _REFUSED.search(_THOUGHTS.sub("", answer))
+        if refused and not rounds[-1].code:
+            reason = one_line(refused[1]) or "no reason given"
             raise WriteError(f"{client.url}: the model refused: {reason}", tuple(rounds))
         conversation += _messages_about(rounds[-1])
     raise WriteError(

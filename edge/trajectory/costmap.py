@@ -135,5 +135,5 @@ def from_occupancy(
     if unknown_cost is None:
         table[1] = 0
     index = np.minimum(distance / np.float32(step_m), entries - 1).astype(np.int32)
-    index += (cells < 0) * np.int32(entries)
+    index += (cells < 0) * np.int32(entries)  # unknown cells: second row of the table
     return from_weights(replace(grid, cells=table.ravel()[index]))

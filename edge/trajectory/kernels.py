@@ -57,6 +57,8 @@ def _heuristic(cell, goal_x, goal_y, h_long, h_short):
     """Return the octile distance times the heuristic's weight.
 
     The result never exceeds the cost to the goal, so the path that A* finds is the cheapest.
+    `h_long` and `h_short` are the costs for each cell of the longer and of the shorter of |dx| and
+    |dy|.
     """
     dx = abs((cell & _XY) - goal_x)
     dy = abs(((cell >> 14) & _XY) - goal_y)
@@ -89,13 +91,15 @@ def search(weight, width, start, goal, h_weight, shift, g, head, pool, offset, p
     for e in range(pool.size):
         pool[e] = int64(e + 1) << 32
     # The start was not entered from any side: entries for east and west cover all neighbours.
+    # Entry 0 has direction 0 and is followed by entry 1, which has direction 4 and is the last.
     cell = ((start // width) << 14) | (start % width)
     bucket = _heuristic(cell, goal_x, goal_y, h_long, h_short) >> shift
     pool[0], pool[1] = cell | (int64(1) << 32), cell | (int64(4) << 28) | (int64(-1) << 32)
     head[bucket & (BUCKETS - 1)] = 0
     g[start] = 1
     unused = int64(2)
-    expansions, lo, hi, idle = -1, start, start, 0  # -1: the start is popped twice
+    expansions, lo, hi = -1, start, start  # -1: the start is popped twice
+    idle = 0  # empty buckets in a row; after `BUCKETS` of them the queue is empty
     status = UNREACHABLE
     while idle < BUCKETS:
         # No entry that is left has a smaller key than the goal, so none leads to it at less cost.

@@ -123,6 +123,7 @@ def pursue(
         return STOP
     if abs(bearing) > ROTATE_RAD:
         return turn_by(bearing, limits)
+    # Speed from which the robot stops at the goal with half of the allowed deceleration.
     braking = math.sqrt(limits.accel_mps2 * max(remaining_m, 0.0))
     v = min(limits.speed_mps, max(braking, CREEP_MPS)) * math.cos(bearing)
     return limits.clip(v, v * 2.0 * math.sin(bearing) / distance)

@@ -30,6 +30,7 @@ def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.nd
     n = len(control_m)
     if n < 2:
         return control_m.copy(), np.zeros(n, np.int64)
+    # Both ends three times. At parameter u the curve is then nearest to control point u - 1.
     padded = control_m[np.clip(np.arange(-2, n + 2), 0, n - 1)]
     # Between two control points the curve is no longer than the longest leg of its hull.
     longest = np.sqrt((np.diff(control_m, axis=0) ** 2).sum(axis=1).max())

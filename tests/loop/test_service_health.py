@@ -80,7 +80,7 @@ def test_it_is_ready_once_it_sees(watched):
     assert watched.beat(1.0)[-1] == "STATUS=searching: bed"
     assert watched.page("/readyz") == (200, {"ok": True, "state": "running", "why": []})
     watched.beat(2.0)
-    assert watched.vitals.unseen_s == 2.0
+    assert watched.vitals.no_observation_s == 2.0
     assert watched.page("/readyz")[0] == 503, "the camera is gone"
 
 

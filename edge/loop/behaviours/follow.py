@@ -1,5 +1,10 @@
 """Follow behaviour: find the objects of a task, then write, refine and drive its trajectory.
 
+A task has steps, such as "pass the van" and "go to the gate". A *written* trajectory is a list of
+coarse points; *refining* it makes a path that the robot can drive on the current map. A refined
+trajectory consists of legs. If the rules wrote it, a leg that ends a segment ends a step. A *stop*
+is the end of a step at objects.
+
 The robot drives as many steps as a trajectory can be written for. The objects of later steps may be
 seen during the drive. If no further step can be driven, the robot searches for them.
 
@@ -150,13 +155,18 @@ class FollowBehaviour:
 
     @property
     def _possible_ends(self) -> tuple[int, ...]:
-        """Numbers of steps that a trajectory may cover now, the largest first."""
+        """Numbers of steps after which a trajectory may end now, counted from the task's start.
+
+        The largest comes first.
+        """
         steps, unseen, first = self._steps, set(self.missing), self._mission.state
         if self._by_model:
             return (len(steps),)
-        named = (n for n in range(first, len(steps)) if not unseen.isdisjoint(steps[n].names))
-        ready = range(next(named, len(steps)), first, -1)
-        return tuple(n for n in ready if n == len(steps) or not steps[n].joined)
+        blocked = (n for n in range(first, len(steps)) if not unseen.isdisjoint(steps[n].names))
+        first_blocked = next(blocked, len(steps))  # first step with an object that was not seen
+        # A trajectory must not end just before a step that is driven together with the last one.
+        ends = range(first_blocked, first, -1)
+        return tuple(n for n in ends if n == len(steps) or not steps[n].joined)
 
     # -- in each tick -----------------------------------------------------------------------
 
@@ -193,6 +203,7 @@ class FollowBehaviour:
             context: Observation, detections and time of the tick.
             stuck: True if the robot should drive but stands still.
         """
+        # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
         if detections is not None:
@@ -304,7 +315,7 @@ class FollowBehaviour:
         if self._all_seen:
             self._mission.fail(_log_text(self._no_plan_reason), now_ns)
             return
-        is_settled = self._ambiguous and not self.gather()
+        is_settled = self._ambiguous and not self.gather()  # the objects in question are confirmed
         if is_settled or self._goals.exhausted or now_ns - self._checked_ns >= RETRY_NS:
             self._checked_ns, self._all_seen = now_ns, self._goals.exhausted
             self._request_plan(observation, None)
@@ -439,7 +450,7 @@ class FollowBehaviour:
 
     def _n_steps_driven(self, refined: RefinedTrajectory) -> int:
         """Return the number of driven steps. The rules write one segment for each step."""
-        ahead = refined.legs[refined.leg[self._index] :]
+        ahead = refined.legs[refined.leg[self._index] :]  # the present leg and all after it
         driven = max(self._result.n_done - sum(leg.ends_segment for leg in ahead), 0)
         while self._steps[driven].joined:  # this step is one leg with the step before it
             driven -= 1
@@ -447,9 +458,10 @@ class FollowBehaviour:
 
     def _find_next_stop(self, refined: RefinedTrajectory) -> tuple[int, int] | None:
         """Return the next step that stops at objects, and the index of the pose of the stop."""
-        ends = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]
+        last_legs = [k for k, leg in enumerate(refined.legs) if leg.ends_segment]  # of each step
         end, stops = self._result.n_done, self._result.stops
-        for step, leg in zip(range(end - len(ends), end), ends, strict=True):
+        # `stops` ends with step `end` - 1, so `stops[step - end]` counts from its end.
+        for step, leg in zip(range(end - len(last_legs), end), last_legs, strict=True):
             if step >= max(self._n_verified, end - len(stops)) and stops[step - end]:
                 return step, end_of_leg(refined, leg)
         return None

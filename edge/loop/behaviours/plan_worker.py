@@ -244,12 +244,12 @@ def _approach(request: PlanRequest, obj: tuple[int, str]) -> PlanResult:
 
 
 def _find_again(obj: tuple[int, str], scene: Scene) -> SceneObject | None:
-    """Return the object with this id. If it is gone, return the nearest object of its label."""
+    """Return the object with this (id, label). If it is gone, return the nearest of its label."""
     object_id, label = obj
     if object_id in scene.objects:
         return scene.objects[object_id]
-    same_label = [obj for obj in scene.objects.values() if obj.label == label]
-    nearest = min(same_label, key=lambda obj: _distance_m(obj, scene.pose), default=None)
+    same_label = [other for other in scene.objects.values() if other.label == label]
+    nearest = min(same_label, key=lambda other: _distance_m(other, scene.pose), default=None)
     return None if nearest is None or _distance_m(nearest, scene.pose) > SAME_OBJECT_M else nearest
 
 

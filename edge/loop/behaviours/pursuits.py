@@ -1,6 +1,7 @@
 """Pursuits: one class for each kind of target says how the robot goes there and when it is done.
 
-`SearchBehaviour` makes a pursuit for each active target and calls it in each tick.
+`SearchBehaviour` makes a pursuit for each active target and calls it in each tick. A target is a
+*thing*, such as "chair", or a destination: a place, a room, an exploration, a wait or a check.
 
 `PURSUITS` has one class for each kind of destination. Another kind needs a class and a line there.
 """
@@ -244,7 +245,7 @@ class CheckAnswer:
 
 
 class CheckPursuit(Pursuit[CheckTarget]):
-    """A look if a thing is there: at where it was before, then everywhere.
+    """Pursuit that checks if a thing is there: first where it was seen before, then everywhere.
 
     The target counts as reached with either answer.
     """
@@ -282,14 +283,17 @@ class CheckPursuit(Pursuit[CheckTarget]):
 class RoomPursuit(Pursuit[RoomTarget]):
     """Pursuit of a room: explore where it is likely; when it is known, go inside.
 
-    The robot is inside if the map says so, whatever the controller says of its goal.
+    The robot is inside if the map says so, whatever the controller says of its goal. The field
+    `RoomTarget.which` says how the target names the room: `called` ("the kitchen"), `largest`,
+    `next` (the nearest unvisited one), or `with` ("the room with a sofa").
     """
 
     _chosen_id = 0  # id of the room to go to; 0: none
     _exploring_id = 0  # id of the room that is explored around `_arrived_m`; 0: none
-    _explored_id = 0  # id of the room in which that is done
+    _explored_id = 0  # id of the room whose exploration is complete; 0: none
     _arrived_m = np.zeros(2, np.float32)  # where the robot came into the room
-    _closed_room: MappedRoom | None = None  # a room that the target may mean, if zones close all
+    # The likeliest room that the target may mean, if zones close all such rooms.
+    _closed_room: MappedRoom | None = None
     _is_final = False  # True if all is explored: the choice stays
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
@@ -342,6 +346,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
         known = self._map.rooms
+        # Rooms with an object that speaks for the kind.
         rooms = [room for room in known.rooms if (known.evidence(room, kind)[1] > 0.0).any()]
         likely = max(rooms, key=lambda room: room.chance[kind], default=None)
         if likely is None or likely.chance[kind] >= _LAST_CHANCE:
@@ -396,7 +401,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
             self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
         elif self._map.rooms.survey is not self._surveyed:
             self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
-        return self._agreed > _SURVEYS
+        return self._agreed > _SURVEYS  # the first one is the survey of the arrival
 
     def _is_found_by_kind(self, room: MappedRoom) -> bool:
         """Return True if the room is taken for the target because of its objects, not its name."""
@@ -412,7 +417,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         self._block_outside(room)
         c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
         c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
-        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)
+        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)  # indices, not blocked
         if np.isfinite(c.path_m[left]).any():
             return True
         self._exploring_id, self._explored_id = 0, room.id
@@ -434,8 +439,10 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if not self._is_found_by_kind(room):
             return room.points_m
         assert self._kind is not None
-        votes, near = self._map.rooms.votes(room, self._kind), self._distances_m(room, POINT_SNAP_M)
-        reachable = np.isfinite(near) if np.isfinite(near).any() else np.ones(len(near), np.bool_)
+        votes = self._map.rooms.votes(room, self._kind)
+        reachable = np.isfinite(self._distances_m(room, POINT_SNAP_M))
+        if not reachable.any():  # no path is known yet: take all points
+            reachable[:] = True
         low, high = float(votes[reachable].min()), float(votes[reachable].max())
         return room.points_m[reachable & (votes >= low + _MIN_VOTES_SHARE * (high - low))]
 
@@ -449,6 +456,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         found = [room for room in known if not is_closed(room, self._map, self._kind)]
         self._closed_room = known[0] if known and not found else None
         if which == "next":
+            # Prefer rooms with a door to the robot's own; else any other that can be reached.
             current = rooms.room_at(context.pose.x_m, context.pose.y_m)
             next_door = set() if current is None else {door.room for door in current.doors}
             found = [
@@ -542,7 +550,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
-    """A look if a thing is in one room."""
+    """Pursuit that checks if a thing is in one room."""
 
     def __init__(
         self,

@@ -89,7 +89,7 @@ class SearchBehaviour:
         """Do nothing: the map and the goal tracker hold all data in the frame."""
 
     def close(self) -> None:
-        """Do nothing: the surveyor belongs to the service."""
+        """Do nothing: the estimator of travel costs belongs to the service."""
 
 
 def newest_ids(
