@@ -427,7 +427,7 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
         (0.5, "", True, "approaching", ""),
         (0.5, "accepted", True, "approaching", ""),
         # Passing or stopping beside it is not reaching it: the controller must say so.
-        (0.5, "failed", True, "approaching", "goal failed: "),
+        (0.5, "failed", True, "approaching", "goal failed: no reason given"),
         (0.5, "reached", True, "verifying", "confirmed, seen in 3 images"),
         (0.5, "reached", False, "verifying", ""),
     ],

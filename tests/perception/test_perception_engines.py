@@ -282,7 +282,7 @@ def test_what_was_allocated_on_the_gpu_is_freed(gpu, open_tiny):
 
 def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
     inputs = {"images": np.zeros((1, 3), np.float32), "txt_feats": np.zeros((1, 5, 2), np.float32)}
-    with pytest.raises(ValueError, match="fewer prompts"):
+    with pytest.raises(ValueError, match="search for fewer objects"):
         open_tiny().run(["boxes"], inputs)
 
 

@@ -285,7 +285,8 @@ _UNCLEAR = (
     ),
     (
         re.compile(
-            rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
+            rf"\b(?:{ARTICLE}|every|each|any|all) rooms?"
+            r"(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
             re.I,
         ),
         "unclear which room; name it",
