@@ -39,7 +39,7 @@ def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
 def input_columns(
     node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int], cells: np.ndarray
 ) -> np.ndarray:
-    """Return the columns that a convolution multiplies with its weights.
+    """Return the inputs that a convolution multiplies with its weights, for some output cells.
 
     Args:
         node: the convolution.
@@ -48,7 +48,7 @@ def input_columns(
         cells: (k,) output cells, numbered row by row.
 
     Returns:
-        (k, C·kh·kw).
+        (k, C·kh·kw), a row for each cell; C is the number of input channels.
     """
     windows = _windows(node, x, kernel)
     rows, columns = np.unravel_index(cells, windows.shape[1:3])
@@ -66,7 +66,7 @@ def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np
 def _sampled_columns(
     node: onnx.NodeProto, x: np.ndarray, weight: onnx.TensorProto, random: np.random.Generator
 ) -> np.ndarray:
-    """Return at most ROWS_PER_IMAGE columns, (n, d), that a layer multiplies with its weights."""
+    """Return the layer's inputs for at most ROWS_PER_IMAGE of its outputs, (n, d)."""
     if node.op_type == "MatMul":
         tokens = x.reshape(-1, x.shape[-1])
         return tokens[random.permutation(len(tokens))[:ROWS_PER_IMAGE]]
@@ -154,6 +154,7 @@ def channel_scales(weight: np.ndarray) -> np.ndarray:
     for share in CLIP_SHARES.astype(np.float32):
         scale = full * share
         error = np.square(_round(weight, scale) * scale - weight).sum(axis=1, keepdims=True)
+        # Keep the best scale of each row so far.
         scales = np.where(error < best, scale, scales)
         best = np.minimum(error, best)
     return scales
@@ -184,11 +185,13 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
         for column in range(start, stop):
             levels[:, column] = _round(weight[:, column], scale[:, 0])
             rest = weight[:, column] - levels[:, column] * scale[:, 0]
+            # The error of a column is subtracted from all later columns, weighted by `inverse`:
+            # at once in this block, and after the block in the others.
             error = rest / inverse[column, column]
             weight[:, column:stop] -= np.outer(error, inverse[column, column:stop])
             errors[:, column - start] = error
         weight[:, stop:] -= errors @ inverse[start:stop, stop:]
-    return levels[:, np.argsort(order)]
+    return levels[:, np.argsort(order)]  # the columns in their old order
 
 
 def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:

@@ -36,8 +36,9 @@ class Decoder(nn.Module):
     ) -> tuple[Tensor, ...]:
         cache = _Cache(past)
         total, n = attention_mask.shape[1], inputs_embeds.shape[1]
-        places = torch.arange(total)
-        causal = places[None] <= places[total - n :, None]
+        positions = torch.arange(total)
+        # (n, total): a new token sees itself and all tokens before it.
+        causal = positions[None] <= positions[total - n :, None]
         seen = causal & attention_mask[:, None, None, :].to(torch.bool)
         mask = torch.where(seen, 0.0, MASKED)
         rotation = self.rotary_emb(inputs_embeds, position_ids)

@@ -148,6 +148,7 @@ class Explorer:
 
     def _measure_distances(self, walkable: np.ndarray) -> None:
         """Write the cost from the robot to each walkable cell into `_distance`."""
+        # `FREE` (1) or `CLOSED` (0); the border is closed, as `wavefront` requires.
         state = walkable.astype(np.uint8)
         state[0, :] = state[-1, :] = state[:, 0] = state[:, -1] = dist.CLOSED
         state[self._cell] = dist.FREE

@@ -22,14 +22,14 @@ from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS = "abcde"
 """Letters that stand for names in templates and formulas."""
-_SECOND_LETTERS = "fghij"  # those of the second of two joined instructions
+_SECOND_LETTERS = "fghij"  # those of the second of two joined instructions; see `_join_two`
 REFUSED_SHARE = 0.12
 """Share of sentences that no formula expresses."""
 JOINED_SHARE = 0.18
 """Share of sentences that join two instructions."""
-_SLOT = re.compile(r"\{(\w+)\}")
-_CHOICE = re.compile(r"\(([^()]*)\)")
-_NAME = re.compile(r"\$([a-e])")
+_SLOT = re.compile(r"\{(\w+)\}")  # {go}
+_CHOICE = re.compile(r"\(([^()]*)\)")  # (the|a), without brackets inside
+_NAME = re.compile(r"\$([a-e])")  # $a
 
 
 class Pair(NamedTuple):
@@ -72,8 +72,9 @@ class Phrases:
         slots: phrases for each slot.
         families: all families.
         refused: templates of sentences that no formula expresses.
-        goals: families whose formula says what to reach.
-        bans: families whose formula forbids or orders.
+        goals: families whose formula says what to reach: it begins with F or &.
+        bans: families whose formula forbids something or sets an order: its first token
+            begins with G, W or <.
     """
 
     slots: dict[str, list[str]]
@@ -83,6 +84,7 @@ class Phrases:
     bans: list[Family] = field(init=False)
 
     def __post_init__(self) -> None:
+        # The first token is the outermost operator of the formula.
         self.goals = [f for f in self.families if f.tokens[0] in "F&" and "W" not in f.tokens]
         self.bans = [f for f in self.families if f.tokens[0][0] in "GW<"]
 
@@ -91,6 +93,7 @@ def load(path: Path = PHRASES) -> Phrases:
     """Return the tables of a file."""
     tables = yaml.safe_load(path.read_text(encoding="utf-8"))
     slots = {name: " ".join(text.split()).split("|") for name, text in tables["slots"].items()}
+    # A row of the verbs is "go goes going gone|to": all forms, then the rest of the phrase.
     for name, table in tables["verbs"].items():
         rows = [row.strip().partition("|") for row in table.replace("\n", ";").split(";")]
         rows = [row for row in rows if row[0]]
@@ -103,7 +106,7 @@ def load(path: Path = PHRASES) -> Phrases:
     return Phrases(slots, families, tables["refused"].splitlines())
 
 
-# Table of verbs -> names of the slots for the forms of a verb, in the order of the table.
+# Table of verbs → names of the slots for the forms of a verb, in the order of the table.
 _FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
 
 
@@ -135,6 +138,7 @@ class Composer:
         """Fill a template: a phrase for each slot, and one option of each choice."""
         rng = self._rng
         for pattern, options in ((_SLOT, self._phrases.slots.__getitem__), (_CHOICE, _split)):
+            # Phrases and options may contain slots and choices themselves.
             while found := pattern.search(template):
                 chosen = rng.choice(options(found[1]))
                 template = f"{template[: found.start()]}{chosen}{template[found.end() :]}"
@@ -152,6 +156,7 @@ class Composer:
             else (self._phrases.goals, self._goal_weights)
         )
         rule = rng.choices(other, weights)[0]
+        # Sometimes the rule is about the goal's last target.
         shared = rng.random() < 0.15 and rule.tokens[0] != "G"
         first, second = (
             self._fill_template_of(goal),
@@ -170,6 +175,7 @@ class Composer:
         sentence = self.filled(self._rng.choice(self._phrases.refused))
         if self._rng.random() < 0.3:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
+            # The letters a to c may be taken by the refused sentence.
             other = _sentence_with_other_letters(
                 self._fill_template_of(goal), Family(tuple("abc"), 0, ()), goal, False
             )
