@@ -177,7 +177,7 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
     damping = DAMPING * diagonal.mean() + 1e-8
     # The strongest inputs go first, while many columns are left to compensate their error.
     order = np.argsort(-diagonal, kind="stable")
-    weight, inverse = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
+    weight, factor = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
     levels = np.zeros_like(weight)
     for start in range(0, weight.shape[1], BLOCK):
         stop = min(start + BLOCK, weight.shape[1])
@@ -185,12 +185,12 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
         for column in range(start, stop):
             levels[:, column] = _round(weight[:, column], scale[:, 0])
             rest = weight[:, column] - levels[:, column] * scale[:, 0]
-            # The error of a column is subtracted from all later columns, weighted by `inverse`:
+            # The error of a column is subtracted from all later columns, weighted by `factor`:
             # at once in this block, and after the block in the others.
-            error = rest / inverse[column, column]
-            weight[:, column:stop] -= np.outer(error, inverse[column, column:stop])
+            error = rest / factor[column, column]
+            weight[:, column:stop] -= np.outer(error, factor[column, column:stop])
             errors[:, column - start] = error
-        weight[:, stop:] -= errors @ inverse[start:stop, stop:]
+        weight[:, stop:] -= errors @ factor[start:stop, stop:]
     return levels[:, np.argsort(order)]  # the columns in their old order
 
 

@@ -60,8 +60,8 @@ class Fit(NamedTuple):
         beta: (m + 1,) weight of each object, and the bias (last).
         score: quality in held-out houses.
         rows: indices of the samples that count for the target.
-        log_ratio: log likelihood ratio of each of these, by a model of other houses; 0 for a place
-            without information.
+        log_ratio: log likelihood ratio of each of these, by a model of other houses; 0 if nothing
+            was seen near the place.
     """
 
     beta: np.ndarray
@@ -199,7 +199,9 @@ def fit_powers(
 
 
 def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> Iterator[tuple]:
-    """Yield predicted likelihood ratio, observed ratio and number of places, by bin.
+    """Yield (predicted likelihood ratio, observed ratio, number of places) of each bin.
+
+    Both ratios are means over the bin's places, relative to the mean over all places.
 
     Args:
         samples: all samples.
@@ -252,7 +254,7 @@ def _loss(p: np.ndarray, found: np.ndarray) -> np.ndarray:
 def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> float:
     """Return the log loss of given log-odds plus an intercept that is fitted here."""
     bias = 0.0
-    for _ in range(20):
+    for _ in range(20):  # Newton's method
         p = _sigmoid(offset + bias)
         bias += (weight * (found - p)).sum() / max((weight * p * (1.0 - p)).sum(), 1e-9)
     return float(np.average(_loss(_sigmoid(offset + bias), found), weights=weight))

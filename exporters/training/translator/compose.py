@@ -138,10 +138,10 @@ class Composer:
         """Fill a template: a phrase for each slot, and one option of each choice."""
         rng = self._rng
         for pattern, options in ((_SLOT, self._phrases.slots.__getitem__), (_CHOICE, _split)):
-            # Phrases and options may contain slots and choices themselves.
             while found := pattern.search(template):
                 chosen = rng.choice(options(found[1]))
                 template = f"{template[: found.start()]}{chosen}{template[found.end() :]}"
+                # The option has a slot: begin again.
                 if pattern is _CHOICE and _SLOT.search(template):
                     return self.filled(template)
         return template
