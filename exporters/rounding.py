@@ -36,7 +36,7 @@ def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
     return next((list(a.ints) for a in node.attribute if a.name == name), default)
 
 
-def input_columns(
+def inputs_of_cells(
     node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int], cells: np.ndarray
 ) -> np.ndarray:
     """Return the inputs that a convolution multiplies with its weights, for some output cells.
@@ -51,19 +51,19 @@ def input_columns(
         (k, C·kh·kw), a row for each cell; C is the number of input channels.
     """
     windows = _windows(node, x, kernel)
-    rows, columns = np.unravel_index(cells, windows.shape[1:3])
-    return windows[:, rows, columns].swapaxes(0, 1).reshape(len(cells), -1)
+    v, u = np.unravel_index(cells, windows.shape[1:3])
+    return windows[:, v, u].swapaxes(0, 1).reshape(len(cells), -1)
 
 
 def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np.ndarray:
     """Return a view (C, output height, output width, kh, kw) of each output cell's input."""
     top, left, bottom, right = attribute(node, "pads", [0, 0, 0, 0])
-    down, across = attribute(node, "strides", [1, 1])
+    step_v, step_u = attribute(node, "strides", [1, 1])
     padded = np.pad(x[0], ((0, 0), (top, bottom), (left, right)))
-    return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::down, ::across]
+    return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::step_v, ::step_u]
 
 
-def _sampled_columns(
+def _sampled_inputs(
     node: onnx.NodeProto, x: np.ndarray, weight: onnx.TensorProto, random: np.random.Generator
 ) -> np.ndarray:
     """Return the layer's inputs for at most ROWS_PER_IMAGE of its outputs, (n, d)."""
@@ -72,7 +72,7 @@ def _sampled_columns(
         return tokens[random.permutation(len(tokens))[:ROWS_PER_IMAGE]]
     kernel = tuple(weight.dims[2:])
     height, width = _windows(node, x, kernel).shape[1:3]
-    return input_columns(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
+    return inputs_of_cells(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
 
 
 class InputStatistics:
@@ -94,13 +94,13 @@ class InputStatistics:
         self._count = 0
         self._sum, self._rounded_sum = np.zeros(size), np.zeros(size)
 
-    def add(self, columns: np.ndarray) -> None:
+    def add(self, inputs: np.ndarray) -> None:
         """Add the inputs of some outputs of one image, (outputs, d)."""
-        self.moment += columns.T @ columns
-        self._count += len(columns)
-        self._sum += columns.sum(axis=0)
+        self.moment += inputs.T @ inputs
+        self._count += len(inputs)
+        self._sum += inputs.sum(axis=0)
         if self._step is not None:
-            self._rounded_sum += (_round(columns, self._step) * self._step).sum(axis=0)
+            self._rounded_sum += (_round(inputs, self._step) * self._step).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
@@ -138,11 +138,11 @@ def input_statistics(
         made = session.run(names, feed) if names else []  # an empty list means all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in layers:
-            columns = _sampled_columns(node, values[node.input[0]], weights[node.input[1]], random)
+            inputs = _sampled_inputs(node, values[node.input[0]], weights[node.input[1]], random)
             if node.name not in statistics:
                 limit = limits.get(node.input[0])
-                statistics[node.name] = InputStatistics(columns.shape[1], limit)
-            statistics[node.name].add(columns)
+                statistics[node.name] = InputStatistics(inputs.shape[1], limit)
+            statistics[node.name].add(inputs)
     return statistics
 
 
@@ -227,11 +227,11 @@ def round_weights(
     for node in with_progress("layers: weights", layers):
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
-        across = node.op_type == "MatMul"  # its output channels are columns
-        weight = array.T if across else array.reshape(len(array), -1)
+        is_product = node.op_type == "MatMul"  # its output channels are columns
+        weight = array.T if is_product else array.reshape(len(array), -1)
         scale = channel_scales(weight)
         rounded = gptq(weight, inputs.moment, scale) * scale
-        values = np.ascontiguousarray(rounded.T) if across else rounded.reshape(array.shape)
+        values = np.ascontiguousarray(rounded.T) if is_product else rounded.reshape(array.shape)
         initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
         scales[initializer.name] = scale[:, 0]
         if limits and node.input[0] in limits and len(node.input) > 2:

@@ -1,10 +1,10 @@
 """Network of the choice model: rates the marked frontiers of an image for a target.
 
-It reads the features of the detector's trunk. A few convolutions make a map of keys and values from
-an image, for all targets. There is a token for each mark, and one more for "elsewhere" and the
-scene; they query the map with the target's text. Attention (arXiv:1706.03762) goes over the map's
-cells, by their content and their position relative to the mark, then over the other tokens. The
-network is so small that it stays in float32.
+It reads the features of the detector's trunk. A few convolutions make a feature map (8 x 10 cells)
+of an image, for all targets. There is a token, a vector of `width` values, for each mark, and one
+more for "elsewhere" and the scene. A target's text is added to the tokens. Attention
+(arXiv:1706.03762) goes over the map's cells, by their content and their position relative to the
+mark, then over the other tokens. The network is so small that it stays in float32.
 """
 
 from __future__ import annotations
@@ -131,6 +131,7 @@ class _Layer(nn.Module):
         """
         v, t, n, width = x.shape
         h, d = self.heads, width // self.heads
+        # Attention over cells: h heads, d values in each.
         ask = self.ask(self.norms[0](x)).reshape(v, t * n, h, d).transpose(1, 2)
         key, value = self.key_value(cells).chunk(2, -1)
         key, value = (y.reshape(v, -1, h, d).transpose(1, 2) for y in (key, value))
@@ -138,11 +139,12 @@ class _Layer(nn.Module):
         offset = torch.cat([away, away.abs()], -1)
         score = score + self.bias(offset).permute(0, 3, 1, 2)[:, :, None]
         score = score + self.on_target.reshape(1, -1, 1, 1, 1) * target[:, None, :, None]
-        p = score.softmax(-1)
+        p = score.softmax(-1)  # (v, h, t, n, 80)
         found = (p.reshape(v, h, t * n, -1) @ value).transpose(1, 2).reshape(v, t, n, width)
         seen = (p * target[:, None, :, None]).sum(-1).permute(0, 2, 3, 1)  # (v, t, n, heads)
         x = x + self.answer(torch.cat([found, seen], -1))
 
+        # Attention over tokens, then the feed-forward step.
         q, k, u = self.mix(self.norms[1](x)).chunk(3, -1)
         score = q @ k.transpose(2, 3) * width**-0.5 - _BIG * (1.0 - is_mark[:, None, None])
         x = x + self.mixed(score.softmax(-1) @ u)

@@ -92,7 +92,8 @@ class Report:
         last two figures count the questions of the kinds `TOLD_APART`.
         """
         # Shares of scores above the threshold, on the right object and on the wrong one.
-        right, wrong = (self.phrases.T > DEPLOYED).mean(1) if len(self.phrases) else (0.0, 0.0)
+        is_above = self.phrases.T > DEPLOYED
+        right_above, wrong_above = is_above.mean(1) if len(self.phrases) else (0.0, 0.0)
         return {
             "ap50": round(self.map50, 3),
             "categories": len(self.ap50),
@@ -100,8 +101,8 @@ class Report:
             "pairs_told_apart": round(self.pair_share(), 3),
             **{f"{kind}_pairs": round(self.pair_share(kind), 3) for kind in self.pairs},
             **{f"{kind}_questions": asked for kind, (_, asked) in self.pairs.items()},
-            f"right_above_{DEPLOYED}": round(float(right), 3),
-            f"wrong_below_{DEPLOYED}": round(1.0 - float(wrong), 3),
+            f"right_above_{DEPLOYED}": round(float(right_above), 3),
+            f"wrong_below_{DEPLOYED}": round(1.0 - float(wrong_above), 3),
         }
 
     def table(self) -> str:
@@ -230,6 +231,13 @@ def _match(
     Of overlapping boxes, the one with the highest score is a detection. Detections on objects that
     do not count are left out. So are detections on objects for which the category is UNSURE, such
     as an armchair for the category chair.
+
+    Args:
+        boxes: (a, 4) boxes of the detector.
+        scores: (a,) their scores for the category.
+        objects: (o,) `views.OBJECT`.
+        does_count: see `_does_count`.
+        category: from 1.
 
     Returns:
         The score of each detection, and 1 if it is right, 0 if it is wrong.

@@ -86,6 +86,7 @@ class PriorInputs:
             wall, 0.0, 0.0, CELL_M, frontiers.xy_m, n, thing_m, rows, weight, len(seen), NEAR_M,
             near,
         )  # fmt: skip
+        # Region of each seen object (`at`), and of each frontier.
         at, self.region = np.empty(len(seen), np.int16), np.empty(n, np.int16)
         regions.regions_at(self.label, 0.0, 0.0, CELL_M, thing_m, len(seen), REGION_M, at)
         regions.regions_at(self.label, 0.0, 0.0, CELL_M, frontiers.xy_m, n, REGION_M, self.region)
