@@ -197,10 +197,10 @@ class Dispatcher:
             self._plan.parts, robots, self._find_away(robots), self._n_refused, self._final,
             self._n_forgot,
         )  # fmt: skip
-        self._final = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
+        self._final = {id: o for id, o in orders.outcomes.items() if id not in orders.lost}
         # Provisional failures are no outcomes yet: they are only reported.
         provisional = self._provisional_outcomes(orders)
-        outcomes = {k: o for k, o in orders.outcomes.items() if k not in provisional}
+        outcomes = {id: o for id, o in orders.outcomes.items() if id not in provisional}
         orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(provisional))
         self._report(orders, robots, provisional)
         self._roster.run_all(

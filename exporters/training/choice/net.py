@@ -140,14 +140,15 @@ class _Layer(nn.Module):
         score = score + self.bias(offset).permute(0, 3, 1, 2)[:, :, None]
         score = score + self.on_target.reshape(1, -1, 1, 1, 1) * target[:, None, :, None]
         p = score.softmax(-1)  # (v, h, t, n, 80)
+        # The map at the tokens' cells, and the target's score there.
         found = (p.reshape(v, h, t * n, -1) @ value).transpose(1, 2).reshape(v, t, n, width)
         seen = (p * target[:, None, :, None]).sum(-1).permute(0, 2, 3, 1)  # (v, t, n, heads)
         x = x + self.answer(torch.cat([found, seen], -1))
 
         # Attention over tokens, then the feed-forward step.
-        q, k, u = self.mix(self.norms[1](x)).chunk(3, -1)
-        score = q @ k.transpose(2, 3) * width**-0.5 - _BIG * (1.0 - is_mark[:, None, None])
-        x = x + self.mixed(score.softmax(-1) @ u)
+        query, key, value = self.mix(self.norms[1](x)).chunk(3, -1)
+        score = query @ key.transpose(2, 3) * width**-0.5 - _BIG * (1.0 - is_mark[:, None, None])
+        x = x + self.mixed(score.softmax(-1) @ value)
         return x + self.step(self.norms[2](x))
 
 

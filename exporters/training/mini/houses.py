@@ -309,11 +309,11 @@ class _Builder:
 def random_house(seed: int) -> tuple[House, list[Appearance]]:
     """Return a house with a corner at 0, 0, and the appearance of each of its objects."""
     rng = np.random.default_rng([7, seed])
-    height = float(rng.uniform(2.45, 3.0))
-    b = _Builder(rng, height)
-    w, h = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
-    rects, walls = _split(b, Rect(0.0, 0.0, w, h))
-    walls += _outer_walls(b, w, h)
+    height_m = float(rng.uniform(2.45, 3.0))
+    b = _Builder(rng, height_m)
+    x1, y1 = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
+    rects, walls = _split(b, Rect(0.0, 0.0, x1, y1))
+    walls += _outer_walls(b, x1, y1)
     rooms = []
     for k, rect in enumerate(rects):
         kind = b.pick(tuple(ROOMS))
@@ -327,8 +327,8 @@ def random_house(seed: int) -> tuple[House, list[Appearance]]:
         _fill(b, rect, kind)
     house = House(
         name=f"random-{seed}",
-        start=(0.5 * w, 0.5 * h, 0.0),
-        wall_height_m=height,
+        start=(0.5 * x1, 0.5 * y1, 0.0),
+        wall_height_m=height_m,
         rooms=tuple(rooms),
         walls=tuple(walls),
         objects=tuple(b.objects),
@@ -393,9 +393,9 @@ def _split(b: _Builder, whole: Rect) -> tuple[list[Rect], list[Wall]]:
     return rects, walls
 
 
-def _outer_walls(b: _Builder, w: float, h: float) -> list[Wall]:
-    """Return the four outer walls, some with a window."""
-    corners = ((0.0, 0.0), (w, 0.0), (w, h), (0.0, h))
+def _outer_walls(b: _Builder, x1: float, y1: float) -> list[Wall]:
+    """Return the walls from (0, 0) to (x1, y1) [m], some with a window."""
+    corners = ((0.0, 0.0), (x1, 0.0), (x1, y1), (0.0, y1))
     walls = []
     for k in range(4):
         start, end = corners[k], corners[(k + 1) % 4]

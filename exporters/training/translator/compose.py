@@ -2,7 +2,8 @@
 
 `phrases.yaml` has templates for each kind of formula. This module fills them, joins them to longer
 instructions, and adds the noise of speech and haste. In a template, $a to $e stand for names of
-targets, {slot} for a phrase of a table, and (one|another) for a choice.
+targets, {slot} for a phrase of a table, and (one|another) for a choice. A pair is a sentence with
+its formula; the operators of formulas are F (eventually), G (always), W (weak until), & and others.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ REFUSED_SHARE = 0.12
 """Share of sentences that no formula expresses."""
 JOINED_SHARE = 0.18
 """Share of sentences that join two instructions."""
+# Table of verbs → names of the slots for the forms of a verb, in the order of the table.
+_FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
 _SLOT = re.compile(r"\{(\w+)\}")  # {go}
 _CHOICE = re.compile(r"\(([^()]*)\)")  # (the|a), without brackets inside
 _NAME = re.compile(r"\$([a-e])")  # $a
@@ -46,12 +49,12 @@ class Pair(NamedTuple):
 
 @dataclass(slots=True)
 class Family:
-    """A kind of formula, and the templates of sentences that mean it.
+    """A formula over letters, and the templates of sentences that mean it.
 
     Attributes:
-        tokens: the formula over letters, in prefix notation.
+        tokens: the formula in prefix notation, such as F & a F b: first a, then b.
         weight: relative frequency of the family.
-        templates: sentences.
+        templates: sentences with slots and choices, see the module.
     """
 
     tokens: tuple[str, ...]
@@ -84,7 +87,7 @@ class Phrases:
     bans: list[Family] = field(init=False)
 
     def __post_init__(self) -> None:
-        # The first token is the outermost operator of the formula.
+        # The first token is the outermost operator. `<=2 a` allows two visits at most.
         self.goals = [f for f in self.families if f.tokens[0] in "F&" and "W" not in f.tokens]
         self.bans = [f for f in self.families if f.tokens[0][0] in "GW<"]
 
@@ -98,7 +101,7 @@ def load(path: Path = PHRASES) -> Phrases:
         rows = [row.strip().partition("|") for row in table.replace("\n", ";").split(";")]
         rows = [row for row in rows if row[0]]
         for form, slot in enumerate(_FORMS[name]):
-            slots[slot] = [f"{verbs.split()[form]} {rest}".strip() for verbs, _, rest in rows]
+            slots[slot] = [f"{forms.split()[form]} {rest}".strip() for forms, _, rest in rows]
     families = [
         Family(tuple(row["formula"].split()), row["weight"], tuple(row["say"].splitlines()))
         for row in tables["families"]
@@ -106,12 +109,13 @@ def load(path: Path = PHRASES) -> Phrases:
     return Phrases(slots, families, tables["refused"].splitlines())
 
 
-# Table of verbs → names of the slots for the forms of a verb, in the order of the table.
-_FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
-
-
 class Composer:
-    """Source of random pairs; the same generator gives the same pairs."""
+    """Source of random pairs.
+
+    Args:
+        phrases: tables to draw from.
+        rng: draws everything; the same generator gives the same pairs.
+    """
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng
