@@ -43,7 +43,8 @@ TEXT_PRECISION = {"fp32": "fp32", "fp16": "fp16", "int8-cpu": "int8"}
 """Precision of the text tower, by that of the image tower. A text is encoded once per mission, so
 its size matters more than its speed."""
 LEGACY_END = 2
-"""End-of-text id in old configurations of CLIP; those models use the highest token instead."""
+"""Wrong end-of-text id in old configurations of CLIP. Those models end a text with the token of the
+highest id."""
 
 
 class ImageTower(nn.Module):
@@ -78,7 +79,7 @@ class ClipTextTower(nn.Module):
         hidden = self.text_model.embeddings(input_ids=tokens)
         encoded = self.text_model.encoder(inputs_embeds=hidden, attention_mask=self.causal)
         rows = self.text_model.final_layer_norm(encoded.last_hidden_state)
-        # The largest entry of a text is its first end-of-text token; see LEGACY_END.
+        # argmax gives the first end-of-text token: the first 1, or with LEGACY_END the highest id.
         is_end = tokens if self.end is None else (tokens == self.end).to(torch.int32)
         place = is_end.argmax(dim=-1)[:, None, None].expand(-1, 1, rows.shape[-1])
         return self.projection(rows.gather(1, place)[:, 0])
@@ -105,7 +106,7 @@ class Family:
     Attributes:
         model: class of `transformers`.
         text_tower: module of the text tower.
-        pads: True if the model reads the padding of a text.
+        pads: True if the model also attends to the padding of a text.
     """
 
     model: str
@@ -196,6 +197,7 @@ def make_cards(
     }  # fmt: skip
     not_measured = {"sha256": None, "parity": None}
     tokenizer = f"{args.card}-tokenizer.json"
+    # `derived_from` of the image tower and of the text tower.
     derived = (None, None) if precision == "fp32" else (
         f"{args.card}-image-fp32", f"{args.card}-text-fp32",
     )  # fmt: skip
@@ -298,7 +300,7 @@ class _TowerExporter:
             "image": [pixels_of(read_rgb(p), image_card) for p in validation],
             "text": [row[None] for row in tokens],
         }
-        # The original's embeddings. The inputs of a tower are ranked by those of the other one.
+        # The original's embeddings, by task. `compare` ranks images by texts, and texts by images.
         self._reference = {
             task: _embed_torch(tower, self._tests[task])
             for task, tower in zip(("image", "text"), towers, strict=True)
@@ -364,6 +366,7 @@ def tokens_of(card: TextCard, folder: Path, texts: list[str]) -> np.ndarray:
 def export_tower(tower: nn.Module, out: Path, task: str, example: Tensor) -> None:
     """Write a tower as FP32 ONNX: one image of one size, or any number of texts."""
     name = "pixels" if task == "image" else "tokens"
+    # Axes of any length; see `export_module`.
     free = {} if task == "image" else {name: {0: "n"}, "embeddings": {0: "n"}}
     export_module(tower, out, {name: example}, ("embeddings",), free)
 

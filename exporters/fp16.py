@@ -41,23 +41,23 @@ def kept_nodes(model: onnx.ModelProto, feeds: list[Feed], recipe: Recipe) -> set
 
 
 def to_fp16(
-    model: onnx.ModelProto, kept: set[str], half_ends: tuple[str, ...] = ()
+    model: onnx.ModelProto, kept: set[str], float16_io_prefixes: tuple[str, ...] = ()
 ) -> onnx.ModelProto:
     """Return the model in float16, except for the nodes `kept`; constants are clipped to its range.
 
     Args:
         model: the float32 model.
         kept: names of nodes that stay in float32.
-        half_ends: prefixes of the names of inputs and outputs that become float16 too; () for none.
+        float16_io_prefixes: inputs and outputs whose name begins with one of these become float16
+            too.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel
 
-    ends = [value.name for value in (*model.graph.input, *model.graph.output)]
-    # Without prefixes, one that no name starts with.
-    float32_ends = [name for name in ends if not name.startswith(half_ends or "\0")]
+    inputs_outputs = [value.name for value in (*model.graph.input, *model.graph.output)]
+    float32_io = [name for name in inputs_outputs if not name.startswith(float16_io_prefixes)]
     converted = convert_float_to_float16(
-        model, keep_io_types=float32_ends, node_block_list=sorted(kept)
+        model, keep_io_types=float32_io, node_block_list=sorted(kept)
     )
     drop_round_trips(converted)
     OnnxModel(converted).topological_sort()
@@ -85,8 +85,10 @@ def overflowing_nodes(
 def drop_round_trips(model: onnx.ModelProto) -> None:
     """Remove float32 → float16 → float32, which the converter leaves around kept nodes."""
     graph = model.graph
+    # Value in float16 → value in float32 from which a cast makes it.
     to_half = {n.output[0]: n.input[0] for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT16)}
     trips = [n for n in graph.node if _is_cast(n, onnx.TensorProto.FLOAT) and n.input[0] in to_half]
+    # Value at the end of a round trip → value at its start.
     replacement = {node.output[0]: to_half[node.input[0]] for node in trips}
     for name in replacement:
         while replacement[name] in replacement:  # several round trips one after another

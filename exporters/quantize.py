@@ -74,10 +74,11 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         )
     model = onnx.load(fp32)
     for_trt = precision == "int8-trt"
+    # Patterns of nodes, then the names of the nodes.
     not_quantized = (*recipe.not_int8, *(recipe.not_symmetric if for_trt else ()))
     excluded = nodes_like(model, not_quantized)
-    float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
-    tensors = None  # to find the ranges of; None for all
+    in_float32 = kept_nodes(model, feeds, recipe) if for_trt else set()
+    tensors = None  # names of the tensors whose ranges are measured; None for all
     if recipe.matrices_only:
         layers = constant_products(model)
         excluded += [n.name for n in model.graph.node if n.op_type == "MatMul" and n not in layers]
@@ -85,6 +86,7 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
     else:
         layers = [n for n in model.graph.node if n.op_type == "Conv"]
     layers = [n for n in layers if n.name not in excluded]
+    # TensorRT needs ranges around 0; else there are no limits, and each range has two free ends.
     limits = symmetric_limits(model, feeds, tensors) if for_trt else {}
     ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds, tensors)
     stride = -(-len(feeds) // MAX_ROUNDING_IMAGES)  # rounded up
@@ -94,7 +96,7 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         overrides = _overrides(ranges, scales, 1 if recipe.matrices_only else 0)
         _write_qdq(model, temporary, feeds[0], overrides, excluded, for_trt, op_type)
         if for_trt:
-            onnx.save(to_fp16(onnx.load(temporary), float32), temporary)
+            onnx.save(to_fp16(onnx.load(temporary), in_float32), temporary)
         check_format(temporary)
 
 

@@ -33,15 +33,18 @@ class Recipe:
     matrices_only: bool = False
 
 
-_YOLO_HEAD = r"^/model\.22/(?!cv\d)"
-"""Text contrast and box decoding. Class scores vanish in 8 bits, and a coordinate above 512 px has
-only half-pixel steps in float16."""
+_YOLO_HEAD = r"^/model\.22/(?!cv\d)"  # /model.22/Sigmoid, not /model.22/cv2.0/…/Conv
+"""The head without its convolutions: text contrast and box decoding. Class scores vanish in 8 bits,
+and a coordinate above 512 px has only half-pixel steps in float16."""
 
 RECIPES = {
     "yolo-world-s": Recipe(
         not_int8=(
-            r"^/model\.[01]/",  # 2 % of the work, and their error reaches every later layer
-            r"/attn/(?!proj_conv/)",  # text-guided gates: a sigmoid of a wide sum, half the error
+            # /model.0/conv/Conv: 2 % of the work, and their error reaches every later layer.
+            r"^/model\.[01]/",
+            # /model.12/attn/gl/…, not /model.12/attn/proj_conv/…: text-guided gates, a sigmoid of a
+            # wide sum. They make half of the error.
+            r"/attn/(?!proj_conv/)",
             _YOLO_HEAD,
         ),
         # Their inputs have a wide range (in the second pattern because of the gates). The error of
@@ -52,7 +55,7 @@ RECIPES = {
     "mini-house": Recipe(
         not_int8=(
             r"^/trunk/stem/",  # 3 channels fill an integer kernel badly: float is faster
-            r"^/(?!trunk/|neck/|heads\.)",  # as _YOLO_HEAD
+            r"^/(?!trunk/|neck/|heads\.)",  # all outside trunk, neck and heads; as _YOLO_HEAD
         )
     ),
 }

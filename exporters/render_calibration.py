@@ -113,6 +113,7 @@ def _rays(R_map_camera: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
     height, width = hw
     focal_px = width / 2 / np.tan(HORIZONTAL_FOV_RAD / 2)
     u, v = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
+    # In the camera's frame: x right, y down, z forward.
     rays = np.stack([u, v, np.full_like(u, focal_px)], axis=-1).reshape(-1, 3)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True) @ R_map_camera.T
 
@@ -134,6 +135,7 @@ def _bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Return texture samples (n, 3) float32 at uv (n, 2), repeating, with v from the bottom row."""
     size = np.array([texture.shape[1], texture.shape[0]])
     xy = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1) % 1.0 * size - 0.5
+    # Pixel to the upper left of each sample, and the sample's offset from it, (n, 1) each.
     corner = np.floor(xy).astype(np.int64)
     fx, fy = (xy - corner).T[..., None]
     (x0, y0), (x1, y1) = (corner % size).T, ((corner + 1) % size).T

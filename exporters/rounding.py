@@ -36,10 +36,10 @@ def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
     return next((list(a.ints) for a in node.attribute if a.name == name), default)
 
 
-def input_columns(
+def inputs_of_cells(
     node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int], cells: np.ndarray
 ) -> np.ndarray:
-    """Return the columns that a convolution multiplies with its weights.
+    """Return the inputs that a convolution multiplies with its weights, for some output cells.
 
     Args:
         node: the convolution.
@@ -48,31 +48,31 @@ def input_columns(
         cells: (k,) output cells, numbered row by row.
 
     Returns:
-        (k, C·kh·kw).
+        (k, C·kh·kw), a row for each cell; C is the number of input channels.
     """
     windows = _windows(node, x, kernel)
-    rows, columns = np.unravel_index(cells, windows.shape[1:3])
-    return windows[:, rows, columns].swapaxes(0, 1).reshape(len(cells), -1)
+    v, u = np.unravel_index(cells, windows.shape[1:3])
+    return windows[:, v, u].swapaxes(0, 1).reshape(len(cells), -1)
 
 
 def _windows(node: onnx.NodeProto, x: np.ndarray, kernel: tuple[int, int]) -> np.ndarray:
     """Return a view (C, output height, output width, kh, kw) of each output cell's input."""
     top, left, bottom, right = attribute(node, "pads", [0, 0, 0, 0])
-    down, across = attribute(node, "strides", [1, 1])
+    step_v, step_u = attribute(node, "strides", [1, 1])
     padded = np.pad(x[0], ((0, 0), (top, bottom), (left, right)))
-    return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::down, ::across]
+    return sliding_window_view(padded, kernel, axis=(1, 2))[:, ::step_v, ::step_u]
 
 
-def _sampled_columns(
+def _sampled_inputs(
     node: onnx.NodeProto, x: np.ndarray, weight: onnx.TensorProto, random: np.random.Generator
 ) -> np.ndarray:
-    """Return at most ROWS_PER_IMAGE columns, (n, d), that a layer multiplies with its weights."""
+    """Return the layer's inputs for at most ROWS_PER_IMAGE of its outputs, (n, d)."""
     if node.op_type == "MatMul":
         tokens = x.reshape(-1, x.shape[-1])
         return tokens[random.permutation(len(tokens))[:ROWS_PER_IMAGE]]
     kernel = tuple(weight.dims[2:])
     height, width = _windows(node, x, kernel).shape[1:3]
-    return input_columns(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
+    return inputs_of_cells(node, x, kernel, random.permutation(height * width)[:ROWS_PER_IMAGE])
 
 
 class InputStatistics:
@@ -94,13 +94,13 @@ class InputStatistics:
         self._count = 0
         self._sum, self._rounded_sum = np.zeros(size), np.zeros(size)
 
-    def add(self, columns: np.ndarray) -> None:
+    def add(self, inputs: np.ndarray) -> None:
         """Add the inputs of some outputs of one image, (outputs, d)."""
-        self.moment += columns.T @ columns
-        self._count += len(columns)
-        self._sum += columns.sum(axis=0)
+        self.moment += inputs.T @ inputs
+        self._count += len(inputs)
+        self._sum += inputs.sum(axis=0)
         if self._step is not None:
-            self._rounded_sum += (_round(columns, self._step) * self._step).sum(axis=0)
+            self._rounded_sum += (_round(inputs, self._step) * self._step).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
@@ -138,11 +138,11 @@ def input_statistics(
         made = session.run(names, feed) if names else []  # an empty list means all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in layers:
-            columns = _sampled_columns(node, values[node.input[0]], weights[node.input[1]], random)
+            inputs = _sampled_inputs(node, values[node.input[0]], weights[node.input[1]], random)
             if node.name not in statistics:
                 limit = limits.get(node.input[0])
-                statistics[node.name] = InputStatistics(columns.shape[1], limit)
-            statistics[node.name].add(columns)
+                statistics[node.name] = InputStatistics(inputs.shape[1], limit)
+            statistics[node.name].add(inputs)
     return statistics
 
 
@@ -154,6 +154,7 @@ def channel_scales(weight: np.ndarray) -> np.ndarray:
     for share in CLIP_SHARES.astype(np.float32):
         scale = full * share
         error = np.square(_round(weight, scale) * scale - weight).sum(axis=1, keepdims=True)
+        # Keep the best scale of each row so far.
         scales = np.where(error < best, scale, scales)
         best = np.minimum(error, best)
     return scales
@@ -176,7 +177,7 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
     damping = DAMPING * diagonal.mean() + 1e-8
     # The strongest inputs go first, while many columns are left to compensate their error.
     order = np.argsort(-diagonal, kind="stable")
-    weight, inverse = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
+    weight, factor = weight[:, order], _inverse_factor(moment[np.ix_(order, order)], damping)
     levels = np.zeros_like(weight)
     for start in range(0, weight.shape[1], BLOCK):
         stop = min(start + BLOCK, weight.shape[1])
@@ -184,11 +185,13 @@ def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarra
         for column in range(start, stop):
             levels[:, column] = _round(weight[:, column], scale[:, 0])
             rest = weight[:, column] - levels[:, column] * scale[:, 0]
-            error = rest / inverse[column, column]
-            weight[:, column:stop] -= np.outer(error, inverse[column, column:stop])
+            # The error of a column is subtracted from all later columns, weighted by `factor`:
+            # at once in this block, and after the block in the others.
+            error = rest / factor[column, column]
+            weight[:, column:stop] -= np.outer(error, factor[column, column:stop])
             errors[:, column - start] = error
-        weight[:, stop:] -= errors @ inverse[start:stop, stop:]
-    return levels[:, np.argsort(order)]
+        weight[:, stop:] -= errors @ factor[start:stop, stop:]
+    return levels[:, np.argsort(order)]  # the columns in their old order
 
 
 def _inverse_factor(moment: np.ndarray, damping: float) -> np.ndarray:
@@ -224,11 +227,11 @@ def round_weights(
     for node in with_progress("layers: weights", layers):
         initializer, inputs = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
-        across = node.op_type == "MatMul"  # its output channels are columns
-        weight = array.T if across else array.reshape(len(array), -1)
+        is_product = node.op_type == "MatMul"  # its output channels are columns
+        weight = array.T if is_product else array.reshape(len(array), -1)
         scale = channel_scales(weight)
         rounded = gptq(weight, inputs.moment, scale) * scale
-        values = np.ascontiguousarray(rounded.T) if across else rounded.reshape(array.shape)
+        values = np.ascontiguousarray(rounded.T) if is_product else rounded.reshape(array.shape)
         initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
         scales[initializer.name] = scale[:, 0]
         if limits and node.input[0] in limits and len(node.input) > 2:

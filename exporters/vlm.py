@@ -50,7 +50,7 @@ OTHER_FILES = (
 )  # fmt: skip
 """Files that describe the preprocessing, if the folder has them."""
 TRACED_TOKENS, TRACED_PAST = 3, 2
-"""Numbers of new and of cached tokens in the example from which the decoder is traced."""
+"""Numbers of new tokens and of tokens so far in the example from which the decoder is traced."""
 
 
 class Networks(NamedTuple):
@@ -103,7 +103,7 @@ class TorchReference:
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
-        merge: height and width in patches of the part of an image that a token stands for.
+        merge: side, in patches, of the square of the image that one token stands for.
     """
 
     def __init__(self, model: nn.Module, prepare: Callable[[np.ndarray], dict]) -> None:
@@ -120,9 +120,9 @@ class TorchReference:
         return EncodedImage(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
-        """Return (v,) float32 of the token after the question."""
+        """Return logits (v,) float32 of the token after the question; v tokens exist."""
         ids = torch.from_numpy(question.ids(len(shown.features)))
-        more = {}
+        more = {}  # Qwen2-VL must know which tokens are the image
         if shown.grid is not None:
             more["mm_token_type_ids"] = (ids == question.image).to(torch.int32)
         with torch.inference_mode():
@@ -133,7 +133,10 @@ class TorchReference:
 
 
 def cache_shape(text: Any) -> tuple[int, int]:
-    """Return (heads, size) of a language model's keys and values, from its configuration."""
+    """Return number of heads and size of a head, of a language model's keys and values.
+
+    `text` is the configuration of the language model.
+    """
     size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
     return text.num_key_value_heads, size
 

@@ -36,8 +36,9 @@ class Decoder(nn.Module):
     ) -> tuple[Tensor, ...]:
         cache = _Cache(past)
         total, n = attention_mask.shape[1], inputs_embeds.shape[1]
-        places = torch.arange(total)
-        causal = places[None] <= places[total - n :, None]
+        positions = torch.arange(total)
+        # (n, total): a new token sees itself and all tokens before it.
+        causal = positions[None] <= positions[total - n :, None]
         seen = causal & attention_mask[:, None, None, :].to(torch.bool)
         mask = torch.where(seen, 0.0, MASKED)
         rotation = self.rotary_emb(inputs_embeds, position_ids)
@@ -84,9 +85,10 @@ class Embedding(nn.Module):
 class Idefics3Vision(nn.Module):
     """Vision encoder of Idefics3 and SmolVLM.
 
-    Inputs: `pixel_values` (b, i, 3, h, w), `pixel_attention_mask` (b, i, h, w) bool, False for
-    padding. Output: `image_features` (b·i, tokens, d). A patch counts if any of its pixels counts.
-    Images of padding only are not removed, since a scorer shows one image.
+    Inputs, for i images in each of b prompts: `pixel_values` (b, i, 3, h, w),
+    `pixel_attention_mask` (b, i, h, w) bool, False for padding. Output: `image_features` (b·i,
+    tokens, d). A patch is visible if any of its pixels is. Images of padding only are not removed,
+    since a scorer shows one image.
     """
 
     def __init__(self, model: nn.Module) -> None:
@@ -98,10 +100,11 @@ class Idefics3Vision(nn.Module):
         vision, patch = self.vision_model, self.vision_model.patch_size
         images = pixel_values.flatten(0, 1)
         pixels = pixel_attention_mask.flatten(0, 1)[:, None].to(images.dtype)
-        seen = nn.functional.max_pool2d(pixels, patch, patch)[:, 0]  # (images, rows, columns)
+        # (images, rows, columns) of patches, 1 if the patch is visible.
+        visible = nn.functional.max_pool2d(pixels, patch, patch)[:, 0]
         patches = vision.embeddings.patch_embedding(images).flatten(2).transpose(1, 2)
-        hidden = patches + vision.embeddings.position_embedding(self.places(seen))
-        mask = ((1.0 - seen.flatten(1)) * MASKED)[:, None, None, :]
+        hidden = patches + vision.embeddings.position_embedding(self.places(visible))
+        mask = ((1.0 - visible.flatten(1)) * MASKED)[:, None, None, :]
         encoded = vision.encoder(inputs_embeds=hidden, attention_mask=mask).last_hidden_state
         return self.connector(vision.post_layernorm(encoded))
 

@@ -80,7 +80,8 @@ def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge:
     Args:
         ids: (1, n) tokens.
         image: placeholder token of the image.
-        grid: (1, 3) size of the image in patches; None for plain positions.
+        grid: (1, 3) number of frames, rows and columns of patches of the image; None for plain
+            positions.
         merge: see `ReferenceModel`.
 
     Returns:
@@ -94,6 +95,7 @@ def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge:
     first = int(np.flatnonzero(ids[0] == image)[0])
     count = int(np.prod(shape))
     positions = np.tile(np.arange(n, dtype=np.int64), (3, 1))
+    # The image's tokens: all three numbers count from `first`.
     positions[:, first : first + count] = first + np.indices(shape).reshape(3, -1)
     # The text goes on after the largest number of the image.
     positions[:, first + count :] = np.arange(n - first - count) + first + max(shape)
@@ -104,8 +106,8 @@ class EncodedImage(NamedTuple):
     """An image, encoded by the original.
 
     Attributes:
-        feeds: inputs of the vision encoder's ONNX.
-        features: (tokens, d) float32.
+        feeds: inputs of the vision encoder's ONNX file, by name.
+        features: (tokens, d) float32, a row for each placeholder of the image.
     """
 
     feeds: dict[str, np.ndarray]
@@ -113,7 +115,7 @@ class EncodedImage(NamedTuple):
 
     @property
     def grid(self) -> np.ndarray | None:
-        """(1, 3) size in patches, for a model with positions of three numbers; else None."""
+        """See `position_ids_of`; None for a model with plain positions."""
         return self.feeds.get("grid_thw", self.feeds.get("image_grid_thw"))
 
 
@@ -121,13 +123,13 @@ class ReferenceModel(Protocol):
     """Reference of a comparison: a model of `transformers`, or its FP32 files.
 
     Attributes:
-        merge: height and width in patches of the part of an image that a token stands for.
+        merge: side, in patches, of the square of the image that one token stands for.
     """
 
     merge: int
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
-        """Return (v,) float32 of the token after the question."""
+        """Return logits (v,) float32 of the token after the question; v tokens exist."""
         ...
 
 
@@ -160,29 +162,38 @@ class OnnxPipeline:
     def logits(
         self, question: Question, features: np.ndarray, grid: np.ndarray | None, merge: int
     ) -> np.ndarray:
-        """Return (v,) of the token after a question about an image; see `position_ids_of`."""
+        """Return logits (v,) of the token after a question; see `position_ids_of`."""
         ids = question.ids(len(features))
-        places = position_ids_of(ids, question.image, grid, merge)
-        return self.read(self.rows(ids, question.image, features), places)[0]
+        positions = position_ids_of(ids, question.image, grid, merge)
+        return self.read(self.rows(ids, question.image, features), positions)[0]
 
     def read(
-        self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
+        self, rows: np.ndarray, positions: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Read more tokens; return logits (v,) of the last one, and the cache for the next call."""
+        """Read more tokens.
+
+        Args:
+            rows: see `rows`.
+            positions: see `position_ids_of`.
+            past: keys and values of the tokens so far; None if there are none.
+
+        Returns:
+            Logits (v,) after the last token, and `past` of the next call.
+        """
         past = self._empty_cache() if past is None else past
-        logits, *present = self._decoder.run(None, self.decoder_feeds(rows, places, past))
+        logits, *present = self._decoder.run(None, self.decoder_feeds(rows, positions, past))
         return logits[0, -1], dict(zip(past, present, strict=True))
 
     def decoder_feeds(
-        self, rows: np.ndarray, places: np.ndarray, past: dict[str, np.ndarray] | None = None
+        self, rows: np.ndarray, positions: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> dict[str, np.ndarray]:
-        """Return the decoder's inputs for more tokens."""
+        """Return the decoder's inputs for more tokens; for the arguments see `read`."""
         past = self._empty_cache() if past is None else past
-        before = next(iter(past.values())).shape[2]
+        before = next(iter(past.values())).shape[2]  # number of tokens so far
         return {
             "inputs_embeds": rows,
             "attention_mask": np.ones((1, before + rows.shape[1]), np.int64),
-            "position_ids": places,
+            "position_ids": positions,
             **past,
         }
 
@@ -235,7 +246,7 @@ class LetterComparison:
             for shown in with_progress("pictures: original", pictures)
             for question in asked
         ]
-        self._reference = np.array(rows).T
+        self._reference = np.array(rows).T  # (letters, questions)
 
     def compare(self, pipeline: OnnxPipeline) -> LetterReport:
         """Ask three files the same questions; raise ExportError if an answer is not finite."""

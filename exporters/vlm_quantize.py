@@ -86,6 +86,7 @@ def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
             a parity misses its limits.
         ModelError: a file is missing or damaged.
     """
+    # Precision → name of its card: "my-model-fp32" gives "my-model-q4".
     wanted = {p: f"{card.name.removesuffix(f'-{FP32}')}-{p}" for p in args.precision}
     if unknown := [p for p in wanted if p not in PRECISIONS]:
         choices = ", ".join(PRECISIONS)
@@ -178,7 +179,7 @@ class VariantBuilder:
             return [out]
         if precision in ("fp16", "q4f16"):
             in_fp32 = _float32_nodes(model, feeds if fits_one_file else [], name)
-            model = to_fp16(model, in_fp32, half_ends=CACHED)
+            model = to_fp16(model, in_fp32, float16_io_prefixes=CACHED)
             if precision == "q4f16":
                 model = quantize_weights(model, "q4")
         else:
@@ -199,7 +200,7 @@ class OnnxReference:
 
     Attributes:
         image_token: placeholder token of the image.
-        merge: height and width of a token in patches.
+        merge: side, in patches, of the square of the image that one token stands for.
     """
 
     def __init__(self, card: ChoiceCard) -> None:
@@ -232,6 +233,6 @@ class OnnxReference:
     def decoder_feeds(self, question: Question, shown: EncodedImage) -> dict[str, np.ndarray]:
         """Return the decoder's inputs for the whole question, with an empty cache."""
         ids = question.ids(len(shown.features))
-        places = position_ids_of(ids, question.image, shown.grid, self.merge)
+        positions = position_ids_of(ids, question.image, shown.grid, self.merge)
         rows = self._chain.rows(ids, question.image, shown.features)
-        return self._chain.decoder_feeds(rows, places)
+        return self._chain.decoder_feeds(rows, positions)

@@ -85,7 +85,7 @@ def plan(
     digest = _digest(formula, to, share)
     make_parts = partial(_make_parts, formulas, to, limits)
     run_id = None if restart else _find_unfinished_run(digest, robots, make_parts)
-    id = f"{digest}.{run_id or secrets.token_hex(4)}"
+    id = f"{digest}.{run_id or secrets.token_hex(4)}"  # such as 1f2e3d4c.9a8b7c6d
     return FleetPlan(
         id, make_parts(id), mission_split.unsplit_reason if mission_split is not None else ""
     )
@@ -119,6 +119,7 @@ def _find_unfinished_run(
     """
     replies = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
     ids = [id for reply in replies for id in (reply.id, *(p.id for p in reply.past))]
+    # From the ids of parts, such as 1f2e3d4c.9a8b7c6d.2, the run 9a8b7c6d.
     runs = {m[1] for id in ids if (m := re.match(rf"{digest}\.([0-9a-f]+)\.", id))}
     for run in sorted(runs):
         parts = make_parts(f"{digest}.{run}")
@@ -164,7 +165,7 @@ class Dispatcher:
         self._n_refused: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
         self._n_forgot: Counter[tuple[str, str]] = Counter()  # by (part id, robot)
         self._holders: set[tuple[str, str]] = set()  # (part id, robot): accepted or reported
-        self._final: dict[str, PartOutcome] = {}  # part id: its final outcome
+        self._final: dict[str, PartOutcome] = {}  # part id: its final outcome, see `Orders.lost`
         self._given_here: set[tuple[str, str]] = set()  # (part id, robot): given by this dispatcher
         self._printed: dict[str, object] = {}  # key of a progress line: its last text
         self.ended_ns: dict[str, int] = {}
@@ -196,9 +197,10 @@ class Dispatcher:
             self._plan.parts, robots, self._find_away(robots), self._n_refused, self._final,
             self._n_forgot,
         )  # fmt: skip
-        self._final = {k: o for k, o in orders.outcomes.items() if k not in orders.lost}
+        self._final = {id: o for id, o in orders.outcomes.items() if id not in orders.lost}
+        # Provisional failures are no outcomes yet: they are only reported.
         provisional = self._provisional_outcomes(orders)
-        outcomes = {k: o for k, o in orders.outcomes.items() if k not in provisional}
+        outcomes = {id: o for id, o in orders.outcomes.items() if id not in provisional}
         orders = replace(orders, outcomes=outcomes, lost=orders.lost.difference(provisional))
         self._report(orders, robots, provisional)
         self._roster.run_all(
@@ -243,7 +245,7 @@ class Dispatcher:
                 continue
             self._offline_since.pop(name, None)
             if reply.phase not in OVER:
-                self._assigned[reply.id.partition(AGAIN)[0]] = name
+                self._assigned[reply.id.partition(AGAIN)[0]] = name  # the part's id
         for id, name in self._assigned.items():
             silent = name not in robots or robots[name].status_reply is None
             if silent and now_s - self._offline_since.setdefault(name, now_s) < self._patience_s:
@@ -255,6 +257,7 @@ class Dispatcher:
     def _report(
         self, orders: Orders, robots: Mapping[str, Robot], provisional: Mapping[str, PartOutcome]
     ) -> None:
+        """Print a line for each part whose state changed, and note when each part ended."""
         for k, part in enumerate(self._plan.parts, start=1):
             what = f"part {k} of {len(self._plan.parts)} ({part.english})"
             if part.id not in orders.outcomes:
@@ -278,9 +281,9 @@ class Dispatcher:
             self._print_if_changed(part.id, line)
         waits = "; ".join(f"{_safe(name)}: {why}" for name, why in sorted(orders.waits.items()))
         given = len(orders.outcomes) + len(orders.under_way) + len(orders.give)
-        left = len(self._plan.parts) - given
+        n_left = len(self._plan.parts) - given
         self._print_if_changed(
-            "waits", f"parts waiting for a free robot: {left} ({waits})" if waits else None
+            "waits", f"parts waiting for a free robot: {n_left} ({waits})" if waits else None
         )
         self._print_if_changed("nobody", None if robots else "no robot is online; waiting for one")
 

@@ -25,7 +25,10 @@ It is not a failure: the robot may get the part again.
 AGAIN = "~"
 """Separates the id of a part from the number of times that its robot had the part before."""
 MAX_TRIES = 3
-"""A robot that refused or forgot a part this many times does not get it again."""
+"""A robot that refused or forgot a part this many times does not get it again.
+
+A robot forgot a part if it had the part and no longer reports it.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class MissionPart:
         id: Id of the robot's mission.
         formula: LTL formula of the robot's mission.
         english: The formula in English.
-        words: Names of the targets that the robot may have to reach.
+        words: Names of the targets that the robot may have to reach, such as "chair".
         only: Name of the robot that must do the part; None if any robot may do it.
     """
 
@@ -101,8 +104,8 @@ class Orders:
         give: Parts to give to robots now.
         cancel: Missions to cancel now.
         waits: Reason why each busy robot cannot take a waiting part; empty if no part waits.
-        lost: Ids of `outcomes` that are not final: a robot that comes online may still do the
-            part.
+        lost: Ids of the parts in `outcomes` that no online robot can do. These outcomes are not
+            final: a robot that comes online may still do the part.
     """
 
     outcomes: Mapping[str, PartOutcome]
@@ -144,21 +147,23 @@ def decide(
         away: By part id, the offline robot that last worked on the part and may still come back.
         refused: Number of refusals, by part id and robot.
         settled: Earlier outcomes, by part id. They are final.
-        forgot: How often a robot that had a part no longer reported it, by part id and robot.
+        forgot: Number of times that the robot forgot the part, by part id and robot.
     """
     tries = Counter(refused) + Counter(forgot)
     lost: set[str] = set()
     outcomes: dict[str, PartOutcome] = {}
     under_way: dict[str, str] = {}
     cancel: list[Cancellation] = []
-    waiting: dict[str, list[str]] = {}
+    waiting: dict[str, list[str]] = {}  # part id: robots that may get the part
     for part in parts:
         reports = list(_reports_of(part, robots))
+        # The robot that works on the part for the longest time keeps it.
         running = sorted(
             (report for report in reports if report.phase not in OVER),
             key=lambda report: -report.elapsed_s,
         )
         reached_reports = [report for report in reports if report.phase == "reached"]
+        # Robot: reason of its failure.
         failed = {
             report.robot: report.reason
             for report in reports
@@ -192,17 +197,18 @@ def decide(
         return orders
     open_parts = [part for part in parts if part.id in waiting]
     give = tuple(_assign(open_parts, waiting, robots, tries))
-    waits = {name: robot.busy_with for name, robot in robots.items() if robot.busy_with}
-    still = waits if len(give) < len(open_parts) else {}
-    return replace(orders, give=give, waits=still)
+    busy = {name: robot.busy_with for name, robot in robots.items() if robot.busy_with}
+    waits = busy if len(give) < len(open_parts) else {}
+    return replace(orders, give=give, waits=waits)
 
 
 def has_part(part: MissionPart, robot: Robot) -> bool:
     """Return True if a robot reports this part, running or finished."""
-    return any(True for _ in _reports_of(part, {robot.name: robot}))
+    return next(_reports_of(part, {robot.name: robot}), None) is not None
 
 
 def _reports_of(part: MissionPart, robots: Mapping[str, Robot]) -> Iterator[_PartOnRobot]:
+    """Yield what the robots report about a part, by name; of one robot the oldest report first."""
     for name, robot in sorted(robots.items()):
         if (reply := robot.status_reply) is None:
             continue
@@ -224,9 +230,12 @@ def _allowed_robots(
 
 
 def _final_failure(part: MissionPart, failed: Mapping[str, str]) -> PartOutcome | None:
-    """Return a failure that no other robot can repair, or None."""
+    """Return a failure that no other robot can repair, or None.
+
+    `failed` has the reason of each robot that failed the part, by name.
+    """
     for name, reason in failed.items():
-        # A person cancelled the part, so no other robot starts it.
+        # A person cancelled the part, or no other robot may do it.
         if reason == CANCELLED or name == part.only:
             return PartOutcome("failed", name, reason)
     return None
@@ -239,16 +248,19 @@ def _provisional_failure(
     tries: Mapping[tuple[str, str], int],
     forgot: Mapping[tuple[str, str], int],
 ) -> PartOutcome | None:
-    """Return why no online robot can do a part; None if a robot may do it."""
+    """Return why no online robot can do a part; None if a robot may do it.
+
+    For the arguments see `decide` and `_final_failure`.
+    """
     if part.only is not None and part.only not in robots:
         return PartOutcome("failed", part.only, "it is offline")
-    tried = {name for id, name in tries if id == part.id}
-    if not tried | failed.keys() or any(
-        n not in failed for n in _allowed_robots(part, robots, tries)
-    ):
+    tried = {name for id, name in tries if id == part.id}  # robots that refused or forgot it
+    if not tried and not failed:
+        return None
+    if any(name not in failed for name in _allowed_robots(part, robots, tries)):
         return None
     why = {n: "it lost the part" if (part.id, n) in forgot else "it refused" for n in tried}
-    why = dict(sorted((why | failed).items()))
+    why = dict(sorted((why | failed).items()))  # the reason of a failure replaces that of a try
     return PartOutcome("failed", ", ".join(why), "; ".join(f"{n}: {w}" for n, w in why.items()))
 
 
@@ -258,10 +270,14 @@ def _assign(
     robots: Mapping[str, Robot],
     tries: Mapping[tuple[str, str], int],
 ) -> Iterator[Assignment]:
-    """Assign at most one part to each free robot, the best pair first."""
+    """Assign at most one part to each free robot, the best pair of part and robot first.
+
+    `candidates` has the robots that may get each part, by part id.
+    """
     free = {name for name, robot in robots.items() if not robot.busy_with}
     left = list(parts)
     while True:
+        # Fewest tries first, then lowest cost, then order of the parts and of the names.
         pairs = [
             (tries.get((part.id, name), 0), *_cost(part, robots[name].status_reply), k, name, part)
             for k, part in enumerate(left)

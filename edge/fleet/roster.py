@@ -30,7 +30,7 @@ OVER = ("idle", "reached", "failed")
 """Phases of a mission that no longer runs."""
 _MAX_PARALLEL = 32  # requests
 _RETRY_S = 0.05  # before the list of robots is requested again
-_FINITE = ConfigDict(allow_inf_nan=False)
+_FINITE = ConfigDict(allow_inf_nan=False)  # a reply with NaN or infinity is invalid
 
 
 @dataclass(frozen=True)
@@ -126,6 +126,9 @@ class Roster:
         session: The session.
         settings: Zenoh settings of any robot of the fleet, or of the client. Endpoint,
             `client_file` and `topics` are used, and the prefix without its last word.
+
+    Attributes:
+        pattern: Zenoh key expression of the prefixes of the fleet, such as `site/*`.
     """
 
     def __init__(self, session: zenoh.Session, settings: ZenohConfig) -> None:
@@ -220,6 +223,7 @@ class Roster:
         try:
             answer = self.send(name, request, timeout_s)
         except UserError as error:
+            # An error is "NAME: reason".
             return Robot(name, problem=str(error).partition(": ")[2])
         try:
             return Robot(name, _STATUS_REPLY.validate_python(answer), reply=answer)

@@ -48,8 +48,7 @@ from edge.perception.scoring.vlm.model import FIRST_RUN_S, LanguageModel
 from edge.text import one_line, redact
 
 PROGRAM = python_module("edge.models.check")
-_TEXTS = 2
-"""Number of text rows, and of marks in an image, for the test inference."""
+_TEXTS, _MARKS = 2, 2  # numbers of texts, and of marks in an image, for the test inference
 _TARGET = "chair"  # target of the test questions
 _VIEW_HWC = (480, 640, 3)  # shape of the test image: height, width, channels
 
@@ -107,7 +106,7 @@ def check_in_subprocess(card: FileCard | ChoiceCard, file: Path | None, limit_s:
 
 def main() -> int:
     """Check the model that stdin names; the entry point of the separate process."""
-    request, _, control, _ = set_up_child()
+    request, _, control, _ = set_up_child()  # the request, and the connection for the answer
     try:
         card = getattr(card_types, request["kind"]).model_validate(request["card"])
         line = check_model(card, None if request["file"] is None else Path(request["file"]))
@@ -187,7 +186,8 @@ def _check_choice(card: ChoiceCard) -> str:
     noise = np.random.default_rng(0).integers(0, 255, _VIEW_HWC, np.uint8)
     view = noise if model.takes_images else "The robot sees:\n- nothing that it knows"
     began = time.perf_counter()
-    p, scene = model.ask(SYSTEM, view, both_questions(_TEXTS, _TARGET), FIRST_RUN_S)
+    # Probabilities of the answers to the two questions: letters of directions; Yes and No.
+    p, scene = model.ask(SYSTEM, view, both_questions(_MARKS, _TARGET), FIRST_RUN_S)
     took_ms = (time.perf_counter() - began) * 1e3
     letters = ", ".join(f"{letter} {share:.2f}" for letter, share in zip(LETTERS, p, strict=False))
     return (
@@ -245,6 +245,7 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
         v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
         for v in session.get_inputs()
     }  # fmt: skip
+    # In SAM, labels 2 and 3 say that the points are two corners of a box.
     feed["point_coords"] = np.array([[[0, 0], [64, 64]]], np.float32)
     feed["point_labels"] = np.array([[2, 3]], feed["point_labels"].dtype)
     if "orig_im_size" in feed:
@@ -262,7 +263,10 @@ def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
 
 
 def _check_translator(path: Path, session: Any, card: TranslateCard) -> str:
-    """Decode one token from a text of one token."""
+    """Decode one token from a text of one token.
+
+    The outputs are keys and values of the encoder, logits, and keys and values of the decoder.
+    """
     feed = {
         v.name: np.zeros([n if isinstance(n, int) else 1 for n in v.shape], DTYPES[v.type])
         for v in session.get_inputs()

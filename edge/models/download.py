@@ -153,6 +153,7 @@ def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
     """
     length = response.headers.get("Content-Length", "")
     if response.status_code == 206:
+        # "bytes 100-199/5000": first and last byte that were sent, and the size of the file or "*".
         sent = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", ""))
         if sent is None or int(sent[1]) != part.have:
             part.restart()
@@ -170,7 +171,7 @@ class _SpeedWatch:
 
     Args:
         limits: time limits.
-        whole_s: time for the whole content; None: the content must keep coming.
+        whole_s: time for the whole content; None: only its speed is limited, see `DownloadLimits`.
 
     Attributes:
         connection: connection of the request.

@@ -88,6 +88,7 @@ def _megabytes(size: int) -> str:
 
 def _describe_parity(card: Card) -> str:
     """Return how the model compares with its reference, from the card, else from the export."""
+    # The parity of the card, else that of its first file that has one.
     p = card.parity or next((p for file in card.files if (p := made_parity(file))), None)
     if p is None:
         return "-"

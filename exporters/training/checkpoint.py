@@ -88,10 +88,10 @@ def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
 
 def save(path: Path, state: dict[str, Any], run: Run, step: int, seconds: float) -> None:
     """Write a checkpoint atomically; `state` has objects with a `state_dict`."""
-    made_by = {"torch": str(torch.__version__), "machine": platform.machine()}
-    checkpoint = {name: part.state_dict() for name, part in state.items()}
+    tools = {"torch": str(torch.__version__), "machine": platform.machine()}
+    checkpoint = {name: each.state_dict() for name, each in state.items()}
     with replace_atomically(path) as part:
-        torch.save({**checkpoint, **run, **made_by, "step": step, "seconds": seconds}, part)
+        torch.save({**checkpoint, **run, **tools, "step": step, "seconds": seconds}, part)
 
 
 def averaged(path: Path, model: nn.Module) -> dict[str, Any]:

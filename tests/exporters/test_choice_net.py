@@ -11,9 +11,9 @@ pytest.importorskip("onnx", reason="onnx is not installed (extra `export`)")
 
 from edge.perception.runtime.card_types import MARK_FIELDS, OTHERS_FIELDS  # noqa: E402
 from exporters.training.choice.net import (  # noqa: E402
-    FAR,
     GRID_HW,
-    NEAR,
+    NECK16_CHANNELS,
+    NECK32_CHANNELS,
     ChoiceNet,
     bilinear_weights,
     cell_centres,
@@ -35,7 +35,8 @@ def asked(views: int = 2, targets: int = 3, marks: int = 4):
     def some(*shape: int) -> torch.Tensor:
         return torch.rand(*shape, generator=g)
 
-    images = (some(views, NEAR, *GRID_HW), some(views, FAR, *GRID_HW), some(views, KINDS, *GRID_HW))
+    channels = (NECK16_CHANNELS, NECK32_CHANNELS, KINDS)
+    images = tuple(some(views, n, *GRID_HW) for n in channels)
     at = some(views, marks, MARK_FIELDS)
     at[..., -1] = 1.0
     others = some(views, OTHERS_FIELDS)

@@ -55,7 +55,7 @@ def test_columns_times_weights_are_the_convolution(strides, pads, kernel):
     node = helper.make_node("Conv", ["x", "w"], ["y"], pads=pads, strides=strides)
     y = convolve(x[0], weight, strides, pads)
     cells = random.permutation(y[0].size)
-    columns = rounding.input_columns(node, x, kernel, cells)
+    columns = rounding.inputs_of_cells(node, x, kernel, cells)
     np.testing.assert_allclose(columns @ weight.reshape(4, -1).T, y.reshape(4, -1).T[cells], 1e-4)
 
 

@@ -73,7 +73,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         executor.add_node(node)
         ends = AdapterEnds(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
         received = [FromRos(ends, topic, find_type(topic["type"])) for topic in plan["heard"]]
-        # Called in every turn, and called every `GRAPH_S`.
+        # Functions that are called in every turn (`often`), or every `GRAPH_S` (`seldom`).
         often = [ToRos(ends, topic, plan["max_bytes"]).update for topic in plan["said"]]
         seldom, action, due_s = [topic.update for topic in received], None, 0.0
         if plan["action"] is not None:
@@ -101,6 +101,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
 
 
 def _import_or_explain(name: str, plan: dict[str, Any]) -> Any:
+    """Return a module; raise SetupError that says how to install it."""
     try:
         return import_module(name)
     except ImportError as error:

@@ -23,7 +23,7 @@ class ServiceProxy:
     Args:
         ends: node and session.
         names: the service's name in ROS (`ros`) and its key in Zenoh (`key`).
-        kind: the service type.
+        kind: the class of the service's type.
         on_answer: called with each request and its answer.
     """
 
@@ -37,7 +37,7 @@ class ServiceProxy:
         self._ends, self._key, self._kind, self._on_answer = ends, names["key"], kind, on_answer
         self._client = ends.node.create_client(kind, names["ros"])
         self._inbox, self._queryable = Inbox(_QUEUE_SIZE, ends.wake), None
-        self._waiting: dict[Any, Any] = {}  # future: query
+        self._waiting: dict[Any, Any] = {}  # future of the ROS answer: query from Zenoh
         self._warned = False
 
     def update(self) -> None:
@@ -105,10 +105,11 @@ class NavigateProxy:
     def __init__(
         self, ends: AdapterEnds, plan: dict[str, str], is_followed: Callable[[], bool]
     ) -> None:
-        impl = find_type(plan["type"]).Impl
+        impl = find_type(plan["type"]).Impl  # message and service types of the action's parts
 
-        def names(name: str) -> dict[str, Any]:
-            return {key: f"{plan[key]}/_action/{name}" for key in ("ros", "key")}
+        def names(part: str) -> dict[str, Any]:
+            """Return ROS name and Zenoh key of a part: `/navigate_to_pose/_action/status`."""
+            return {field: f"{plan[field]}/_action/{part}" for field in ("ros", "key")}
 
         def service(name: str, kind: Any, on_answer: Callable[[Any, Any], None]) -> ServiceProxy:
             return ServiceProxy(ends, names(name), kind, on_answer)
@@ -127,7 +128,7 @@ class NavigateProxy:
         ]  # fmt: skip
         self._is_followed = is_followed
         self._goal_id: Any = None  # the goal accepted last, until it ends
-        self._followed_s = time.monotonic()
+        self._followed_s = time.monotonic()  # last time that `is_followed` was True
 
     def pass_requests(self) -> None:
         """Send the requests that came from Zenoh to the action's server."""

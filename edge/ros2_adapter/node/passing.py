@@ -29,7 +29,7 @@ class AdapterEnds(NamedTuple):
     Attributes:
         node: rclpy node.
         session: Zenoh session.
-        zenoh: the module.
+        zenoh: the imported module `zenoh`.
         wake: makes the node's thread check its queues now; any thread may call it.
     """
 
@@ -176,7 +176,13 @@ class FromRos:
 
 
 class ToRos:
-    """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
+    """A Zenoh key, published as a ROS topic; the first invalid message is logged.
+
+    Args:
+        ends: node and session.
+        topic_plan: entry of the topic in the plan, see `FromRos`.
+        max_bytes: largest message.
+    """
 
     def __init__(self, ends: AdapterEnds, topic_plan: dict[str, Any], max_bytes: int) -> None:
         self._key, self._max_bytes, self._warned = topic_plan["key"], max_bytes, False
@@ -187,6 +193,7 @@ class ToRos:
         )
 
     def update(self) -> None:
+        """Publish the messages that came since the last call."""
         for sample in self._inbox.take():
             try:
                 self._publisher.publish(cdr_of(sample.payload, self._max_bytes))

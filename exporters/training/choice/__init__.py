@@ -1,4 +1,4 @@
-"""Our own small direction-choice model, made from code and a seed only.
+"""Our own small choice model, made from code and a seed only.
 
 `collect` lets a robot explore built-in houses and stores each decision: the image, the frontiers in
 it, and their true distance to every object. `features` reads the images with the trunk of the small

@@ -1,4 +1,4 @@
-"""Command that trains our small direction-choice model from code, the small detector and a seed.
+"""Command that trains our small choice model from code, the small detector and a seed.
 
     python -m exporters.training.choice --out RUN
 
@@ -101,7 +101,7 @@ def _train(args: argparse.Namespace) -> None:
     views, features = load_views(paths), make_features(paths, trunk)
     logging.info("%d views of %d houses", len(views), len(houses))
     torch.set_num_threads(1)  # more threads do not help with such small tensors
-    data = Data(views, features, trunk.scales, trunk.words)
+    data = Data(views, features, trunk.level_scales, trunk.words)
     plan = TrainingPlan(seed=args.seed, steps=args.steps)
     train(data, plan, len(trunk.words), args.out / "checkpoint.pt")
     command = (

@@ -1,4 +1,4 @@
-"""Training data of the direction-choice model: views of a robot that explores generated houses.
+"""Training data of the choice model: views of a robot that explores generated houses.
 
     views = load_views(make_views(range(100), Path("..."), workers=2))
 
@@ -48,11 +48,11 @@ TICK_EVERY = 8
 HW = (256, 320)
 """Height and width of the stored images [px]."""
 COARSE = 2
-"""The robot maps with images that are smaller by this factor, which is faster."""
+"""The robot maps and detects with images that are smaller than `HW` by this factor."""
 SNAP_M = 0.6
 """Largest distance from a frontier to the nearest cell where the robot fits."""
 SEEN_PX = 10
-"""An object counts as seen with at least this many pixels in the smaller image."""
+"""An object counts as seen with at least this many pixels in the smaller image (`COARSE`)."""
 SEEN_M = 6.0
 """Pixels of an object that are farther away do not count."""
 NEVER, BEFORE, NOW = 0, 1, 2
@@ -64,14 +64,16 @@ _KEY = 31  # added to the seed of the start pose, so that it differs from other 
 class Views:
     """Views of one or more houses: n views, t kinds of object (`looks.CATEGORIES`).
 
+    `left` is the distance that is left to drive, not a side.
+
     Attributes:
         png: (n,) object, the encoded images, BGR as OpenCV writes them.
-        house: (n,) int32, seeds.
+        house: (n,) int32, seed of the house.
         count: (n,) uint8, number of marks, at least 1.
         marks: (n, MAX_MARKS, 4) float32: u and v [px], bearing [rad], distance [m]; 0 beyond
             `count`.
         path_m: (n, MAX_MARKS) float32, driving distance from the robot to the mark on its own map.
-        gain_m2: (n, MAX_MARKS) float32, expected unknown area at the mark.
+        gain_m2: (n, MAX_MARKS) float32, unknown area that the robot would see at the mark [m²].
         others: (n, 3) float32, figures of the frontiers without a mark: number, least `path_m` (0
             if there are none), largest `gain_m2`.
         left_m: (n, MAX_MARKS, t) float32, true driving distance from a mark to the nearest object
@@ -117,7 +119,7 @@ class _Collector:
 
     Attributes:
         loop: the running service and robot; set before the first tick.
-        rows: views so far, in the order of the fields of `Views`.
+        rows: one tuple for each view so far, in the order of the fields of `Views`.
     """
 
     def __init__(self, seed: int, world: World, radius_m: float) -> None:
@@ -126,6 +128,7 @@ class _Collector:
         self.loop: ClosedLoop | None = None
         self._seen = np.zeros(len(looks.CATEGORIES), bool)  # kinds seen so far
         labels = [names.canonical(o.label) for o in world.objects]
+        # (objects,) index of the kind of each object of the house.
         self._kind = np.array([looks.CATEGORIES.index(label) for label in labels])
         # For each kind, the driving distance from every cell; None if the house has no such object.
         self._fields = [
@@ -144,12 +147,13 @@ class _Collector:
         if observation is None or loop is None:
             return
         in_view = self._kinds_in_view(loop.rig.ids, loop.rig.depth_m)
-        c = loop.service.map.pool.candidates
+        c = loop.service.map.pool.candidates  # arrays, of which the first c.n entries are valid
         is_frontier = (c.kind == FRONTIER) & ~c.blocked & np.isfinite(c.path_m)
         frontiers = np.flatnonzero(is_frontier[: c.n])
         xy_m, ids = c.xy_m[frontiers], c.id[frontiers]
         marks = visible_marks(observation, xy_m, ids)
         if marks:
+            # Index of each mark among the frontiers.
             at = np.array([int(np.flatnonzero(ids == mark.id)[0]) for mark in marks])
             self._store_view(marks, at, xy_m, c.path_m[frontiers], c.gain_m2[frontiers], in_view)
         self._seen |= in_view
@@ -200,6 +204,7 @@ class _Collector:
         png = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
         left_m = self._left_m(xy_m)
         n, others = len(marks), np.setdiff1d(np.arange(len(xy_m)), at)  # frontiers without a mark
+        # Arrays for all MAX_MARKS marks, of which the first n exist.
         mark, mark_path, mark_gain, mark_left = (
             np.zeros((MAX_MARKS, 4), np.float32), np.zeros(MAX_MARKS, np.float32),
             np.zeros(MAX_MARKS, np.float32), np.full((MAX_MARKS, t), np.inf, np.float32),
@@ -279,6 +284,7 @@ def collect(seed: int) -> Views:
                 _drive_on(loop)
     finally:
         loop.close()
+    # From rows to columns; without rows, an empty column for each field.
     values = list(zip(*collector.rows, strict=True)) or [()] * len(fields(Views))
     return _as_views(values)
 
@@ -304,6 +310,7 @@ _TYPES = {
 
 def _as_views(values: Sequence[Sequence]) -> Views:
     """Return views from the values of each field, in the order of the fields of `Views`."""
+    # numpy would stack images of equal length into one array, so fill an array of objects.
     png = np.empty(len(values[0]), object)
     png[:] = list(values[0])
     named = zip(fields(Views)[1:], values[1:], strict=True)
@@ -331,6 +338,7 @@ def _write(job: tuple[int, Path]) -> None:
     cv2.setNumThreads(1)
     seed, path = job
     views = collect(seed)
+    # Image i is encoded[ends[i]:ends[i + 1]].
     ends = np.cumsum([0, *(len(png) for png in views.png)])
     encoded = np.concatenate([np.zeros(0, np.uint8), *(png.ravel() for png in views.png)])
     with replace_atomically(path) as part, part.open("wb") as file:

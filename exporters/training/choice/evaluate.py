@@ -1,8 +1,8 @@
-"""Evaluation of the direction-choice model on held-out houses.
+"""Evaluation of the choice model on held-out houses.
 
 A question is a view and a target. For each view, every reachable target that the robot has not seen
-is asked for, if two or more marks exist and differ. A choice is right if the way from its mark is
-at most `labels.RIGHT_M` longer than from the best mark.
+is asked for, if two or more marks exist and differ. A choice is correct if the path from its mark
+is at most `labels.CORRECT_WITHIN_M` longer than from the best mark.
 Confidence intervals resample whole houses, since views of one house are not independent.
 """
 
@@ -26,7 +26,10 @@ from exporters.training.results import auc, took_ms
 PARITY_QUESTIONS = 300
 """Number of random questions for the parity."""
 Logits = tuple[np.ndarray, np.ndarray]
-"""(n, t, MAX_MARKS + 1) of the directions and (n, t) of the scene; NaN for pairs not asked."""
+"""(n, t, MAX_MARKS + 1) of the directions, "elsewhere" last, and (n, t) of the scene.
+
+There are n views and t kinds of object. NaN for pairs that are not asked.
+"""
 
 
 def is_counted(views: Views) -> np.ndarray:
@@ -57,7 +60,7 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
         logits: see `logits_of`.
     """
     session, marks, counts = cpu_session(model, 1), labels.marks_of(views), is_counted(views)
-    asked = np.argwhere(counts)
+    asked = np.argwhere(counts)  # (questions, 2): view and target
     chosen = np.random.default_rng(0).permutation(len(asked))[:PARITY_QUESTIONS]
     worst = 0.0
     for i, t in asked[chosen]:
@@ -67,45 +70,48 @@ def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> floa
         }  # fmt: skip
         of_marks, of_scene = session.run(["directions", "scene"], feed)
         is_option = np.append(labels.is_mark(views)[i], True)  # "elsewhere" always is
-        off = np.abs(of_marks[0] - logits[0][i, t])[is_option].max()
-        worst = max(worst, float(off), abs(float(of_scene[0, 0] - logits[1][i, t])))
+        error = np.abs(of_marks[0] - logits[0][i, t])[is_option].max()
+        worst = max(worst, float(error), abs(float(of_scene[0, 0] - logits[1][i, t])))
     return worst
 
 
 def chooser_scores(views: Views, logits: Logits) -> dict[str, np.ndarray]:
     """Return the scores of the marks by several choosers, (n, t, MAX_MARKS) each, by name.
 
-    A chooser takes the mark with the highest score: the model, the nearest mark, and the prior.
+    A chooser takes the mark with the highest score: the model, the nearest mark, and the prior
+    (`cooccurrence`).
     """
     shape = logits[0][..., :MAX_MARKS].shape
-    near = np.broadcast_to(-views.path_m[:, None], shape)
+    nearness = np.broadcast_to(-views.path_m[:, None], shape)
     return {
         "model": logits[0][..., :MAX_MARKS],
-        "nearest_mark": near,
-        "cooccurrence": views.lift.transpose(0, 2, 1) + 1e-6 * near,  # `near` breaks ties
+        "nearest_mark": nearness,
+        "cooccurrence": views.lift.transpose(0, 2, 1) + 1e-6 * nearness,  # which breaks ties
     }
 
 
 def top1(views: Views, logits: Logits) -> dict[str, float | int | str]:
-    """Return the shares of right choices, with 95 % intervals over houses.
+    """Return the shares of correct choices, with 95 % intervals over houses.
 
     The entries `in_view_…` count only questions in which no frontier without a mark is better than
     the best mark.
     """
+    # (n, t, MAX_MARKS): what is left to drive from each mark to each target.
     left_m = np.where(labels.is_mark(views)[:, None], views.left_m.transpose(0, 2, 1), np.inf)
     best_m = left_m.min(axis=2)
-    right = (left_m <= best_m[..., None] + labels.RIGHT_M) & np.isfinite(left_m)
-    n_marks, n_right = labels.is_mark(views).sum(axis=1)[:, None], right.sum(axis=2)
-    counts = is_counted(views) & np.isfinite(best_m) & (n_right < n_marks)
-    hits = {"at_random": n_right / n_marks}
+    is_correct = (left_m <= best_m[..., None] + labels.CORRECT_WITHIN_M) & np.isfinite(left_m)
+    n_marks, n_correct = labels.is_mark(views).sum(axis=1)[:, None], is_correct.sum(axis=2)
+    counts = is_counted(views) & np.isfinite(best_m) & (n_correct < n_marks)
+    # Chooser → (n, t), 1 if its choice is correct; for `at_random` the expected value.
+    hits = {"at_random": n_correct / n_marks}
     for name, score in chooser_scores(views, logits).items():
         score = np.nan_to_num(np.where(labels.is_mark(views)[:, None], score, -np.inf), nan=-np.inf)
         pick = score.argmax(axis=2)[..., None]
-        hits[name] = np.take_along_axis(right, pick, 2)[..., 0].astype(float)
+        hits[name] = np.take_along_axis(is_correct, pick, 2)[..., 0].astype(float)
     for name in ("nearest_mark", "cooccurrence"):
         hits[f"model_minus_{name}"] = hits["model"] - hits[name]
     houses = np.broadcast_to(views.house[:, None], counts.shape)
-    in_view = counts & (best_m <= views.else_m + labels.RIGHT_M)
+    in_view = counts & (best_m <= views.else_m + labels.CORRECT_WITHIN_M)
     shares: dict[str, float | int | str] = {}
     for prefix, chosen in (("", counts), ("in_view_", in_view)):
         shares[f"{prefix}questions"] = int(chosen.sum())
@@ -125,7 +131,7 @@ def by_house(values: np.ndarray, houses: np.ndarray) -> Interval:
     """Return the mean over questions and its 95 % interval.
 
     Args:
-        values: (n,) 1 for a right answer, 0 for a wrong one, or a difference of two.
+        values: (n,) 1 for a correct answer, 0 for a wrong one, or a difference of two.
         houses: (n,) seed of each question's house.
     """
     cluster = np.unique(houses, return_inverse=True)[1]

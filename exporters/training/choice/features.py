@@ -1,7 +1,7 @@
 """Image features of views: the output of the small detector's trunk, the net's only image input.
 
-The trunk is the detector's without its boxes, INT8 as our quantizer made it. It is not trained
-further. So every image is read once, and the net learns from the INT8 trunk's output.
+The trunk is the detector without its box outputs, with the INT8 weights of our quantizer. It is not
+trained further. So every image is read once, and the net learns from the INT8 trunk's output.
 """
 
 from __future__ import annotations
@@ -34,19 +34,22 @@ NECK = tuple(
 class Features:
     """Features of n views; the second axis has the image as it is (0) and mirrored (1).
 
+    A level is the quantized integer of a value: value = scale * level.
+
     Attributes:
         evidence: (n, 2, c, 8, 10) uint8, 255 times the detector's score of each of
             `looks.CATEGORIES`, the highest in a cell.
-        near: (n, 2, 96, 8, 10) uint16, levels of the first of `NECK`, summed over 2x2 cells.
-        far: (n, 2, 128, 8, 10) uint8, levels of the second of `NECK`.
+        neck16: (n, 2, 96, 8, 10) uint16, sums of the levels of 2x2 cells of stride 16, the first
+            of `NECK`.
+        neck32: (n, 2, 128, 8, 10) uint8, levels of the cells of stride 32, the second of `NECK`.
     """
 
     evidence: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
+    neck16: np.ndarray
+    neck32: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.far)
+        return len(self.neck32)
 
 
 class Trunk:
@@ -58,10 +61,10 @@ class Trunk:
 
     Attributes:
         model: `images` → `HEADS` and `NECK`.
-        scale: factor in the detector's scores: sigmoid(scale · embedding · text + bias).
-        bias: offset in the detector's scores.
-        scales: factors from the levels in `Features.near` and `far` to values; for `near`, to the
-            mean of four cells.
+        logit_scale: factor in the detector's scores: sigmoid(scale · embedding · text + bias).
+        logit_bias: offset in the detector's scores.
+        level_scales: scales of the levels in `Features.neck16` and `neck32`. The first is a quarter
+            of the quantizer's, so it turns the sum of four cells into their mean.
         words: (c, 64) float32, unit rows of `looks.CATEGORIES`.
     """
 
@@ -78,13 +81,14 @@ class Trunk:
         self.model = Extractor(onnx.shape_inference.infer_shapes(full)).extract_model(
             ["images"], [*HEADS, *NECK]
         )
-        self.scale, self.bias = float(np.exp(number("scale"))), number("bias")
+        self.logit_scale, self.logit_bias = float(np.exp(number("scale"))), number("bias")
         # The inputs of a DequantizeLinear node are the levels, their scale, and their zero point.
         makers = {node.output[0]: node for node in full.graph.node}
-        near, far = (number(makers[name].input[1]) for name in NECK)
-        self.scales = near / 4.0, far
+        scale16, scale32 = (number(makers[name].input[1]) for name in NECK)
+        self.level_scales = scale16 / 4.0, scale32
         for name in NECK:
             assert number(makers[name].input[2]) == 0.0, "a ReLU's zero point"
+        # Phrases of a category alone, without colour and size; token k + 1 is category k.
         tokens = np.zeros((len(looks.CATEGORIES), 3), np.int64)
         tokens[:, 0] = 1 + np.arange(len(looks.CATEGORIES))
         self.words = cpu_session(text, 1).run(None, {"tokens": tokens})[0]
@@ -96,12 +100,14 @@ class Trunk:
         Args:
             rgb: (h, w, 3) uint8.
         """
-        *heads, near, far = self._session.run([*HEADS, *NECK], {"images": as_input(rgb)})
-        logits = (self.scale * np.einsum("kd,dhw->khw", self.words, e[0]) for e in heads)
-        best = np.max([_fold(x, np.max) for x in logits], axis=0) + self.bias
+        *heads, neck16, neck32 = self._session.run([*HEADS, *NECK], {"images": as_input(rgb)})
+        # Logits without the bias; e is (1, 64, h, w), the embeddings of one stride.
+        logits = (self.logit_scale * np.einsum("kd,dhw->khw", self.words, e[0]) for e in heads)
+        best = np.max([_fold(x, np.max) for x in logits], axis=0) + self.logit_bias
         evidence = np.round(255.0 / (1.0 + np.exp(-best)))
-        near = np.round(_fold(near[0], np.sum) / (4.0 * self.scales[0]))
-        return evidence, near, np.round(far[0] / self.scales[1])
+        # From values back to levels: 4 * level_scales[0] is the quantizer's scale.
+        levels16 = np.round(_fold(neck16[0], np.sum) / (4.0 * self.level_scales[0]))
+        return evidence, levels16, np.round(neck32[0] / self.level_scales[1])
 
 
 def _fold(x: np.ndarray, reduce: Callable) -> np.ndarray:
@@ -119,7 +125,8 @@ def make_features(paths: Sequence[Path], trunk: Trunk) -> Features:
     )
 
 
-_TYPES = (np.uint8, np.uint16, np.uint8)  # of the arrays of `Features`
+# Names in the stored file and types of the arrays of `Features`, in the order of its fields.
+_STORED = {"evidence": np.uint8, "near": np.uint16, "far": np.uint8}
 
 
 def _read_or_make(path: Path, trunk: Trunk) -> Features:
@@ -131,11 +138,12 @@ def _read_or_make(path: Path, trunk: Trunk) -> Features:
             [trunk.read(np.ascontiguousarray(rgb)) for rgb in (image, image[:, ::-1])]
             for image in map(views.rgb, range(len(views)))
         ]
+        # `read` is image → (as it is, mirrored) → arrays of `Trunk.read`; k is the array.
         arrays = {
-            f.name: np.array([[features[k] for features in pair] for pair in read], dtype)
-            for k, (f, dtype) in enumerate(zip(fields(Features), _TYPES, strict=True))
+            name: np.array([[features[k] for features in pair] for pair in read], dtype)
+            for k, (name, dtype) in enumerate(_STORED.items())
         }
         with replace_atomically(stored) as part, part.open("wb") as file:
             np.savez(file, **arrays)
     with np.load(stored) as data:
-        return Features(*(data[f.name] for f in fields(Features)))
+        return Features(*(data[name] for name in _STORED))

@@ -1,6 +1,7 @@
 """Labels for training and evaluation: the directions of a view that lead to a target, if any does.
 
-Shapes: n views, t kinds of object.
+A direction is a mark or "elsewhere", which stands for all frontiers without a mark.
+Shapes: n views, m marks, t kinds of object.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ DETOUR_M = 1.5
 """A path is near the shortest path if it is longer by at most this."""
 DETOUR_SHARE = 0.25
 """A path is also near the shortest path if it is longer by at most this share of it."""
-RIGHT_M = 0.5
-"""Directions that differ by less are equally good."""
+CORRECT_WITHIN_M = 0.5
+"""A mark is correct if its remaining distance exceeds the shortest one by at most this."""
 
 
 def marks_of(views: Views) -> np.ndarray:
     """Return the marks in the form of `MarksCard`: (n, MAX_MARKS, MARK_FIELDS) float32.
 
-    The fields are u, v (shares of the image), bearing, distance, path, gain, and 1; all are 0 for a
-    mark that does not exist.
+    The fields are u, v (shares of the image), bearing [rad], distance [m], path [m] (at most
+    `FAR_M`), gain [m²], and 1; all are 0 for a mark that does not exist.
     """
     out = np.zeros((len(views), MAX_MARKS, MARK_FIELDS), np.float32)
     out[..., 0] = (views.marks[..., 0] + 0.5) / HW[1]
@@ -34,7 +35,7 @@ def marks_of(views: Views) -> np.ndarray:
     out[..., 2:4] = views.marks[..., 2:]
     out[..., 4] = np.minimum(views.path_m, FAR_M)
     out[..., 5], out[..., -1] = views.gain_m2, is_mark(views)
-    return out * out[..., -1:]
+    return out * out[..., -1:]  # zeros for missing marks
 
 
 def is_mark(views: Views) -> np.ndarray:
@@ -52,7 +53,7 @@ def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
     """Return soft labels of the directions: the shorter the remaining way, the higher.
 
     Args:
-        left_m: (…, m) remaining distance from each mark, inf if there is none.
+        left_m: (…, m) remaining distance from each mark, inf if no path leads to the target.
         else_m: (…) remaining distance from the best frontier without a mark.
 
     Returns:

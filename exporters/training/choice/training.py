@@ -1,4 +1,4 @@
-"""Training loop of the direction-choice model: each step has a few views with several targets.
+"""Training loop of the choice model: each step has a few views with several targets.
 
 Shapes: v views, t targets of each, m marks.
 """
@@ -26,7 +26,8 @@ from exporters.training.learning import Learner
 log = logging.getLogger(__name__)
 
 DROP = 0.25
-"""Probability that a mark is left out, for more variety in the questions."""
+"""Probability that a mark is left out, for more variety in the questions. A frontier whose mark is
+left out counts as one without a mark."""
 MAX_GRADIENT_NORM = 5.0
 """Longer gradients are shortened to it."""
 
@@ -62,20 +63,20 @@ class Batch(NamedTuple):
     """Inputs of `ChoiceNet`, and the labels.
 
     Attributes:
-        near: see `ChoiceNet.read`.
-        far: see `ChoiceNet.read`.
+        neck16: see `ChoiceNet.read`.
+        neck32: see `ChoiceNet.read`.
         evidence: see `ChoiceNet.read`.
         target: see `ChoiceNet.forward`.
         text: see `ChoiceNet.forward`.
         marks: see `ChoiceNet.forward`.
         others: see `ChoiceNet.forward`.
         direction: (v, t, m + 1) see `labels.directions`.
-        among: (v, t, m) the same if there were no frontier without a mark.
+        among: (v, t, m) the labels of the marks alone, as if all frontiers had a mark.
         scene: (v, t) 1 if the best mark lies near a shortest path.
     """
 
-    near: Tensor
-    far: Tensor
+    neck16: Tensor
+    neck32: Tensor
     evidence: Tensor
     target: Tensor
     text: Tensor
@@ -92,7 +93,7 @@ class Data:
     Args:
         views: images and marks.
         features: features of the views.
-        scales: see `features.Trunk`.
+        level_scales: see `features.Trunk`.
         words: see `features.Trunk`.
 
     Attributes:
@@ -100,9 +101,14 @@ class Data:
     """
 
     def __init__(
-        self, views: Views, features: Features, scales: tuple[float, float], words: np.ndarray
+        self,
+        views: Views,
+        features: Features,
+        level_scales: tuple[float, float],
+        words: np.ndarray,
     ) -> None:
-        self._views, self._features, self._scales, self._words = views, features, scales, words
+        self._views, self._features = views, features
+        self._level_scales, self._words = level_scales, words
         self._marks, self._asked = labels.marks_of(views), labels.is_asked(views)
         self._scene = labels.scene(views)
         self.rows = np.flatnonzero(self._asked.any(axis=1))
@@ -126,10 +132,12 @@ class Data:
         for step in range(first, plan.steps):
             rng = np.random.default_rng([plan.seed, step])
             rows = rng.choice(self.rows, plan.views)
+            # Each target of a view that may be asked for is equally likely.
             chance = self._asked[rows] / self._asked[rows].sum(axis=1, keepdims=True)
             targets = np.stack([rng.choice(len(p), plan.targets, p=p) for p in chance])
             is_mark = self._marks[rows, :, -1] > 0.0
             kept = is_mark & (rng.random(is_mark.shape) >= DROP)
+            # At least one mark stays.
             is_mark = np.where(kept.any(axis=1, keepdims=True), kept, is_mark)
             yield self._batch(rows, targets, rng.integers(0, 2, len(rows)), is_mark)
 
@@ -138,9 +146,9 @@ class Data:
     ) -> Batch:
         """Return a batch, see `batch`; `is_mark` (v, m) is False for marks that are left out."""
         views, f, each = self._views, self._features, np.arange(len(rows))[:, None]
-        near, far = (
+        neck16, neck32 = (
             torch.from_numpy(x[rows, sides].astype(np.float32) * scale)
-            for x, scale in zip((f.near, f.far), self._scales, strict=True)
+            for x, scale in zip((f.neck16, f.neck32), self._level_scales, strict=True)
         )
         evidence = torch.from_numpy(f.evidence[rows, sides].astype(np.float32) / 255.0)
         marks = self._marks[rows] * is_mark[..., None]
@@ -149,17 +157,18 @@ class Data:
         marks[..., 2] *= np.where(sides, -1.0, 1.0)[:, None]
         # A mark that is left out is a frontier without a mark.
         others = _with_hidden(views.others[rows], self._marks[rows], ~is_mark)
+        # (v, t, m): from the marks to the targets. `left` is what remains, not a side.
         left_m = np.take_along_axis(views.left_m[rows], targets[:, None], 2).transpose(0, 2, 1)
         hidden_m = np.where(is_mark[:, None], np.inf, left_m).min(axis=-1)
         else_m = np.minimum(np.take_along_axis(views.else_m[rows], targets, 1), hidden_m)
         left_m = np.where(is_mark[:, None], left_m, np.inf)
-        right = labels.directions(left_m, else_m)
+        direction = labels.directions(left_m, else_m)
         among = labels.directions(left_m, np.full_like(else_m, np.inf))[..., :-1]
         scene = np.take_along_axis(self._scene[rows], targets, 1).astype(np.float32)
         return Batch(
-            near, far, evidence, evidence.flatten(2)[each, targets],
+            neck16, neck32, evidence, evidence.flatten(2)[each, targets],
             torch.from_numpy(self._words[targets]), torch.from_numpy(marks),
-            torch.from_numpy(others), torch.from_numpy(right), torch.from_numpy(among),
+            torch.from_numpy(others), torch.from_numpy(direction), torch.from_numpy(among),
             torch.from_numpy(scene),
         )  # fmt: skip
 
@@ -187,7 +196,7 @@ def _with_hidden(others: np.ndarray, marks: np.ndarray, hidden: np.ndarray) -> n
 
 def answers(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor]:
     """Return the logits of directions and scene; see `ChoiceNet.forward`."""
-    seen = net.read(batch.near, batch.far, batch.evidence)
+    seen = net.read(batch.neck16, batch.neck32, batch.evidence)
     return net(seen, batch.target, batch.text, batch.marks, batch.others)
 
 
@@ -203,9 +212,9 @@ def losses(net: ChoiceNet, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
     return of_direction, of_marks, of_scene
 
 
-def _cross_entropy(logits: Tensor, right: Tensor) -> Tensor:
+def _cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
     """Return the mean cross-entropy of soft labels."""
-    return -(right * logits.log_softmax(-1)).sum(-1).mean()
+    return -(label * logits.log_softmax(-1)).sum(-1).mean()
 
 
 def train(data: Data, plan: TrainingPlan, kinds: int, checkpoint: Path) -> ChoiceNet:

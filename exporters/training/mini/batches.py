@@ -74,8 +74,8 @@ def cut(
         The image (h, w, 3) uint8, boxes (o, 4) in it, and the share of each box that is left.
     """
     h, w = hw
-    # The part of the image that is shown: `view_w` by `view_h` at x0, y0. It may be larger than
-    # the image, which then gets a border.
+    # The crop shows the part `view_w` by `view_h` at x0, y0 of the image. The part may be larger
+    # than the image, which then gets a border.
     zoom = 1.0 if rng is None else float(np.exp(rng.uniform(*np.log(ZOOM))))
     base = min(h / HEIGHT_PX, w / WIDTH_PX)
     scale = base * zoom
@@ -89,6 +89,7 @@ def cut(
     out[top:bottom, left:right] = cv2.resize(
         rgb[v0:v1, u0:u1], (right - left, bottom - top), interpolation=interpolation
     )
+    # Scale of x0, y0, x1, y1; by cell sizes after rounding, so that boxes match the pixels.
     s = np.array([(right - left) / (u1 - u0), (bottom - top) / (v1 - v0)] * 2, np.float32)
     moved = (boxes - np.array([u0, v0, u0, v0], np.float32)) * s
     moved += np.array([left, top, left, top], np.float32)
@@ -106,7 +107,7 @@ def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, 
     """Return first and last pixel of a view along one axis: in the image, then in the crop.
 
     Args:
-        start: where the view begins in the image; negative if it is larger.
+        start: first pixel of the view in the image; negative if the view is larger.
         length: length of the view.
         full: length of the image.
         size: length of the crop.
@@ -131,6 +132,7 @@ def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0
     rows = []
     for k in rng.permutation(len(objects))[:NAMED]:
         o = objects[k]
+        # Words that are true of the object; entry 0 stands for no word.
         colors, sizes = (np.flatnonzero(o[name][1:] == looks.YES) for name in ("color", "size"))
         kind = int(rng.integers(4))  # 1: with a colour, 2: with a size, 3: with both
         color = int(rng.choice(colors)) + 1 if kind in (1, 3) and len(colors) else 0
@@ -173,7 +175,7 @@ def make_batch(
     boxes = np.zeros((n, THINGS, 4), np.float32)
     taught = np.zeros((n, THINGS), bool)
     answers = np.zeros((n, THINGS, k), np.int8)
-    hard = np.zeros((n, THINGS, k), bool)
+    hard = np.zeros((n, THINGS, k), bool)  # see `Labels`
     min_side = MIN_SIDE_PX * max(0.75, hw[1] / WIDTH_PX)
     for i, index in enumerate(indices):
         objects = frames.objects_in(int(index))
@@ -182,6 +184,7 @@ def make_batch(
         side = np.minimum(moved[:, 2] - moved[:, 0], moved[:, 3] - moved[:, 1])
         kept = np.flatnonzero(side > 2.0)[:THINGS]
         objects, moved, share, side = objects[kept], moved[kept], share[kept], side[kept]
+        # `objects` is a copy here, because `kept` is an array of indices.
         objects["size"][~is_inside_image(objects) | (share < WHOLE), 1:] = looks.UNSURE
         is_taught = (side >= min_side) & (objects["visible"] * share >= MIN_VISIBLE)
         is_taught &= share >= LEAST_IN_CROP
@@ -216,6 +219,7 @@ def batches(
     """
 
     def make(step: int) -> Batch:
+        """Return the batch of a step."""
         rng = np.random.default_rng([9, seed, step])
         indices = rng.choice(len(frames), batch, replace=len(frames) < batch)
         return make_batch(frames, indices, steps[step][0], rng, steps[step][1])
@@ -236,6 +240,7 @@ def batches(
 def tint(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Change exposure, gamma and white balance of a uint8 image at random."""
     gain = rng.uniform(0.75, 1.2) * rng.uniform(0.95, 1.05, 3)
+    # New value of each of the 256 old ones, by channel.
     table = (np.arange(256.0)[:, None] / 255.0) ** rng.uniform(0.85, 1.18) * gain * 255.0
     return cv2.LUT(picture, table.clip(0, 255).astype(np.uint8)[None])
 

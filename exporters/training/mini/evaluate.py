@@ -91,7 +91,9 @@ class Report:
         `KIND_questions` is the number of questions, `KIND_pairs` the share of right answers. The
         last two figures count the questions of the kinds `TOLD_APART`.
         """
-        right, wrong = (self.phrases.T > DEPLOYED).mean(1) if len(self.phrases) else (0.0, 0.0)
+        # Shares of scores above the threshold, on the right object and on the wrong one.
+        is_above = self.phrases.T > DEPLOYED
+        right_above, wrong_above = is_above.mean(1) if len(self.phrases) else (0.0, 0.0)
         return {
             "ap50": round(self.map50, 3),
             "categories": len(self.ap50),
@@ -99,8 +101,8 @@ class Report:
             "pairs_told_apart": round(self.pair_share(), 3),
             **{f"{kind}_pairs": round(self.pair_share(kind), 3) for kind in self.pairs},
             **{f"{kind}_questions": asked for kind, (_, asked) in self.pairs.items()},
-            f"right_above_{DEPLOYED}": round(float(right), 3),
-            f"wrong_below_{DEPLOYED}": round(1.0 - float(wrong), 3),
+            f"right_above_{DEPLOYED}": round(float(right_above), 3),
+            f"wrong_below_{DEPLOYED}": round(1.0 - float(wrong_above), 3),
         }
 
     def table(self) -> str:
@@ -126,15 +128,19 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
         frames: images to measure on.
     """
     detector, encoder = cpu_session(model, 2), cpu_session(text, 1)
+    # Phrases of a category alone, without colour and size; token c + 1 is category c.
     categories = np.zeros((len(looks.CATEGORIES), 3), np.int64)
     categories[:, 0] = np.arange(1, 1 + len(categories))
+    # By category: the result of `_match`, and the number of objects that count.
     found: dict[int, list[tuple[float, int]]] = defaultdict(list)
     things: dict[int, int] = defaultdict(int)
+    # Kind of question → [right answers, questions].
     pairs = {"color": [0, 0], "size": [0, 0], "cut_off_size": [0, 0]}
-    phrases: list[tuple[float, float]] = []
+    phrases: list[tuple[float, float]] = []  # see `Report.phrases`
     for index in range(len(frames)):
         objects = frames.objects_in(index)
         questions = _questions(objects)
+        # The detector's phrases: first all categories, then the questions.
         tokens = np.concatenate([categories, *(q.phrase[None] for q in questions)])
         features = encoder.run(None, {"tokens": tokens})[0][None]
         feed = {"images": as_input(frames.rgb[index]), "txt_feats": features}
@@ -145,13 +151,13 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
             found[c] += _match(boxes, scores[:, c], objects, does_count, c + 1)
         for k, question in enumerate(questions):
             score = scores[:, len(categories) + k]
-            right, wrong = (
+            right_score, wrong_score = (
                 _score_at(boxes, score, objects["box"][i]) for i in (question.right, question.wrong)
             )
-            pairs[question.kind][0] += right > wrong
+            pairs[question.kind][0] += right_score > wrong_score
             pairs[question.kind][1] += 1
             if question.kind in TOLD_APART:
-                phrases.append((right, wrong))
+                phrases.append((right_score, wrong_score))
     ap = {looks.CATEGORIES[c]: _average_precision(found[c], n) for c, n in things.items() if n}
     return Report(
         ap,
@@ -197,9 +203,9 @@ def _questions(objects: np.ndarray) -> list[_Question]:
             size_kind = "size" if uncut[i] and uncut[j] else "cut_off_size"
             # A phrase is (category, colour, size); `place` is the index of the word.
             for kind, field, place in (("color", "color", 1), (size_kind, "size", 2)):
-                right, wrong = objects[field][i], objects[field][j]
-                # Entry 0 is the answer for no word.
-                fits = (right[1:] == looks.YES) & (wrong[1:] == looks.NO)
+                # Answers for each word; entry 0 is the answer for no word.
+                of_right, of_wrong = objects[field][i], objects[field][j]
+                fits = (of_right[1:] == looks.YES) & (of_wrong[1:] == looks.NO)
                 for word in np.flatnonzero(fits) + 1:
                     phrase = np.zeros(3, np.int64)
                     phrase[0], phrase[place] = objects["category"][i], word
@@ -225,6 +231,13 @@ def _match(
     Of overlapping boxes, the one with the highest score is a detection. Detections on objects that
     do not count are left out. So are detections on objects for which the category is UNSURE, such
     as an armchair for the category chair.
+
+    Args:
+        boxes: (a, 4) boxes of the detector.
+        scores: (a,) their scores for the category.
+        objects: (o,) `views.OBJECT`.
+        does_count: see `_does_count`.
+        category: from 1.
 
     Returns:
         The score of each detection, and 1 if it is right, 0 if it is wrong.
@@ -255,12 +268,18 @@ def _match(
 
 
 def _average_precision(found: list[tuple[float, int]], count: int) -> float:
-    """Return the area under the precision envelope over recall (COCO's, without the 101 points)."""
+    """Return the area under the precision envelope over recall (COCO's, without the 101 points).
+
+    Args:
+        found: score of each detection, and 1 if it is right, 0 if it is wrong.
+        count: number of objects.
+    """
     if not found:
         return 0.0
     right = np.array([hit for _, hit in sorted(found, key=lambda f: -f[0])])
     hits = np.cumsum(right)
     recall, precision = hits / count, hits / np.arange(1, 1 + len(hits))
+    # Highest precision at this recall or a higher one.
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float((np.diff(recall, prepend=0.0) * envelope).sum())
 

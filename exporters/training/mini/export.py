@@ -120,7 +120,13 @@ def training_figures(state: dict[str, Any], command: str) -> dict[str, float | i
 def held_out_figures(
     before: evaluate.Report, after: evaluate.Report, bytes_: int
 ) -> dict[str, float | int]:
-    """Return the evaluation entry of the detector's card; `before` is the FP32 model's report."""
+    """Return the evaluation entry of the detector's card.
+
+    Args:
+        before: report of the FP32 model.
+        after: report of the INT8 model.
+        bytes_: size of the INT8 file.
+    """
     return {
         "first_seed": evaluate.SEEDS[0], "houses": len(evaluate.SEEDS),
         "frames": len(evaluate.SEEDS) * evaluate.PER_HOUSE, **after.summary(),

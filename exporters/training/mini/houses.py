@@ -81,12 +81,12 @@ class _Drawn(NamedTuple):
     Attributes:
         size: depth, width, height [m].
         color: r, g, b, each 0 to 255.
-        style: key of `looks.STYLES`; None for the usual size.
+        size_word: key of `looks.STYLES`; None for the usual size.
     """
 
     size: tuple[float, float, float]
     color: tuple[float, float, float]
-    style: str | None
+    size_word: str | None
 
 
 class _Builder:
@@ -115,21 +115,22 @@ class _Builder:
         """Draw one of the choices."""
         return choices[int(self.rng.integers(len(choices)))]
 
-    def draw_appearance(self, category: str, z_m: float = 0.0) -> _Drawn:
-        """Draw the appearance of an object with its underside at `z_m`; it fits in the room."""
+    def draw_look(self, category: str, z_m: float = 0.0) -> _Drawn:
+        """Draw size and colour of an object with its underside at `z_m`; it fits in the room."""
         rng, kind = self.rng, assemblies.CATEGORIES[category]
         size = np.array(kind.size_m) * rng.uniform(0.94, 1.06, 3)
-        style = None
+        size_word = None
         if not self.chance(0.45):
-            style = self.pick(looks.styles_of(category))
-            w0, w1, h0, h1 = looks.STYLES[style]
+            size_word = self.pick(looks.styles_of(category))
+            w0, w1, h0, h1 = looks.STYLES[size_word]
             wide, high = rng.uniform(w0, w1), rng.uniform(h0, h1)
             ratio = min(size[0] / size[1], size[1] / size[0])
-            is_uniform = style in ("large", "small")  # one factor for all three sides
+            is_uniform = size_word in ("large", "small")  # one factor for all three sides
             deep = wide if is_uniform or ratio >= _NEARLY_SQUARE else 1.0
+            # Factors on depth, width and height.
             factors = np.array([deep, wide, wide if is_uniform else high])
             if size[2] * factors[2] + z_m > self.height_m - _UNDER_CEILING_M:
-                style = None
+                size_word = None  # too high: keep the usual size
             else:
                 size = size * factors
         size[2] = min(size[2], self.height_m - _UNDER_CEILING_M - z_m)
@@ -137,7 +138,7 @@ class _Builder:
         base = self.pick(kind.colors) if usual else looks.PALETTE[self.pick(looks.COLORS)]
         jitter = rng.uniform(0.88, 1.12) + rng.uniform(-0.05, 0.05, 3)
         color = np.clip(np.array(base) * jitter + rng.uniform(-6, 6), 4, 250)
-        return _Drawn(tuple(map(float, size)), tuple(map(float, color)), style)
+        return _Drawn(tuple(map(float, size)), tuple(map(float, color)), size_word)
 
     def _add(
         self,
@@ -148,13 +149,13 @@ class _Builder:
         z_m: float = 0.0,
     ) -> None:
         """Add an object without a check, and the words that apply to it."""
-        size, color, style = drawn
+        size, color, size_word = drawn
         self.objects.append(
             HouseObject(category=category, at=at, z_m=z_m, yaw_deg=yaw_deg, size=size, color=color)
         )
         colors = looks.color_answers(color) if looks.has_color(category) else looks.unsure_color()
         index = list(assemblies.CATEGORIES).index(category) + 1
-        self.appearances.append(Appearance(index, colors, looks.size_answers(style, category)))
+        self.appearances.append(Appearance(index, colors, looks.size_answers(size_word, category)))
 
     def _is_free(self, x: float, y: float, radius: float) -> bool:
         """Return True if a disc on the floor overlaps no occupied one."""
@@ -166,7 +167,7 @@ class _Builder:
 
     def _place_by_wall(self, category: str, room: Rect, carried: str | None = None) -> bool:
         """Place an object at a random wall, facing into the room; see `_place_at` for `carried`."""
-        drawn = self.draw_appearance(category)
+        drawn = self.draw_look(category)
         depth, width, _ = drawn.size
         for _ in range(_TRIES):
             side = int(self.rng.integers(4))
@@ -183,7 +184,7 @@ class _Builder:
 
     def _place_in_middle(self, category: str, room: Rect) -> bool:
         """Place an object away from the walls, at any angle; return True if there was space."""
-        drawn = self.draw_appearance(category)
+        drawn = self.draw_look(category)
         half = 0.5 * max(drawn.size[:2])
         if min(room.x1 - room.x0, room.y1 - room.y0) < 2 * half + 0.6:
             return False
@@ -248,7 +249,7 @@ class _Builder:
     ) -> None:
         """Put an object on top of one with this pose and size, if it fits."""
         support_depth, support_width, support_height = support_size
-        drawn = self.draw_appearance(category, support_height)
+        drawn = self.draw_look(category, support_height)
         depth, width, height = drawn.size
         if depth > support_depth * 1.3 or width > support_width * 1.1 or height > 1.2:
             return
@@ -260,7 +261,7 @@ class _Builder:
 
     def _hang_picture(self, room: Rect) -> None:
         """Hang a picture on a random wall, if the wall is long enough."""
-        drawn = self.draw_appearance("picture", 1.6)
+        drawn = self.draw_look("picture", 1.6)
         depth, width, _ = drawn.size
         side = int(self.rng.integers(4))
         span = wall_span_m(room, side)
@@ -286,14 +287,14 @@ class _Builder:
         """Place the leaf of a door in its frame: shut, or turned open about one edge.
 
         Args:
-            x: middle of the doorway.
-            y: middle of the doorway.
+            x: x of the doorway's middle [m].
+            y: y of the doorway's middle [m].
             along_deg: direction of the wall.
             width_m: width of the doorway.
         """
-        (depth, width, height), color, style = self.draw_appearance("door")
+        (depth, width, height), color, size_word = self.draw_look("door")
         # A leaf that is called wide, narrow, large or small keeps its width, to fit the word.
-        if style in (None, "tall", "short"):
+        if size_word in (None, "tall", "short"):
             width = width_m
         size = (depth, width, height)
         open_deg = 0.0 if self.chance(0.35) else float(self.rng.uniform(50, 115))
@@ -302,17 +303,17 @@ class _Builder:
         hinge = (x - 0.5 * width_m * math.cos(a), y - 0.5 * width_m * math.sin(a))
         at = (hinge[0] + 0.5 * width * math.cos(t), hinge[1] + 0.5 * width * math.sin(t))
         # The leaf's width runs along its own y, so its front looks along the wall's normal.
-        self._add("door", at, math.degrees(t) - 90.0, _Drawn(size, color, style))
+        self._add("door", at, math.degrees(t) - 90.0, _Drawn(size, color, size_word))
 
 
 def random_house(seed: int) -> tuple[House, list[Appearance]]:
     """Return a house with a corner at 0, 0, and the appearance of each of its objects."""
     rng = np.random.default_rng([7, seed])
-    height = float(rng.uniform(2.45, 3.0))
-    b = _Builder(rng, height)
-    w, h = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
-    rects, walls = _split(b, Rect(0.0, 0.0, w, h))
-    walls += _outer_walls(b, w, h)
+    height_m = float(rng.uniform(2.45, 3.0))
+    b = _Builder(rng, height_m)
+    x1, y1 = float(rng.uniform(6, 12)), float(rng.uniform(5.5, 10))
+    rects, walls = _split(b, Rect(0.0, 0.0, x1, y1))
+    walls += _outer_walls(b, x1, y1)
     rooms = []
     for k, rect in enumerate(rects):
         kind = b.pick(tuple(ROOMS))
@@ -326,8 +327,8 @@ def random_house(seed: int) -> tuple[House, list[Appearance]]:
         _fill(b, rect, kind)
     house = House(
         name=f"random-{seed}",
-        start=(0.5 * w, 0.5 * h, 0.0),
-        wall_height_m=height,
+        start=(0.5 * x1, 0.5 * y1, 0.0),
+        wall_height_m=height_m,
         rooms=tuple(rooms),
         walls=tuple(walls),
         objects=tuple(b.objects),
@@ -392,9 +393,9 @@ def _split(b: _Builder, whole: Rect) -> tuple[list[Rect], list[Wall]]:
     return rects, walls
 
 
-def _outer_walls(b: _Builder, w: float, h: float) -> list[Wall]:
-    """Return the four outer walls, some with a window."""
-    corners = ((0.0, 0.0), (w, 0.0), (w, h), (0.0, h))
+def _outer_walls(b: _Builder, x1: float, y1: float) -> list[Wall]:
+    """Return the walls from (0, 0) to (x1, y1) [m], some with a window."""
+    corners = ((0.0, 0.0), (x1, 0.0), (x1, y1), (0.0, y1))
     walls = []
     for k in range(4):
         start, end = corners[k], corners[(k + 1) % 4]

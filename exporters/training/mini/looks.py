@@ -1,7 +1,8 @@
 """Words of the small detector's phrases, and the answers to the question if a phrase is true.
 
 A phrase is three numbers (category, colour, size), each an index into the words from 1, or 0 for no
-word. The answer for an object is YES, NO or UNSURE. Unsure answers are neither taught nor measured
+word. A style is the size word that an object was made with. The answer for an object is YES, NO or
+UNSURE. Unsure answers are neither taught nor measured
 (is a teal object blue? is a tall one large?).
 """
 

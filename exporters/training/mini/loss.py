@@ -126,13 +126,14 @@ def detection_loss(
         labels: the objects.
     """
     owner, quality = assign(logits.sigmoid(), decoded, anchors, labels)
-    at = owner.clamp(0)[..., None]
+    at = owner.clamp(0)[..., None]  # index of the owner; 0 without one, which `has_owner` masks
     has_owner = (owner >= 0)[..., None]
     k = logits.shape[2]
     answers = labels.answers.gather(1, at.expand(-1, -1, k)) * has_owner
     hard = labels.hard.gather(1, at.expand(-1, -1, k)) & has_owner
     target = quality[..., None] * (answers == YES)
-    # A phrase is not taught inside an object for which it is unsure, or that is not taught.
+    # A phrase is doubtful at anchors inside an object for which it is unsure, or that is not
+    # taught. It is not taught there, unless it is true or hard for the anchor's own object.
     inside = _inside(anchors, labels.boxes).to(logits.dtype)
     ignored = labels.answers == UNSURE
     ignored |= (labels.answers == YES) & ~labels.taught[..., None]
@@ -140,17 +141,18 @@ def detection_loss(
     weight = 1.0 + (HARD_WEIGHT - 1.0) * hard
     weight = weight * ~((answers == UNSURE) | (doubtful & (answers != YES) & ~hard))
     total = target.sum().clamp(1.0)
-    classes = F.binary_cross_entropy_with_logits(logits, target, weight, reduction="sum") / total
+    class_loss = F.binary_cross_entropy_with_logits(logits, target, weight, reduction="sum") / total
 
     box_weight = quality[owner >= 0]
     if len(box_weight):
         wanted = labels.boxes.gather(1, at.expand(-1, -1, 4))[owner >= 0]
-        share = box_weight.sum().clamp(1.0)
-        boxes = ((1 - iou(decoded[owner >= 0], wanted, complete=True)) * box_weight).sum() / share
-        a = anchors.expand(len(box), -1, -1)[owner >= 0]
-        s = stride.expand(len(box), -1, -1)[owner >= 0]
+        weight_sum = box_weight.sum().clamp(1.0)
+        each_box = 1 - iou(decoded[owner >= 0], wanted, complete=True)
+        box_loss = (each_box * box_weight).sum() / weight_sum
+        centre = anchors.expand(len(box), -1, -1)[owner >= 0]
+        side = stride.expand(len(box), -1, -1)[owner >= 0]
         # Distribution focal loss: each edge lies between two bins, which share its weight.
-        edges = torch.cat([a - wanted[:, :2], wanted[:, 2:] - a], -1) / s
+        edges = torch.cat([centre - wanted[:, :2], wanted[:, 2:] - centre], -1) / side
         edges = edges.clamp(0, BINS - 1.01)
         low = edges.long()
         high_share = edges - low
@@ -158,9 +160,10 @@ def detection_loss(
         at_low = rows.gather(1, low.reshape(-1, 1))[:, 0]
         at_high = rows.gather(1, low.reshape(-1, 1) + 1)[:, 0]
         f = high_share.reshape(-1)
-        each = -((1 - f) * at_low + f * at_high).reshape(-1, 4).mean(-1)
-        spread = (each * box_weight).sum() / share
+        each_edge = -((1 - f) * at_low + f * at_high).reshape(-1, 4).mean(-1)
+        edge_loss = (each_edge * box_weight).sum() / weight_sum
     else:
-        boxes = spread = decoded.sum() * 0.0  # a zero that has gradients
-    loss = classes + BOX_WEIGHT * boxes + EDGE_WEIGHT * spread
-    return loss, {"classes": classes.detach(), "boxes": boxes.detach(), "edges": spread.detach()}
+        box_loss = edge_loss = decoded.sum() * 0.0  # a zero that has gradients
+    loss = class_loss + BOX_WEIGHT * box_loss + EDGE_WEIGHT * edge_loss
+    parts = {"classes": class_loss, "boxes": box_loss, "edges": edge_loss}
+    return loss, {name: part.detach() for name, part in parts.items()}

@@ -43,7 +43,14 @@ class Widths:
 
 
 class Conv(nn.Sequential):
-    """Convolution, batch normalization and ReLU."""
+    """Convolution, batch normalization and ReLU.
+
+    Args:
+        c_in: channels of the input.
+        c_out: channels of the output.
+        k: side of the kernel.
+        stride: stride.
+    """
 
     def __init__(self, c_in: int, c_out: int, k: int = 3, stride: int = 1) -> None:
         super().__init__(
@@ -54,7 +61,7 @@ class Conv(nn.Sequential):
 
 
 class Residual(nn.Module):
-    """Two convolutions; with `add`, the input is added to their output."""
+    """Two convolutions of `c` channels; with `add`, the input is added to their output."""
 
     def __init__(self, c: int, add: bool) -> None:
         super().__init__()
@@ -70,6 +77,12 @@ class CSP(nn.Module):
 
     Half of the channels pass through the residual blocks. The output is computed from the inputs
     and outputs of all blocks.
+
+    Args:
+        c_in: channels of the input.
+        c_out: channels of the output.
+        n: number of residual blocks.
+        add: see `Residual`.
     """
 
     def __init__(self, c_in: int, c_out: int, n: int, add: bool) -> None:
@@ -95,10 +108,10 @@ class SPPF(nn.Module):
         self.pool = nn.MaxPool2d(5, 1, 2)
 
     def forward(self, x: Tensor) -> Tensor:
-        a = self.squeeze(x)
-        b = self.pool(a)
-        c = self.pool(b)
-        return self.out(torch.cat([a, b, c, self.pool(c)], 1))
+        kept = [self.squeeze(x)]
+        for _ in range(3):
+            kept.append(self.pool(kept[-1]))
+        return self.out(torch.cat(kept, 1))
 
 
 class Trunk(nn.Module):
@@ -107,6 +120,7 @@ class Trunk(nn.Module):
     def __init__(self, w: Widths) -> None:
         super().__init__()
         t, n = w.trunk, w.blocks
+        # A name has its stride: s8 is the output with cells of 8 px.
         self.stem = Conv(3, t[0], 3, 2)
         self.s4 = nn.Sequential(Conv(t[0], t[1], 3, 2), CSP(t[1], t[1], n[0], True))
         self.s8 = nn.Sequential(Conv(t[1], t[2], 3, 2), CSP(t[2], t[2], n[1], True))
@@ -124,11 +138,12 @@ class Neck(nn.Module):
 
     def __init__(self, w: Widths) -> None:
         super().__init__()
-        (_, _, c8, c16, c32), (a, b, c) = w.trunk, w.neck
+        # Channels by stride: of the trunk's output (c), and of the neck's (n).
+        (_, _, c8, c16, c32), (n8, n16, n32) = w.trunk, w.neck
         self.up = nn.Upsample(scale_factor=2, mode="nearest")
-        self.top16, self.top8 = CSP(c16 + c32, b, 1, False), CSP(c8 + b, a, 1, False)
-        self.down16, self.low16 = Conv(a, a, 3, 2), CSP(a + b, b, 1, False)
-        self.down32, self.low32 = Conv(b, b, 3, 2), CSP(b + c32, c, 1, False)
+        self.top16, self.top8 = CSP(c16 + c32, n16, 1, False), CSP(c8 + n16, n8, 1, False)
+        self.down16, self.low16 = Conv(n8, n8, 3, 2), CSP(n8 + n16, n16, 1, False)
+        self.down32, self.low32 = Conv(n16, n16, 3, 2), CSP(n16 + c32, n32, 1, False)
 
     def forward(self, s8: Tensor, s16: Tensor, s32: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         mid = self.top16(torch.cat([self.up(s32), s16], 1))
@@ -196,6 +211,7 @@ class MiniDetector(nn.Module):
 
         A distribution is over an edge's distance from the anchor, in strides.
         """
+        # Distances of the left, upper, right and lower edge.
         edges = box.softmax(-1) @ self.bins
         low = anchors - edges[..., :2] * stride
         return torch.cat([low, anchors + edges[..., 2:] * stride], -1)

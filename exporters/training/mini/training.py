@@ -145,7 +145,7 @@ def train(
     Raises:
         ExportError: `checkpoint` is of another run, or is no checkpoint.
     """
-    rank, ranks = share
+    rank, ranks = share  # index of this process, number of processes
     run = checkpoints.run_identity(plan, len(frames), ranks, device)
     torch.manual_seed(plan.seed)
     model = Model().to(device).to(memory_format=torch.channels_last)

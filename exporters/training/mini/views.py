@@ -244,6 +244,8 @@ def _worth(world: BoxWorld, appearances: list[Appearance], camera: _Camera) -> f
         world.shape, world.geometry, camera.T_map_camera, m.fx_px / _PREVIEW, m.fy_px / _PREVIEW,
         m.cx_px / _PREVIEW, m.cy_px / _PREVIEW, depth, prim,
     )  # fmt: skip
+    # `prim` has the primitive at each pixel, -1 for none. `owner` has the object of each primitive,
+    # from 1; 0 for the building.
     count = np.bincount(world.owner[prim[prim >= 0]], minlength=len(appearances) + 1)[1:]
     seen = [appearances[k].category for k in np.flatnonzero(count > _PREVIEW_PIXELS)]
     return len(set(seen)) + 2.5 * (len(seen) - len(set(seen)))
@@ -271,6 +273,7 @@ def _visible_objects(
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     detection_kernels.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
     scratch_depth = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
+    # Primitive at each pixel, -1 for none; `world.owner` is the object of each primitive, from 1.
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
     lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
     # Pixels of each object in its colour: `ids` tells objects apart, but not their primitives.

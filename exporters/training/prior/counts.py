@@ -66,6 +66,7 @@ def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequen
     k, m = len(kinds), len(things)
     rooms, rooms_with = np.zeros(k, int), np.zeros((k, m), int)
     doors, pairs = np.zeros((k, k), int), np.zeros((k, k), int)
+    # Kinds are indices. Each pair of rooms counts in both orders, so the tables are symmetric.
     for plan in plans:
         room_kinds = [kinds.index(name) for name in plan.kinds]
         for room, kind in enumerate(room_kinds):

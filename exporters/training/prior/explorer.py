@@ -83,6 +83,7 @@ class Explorer:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * body + 1, 2 * body + 1))
         self._standable = ~cv2.dilate(plan.closed.astype(np.uint8), disc).astype(bool)
         self._standable[cell] = True
+        # Output and work arrays of `dist.wavefront`.
         self._distance = np.empty((h, w), np.int32)
         self._buckets = np.empty(64, np.int32)
         self._queue = np.empty((2, 8 * h * w + 1), np.int32)
@@ -148,6 +149,7 @@ class Explorer:
 
     def _measure_distances(self, walkable: np.ndarray) -> None:
         """Write the cost from the robot to each walkable cell into `_distance`."""
+        # `FREE` (1) or `CLOSED` (0); the border is closed, as `wavefront` requires.
         state = walkable.astype(np.uint8)
         state[0, :] = state[-1, :] = state[:, 0] = state[:, -1] = dist.CLOSED
         state[self._cell] = dist.FREE
@@ -206,7 +208,7 @@ def reveal(wall, y, x, yaw, half, reach, known):
 
 @jit
 def is_clear(wall, x, y, to_x, to_y, short, cell_m):
-    """Return True if no wall stands between two points [m], up to `short` before the second."""
+    """Return True if no wall is between two points [m], up to `short` [m] before the second."""
     length = math.hypot(to_x - x, to_y - y)
     steps = int((length - short) / (0.5 * cell_m))
     for k in range(1, steps):
@@ -222,6 +224,9 @@ def detect(
     wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, draws, near, far, seen, seen_m
 ):  # fmt: skip
     """Mark the objects that are detected from x, y [m], and store their visible side.
+
+    Of n objects, `thing_m` (n, 2), `half_m` (n,) and `range_m` (n,) are as in `Explorer` and
+    `HousePlan`. The view is `half` [rad] to each side of `yaw`.
 
     `draws` (n,) are random numbers in [0, 1). `near` and `far` are the probabilities of detection
     nearby and at the end of an object's range. `seen` and `seen_m` are changed.
@@ -245,7 +250,7 @@ def detect(
 def count_unknown_in_sight(known, wall, cells, reach, out):
     """Count the unknown cells in sight of each cell, up to `reach` cells away, into `out`.
 
-    Known walls block the view.
+    Known walls block the view. `cells` is (n, 2) row and column, `out` (n,) float64, zeros.
     """
     h, w = known.shape
     stamp = np.full((h, w), -1, np.int32)  # last of `cells` that has counted a cell
@@ -265,7 +270,7 @@ def count_unknown_in_sight(known, wall, cells, reach, out):
 
 @jit
 def trace_path(distance, y, x):
-    """Return the path from the cell with distance 0 to (y, x), cell by cell: (m, 2) int64."""
+    """Return the path from the cell with distance 0 to (y, x): (m, 2) int64, row and column."""
     h, w = distance.shape
     path = [(y, x)]
     while distance[y, x] > 0:

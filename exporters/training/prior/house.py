@@ -38,7 +38,7 @@ class HousePlan:
         closed: (h, w) bool, cells where the robot cannot stand.
         room: (h, w) int16, index of the room, -1 outside.
         kinds: kind of each room.
-        doors: pairs of rooms with a line of sight between them.
+        doors: pairs of rooms (smaller index first) whose floors touch without a wall.
         word: (n,) int32, name of each visible object, as an index into `words`.
         xy_m: (n, 2) float64, centre of each object, in the house's frame.
         half_m: (n,) float64, half the smaller side of each object, seen from above.
@@ -114,7 +114,8 @@ def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndar
     size = np.array([item["size"] for item in visible], float).reshape(-1, 3)
     x, y = np.floor((xy - origin) / CELL_M).astype(int).T
     h, w = room.shape
-    side = np.sqrt(np.sort(size, 1)[:, 1:].prod(1))  # of a square as large as the largest face
+    # Side of a square as large as the largest face of the object's box.
+    side = np.sqrt(np.sort(size, 1)[:, 1:].prod(1))
     return (
         np.array([words.index(n) for n in name], np.int32),
         xy,
@@ -169,5 +170,6 @@ def _pixel(point: Sequence[float], origin: np.ndarray) -> tuple[int, int]:
 def _fill(grid: np.ndarray, polygon: Sequence[Sequence[float]], origin: np.ndarray, v: int) -> None:
     """Write a value into the cells whose centre lies in a polygon."""
     shift = 10  # OpenCV's fixed-point coordinates have 10 bits after the point
+    # OpenCV's integer coordinates are cell centres, hence - 0.5.
     points = ((np.asarray(polygon) - origin) / CELL_M - 0.5) * (1 << shift)
     cv2.fillPoly(grid, [np.rint(points).astype(np.int32)], v, shift=shift)

@@ -26,10 +26,11 @@ _DROPOUT = 0.4  # share of the objects that are left out in a second copy of eac
 _MOST_STEPS = 15  # of Newton's method
 _SMALL_STEP = 0.02  # Newton's method ends when no weight changes by more
 _SLIGHT = 5
-"""Smaller weights, in hundredths, are left out."""
+"""Weights of less than this many hundredths are left out of the table."""
 _LEAST_HOUSES = 40
 """A target in fewer houses has no model."""
-_GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)  # powers and evidences to try
+# Values to try for `ObjectPrior.room_power` and `ObjectPrior.evidence`.
+_GRID = np.round(np.arange(0.0, 1.01, 0.1), 2)
 
 
 class Score(NamedTuple):
@@ -37,10 +38,10 @@ class Score(NamedTuple):
 
     Attributes:
         houses: number of houses in which the target was searched.
-        share: share of places near the target.
-        base: log loss in nats of a prediction by the share in the other houses.
+        share: share of the places that are near the target.
+        base: log loss in nats if the share in the other houses is predicted everywhere.
         loss: log loss in nats of the model.
-        error: standard error of base - loss, by house.
+        error: standard error of base - loss, over houses.
         auc: probability that a place near the target ranks above one that is not.
     """
 
@@ -59,8 +60,8 @@ class Fit(NamedTuple):
         beta: (m + 1,) weight of each object, and the bias (last).
         score: quality in held-out houses.
         rows: indices of the samples that count for the target.
-        log_ratio: log likelihood ratio of each of these, by a model of other houses; 0 for a place
-            without information.
+        log_ratio: log likelihood ratio of each of these, by a model of other houses; 0 if nothing
+            was seen near the place.
     """
 
     beta: np.ndarray
@@ -91,6 +92,7 @@ def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> 
     near = samples.near[wanted].astype(np.float32)
     found, weight = samples.found[wanted, target].astype(float), _weights(samples.house[wanted])
     random = np.random.default_rng(target)
+    # Each sample counts twice with half its weight: as it is, and with objects left out.
     dropped = near * (random.random(near.shape) >= _DROPOUT)
     return _logistic(
         np.concatenate((near, dropped)), np.tile(found, 2), np.tile(0.5 * weight, 2), begin
@@ -106,6 +108,7 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
     beta = fit_near(samples, target)
     fold = folds(int(samples.house.max()) + 1)[house]
     found, weight = _truth(samples, wanted, target)
+    # For each sample, by models of the other folds.
     p, base, log_ratio = np.empty(len(wanted)), np.empty(len(wanted)), np.empty(len(wanted))
     for k in range(FOLDS):
         held_out = fold == k
@@ -140,7 +143,7 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
     for target, fit in fits.items():
         if fit.has_opinion:
             hundredths = np.rint(SCALE * fit.beta).astype(int).tolist()
-            bias[target] = hundredths.pop()
+            bias[target] = hundredths.pop()  # the last entry of `beta`
             weights[things[target]] = {
                 thing: v for thing, v in zip(things, hundredths, strict=True) if abs(v) >= _SLIGHT
             }
@@ -174,10 +177,13 @@ def fit_powers(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the best `ObjectPrior.room_power`, and its gain in log loss (share of the base's).
 
+    Each is a pair: without near objects, and in addition to them.
+
     The likelihood ratio of near objects comes from models of other houses. That of the rooms comes
     from the table, whose counts are few and coarse.
     """
-    gain = np.zeros((2, len(_GRID)))  # of the rooms alone, and on top of what is near
+    # Gain at each power: of the rooms alone, and of near objects with the rooms.
+    gain = np.zeros((2, len(_GRID)))
     for target, fit in fits.items():
         room = room_log_ratio(_only(samples, fit.rows), table, target)
         found, weight = _truth(samples, fit.rows, target)
@@ -188,11 +194,14 @@ def fit_powers(
             gain[row] += (base - np.array(loss)) / base / len(fits)
     best = gain.argmax(1)
     alone, both = (float(_GRID[i]) for i in best)
+    # Power 0 leaves the rooms out, so gain[1, 0] is that of the near objects.
     return (alone, both), (float(gain[0, best[0]]), float(gain[1, best[1]] - gain[1, 0]))
 
 
 def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> Iterator[tuple]:
-    """Yield predicted likelihood ratio, observed ratio and number of places, by bin.
+    """Yield (predicted likelihood ratio, observed ratio, number of places) of each bin.
+
+    Both ratios are means over the bin's places, relative to the mean over all places.
 
     Args:
         samples: all samples.
@@ -245,7 +254,7 @@ def _loss(p: np.ndarray, found: np.ndarray) -> np.ndarray:
 def _offset_loss(offset: np.ndarray, found: np.ndarray, weight: np.ndarray) -> float:
     """Return the log loss of given log-odds plus an intercept that is fitted here."""
     bias = 0.0
-    for _ in range(20):
+    for _ in range(20):  # Newton's method
         p = _sigmoid(offset + bias)
         bias += (weight * (found - p)).sum() / max((weight * p * (1.0 - p)).sum(), 1e-9)
     return float(np.average(_loss(_sigmoid(offset + bias), found), weights=weight))
@@ -260,7 +269,7 @@ def _logistic(
         near: (n, m) inputs.
         found: (n,) 1 or 0, the outcome.
         weight: (n,) weight of each sample.
-        begin: start value; None for the share of the outcome.
+        begin: start value (m + 1,); None: zeros, and the bias from the share of the outcome.
     """
     x = np.hstack((near, np.ones((len(near), 1), np.float32)))
     share = np.average(found, weights=weight)

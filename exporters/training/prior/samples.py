@@ -32,7 +32,9 @@ cells."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Samples, one for each frontier of a decision: n samples, m kinds of object.
+    """Samples, one for each frontier of a decision: n samples, m objects of the prior's table.
+
+    An object of the table is a name, such as "chair", for all chairs of a house.
 
     A region is a part of the map behind doors, as the service finds it.
 
@@ -63,14 +65,14 @@ class PriorInputs:
         explorer: the robot.
         frontiers: its current frontiers.
         row: index of each of the plan's objects in the prior's table; -1 for none.
-        m: number of objects in the table.
+        m: number of objects in the prior's table.
 
     Attributes:
         near: see `Samples`, for the current frontiers.
         in_region: see `Samples`.
         in_adjacent: see `Samples`.
         region: (n,) int16, region of each frontier; 0 for none.
-        label: grid of regions.
+        label: (h, w) region of each cell of the map; 0 for none.
     """
 
     def __init__(self, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int) -> None:
@@ -84,12 +86,13 @@ class PriorInputs:
             wall, 0.0, 0.0, CELL_M, frontiers.xy_m, n, thing_m, rows, weight, len(seen), NEAR_M,
             near,
         )  # fmt: skip
+        # Region of each seen object (`at`), and of each frontier.
         at, self.region = np.empty(len(seen), np.int16), np.empty(n, np.int16)
         regions.regions_at(self.label, 0.0, 0.0, CELL_M, thing_m, len(seen), REGION_M, at)
         regions.regions_at(self.label, 0.0, 0.0, CELL_M, frontiers.xy_m, n, REGION_M, self.region)
         by_region = np.zeros((n_regions + 1, m), np.bool_)  # objects seen in each region
         by_region[at, rows] = True
-        by_region[0] = False
+        by_region[0] = False  # 0 is no region
         adjacent = rooms.adjacent_regions(regions.border_lengths(self.label, n_regions), by_region)
         self.near, self.in_region = near > 0, by_region[self.region]
         self.in_adjacent = by_region[adjacent[self.region]]
@@ -110,6 +113,7 @@ def gather(
     parts: list[tuple[np.ndarray, ...]] = []  # of each decision
     for number, plan in enumerate(plans):
         random = np.random.default_rng((seed, number))
+        # For each object of the house, its row in the table; -1 for none.
         row = np.array([row_of.get(plan.words[w], -1) for w in plan.word], np.int64)
         starts = starting_cells(plan)
         kind = np.array([kinds.index(k) for k in plan.kinds], np.int8)
@@ -155,6 +159,7 @@ def _sample(
     room = _rooms(views.label, plan.room, len(kind))[views.region]
     wanted, found = np.zeros(m, np.bool_), np.zeros((n, m), np.bool_)
     unseen = np.flatnonzero(~explorer.seen & (row >= 0))
+    # A kind of which one object was seen is not wanted any more.
     wanted[row[unseen]] = True
     wanted[row[explorer.seen & (row >= 0)]] = False
     stands_near(
@@ -182,7 +187,11 @@ def _rooms(label: np.ndarray, room: np.ndarray, n_rooms: int) -> np.ndarray:
 
 @jit
 def stands_near(wall, cell_m, xy_m, thing_m, half_m, row, radius_m, out):
-    """Mark in `out` (places, kinds) the kinds of object near each place, in line of sight."""
+    """Mark in `out` (n, m) the table's objects near each of n positions, in line of sight.
+
+    Of k objects of the house, `thing_m` (k, 2), `half_m` (k,) and `row` (k,) are position, half the
+    smaller side, and row in the table.
+    """
     for i in range(len(xy_m)):
         for j in range(len(row)):
             x, y, tx, ty = xy_m[i, 0], xy_m[i, 1], thing_m[j, 0], thing_m[j, 1]

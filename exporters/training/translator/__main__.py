@@ -106,9 +106,9 @@ def _train(args: argparse.Namespace) -> None:
             counts = evaluate.outcomes(cases[corpus], translator)
             measured[f"{corpus}, not seen, {kind}"] = counts
             logging.info("%s, not seen, %s: %s", corpus, kind, counts)
-    path, off = train_on(list(cases), NAME)
+    path, logit_error = train_on(list(cases), NAME)
     all_cases = [case for corpus_cases in cases.values() for case in corpus_cases]
-    figures: dict[str, Any] = {"logit_error": round(off, 4), "bytes": path.stat().st_size}
+    figures: dict[str, Any] = {"logit_error": round(logit_error, 4), "bytes": path.stat().st_size}
     if all_cases:
         translator = evaluate.translators(path)["model"]
         figures |= evaluate.latency_ms(all_cases, translator)

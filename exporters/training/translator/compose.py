@@ -2,7 +2,8 @@
 
 `phrases.yaml` has templates for each kind of formula. This module fills them, joins them to longer
 instructions, and adds the noise of speech and haste. In a template, $a to $e stand for names of
-targets, {slot} for a phrase of a table, and (one|another) for a choice.
+targets, {slot} for a phrase of a table, and (one|another) for a choice. A pair is a sentence with
+its formula; the operators of formulas are F (eventually), G (always), W (weak until), & and others.
 """
 
 from __future__ import annotations
@@ -22,14 +23,16 @@ from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS = "abcde"
 """Letters that stand for names in templates and formulas."""
-_SECOND_LETTERS = "fghij"  # those of the second of two joined instructions
+_SECOND_LETTERS = "fghij"  # those of the second of two joined instructions; see `_join_two`
 REFUSED_SHARE = 0.12
 """Share of sentences that no formula expresses."""
 JOINED_SHARE = 0.18
 """Share of sentences that join two instructions."""
-_SLOT = re.compile(r"\{(\w+)\}")
-_CHOICE = re.compile(r"\(([^()]*)\)")
-_NAME = re.compile(r"\$([a-e])")
+# Table of verbs → names of the slots for the forms of a verb, in the order of the table.
+_FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
+_SLOT = re.compile(r"\{(\w+)\}")  # {go}
+_CHOICE = re.compile(r"\(([^()]*)\)")  # (the|a), without brackets inside
+_NAME = re.compile(r"\$([a-e])")  # $a
 
 
 class Pair(NamedTuple):
@@ -46,12 +49,12 @@ class Pair(NamedTuple):
 
 @dataclass(slots=True)
 class Family:
-    """A kind of formula, and the templates of sentences that mean it.
+    """A formula over letters, and the templates of sentences that mean it.
 
     Attributes:
-        tokens: the formula over letters, in prefix notation.
+        tokens: the formula in prefix notation, such as F & a F b: first a, then b.
         weight: relative frequency of the family.
-        templates: sentences.
+        templates: sentences with slots and choices, see the module.
     """
 
     tokens: tuple[str, ...]
@@ -72,8 +75,9 @@ class Phrases:
         slots: phrases for each slot.
         families: all families.
         refused: templates of sentences that no formula expresses.
-        goals: families whose formula says what to reach.
-        bans: families whose formula forbids or orders.
+        goals: families whose formula says what to reach: it begins with F or &.
+        bans: families whose formula forbids something or sets an order: its first token
+            begins with G, W or <.
     """
 
     slots: dict[str, list[str]]
@@ -83,6 +87,7 @@ class Phrases:
     bans: list[Family] = field(init=False)
 
     def __post_init__(self) -> None:
+        # The first token is the outermost operator. `<=2 a` allows two visits at most.
         self.goals = [f for f in self.families if f.tokens[0] in "F&" and "W" not in f.tokens]
         self.bans = [f for f in self.families if f.tokens[0][0] in "GW<"]
 
@@ -91,11 +96,12 @@ def load(path: Path = PHRASES) -> Phrases:
     """Return the tables of a file."""
     tables = yaml.safe_load(path.read_text(encoding="utf-8"))
     slots = {name: " ".join(text.split()).split("|") for name, text in tables["slots"].items()}
+    # A row of the verbs is "go goes going gone|to": all forms, then the rest of the phrase.
     for name, table in tables["verbs"].items():
         rows = [row.strip().partition("|") for row in table.replace("\n", ";").split(";")]
         rows = [row for row in rows if row[0]]
         for form, slot in enumerate(_FORMS[name]):
-            slots[slot] = [f"{verbs.split()[form]} {rest}".strip() for verbs, _, rest in rows]
+            slots[slot] = [f"{forms.split()[form]} {rest}".strip() for forms, _, rest in rows]
     families = [
         Family(tuple(row["formula"].split()), row["weight"], tuple(row["say"].splitlines()))
         for row in tables["families"]
@@ -103,12 +109,13 @@ def load(path: Path = PHRASES) -> Phrases:
     return Phrases(slots, families, tables["refused"].splitlines())
 
 
-# Table of verbs -> names of the slots for the forms of a verb, in the order of the table.
-_FORMS = {"go": ("go", "goes", "going", "gone"), "pass": ("pass", "passes", "passing", "passed")}
-
-
 class Composer:
-    """Source of random pairs; the same generator gives the same pairs."""
+    """Source of random pairs.
+
+    Args:
+        phrases: tables to draw from.
+        rng: draws everything; the same generator gives the same pairs.
+    """
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng
@@ -138,6 +145,7 @@ class Composer:
             while found := pattern.search(template):
                 chosen = rng.choice(options(found[1]))
                 template = f"{template[: found.start()]}{chosen}{template[found.end() :]}"
+                # The option has a slot: begin again.
                 if pattern is _CHOICE and _SLOT.search(template):
                     return self.filled(template)
         return template
@@ -152,6 +160,7 @@ class Composer:
             else (self._phrases.goals, self._goal_weights)
         )
         rule = rng.choices(other, weights)[0]
+        # Sometimes the rule is about the goal's last target.
         shared = rng.random() < 0.15 and rule.tokens[0] != "G"
         first, second = (
             self._fill_template_of(goal),
@@ -170,6 +179,7 @@ class Composer:
         sentence = self.filled(self._rng.choice(self._phrases.refused))
         if self._rng.random() < 0.3:
             goal = self._rng.choices(self._phrases.goals, self._goal_weights)[0]
+            # The letters a to c may be taken by the refused sentence.
             other = _sentence_with_other_letters(
                 self._fill_template_of(goal), Family(tuple("abc"), 0, ()), goal, False
             )

@@ -90,14 +90,21 @@ def human_pairs(cases: Sequence[TranslationCase], phrases: Phrases) -> list[Pair
 
 
 class _FormulaMatcher:
-    """Search for the family whose formula is equivalent to a given formula."""
+    """Search for the family whose formula is equivalent to a given formula.
+
+    Formulas have three kinds of names: letters in templates, placeholders (`NAMES`) for the
+    network, and `PLAIN` names to compare them.
+    """
 
     def __init__(self, phrases: Phrases) -> None:
         unique = {family.tokens: family for family in phrases.families}
+        # (formula over placeholders, number of names) of each family. A sentence "$a $b …" of all
+        # letters gives them placeholders in this order.
         self._families = [
             (delexicalised(" ".join(f"${x}" for x in f.letters), f.tokens).tokens, len(f.letters))
             for f in unique.values()
         ]
+        # Results by formula over `PLAIN` names.
         self._known: dict[Formula, tuple[str, ...] | None] = {}
 
     def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
@@ -118,8 +125,9 @@ class _FormulaMatcher:
             if count != n:
                 continue
             for order in permutations(NAMES[:n]):
-                moved = dict(zip(NAMES, order, strict=False))
-                candidate = tuple(moved.get(token, token) for token in tokens)
+                new_name = dict(zip(NAMES, order, strict=False))
+                candidate = tuple(new_name.get(token, token) for token in tokens)
+                # Without a trace that tells them apart, the formulas are equivalent.
                 if (
                     distinguishing_trace(formula_of(candidate, PLAIN), formula, silent_end=True)
                     is None

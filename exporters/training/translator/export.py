@@ -26,7 +26,11 @@ MAX_LOGIT_ERROR = 0.5
 
 
 class EncoderDecoder(nn.Module):
-    """Encoder and decoder in one module, which share the embedding table."""
+    """Encoder and decoder in one module, which share the embedding table.
+
+    The output `across` of the encoder goes into the input `across_in` of later calls; see
+    `net.Encoder` and `net.Decoder`.
+    """
 
     def __init__(self, net: Translator) -> None:
         super().__init__()
@@ -47,12 +51,12 @@ def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, 
         tokens: number of new tokens of the target.
         past: number of earlier tokens of the target.
     """
-    size, rows = net.size, 2
+    size, rows = net.size, 2  # rows: targets that are decoded at once
     parts, width = 2 * size.decoder_layers, size.width // size.heads
-    most = net.table.num_embeddings
+    n_tokens = net.table.num_embeddings
     return {
-        "source": torch.randint(1, most, (1, words)),
-        "target": torch.randint(1, most, (rows, tokens)),
+        "source": torch.randint(1, n_tokens, (1, words)),
+        "target": torch.randint(1, n_tokens, (rows, tokens)),
         "past": torch.randn(parts, rows, size.heads, past, width),
         "across_in": torch.randn(parts, 1, size.heads, words, width),
     }
@@ -89,25 +93,25 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
         model.ir_version = min(model.ir_version, 10)
         onnx.save(model, part)
         check_format(part)
-        off = parity(net, part)
-        if off > MAX_LOGIT_ERROR:
+        logit_error = parity(net, part)
+        if logit_error > MAX_LOGIT_ERROR:
             raise ExportError(
-                f"{out}: not written: logits of the ONNX file differ by {off:.3f} from the "
+                f"{out}: not written: logits of the ONNX file differ by {logit_error:.3f} from the "
                 f"network's, allowed {MAX_LOGIT_ERROR:g}"
             )
-    return off
+    return logit_error
 
 
 @torch.no_grad()
 def parity(net: Translator, path: Path) -> float:
     """Return the largest difference between the file's logits and the network's."""
     session, module = cpu_session(path, 1), EncoderDecoder(net.eval())
-    off = 0.0
+    worst = 0.0
     for words, tokens, past in ((3, 1, 0), (24, 1, 12), (MOST_WORDS - 1, 5, 40)):
         feeds = inputs_of(net, words, tokens, past)
         wanted = module(*feeds.values())
         found = session.run(None, {name: value.numpy() for name, value in feeds.items()})
-        off = max(
-            off, *(float(np.abs(f - w.numpy()).max()) for f, w in zip(found, wanted, strict=True))
+        worst = max(
+            worst, *(float(np.abs(f - w.numpy()).max()) for f, w in zip(found, wanted, strict=True))
         )
-    return off
+    return worst

@@ -109,7 +109,7 @@ class DecoderLayer(nn.Module):
             x: (b, n, width) new tokens of the target.
             past: keys and values of earlier tokens; None for none.
             causal: mask, which hides later tokens.
-            across: keys and values of the source.
+            across: keys and values of the source, for the cross-attention.
             mask: hides padding of the source.
         """
         y = self.norms[0](x)
@@ -130,10 +130,12 @@ class Translator(nn.Module):
     def __init__(self, tokens: int, size: Size) -> None:
         super().__init__()
         self.size = size
+        # Vectors of tokens (`tokens` of them), and of positions in the text.
         self.table = nn.Embedding(tokens, size.width)
         self.places = nn.Embedding(size.longest, size.width)
         self.encoder = nn.ModuleList(EncoderLayer(size) for _ in range(size.encoder_layers))
         self.decoder = nn.ModuleList(DecoderLayer(size) for _ in range(size.decoder_layers))
+        # Norms of the encoder's output and of the decoder's output.
         self.read, self.wrote = nn.LayerNorm(size.width), nn.LayerNorm(size.width)
         self.drop = nn.Dropout(size.dropout)
         nn.init.normal_(self.table.weight, std=size.width**-0.5)
@@ -141,9 +143,9 @@ class Translator(nn.Module):
 
     def embedded(self, tokens: Tensor, first: int | Tensor = 0) -> Tensor:
         """Return the vectors (b, n, width) of tokens (b, n), the first at position `first`."""
-        places = torch.arange(tokens.shape[1]) + first
+        positions = torch.arange(tokens.shape[1]) + first
         scale = math.sqrt(self.size.width)
-        return self.drop(self.table(tokens) * scale + self.places(places))
+        return self.drop(self.table(tokens) * scale + self.places(positions))
 
     def encode(self, source: Tensor, mask: Tensor | None = None) -> list[tuple[Tensor, Tensor]]:
         """Map `source` (b, n) to keys and values of every decoder layer's cross-attention."""
@@ -192,10 +194,12 @@ class Decoder(nn.Module):
     def forward(self, target: Tensor, past: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
         before, new = past.shape[3], target.shape[1]
         x = self.net.embedded(target, before)
+        # Later tokens are hidden, (new, before + new).
         ahead = torch.arange(before + new)[None] > torch.arange(new)[:, None] + before
         causal = torch.where(ahead, MASKED, 0.0)
         kept: list[Tensor] = []
         for i, layer in enumerate(self.net.decoder):
+            # Entries 2i and 2i + 1 are keys and values of layer i.
             own, other = (past[2 * i], past[2 * i + 1]), (across[2 * i], across[2 * i + 1])
             x, pair = layer(x, own, causal, other, None)
             kept += pair
