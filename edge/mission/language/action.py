@@ -134,7 +134,7 @@ _GOES_ON = ("proceed", "continue")  # beginnings of verbs that another verb may 
 _RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
 _ANYWHERE = ("go anywhere", "visit anywhere")
 # First words of verbs for a manner of going, which a ban cannot forbid.
-_MANNERS = [
+_MANNERS = [  # each in a list, as `split` returns it
     [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
 ]
 _ALL_OF = ("both", "both of", "all of", "all", "every")

@@ -95,6 +95,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.at += 1
     if reader.is_at("end", "stop") and _take_restriction(memory, clause):
         return clause
+    # "Visiting the bed …" at the start of a sentence is no order, but "bring" is.
     gerund = starts and reader.is_at("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
@@ -103,7 +104,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         bare = "yes"  # "the goal is the bed"
     if before.text in ("do", "does", "did") and reader.is_at("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
-    main: Token | None = reader.peek()
+    main: Token | None = reader.peek()  # mostly the verb
     opening = reader.tokens[begin : reader.at]  # the tokens before the verb
     clause.subject = any(t.kind in ("you", "ensure") for t in opening)
     clause.in_future = any(
@@ -329,6 +330,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         clause.things = each_of(things) if clause.negated else things
         return
     reader.at = begin
+    # No predicate came: these are only names, as in "…, then the bed".
     named = start.kind != "word" or is_indefinite(reader) or _well_known(reader, memory)
     if not (named and (bare == "yes" or clause.negated)) and not (
         bare == "known" and _well_known(reader, memory)
@@ -345,6 +347,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         )  # "the path goes through b"
 
 
+# "any visit to", "each trip to"
 _ANY_VISIT = tuple(
     f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
 )

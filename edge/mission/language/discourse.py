@@ -1,4 +1,12 @@
-"""Parser of a whole instruction: joins the meanings of its clauses to one formula."""
+"""Parser of a whole instruction: joins the meanings of its clauses to one formula.
+
+A sentence is one or more sequences with "or" between them. A sequence is a list of steps with
+"then" between them. A joint is the token between two clauses, such as "and"; its kind is "" if the
+clauses follow each other without a word. A loose meaning has rules only, no goal.
+
+`reader.pick(token, n)` asks for one of n meanings of an ambiguous token. `grammar.readings` parses
+the instruction once for each combination of these choices; 0 is the usual meaning.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +108,7 @@ class Discourse:
         halted: token of the place where the robot must stop.
         detour: token of a sentence that is on the way to the goal of the sentence before.
         shuns: True if something must be avoided, not only until something else is reached.
-        waits: pairs of names, and of the objects that must be reached before them.
+        waits: pairs of names and the objects that must be reached before them.
         number: number of the last numbered step ("second, …"); 1 before any.
         listed: True if an order followed "do not …" and a comma.
         each: largest number of visits to each place, and the token of that limit.
@@ -178,6 +186,7 @@ class Discourse:
             return []
         if self.goal is None and not self.shuns and (chain := chain_waits(self.waits)):
             return [chain]
+        # 0: it asks for nothing; 1: for a; 2: for a and b.
         way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
         asked = [until for _, until in self.waits] if way else []
         if way == 2:
@@ -251,7 +260,7 @@ class Discourse:
         if loose:
             self.rules.append(loose)
         single = all(len(sequence) == 1 for sequence in sequences[:-1])
-        comma_then = any(
+        comma_then = any(  # ", then"
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
         has_either = either.text == "either" and len(sequences) > 1
@@ -270,6 +279,7 @@ class Discourse:
             return
         options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
         goal = options[0] if len(options) == 1 else AnyOf(options)
+        # The sentence goes before, into, or after the goal so far.
         ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"
         if self.goal is None:
             self.goal = goal
@@ -336,6 +346,7 @@ class Discourse:
     def _check_number(self, joint: Token | None) -> None:
         """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
         words = joint.text.split() if joint else []
+        # The ordinal in the joint: 2 for "second". "Lastly" without earlier numbers is the last.
         number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in words), None)
         if joint and self.number == 1 and not self.clauses and words[-1] in ("lastly", "finally"):
             number = len(nouns.NUMERALS)
@@ -343,6 +354,7 @@ class Discourse:
             if self.number > 1 and self.reader.is_at("first", "opener"):
                 self.reader.refuse_finally(_OUT_OF_ORDER)
             return
+        # "…, second chair": the second step, or the second chair?
         bare = self.reader.is_at("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
             self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
@@ -368,6 +380,7 @@ class Discourse:
         self, joint: Token | None, sequence: list[ClauseMeaning]
     ) -> tuple[Clause, ClauseMeaning]:
         """Parse the next clause; return it and its meaning after the clauses before it."""
+        # If a clause without a verb may come: after "and" or "then" it may.
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
@@ -381,6 +394,7 @@ class Discourse:
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns
         self._relate(clause, meaning, sequence)
+        # Refuse a goal in the plural, such as "the chairs".
         for name in {name for goal in meaning.goals for name in names_in(goal)}:
             if several := self.memory.several.get(name):
                 self.reader.refuse_finally(ONE_OF_A_KIND, several)
@@ -524,7 +538,7 @@ class Discourse:
         if reader.is_at("comma") and reader.is_at("or", ahead=1):
             return None
         begin, joint = reader.at, reader.peek()
-        while token := reader.take(*JOINTS):
+        while token := reader.take(*JOINTS):  # the strongest of several words is the joint
             if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
                 joint = token
         last = reader.is_at("filler", "addressed") or (self.clauses and reader.is_at("any order"))

@@ -1,9 +1,12 @@
 """Rewriting of everyday errands into plain orders with quoted propositions.
 
-Checks, explorations, patrols, waits and related objects become `go to "check stove"`, `go to
-"explored kitchen"`, `go to "wait 30 s"`, `find "mug in the kitchen"`. Each quoted proposition is
-the canonical text of a destination (see `edge.mission.destinations`). `spell_out` applies the
-rules in a fixed order; the translators read its result.
+Checks, explorations, patrols, waits and objects with a relation become `go to "check stove"`,
+`go to "explored kitchen"`, `go to "wait 30 s"`, `find "mug in the kitchen"`. Each quoted
+proposition is the canonical text of a destination (see `edge.mission.destinations`). `spell_out`
+applies the rules in a fixed order; the translators read its result.
+
+A text begins with a space while the rules rewrite it, so each word of a pattern follows a space.
+The slots of a match are its named groups; see `templates`.
 """
 
 from __future__ import annotations
@@ -201,11 +204,13 @@ _WANTED_FOUND = re.compile(
     r" (?:to be )?found(?=[.!]*$)",
     re.I,
 )
+# "the nearest chair to the desk"
 _NEAREST = re.compile(
     rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
     rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
+# "the room with a piano"
 _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
@@ -224,34 +229,45 @@ _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
 )
 _WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
+# `"wait 30 s" and go on`
 _AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
 _EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
+# "rooms 3, 4 and 5", and not "bays 2 and 3 times"
 _NUMBERED = re.compile(
     r"\b(?P<kind>room|aisle|bay|ward|unit)s (?P<numbers>\d+\w?(?:(?:,? (?:and|or|then) |, )"
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
 _FIRST_REWRITES = (
+    # "afterwards to the hall", "and then into the hall"
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
     (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
                 rf" (?={ARTICLE} |{phrase_of('room')}\b|{MARK})", re.I), ", then to "),
+    # "and keep going until …"
     (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
+    # "three rounds: the hall and …", "patrol the hall and the office. Three rounds."
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
     (re.compile(rf"[.;](?= (?:for )?{COUNT} (?:rounds|laps|loops|times)[.!]*$)", re.I), ","),
+    # "for ten minutes, patrol the hall and …"
     (re.compile(rf"^ (?:for|during) (?P<span>{DURATION}),? (?P<order>(?:patrol|explore|guard)\b"
                 r"[^.;!?]*)", re.I), r" \g<order> for \g<span>"),
+    # "and when you are done, come back"
     (re.compile(r",? and (?:when|once|after) you (?:are|have) (?:finish|finished|done|ready),?"
                 r"(?= (?:go|come|drive|return|find|look|visit)\b)", re.I), ", then"),
+    # "somewhere in the hall", "go really fast and …", "…, have a look for it"
     (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
+    # "and after go to …"
     (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
      ", then"),
+    # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
+    # "before you have been to the hall", "passing close to it", "and stop right there."
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
      r"\1 you have visited"),
     (re.compile(r"\bpass(ing)? (?:near|close)(?: to| by)?\b", re.I), r"pass\1 by"),
@@ -264,7 +280,7 @@ _THERE_AND = re.compile(
     re.I,
 )
 _UNCLEAR = (
-    (
+    (  # `"explored hall", then the bed`, `"red mug" or under the …`, `"mug on the desk" and the …`
         re.compile(
             rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ '
             rf'(?:{ARTICLE} |")'
@@ -298,6 +314,7 @@ _UNCLEAR = (
 )
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
 _NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
+# Between the names of "mug on the desk", "room with a piano".
 _BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 # The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
@@ -379,7 +396,7 @@ def _refuse_unknown_names(text: str) -> None:
     Raises:
         UnclearError: there is such a word.
     """
-    for phrase in text.split('"')[1::2]:
+    for phrase in text.split('"')[1::2]:  # the texts in quotes
         if _NO_OBJECT.match(phrase):
             continue
         for name in _BETWEEN_NAMES.split(phrase.removeprefix(f"{CHECK} ")):
@@ -415,6 +432,7 @@ def _rewrite_outside_quotes(
     """
 
     def replace(found: re.Match[str]) -> str:
+        # The match begins in quotes, or only one of its ends is in quotes.
         if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
             return found[0]
         new = change(found)
@@ -435,6 +453,7 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     thing = bare(found["thing"])
     relation, anchor = slots["relation"] or slots["later"], slots["anchor"] or slots["at"]
     where = _relation_text(relation, anchor)
+    # Without an article, "look" is a verb.
     verb = thing == slots["thing"].lower() and TABLE.get((thing.split()[0],)) == "verb"
     known = slots["opening"] or (_is_name(thing) and not verb)
     if slots["relation"] and slots["later"]:
@@ -442,6 +461,7 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
         return None
     other = f" or the {bare(slots['other'])}" if slots["other"] else ""
+    # "there is a mug on the desk, go there" asks to go to it; "look there" stays as it is.
     order = _GO_THERE.sub("go to", found["order"]) if slots["there"] else found["order"]
     if slots["there"] and order == found["order"]:
         return None
@@ -479,6 +499,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
         return None
     if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
         known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
+        # An unknown thing needs an article other than "any" and "some".
         named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
         nowhere = thing.startswith("rooms ") or thing.split()[-1] in NOWHERE
         if is_room(thing) or nowhere or not named:
@@ -513,6 +534,7 @@ def _relation_text(
     name = bare(anchor)
     words = name.split()
     phrase = f"{relation} {anchor}".lower().split()
+    # A phrase of the lexicon that is longer than the relation, such as "at some point".
     idiom = any(
         tuple(phrase[:n]) in TABLE for n in range(len(relation.split()) + 1, len(phrase) + 1)
     )
@@ -536,6 +558,7 @@ def _rewrite_exploration(found: re.Match[str]) -> str | None:
     """
     slots = found.groupdict()
     time = _for_duration(slots.get("span"))
+    # Rooms, and the words between them; "" stands for the whole site.
     joints = re.findall(_JOINT, slots.get("stops") or "")
     rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
     rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
@@ -564,7 +587,7 @@ def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
     return _go_to(f"{EXPLORED}{room}{_for_duration(found['span'])}", found)
 
 
-_JOINT = r",? (?:and then|and|then|or) |, "
+_JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
 def _for_duration(span: str | None) -> str:
@@ -622,6 +645,7 @@ def _quote_related(found: re.Match[str]) -> str | None:
     slots = found.groupdict()
     thing = found["thing"]
     words = thing.split()
+    # "find mug on the desk": the name begins after the verb.
     while words and TABLE.get((words[0].lower(),)) in ("verb", "avoid") and len(words) > 1:
         words = words[1:]
     before = thing[: len(thing) - len(" ".join(words))]
@@ -640,7 +664,7 @@ def _quote_related(found: re.Match[str]) -> str | None:
         return None
     other = slots.get("other") if relation == "between" else None
     where = _relation_text(relation, found["anchor"], other)
-    within = slots.get("within")
+    within = slots.get("within")  # " in the kitchen": the name begins at the third part
     if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
     where += _relation_text("in", within.split(" ", 2)[2]) or "" if within else ""

@@ -61,6 +61,9 @@ def gbnf(phrases: Sequence[str]) -> str:
 def _level(n: int, operands: int) -> dict[str, str]:
     """Return the rules of formulas with at most `n` nested parentheses and `operands` per & or |.
 
+    `first` may begin a conjunction, `timed` is any later part, and `signed` is one with operators
+    before a name or before parentheses. `both` and `either` are parentheses around & and |.
+
     One pair of parentheses has only one kind of &, | or ->, so precedence does not matter. One step
     reaches one object, so `a & b` contradicts itself, and small models tend to continue it without
     end. Only the first part of a conjunction may be a bare name, and no part may be a conjunction.

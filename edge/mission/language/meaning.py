@@ -1,4 +1,8 @@
-"""Meaning of one clause: goals, and rules for the whole mission."""
+"""Meaning of one clause: goals, and rules for the whole mission.
+
+A count is a range of separate visits. `reader.pick(token, n)` asks for one of n meanings of an
+ambiguous token, see `grammar.readings`; 0 is the usual meaning.
+"""
 
 from __future__ import annotations
 
@@ -124,6 +128,7 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
         )
     if clause.things.every and (meaning := _meaning_of_every(clause, clause.things, reader)):
         return meaning
+    # One object has no order.
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
@@ -187,6 +192,7 @@ def _meaning_of_ban(
     elif _is_again(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
+        # At most as many visits as were asked for; else the condition says how many.
         for name in things.names:
             most = times.get(name, 1)
             for condition in clause.conditions:
@@ -266,7 +272,7 @@ def _meaning_of_order(
     meaning = ClauseMeaning()
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _meaning_of_count_until(clause, things, clause.count, reader, times)
-    if clause.count and len(things.groups) > 1 and clause.order:
+    if clause.count and len(things.groups) > 1 and clause.order:  # "a, b in order, once each"
         most = clause.count.most
         meaning.goals.append(
             steps([visits(NounPhrase((g,)), clause.count.least) for g in things.groups])
@@ -286,6 +292,7 @@ def _meaning_of_order(
             meaning.rules += held_until(after.names, before)
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
         meaning.rules += held_until(things.names, NounPhrase(clause.route[-1].groups))
+    # "Visit a without b": the ban ends at a, or is permanent if nothing comes before or after.
     last = reader.is_at("end") or reader.is_at("end", ahead=1)
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
@@ -362,6 +369,7 @@ def _add_condition(
 ) -> None:
     """Add the effect of a condition on "visit x"."""
     kind, when = condition.kind, condition.things
+    # "Whenever you visit y, visit x" and "once you visit y you must visit x": x after every y.
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     if kind == "after" and clause.verb.startswith(_END_VERBS) and not condition.recurring:
         answers = False  # the end of the mission is no reaction

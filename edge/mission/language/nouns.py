@@ -268,6 +268,7 @@ def unknown_in(words: list[str]) -> int | None:
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
         return _find_wrong_word(words, end)
+    # "bed bed"
     twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
     if twice is not None:
         return twice
@@ -304,6 +305,7 @@ def _find_wrong_word(words: list[str], end: int) -> int:
     It is the word after a known noun, or the first unknown word.
     """
     for last in range(end - 1, 0, -1):
+        # The name `words[i:last]` is known, so the word after it is wrong.
         # Limit the search: with thousands of unknown words it would take seconds.
         if any(is_noun(" ".join(words[i:last])) for i in range(max(0, last - _LONGEST), last)):
             return last
@@ -319,6 +321,7 @@ def _is_owner(word: str) -> bool:
     return word.endswith("'s") and is_noun(word[:-2])
 
 
+# "b", "12", "b12", "3a"
 _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
 
 
@@ -364,7 +367,7 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     most = 2 if len(word) >= _LONG else 1
     close = difflib.get_close_matches(word, known, n=5, cutoff=0.7)
     slips = [other for other in close if other != word and other[0] == word[0]]
-    if len(word) < _SHORT:
+    if len(word) < _SHORT:  # a letter may be missing, added or swapped, but not another one
         slips = [s for s in slips if len(s) != len(word) or sorted(s) == sorted(word)]
     return next((slip for slip in slips if _edit_distance(word, slip) <= most), None)
 
@@ -374,6 +377,8 @@ _SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
 
 def _edit_distance(a: str, b: str) -> int:
     """Return the edit distance: letters to add, drop, change, or swap with the next one."""
+    # Row i of the usual table: distances of a[:i] to each b[:j]; `before` and `older` are the last
+    # two rows.
     before, row = [], list(range(len(b) + 1))
     for i, x in enumerate(a, 1):
         older, before, row = before, row, [i]

@@ -39,6 +39,7 @@ _ORDER = (
     r"(?:(?:do )?not )?(?:go|come|drive|head|run|move|visit|explore|patrol|check|look|search|stay|"
     r"keep|enter|leave|return|wait|bring|fetch|take|get|not (?:the|an?|my|to))\b"
 )
+# Matches after "i ", "to " and the like: the "go" in "because I go out" is no order.
 _HAS_SUBJECT = "|".join(
     f"(?<= {word} )"
     for word in ("i", "we", "you", "he", "she", "they", "people", "to", "can", "will", "would")

@@ -105,7 +105,10 @@ def refuse_unsupported(reader: TokenReader) -> None:
 
 
 def _reason(reader: TokenReader, denied: bool) -> str:
-    """Return why the token here cannot be understood; "" if it may be understood."""
+    """Return why the token here cannot be understood; "" if it may be understood.
+
+    `denied` is True after "not", "without", "avoid" or "neither" in the same part of a sentence.
+    """
     token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.kind in ("quoted", "end"):
         return ""
@@ -277,6 +280,7 @@ def _is_staying(reader: TokenReader, denied: bool) -> bool:
     if not token.text.startswith(_KEEPS):
         return False
     if token.kind == "avoid":  # "never stay away from a"
+        # The last token before it that is no filler.
         before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
         return reader.at > 0 and denied and before.kind in _DENYING
     ahead = 1

@@ -51,8 +51,9 @@ def distances(
         cell_m: approximate cell size of the search; at least the map's cell size is used.
 
     Returns:
-        (k + 1, k) float64, last row from the robot. 0 from an object to itself. inf if there is
-        no path, no instance, or no cell near the instance that the robot may enter.
+        (k + 1, k) float64 for k = len(positions), last row from the robot. 0 from an object to
+        itself. inf if there is no path, no instance, or no cell near the instance that the robot
+        may enter.
 
     Raises:
         ValueError: `unknown_cost` is out of range.
@@ -143,7 +144,7 @@ def coarsen(cells, factor, state):
     h, w = cells.shape
     for row in range(state.shape[0] - 2):
         for col in range(state.shape[1] - 2):
-            value = CLOSED  # -1: an obstacle was found, so nothing opens the block again
+            value = CLOSED  # -1 after an obstacle, so that no other cell opens the block again
             for y in range(row * factor, min((row + 1) * factor, h)):
                 for x in range(col * factor, min((col + 1) * factor, w)):
                     cell = cells[y, x]
