@@ -1,4 +1,7 @@
-"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error."""
+"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error.
+
+A letter is the name of a proposition, such as "bed".
+"""
 
 from __future__ import annotations
 

@@ -117,6 +117,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         )  # "I have a sofa"
     if reader.peek().text in _PERFORM and _is_count(reader, 1):
         reader.at += 1
+    # The action: a count, a verb, a place after "be", names with a predicate, or only names.
     count_at = reader.peek()
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
         clause.count = intersect_counts(reader, clause.count, count, count_at)

@@ -315,6 +315,7 @@ class Discourse:
             self._check_number(joint)
             clause, meaning = self._take_clause(joint, sequence)
             kind = joint.kind if joint else ""
+            # Rules without a goal wait until the next step, or the end, shows where they belong.
             if meaning.loose and kind != "but" and not meaning.follows:
                 loose = _join(loose, meaning)
             else:
@@ -428,7 +429,7 @@ class Discourse:
         return then
 
     def _resolve(
-        self, clause: Clause, joint: str, then: bool, sequence: list[ClauseMeaning]
+        self, clause: Clause, joint_kind: str, then: bool, sequence: list[ClauseMeaning]
     ) -> None:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
@@ -441,9 +442,9 @@ class Discourse:
                 "unclear: this number for all, or for the last one? use two sentences", clause.token
             )
         allowed = then and clause.mood == "can" and not clause.negated
-        if allowed and (joint == "only then" or self.reader.pick(clause.token, 2) == 0):
+        if allowed and (joint_kind == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
-        limits = joint == "but" and clause.verb == "" and bool(clause.conditions)
+        limits = joint_kind == "but" and clause.verb == "" and bool(clause.conditions)
         if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
             clause.mood = "can"  # "visit a or b, but b only after c"
 
@@ -496,19 +497,19 @@ class Discourse:
                 self.memory.note([visit.options])
 
     def _add_to_sequence(
-        self, clause: Clause, meaning: ClauseMeaning, joint: str, sequence: list[ClauseMeaning]
+        self, clause: Clause, meaning: ClauseMeaning, joint_kind: str, sequence: list[ClauseMeaning]
     ) -> None:
         """Add a clause as a new step, or as a part of the last step."""
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
-        if joint == "only then" and sequence:
+        if joint_kind == "only then" and sequence:
             meaning.rules += rules_of_only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
                 self.reader.refuse_finally("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.is_at("stop", "end")
-        first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
+        first = clause.first and (joint_kind == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence, clause.first)  # "…, but first go to the sofa"
             clause.first = False
@@ -517,7 +518,7 @@ class Discourse:
         elif not sequence or meaning.follows or (self.first and not meaning.loose):
             sequence.append(meaning)
         else:
-            sequence[-1].add(meaning, joint)
+            sequence[-1].add(meaning, joint_kind)
         self.first = clause.first and not meaning.loose
 
     def _after_permission(self, clause: Clause, started: bool) -> None:

@@ -356,6 +356,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         ([_ROOM_FIRST], _rewrite_room_first),
         (_SEARCHES, _rewrite_search),
         (_PATROLS, _rewrite_patrol),
+        # Only at the start of the text.
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
         (_ERRAND_AND_BACK, _rewrite_errand_and_back),
         (_CHECKS, _rewrite_check),
@@ -416,6 +417,7 @@ def _is_name(name: str) -> bool:
     words = bare(name).partition(" of ")[0].split()
     if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
         return True
+    # "crash trolley": the known noun begins at word 1, and "crash" may stand before it.
     head = next((i for i in range(len(words)) if nouns.is_noun(" ".join(words[i:]))), None)
     return head is not None and all(map(_modifies, words[:head]))
 

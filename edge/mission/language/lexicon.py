@@ -11,6 +11,7 @@ import re
 from edge import names
 from edge.mission.language import nouns
 
+# Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c".
 _ROWS: dict[str, str] = {
     # Words for the robot, moods, and words without meaning.
     "you": """
@@ -396,7 +397,6 @@ _ROWS: dict[str, str] = {
         through|enter|enters|cross|crosses|pass|touch|use|uses|lead through|take you through)
     """,
 }
-"""Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c"."""
 
 _REGULAR_VERBS = """
     peek
@@ -510,6 +510,7 @@ CONTRACTIONS = {
        for end in ("s", "'s")},
     **{f"{word}'s": f"{word} is" for word in ("it", "he", "she", "here", "how", "who")},
 }  # fmt: skip
+# "2nd", "twenty-one"
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
 _COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")
 # End of a contraction → the words that replace it.
@@ -538,4 +539,4 @@ NUMBERS = {
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")
-"""Letters and digits, with single apostrophes, hyphens or underscores between them."""
+"""A word: letters and digits, with single ' - _ between them, as in "don't" and "twenty-one"."""

@@ -85,11 +85,11 @@ class ClauseMeaning:
         self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
         self.limits = [limit for limit in self.limits if limit[2]]
 
-    def add(self, other: ClauseMeaning, joint: str = "") -> None:
-        """Add another meaning: both apply."""
+    def add(self, other: ClauseMeaning, joint_kind: str = "") -> None:
+        """Add another meaning: both apply. The kind of the joint is `and`, `comma`, … or ""."""
         if self.goals and other.goals:
-            self.listed = self.listed and joint in ("", "comma")
-            self.commas = joint == "comma"
+            self.listed = self.listed and joint_kind in ("", "comma")
+            self.commas = joint_kind == "comma"
         self.goals += other.goals
         self.things = NounPhrase(self.things.groups + other.things.groups)
         self.rules += other.rules
@@ -182,7 +182,7 @@ def _meaning_of_ban(
         reader.refuse_finally("use two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
-    if clause.count:
+    if clause.count:  # "never visit a more than twice"
         _add_count(clause, things, clause.count, meaning, times)
         _refuse_conditions(clause, reader)
     elif _is_again(clause, things, times) and not (
@@ -198,7 +198,7 @@ def _meaning_of_ban(
             for condition in clause.conditions:
                 most = condition.count.least if condition.count else most
             meaning.limits.append(((name,), most, None if clause.conditions else clause.token))
-    elif clause.conditions:
+    elif clause.conditions:  # "do not visit a before b"
         for condition in clause.conditions:
             meaning.rules += _rules_of_ban(clause, things, condition, reader)
             if condition.kind in ("before", "until"):

@@ -278,7 +278,7 @@ def _take_element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, 
             reader.at += 1  # "them both"
         return meant
     if token := reader.take("either"):
-        return (_take_choice(reader, every=token.text != "either"),)
+        return (_take_choice(reader, whole_list=token.text != "either"),)
     name = take_name(reader)
     last = reader.tokens[reader.at - 1]
     memory.several.pop(name, None)
@@ -293,7 +293,7 @@ def _is_singled(reader: TokenReader) -> bool:
     return reader.is_at("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 
-def _take_choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
+def _take_choice(reader: TokenReader, whole_list: bool) -> tuple[str, ...]:
     """Parse `either x, y or z`, which ends after "or z", or `one of x, y and z`, the whole list."""
     if reader.take("all of"):
         reader.skip("group")
@@ -305,14 +305,14 @@ def _take_choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
         reader.at += 1
     reader.take("to")
     options = [take_name(reader)]
-    decided = False
+    has_or = False
     while (ahead := _joint_length(reader)) is not None:
         joint = {reader.peek(i).kind for i in range(ahead)}
-        if not every and ((decided and "or" not in joint) or "and" in joint):
+        if not whole_list and ((has_or and "or" not in joint) or "and" in joint):
             break
-        decided = decided or "or" in joint
+        has_or = has_or or "or" in joint
         reader.at += ahead
         options.append(take_name(reader))
-    if not every and not decided:
+    if not whole_list and not has_or:
         reader.refuse_finally("'either' needs a second choice")
     return tuple(dict.fromkeys(options))

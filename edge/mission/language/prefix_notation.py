@@ -75,8 +75,7 @@ OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
 }  # fmt: skip
 """Token → number of operands, and the function that makes a formula of them."""
 _OF_NAMES = {"!", "O"} | {token for token in OPERATORS if token[-1].isdigit()}
-"""Operators whose operands are names, or names joined by "|". That of "!" is a single name: a ban
-of several names is written as one ban of each."""
+"""Operators whose operands are names, or names joined by "|". That of "!" is a single name."""
 
 
 def arity(token: str) -> int:

@@ -61,6 +61,7 @@ BEYOND_NAMES = nouns.split_entries(
     nearest closest nearby nearer closer farthest furthest farther further leftmost rightmost
     middlemost next-door"""
 )
+"""Words that compare objects, or say which one by its place; no name has them."""
 _MOST_NAME_WORDS = 6
 _SPOTS = ("spot", "spots", "place", "position", "point", "somewhere", "anywhere", "everywhere")
 _WITH = ("with", "at", "between", "by")
@@ -96,6 +97,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
         before = _previous(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
+        # The message begins at the name, or at the preposition of the time.
         if hint == _TIME and before and before.text in _AT_TIMES:
             start = before
         if hint:

@@ -44,8 +44,8 @@ def distances(
         snapshot: the map: -1 unknown, 0 free, 100 obstacle, 1 … 99 too near to an obstacle for
             the robot.
         robot_xy_m: position of the robot in `map`.
-        positions: for each letter (m, 2) float64, its known instances in `map`; (0, 2) for none.
-            The nearest instance counts.
+        positions: for each object of the mission (m, 2) float64, its known instances in `map`;
+            (0, 2) for none. The nearest instance counts.
         unknown_cost: cost of a metre over unknown cells, in metres, 1 … 100.
         snap_m: largest distance from an object, or from the robot, to its nearest cell.
         cell_m: approximate cell size of the search; at least the map's cell size is used.
