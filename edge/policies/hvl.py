@@ -181,7 +181,7 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
 
 
 @jit
-def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma, vl):
+def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, n_target_boxes, sigma, vl):
     """Write S_VL of frontiers that no image covered yet (VL-Nav eq. 2-4), in place.
 
     All targets of a frontier get their score from the same image. An image without any box of a
@@ -198,8 +198,8 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
         fov: horizontal field of view in radians.
         mu: (k,) float64, bearing of each detection.
         alpha: (k, targets) float64, evidence of each detection for each target.
-        boxes: the first `boxes` detections are of targets and are summed (eq. 3). Of the others,
-            only the strongest counts.
+        n_target_boxes: number of detections of targets, which come first and are summed (eq. 3).
+            Of the others, only the strongest counts.
         sigma: standard deviation of eq. 3 in radians.
         vl: (targets, cap) float32; NaN entries inside the field of view are filled.
     """
@@ -219,7 +219,7 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
                     continue
                 z = (offset - mu[k]) / sigma
                 evidence = alpha[k, t] * math.exp(-0.5 * z * z)
-                if k < boxes:
+                if k < n_target_boxes:
                     total += evidence
                 else:
                     strongest = max(strongest, evidence)
@@ -227,7 +227,7 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
 
 
 @jit
-def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics, score):
+def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, unknown_k, heuristics, score):
     """Write S_HVL of frontiers (eq. 5, 7, 8), and the confidence of instances, as the scores.
 
     Args:
@@ -239,7 +239,7 @@ def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics
         n: number of candidates.
         w_dist: weight of the distance term.
         w_vl: weight of the VL term.
-        k: constant of eq. 6.
+        unknown_k: constant k of eq. 6.
         heuristics: False scores frontiers by S_VL alone (table I, "w/o Heuristics").
         score: (cap,) float32 output.
     """
@@ -252,5 +252,5 @@ def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics
             score[i] = s_vl
             continue
         s_dist = 1.0 / (1.0 + away[i])
-        s_unknown = 1.0 - math.exp(-k * ratio[i])
+        s_unknown = 1.0 - math.exp(-unknown_k * ratio[i])
         score[i] = w_dist * s_dist + w_vl * s_vl * s_unknown

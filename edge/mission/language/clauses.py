@@ -54,6 +54,11 @@ Bare = Literal["yes", "known", "no"]
 """Permission of a clause without a verb; see `take_clause`."""
 _PERFORM = ("make", "complete", "perform", "have")
 _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
+_PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
+# "any visit to", "each trip to"
+_ANY_VISIT = tuple(
+    f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
+)
 
 
 def starts_clause(reader: TokenReader, ahead: int = 0) -> bool:
@@ -189,9 +194,6 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.conditions.append(Condition("before", clause.token, any_other))  # "not b first"
         clause.first = False
     return clause
-
-
-_PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
 
 
 def _ends_here(reader: TokenReader) -> bool:
@@ -346,12 +348,6 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", start
         )  # "the path goes through b"
-
-
-# "any visit to", "each trip to"
-_ANY_VISIT = tuple(
-    f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
-)
 
 
 def _take_consequence(

@@ -323,6 +323,7 @@ _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", r
 _IN_TURN = compile_templates("go to <stops>", {})
 _FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
+_JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
 def spell_out(text: str, places: Iterable[str] = ()) -> str:
@@ -587,9 +588,6 @@ def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
             raise UnclearError(f"instruction: {found[0].strip()!r}: unclear where; name the room")
         room = f" {bare(last['name'])}"
     return _go_to(f"{EXPLORED}{room}{_for_duration(found['span'])}", found)
-
-
-_JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
 def _for_duration(span: str | None) -> str:

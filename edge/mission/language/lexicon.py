@@ -425,6 +425,9 @@ AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the preceding verb: "turn on", "look for", "stop at"."""
 
 
+_CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
+
+
 def expand_choices(phrases: str) -> list[str]:
     """Return all phrases of a row; "(a|b) c" becomes two phrases."""
     todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
@@ -437,7 +440,6 @@ def expand_choices(phrases: str) -> list[str]:
     return done
 
 
-_CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
 PHRASES = {kind: tuple(expand_choices(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])

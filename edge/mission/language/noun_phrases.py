@@ -28,6 +28,10 @@ COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only
 LEAVE = ("leave", "leaving", "exit", "exiting")  # never names
 # Hint of a refusal.
 ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
+_ONE_OF = ("one of", "either of", "either one of", "at least one of")
+# Pronouns for several objects, and for one.
+PLURALS = ("them", "these", "those")
+SINGULARS = ("it", "this", "that", "that one", "this one")
 _ELEMENT_KINDS = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
@@ -203,7 +207,6 @@ def _is_subject(reader: TokenReader, ahead: int) -> bool:
     return reader.is_at(*_STARTS_PREDICATE, ahead=ahead)
 
 
-_ONE_OF = ("one of", "either of", "either one of", "at least one of")
 _EARLIER = ("previous", "previously", "visited", "earlier", "one", "already", "other")
 _BEEN = (
     ("you", "have", "visited"), ("you", "have", "been", "to"), ("you", "have", "been"),
@@ -245,11 +248,6 @@ def _take_collective(reader: TokenReader, memory: Antecedents) -> str:
 
 def _has_words(reader: TokenReader, words: Sequence[str]) -> bool:
     return all(reader.peek(i).text == word for i, word in enumerate(words))
-
-
-# Pronouns for several objects, and for one.
-PLURALS = ("them", "these", "those")
-SINGULARS = ("it", "this", "that", "that one", "this one")
 
 
 def _objects_of(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhrase:

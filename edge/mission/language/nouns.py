@@ -355,6 +355,9 @@ def is_word(word: str) -> bool:
     return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
 
 
+_SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
+
+
 def slip_of(word: str, known: Sequence[str]) -> str | None:
     """Return the known word of which this one is a typing error, or None.
 
@@ -370,9 +373,6 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     if len(word) < _SHORT:  # a letter may be missing, added or swapped, but not another one
         slips = [s for s in slips if len(s) != len(word) or sorted(s) == sorted(word)]
     return next((slip for slip in slips if _edit_distance(word, slip) <= most), None)
-
-
-_SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
 
 
 def _edit_distance(a: str, b: str) -> int:
