@@ -132,6 +132,7 @@ def survey_rooms(regions: RegionMap, before: RoomSurvey) -> RoomSurvey:
     large = cells * regions.grid.resolution_m**2 >= LEAST_ROOM_M2
     large[0] = False
     for region in np.flatnonzero(large & (ids == 0)).tolist():
+        # The room that was lost last, of those with their point in this region.
         lost_room = next(
             (room for room in reversed(lost) if _contains(regions, region, room)), None
         )

@@ -70,7 +70,7 @@ class MissionSpec:
         targets: the propositions that make a difference, in order of first appearance.
         prompts: the names of the targets that are things, with the anchors of relations ("desk" of
             "chair next to desk"), or else the target of the configuration. The detector searches
-            for them; each has one VL channel.
+            for them, and each has its own vision-language scores.
         steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
     """
 

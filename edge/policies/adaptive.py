@@ -1,4 +1,7 @@
-"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path."""
+"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path.
+
+A value map has a score for each cell and target: how promising the cell is.
+"""
 
 from __future__ import annotations
 

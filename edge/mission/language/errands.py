@@ -299,7 +299,7 @@ _UNCLEAR = (
         re.compile(r"(?<=\w) stop (?=(?:go|come|drive|find|look|return)\b)", re.I),
         "unclear if the robot stops there or goes there instead; use two sentences",
     ),
-    (
+    (  # "go to the room and …"
         re.compile(
             rf"\b{ARTICLE} room(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
             re.I,

@@ -35,7 +35,7 @@ ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
 
 
 def gbnf(phrases: Sequence[str]) -> str:
-    """Return the GBNF grammar of the formulas over `phrases`.
+    """Return the grammar of the formulas over `phrases`, in GBNF, the notation of llama.cpp.
 
     The number of phrases limits nesting and operands, so a model that repeats itself comes to an
     end. With more than `MOST_NAMES` phrases, every quoted name is allowed.

@@ -430,6 +430,7 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
     duty = clause.mood == "must" and not clause.subject
     if duty or clause.done or clause.token.text.startswith(_DUTY_STARTS):
         return True
+    # Positions of the clause's and of the condition's first token.
     start, begin = (
         next(i for i, token in enumerate(reader.tokens) if token is wanted)
         for wanted in (clause.token, condition.token)

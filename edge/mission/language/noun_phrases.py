@@ -143,6 +143,7 @@ def take_noun_phrase(
         commas |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
+        # Of ", and to", note the "and".
         joint = next((i for i in range(ahead) if reader.is_at("and", "or", ahead=i)), 0)
         between.append(reader.peek(joint))
         reader.at += ahead

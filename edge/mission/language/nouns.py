@@ -265,6 +265,7 @@ def unknown_in(words: list[str]) -> int | None:
         end -= 2
     elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
         end -= 1
+    # The longest noun at the end begins at `start`.
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
         return _find_wrong_word(words, end)

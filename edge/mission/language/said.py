@@ -1,8 +1,8 @@
 """Classification of an utterance: a mission, a question, an order to learn, or control.
 
 `understand` is the entry for all that a person writes. Each kind except the mission has sentence
-templates (module `utterances`). An utterance that fits none of them is a mission for the
-translators.
+templates (module `utterances`) with slots for names (see `templates`). An utterance that fits none
+of them is a mission for the translators.
 """
 
 from __future__ import annotations

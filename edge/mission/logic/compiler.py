@@ -277,6 +277,7 @@ class _Until:
         if self._a_none in moved:
             return None
         self._budget.spend(len(moved) ** 2)
+        # Leave out a state that accepts all that another one accepts, since both must accept.
         return tuple(
             s for s in moved if not any(t != s and self._included_in_a(t, s) for t in moved)
         )

@@ -72,6 +72,7 @@ def distances(
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
+    # The grid of the search; each of its cells is a block of cells of the map.
     blocks, radius = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
     ends = [_path_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), radius) for p in positions]
     robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), radius)
