@@ -494,8 +494,8 @@ class MissionRun:
             if not self.plan.feasible and self._leave_out_failed(now_ns):
                 continue
             if not self.plan.feasible:
-                why = [why for label, why in self._why_failed.items() if label in self.failed]
-                self._finish("failed", "; ".join(why) or self.plan.reason, now_ns)
+                reasons = [why for label, why in self._why_failed.items() if label in self.failed]
+                self._finish("failed", "; ".join(reasons) or self.plan.reason, now_ns)
                 return
             if self.plan.target is not None:
                 break

@@ -233,6 +233,7 @@ class Discourse:
         self.detour, self.listed = None, False
         if reader.is_at("either") and reader.is_at("verb", "you", "first", ahead=1):
             reader.take("either")
+        # True if the sentence comes after all goals so far.
         after = self.first or (joint is not None and joint.kind in THEN)
         start = reader.peek()
         before = self.last
@@ -259,7 +260,7 @@ class Discourse:
             reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
-        single = all(len(sequence) == 1 for sequence in sequences[:-1])
+        single = all(len(earlier) == 1 for earlier in sequences[:-1])
         comma_then = any(  # ", then"
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
@@ -272,12 +273,12 @@ class Discourse:
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
             reader.refuse_finally("unclear what is forbidden; use a separate sentence", start)
         if len(sequences) > 1 and not all(
-            any(step.goals for step in sequence) for sequence in sequences
+            any(step.goals for step in alternative) for alternative in sequences
         ):
             reader.refuse("each alternative needs something to reach", start)
         if not sequence:
             return
-        options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
+        options = tuple(sequence_goal(alternative, reader) for alternative in sequences)
         goal = options[0] if len(options) == 1 else AnyOf(options)
         # The sentence goes before, into, or after the goal so far.
         ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"

@@ -706,8 +706,8 @@ def _rewrite_list_in_turn(found: re.Match[str]) -> str | None:
 
 def _go_to_each(stops: Sequence[str]) -> str:
     """Return the order to go to each of the stops in sequence."""
-    names = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
-    return " " + ", then ".join(f"go to {name}" for name in names)
+    goals = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
+    return " " + ", then ".join(f"go to {goal}" for goal in goals)
 
 
 def _with_article(name: str) -> str:

@@ -270,6 +270,7 @@ def _meaning_of_order(
 ) -> ClauseMeaning:
     """Return the meaning of `visit x …`, `you must visit x …`, `you can visit x …`."""
     meaning = ClauseMeaning()
+    # "visit a at most twice until b"
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _meaning_of_count_until(clause, things, clause.count, reader, times)
     if clause.count and len(things.groups) > 1 and clause.order:  # "a, b in order, once each"
@@ -287,9 +288,10 @@ def _meaning_of_order(
         meaning.things = things
     if clause.count and clause.route:
         reader.refuse_finally("unclear if the path is counted too; use two sentences", clause.token)
-    if clause.order == "strict order":
+    if clause.order == "strict order":  # "visit a and b in exactly this order"
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)
+    # "go to b only through a"
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
         meaning.rules += held_until(things.names, NounPhrase(clause.route[-1].groups))
     # "Visit a without b": the ban ends at a, or is permanent if nothing comes before or after.
@@ -307,8 +309,9 @@ def _meaning_of_order(
             meaning.rules += never(others)  # nothing follows, so the safer reading costs nothing
         else:
             meaning.withouts.append((tuple(others), things, clause.token))
-    for avoided in clause.not_first:
+    for avoided in clause.not_first:  # "without visiting b first"
         meaning.rules += held_until(avoided.names, things)
+    # Names that were visited before: no further visit until the goal.
     for avoided in (*clause.not_again, *clause.avoiding):
         again = [n for n in avoided.names if n in times or avoided in clause.not_again]
         meaning.rules += [

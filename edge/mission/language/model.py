@@ -307,7 +307,7 @@ class NeuralTranslator:
                 continue
             if automaton.steps_left[0] < 0:
                 continue  # it cannot be fulfilled, so it is not meant
-            same = next((members for kind, members in groups if _equal(kind, automaton)), None)
+            same = next((members for other, members in groups if _equal(other, automaton)), None)
             if same is None:
                 groups.append((automaton, [hypothesis]))
             else:
