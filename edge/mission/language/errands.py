@@ -159,7 +159,8 @@ _WAITS = compile_templates(
     """,
     PARTS,
 )
-# "the mug on the desk", "the chair between the bed and the sofa", "the sofa or by the bed"
+# "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
+# (`other`), "the mug on the desk or by the bed" (`again`, `else`)
 _RELATED = re.compile(
     rf" (?P<thing>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
     rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
@@ -167,7 +168,8 @@ _RELATED = re.compile(
     re.I,
 )
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
-# either", "I lost the mug, look for it in the hall"
+# either", "I lost the mug, look for it in the hall". The slot `order` has the words before the
+# pronoun, `any` is "either" or the like, and `later` and `at` are the relation at the end.
 _INTRODUCED = re.compile(
     r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
@@ -220,6 +222,7 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
+# Other spelling of a relation → the relation.
 _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
