@@ -107,14 +107,14 @@ def choose(
         while it is still valid. None if no candidate is reachable.
     """
     current = -1 if held is None else _index_of(held.goal, context.candidates)
-    is_candidate = current in order
+    current_is_ranked = current in order
     for index in map(int, order):
         cell = _goal_cell(context, index, instance_of, stop_m)
         if cell is None:
             continue
         if (
             held is not None
-            and is_candidate
+            and current_is_ranked
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):

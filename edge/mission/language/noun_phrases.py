@@ -122,8 +122,8 @@ def take_noun_phrase(
             return NounPhrase(tuple((name,) for name in memory.mentioned), every=every)
         return NounPhrase(memory.every, every=every)
     elements = [_take_element(reader, memory)]
-    between: list[Token] = []
-    commas: set[str] = set()
+    between: list[Token] = []  # one token between each two elements
+    kinds_between: set[str] = set()  # of all tokens between elements
     while True:
         if (number := number_ahead(reader, elements[-1])) is not None:
             between.append(number)
@@ -133,14 +133,14 @@ def take_noun_phrase(
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
         aside = reader.is_at("comma") and reader.is_at("or", ahead=1)
-        if aside and not banned and "comma" not in commas:
+        if aside and not banned and "comma" not in kinds_between:
             break  # "the bed, or the sofa": an alternative to all before it
         joined = any(reader.is_at("and", "or", ahead=i) for i in range(ahead))
         if not joined and reader.is_at("to", ahead=ahead - 1):
             break  # "not the elevator, to the second floor"
         if not banned and joined and _has_its_own_time(reader, ahead):
             break  # "…, and the bathroom after the hallway"
-        commas |= {reader.peek(i).kind for i in range(ahead)}
+        kinds_between |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
         # Of ", and to", note the "and".

@@ -260,7 +260,7 @@ def unknown_in(words: list[str]) -> int | None:
     ordinal ("first floor") may precede the noun. A number or a letter may follow it ("landmark
     two").
     """
-    begin, end = 0, len(words)
+    begin, end = 0, len(words)  # without the number at the end
     if end > 2 and names.number(words[-2:]) is not None:
         end -= 2
     elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
@@ -277,15 +277,15 @@ def unknown_in(words: list[str]) -> int | None:
         return start  # "the red room path": the room, or a path?
     if start and words[start] in _NAMED_BY_CONTENT and _is_compound(*words[start - 1 : start + 1]):
         start -= 1  # "coffee shop"
-    while begin < start:
+    while begin < start:  # the words before the noun; `after_place` follows a place among them
         word = words[begin]
-        place = next(
+        after_place = next(
             (i for i in range(start, begin, -1) if " ".join(words[begin:i]) in _LEADING), None
         )
-        if place is not None:
-            if words[place - 1] in ROOMS and words[end - 1] in ROOMS:
-                return place  # "kitchen bedroom": two rooms in a row
-            begin = place
+        if after_place is not None:
+            if words[after_place - 1] in ROOMS and words[end - 1] in ROOMS:
+                return after_place  # "kitchen bedroom": two rooms in a row
+            begin = after_place
         elif word in ORDINALS and begin and words[begin - 1] in _LEADING:
             return begin  # "first floor third floor"
         elif word in QUALITIES or _is_ordinal(word) or _is_owner(word):
