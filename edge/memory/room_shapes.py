@@ -233,6 +233,7 @@ def _room_shape(
     cv2.drawContours(filled, [contour], -1, 1, cv2.FILLED)
     unseen = grid.cells[y0:y1, x0:x1] == UNKNOWN
     filled_in = inside | (unseen & (filled > 0))
+    # Distance to the nearest cell outside, also outside of the cut; half a cell less to its edge.
     border_cells = cv2.distanceTransform(np.pad(filled_in, 1).astype(np.uint8), cv2.DIST_L2, 5)[
         1:-1, 1:-1
     ]

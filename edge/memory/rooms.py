@@ -376,6 +376,7 @@ class RoomMemory:
             self._votes, self._votes_version = {}, self.version
         if (room.id, kind) not in self._votes:
             xy_m, weights = self.evidence(room, kind)
+            # (j, n), from each of the room's points to each object.
             distance_m = np.hypot(*(room.points_m[:, None] - xy_m).transpose(2, 0, 1))
             self._votes[room.id, kind] = np.exp(-distance_m / _VOTE_M) @ weights
         return self._votes[room.id, kind]
