@@ -108,7 +108,7 @@ def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[A
     for part in map(str, sections):
         if part.isdigit():
             shown.append(part)
-        elif len(models) > 1:
+        elif len(models) > 1:  # a union: this part is its kind
             models = [m for m in models if m.model_fields["kind"].default == part]
         else:
             shown.append(part)

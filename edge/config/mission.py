@@ -87,9 +87,9 @@ class PlannerVitl(Section):
     """Shortest path over the automaton of the mission (ViTL eq. 1 and 2).
 
     Attributes:
-        weights: cost of a step to an object. `constant`: as in the paper. `distance`: the driving
-            distance to a known object, `explore_m` for an unknown one. The plan then also changes
-            when another one is clearly shorter.
+        weights: cost of a step to an object. `constant`: 0.01 if it was detected, else 1, as in
+            the paper. `distance`: the driving distance to a known object, `explore_m` for an
+            unknown one; the plan then also changes when another plan is clearly shorter.
         explore_m: assumed driving distance to an object that was not found yet.
     """
 
@@ -123,7 +123,7 @@ class MissionConfig(Section):
         target: object to find and reach. Ignored if `instruction` is set.
         instruction: the mission in words, for `translator`. Try it with `edge mission explain`.
         reading: number of the reading that is meant (from 1), if the instruction has several. null:
-            the reading that fulfils all others; if there is none, the mission is refused.
+            the strictest one, which fulfils all others; if there is none, the mission is refused.
         translator: translates the instruction to a formula (LTL).
         planner: chooses the next target.
         compiler: makes the automaton: `own`, or `spot`, if the package Spot is installed.
@@ -143,7 +143,7 @@ class MissionConfig(Section):
         path_limit_m: the mission fails after this driven distance.
         reach_m: the target is reached if the robot stops within this distance of its surface and
             the detector confirms it.
-        verify_s: a candidate that is not confirmed after this time nearby is rejected.
+        verify_s: an object that is not confirmed after this time nearby is rejected.
         stuck_s: a robot that does not move for this time, although it has a goal, is stuck.
         discard_s: a goal that failed is not chosen again for this time.
     """

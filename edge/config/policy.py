@@ -77,7 +77,7 @@ class PolicySearch(_Selection):
     The score is multiplied by the likelihood ratio of the prior.
     """
 
-    confirmed_first: ClassVar[bool] = False  # the score has the certainty
+    confirmed_first: ClassVar[bool] = False  # the score already says how sure an object is
     kind: Literal["search"] = "search"
     spin: bool = True
 

@@ -161,6 +161,7 @@ class Config(Section):
     def value_source(self) -> ValueSource | None:
         """The scorer that writes the value maps: the one that the policy uses; None: no scorer.
 
+        A value map has a score for each cell and target: how promising the cell is.
         A plugin gets the maps of the choice scorer if there is one, else those of similarity.
         """
         if isinstance(self.policy, PolicyPlugin):

@@ -218,8 +218,8 @@ class DescribedTargets:
         by_age = sorted(pairs, key=lambda pair: pair[0].id)  # ids grow with the first sighting
         ordinal = f"number {thing.nth} in the order of seeing"
         return [
-            (instance, f"{ordinal}{', ' * bool(why)}{why}")
-            for instance, why in by_age[thing.nth - 1 :][:1]
+            (instance, f"{ordinal}{', ' * bool(place)}{place}")
+            for instance, place in by_age[thing.nth - 1 :][:1]
         ]
 
     def _is_in(self, room: str, instance: Instance) -> bool:

@@ -18,9 +18,10 @@ from edge.mapping.regions import NO_REGIONS, UNKNOWN, RegionMap
 LEAST_ROOM_M2 = 1.5
 """A smaller region is no room: a gap between furniture, or a glimpse through a door."""
 INSIDE_M = 0.5
-"""Distance from the border from which the robot is inside a room."""
+"""The robot counts as inside a room from this distance to the border on."""
 _STAND_M = 0.6  # distance of standing points from the border; more than `INSIDE_M`
-_NARROW = 0.8  # in a narrow room, the share of its largest distance that counts as inside
+# In a narrow room, this share of its largest depth takes the place of `INSIDE_M` and `_STAND_M`.
+_NARROW = 0.8
 _MAX_POINTS = 64  # largest number of standing points
 _OUTLINE_M = 0.15  # largest error of a simplified outline
 _MIN_OVERLAP = 0.3  # smallest overlap, as a share of the smaller room, to be the same room
@@ -51,8 +52,8 @@ class RoomShape:
         polygon_m: (k, 2) float64 [m], simplified outline in `map`, k >= 3.
         area_m2: known floor, with furniture.
         xy_m: the point farthest from the border.
-        inside_m: distance from the border from which the robot is inside: `INSIDE_M`, or less in a
-            narrow room.
+        inside_m: the robot counts as inside from this distance to the border on: `INSIDE_M`, or
+            less in a narrow room.
         points_m: (j, 2) float32, points to stand at, at most `_MAX_POINTS`.
         doors: passages to other rooms.
     """
@@ -88,7 +89,8 @@ class RoomSurvey(NamedTuple):
         regions: the cut of the map.
         ids: (n + 1,) int64, room of each region; 0 for none.
         next_id: id of the next new room.
-        lost: rooms without a region; a region at this point gets the id again. Newest last.
+        lost: rooms without a region, newest last. A new region that contains a lost room's point
+            gets its id.
         shapes: the rooms, by id.
         depth_m: (h, w) float32, distance of each cell to the border of its room; 0 outside.
     """
@@ -130,6 +132,7 @@ def survey_rooms(regions: RegionMap, before: RoomSurvey) -> RoomSurvey:
     large = cells * regions.grid.resolution_m**2 >= LEAST_ROOM_M2
     large[0] = False
     for region in np.flatnonzero(large & (ids == 0)).tolist():
+        # The room that was lost last, of those with their point in this region.
         lost_room = next(
             (room for room in reversed(lost) if _contains(regions, region, room)), None
         )
@@ -230,6 +233,7 @@ def _room_shape(
     cv2.drawContours(filled, [contour], -1, 1, cv2.FILLED)
     unseen = grid.cells[y0:y1, x0:x1] == UNKNOWN
     filled_in = inside | (unseen & (filled > 0))
+    # Distance to the nearest cell outside, also outside of the cut; half a cell less to its edge.
     border_cells = cv2.distanceTransform(np.pad(filled_in, 1).astype(np.uint8), cv2.DIST_L2, 5)[
         1:-1, 1:-1
     ]

@@ -1,4 +1,8 @@
-"""Rooms of the map: their kinds by the objects seen in them, names from people, and questions."""
+"""Rooms of the map: their kinds by the objects seen in them, names from people, and questions.
+
+The prior's table says how often each thing is in each kind of room. A thing is a name of objects
+that has a row in this table, such as "bed".
+"""
 
 from __future__ import annotations
 
@@ -47,9 +51,9 @@ _TYPICAL_RATIO = 1.5
 def typical_things(kind: str) -> frozenset[str]:
     """Return the things of the prior's table that are clearly more frequent in a kind of room."""
     table = load()
-    # `chance`: P(thing in a room | kind of room), see `object_given_room`.
-    chance, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
-    ratio = chance[table.kinds.index(kind)] / (prior @ chance)
+    # (kinds, things) P(thing in a room | kind of room), and (kinds,) P(kind of room).
+    p_object_given_kind, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
+    ratio = p_object_given_kind[table.kinds.index(kind)] / (prior @ p_object_given_kind)
     return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
 
 
@@ -97,18 +101,18 @@ def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -
 
 
 def kinds_by_region(
-    table: ObjectPrior, chance: np.ndarray, border: np.ndarray, held: np.ndarray
+    table: ObjectPrior, p_object_given_kind: np.ndarray, border: np.ndarray, held: np.ndarray
 ) -> np.ndarray:
     """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
 
     Args:
         table: the prior.
-        chance: see `edge.perception.prior.rooms.object_given_room`.
+        p_object_given_kind: see `edge.perception.prior.rooms.object_given_room`.
         border: see `edge.mapping.regions.border_lengths`.
         held: see `objects_by_region`.
     """
     return kind_model.room_posterior_at(
-        table, chance, held, held[kind_model.adjacent_regions(border, held)]
+        table, p_object_given_kind, held, held[kind_model.adjacent_regions(border, held)]
     )
 
 
@@ -126,7 +130,7 @@ class MappedRoom:
         polygon_m: (k, 2) float64, outline in `map`.
         area_m2: area of the known floor, with furniture.
         xy_m: the point of the room that is farthest from the border.
-        inside_m: distance from the border from which the robot is inside.
+        inside_m: the robot counts as inside from this distance to the border on.
         points_m: (j, 2) float32, points to stand at.
         doors: passages to other rooms.
         is_visited: True if the robot was inside.
@@ -207,8 +211,11 @@ class RoomMemory:
         self.survey: RoomSurvey = NO_SURVEY
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
-        self._table, self._chance = table, kind_model.object_given_room(table)
-        self._kind_log_ratio = np.log(self._chance / (kind_model.room_prior(table) @ self._chance))
+        # (kinds, things) P(thing in a room | kind of room), and the logarithm of its ratio to the
+        # mean over all kinds.
+        self._table, self._p_object_given_kind = table, kind_model.object_given_room(table)
+        average = kind_model.room_prior(table) @ self._p_object_given_kind
+        self._kind_log_ratio = np.log(self._p_object_given_kind / average)
         self._index = SeenObjectIndex(words)
         # (regions + 1, kinds), P(kind of room | objects seen) of each region at the last update.
         self._belief = kind_model.room_prior(table)[None]
@@ -248,11 +255,13 @@ class RoomMemory:
         regions, objects = self.survey.regions, self._index.of(sightings)
         held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
-        self._belief = kinds_by_region(self._table, self._chance, regions.border, held)
+        self._belief = kinds_by_region(self._table, self._p_object_given_kind, regions.border, held)
         shapes, named = self.survey.shapes, self._names_by_room()
         region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
-        chance = kind_model.included_kinds(self._table, self._chance, held[region], area_m2)
+        chance = kind_model.included_kinds(
+            self._table, self._p_object_given_kind, held[region], area_m2
+        )
         self.rooms = tuple(
             self._room(shape, held[shape.region], row, named.get(shape.id, ()))
             for shape, row in zip(shapes, chance, strict=True)
@@ -367,6 +376,7 @@ class RoomMemory:
             self._votes, self._votes_version = {}, self.version
         if (room.id, kind) not in self._votes:
             xy_m, weights = self.evidence(room, kind)
+            # (j, n), from each of the room's points to each object.
             distance_m = np.hypot(*(room.points_m[:, None] - xy_m).transpose(2, 0, 1))
             self._votes[room.id, kind] = np.exp(-distance_m / _VOTE_M) @ weights
         return self._votes[room.id, kind]
@@ -448,9 +458,11 @@ class RoomMemory:
 def _reason_text(found: tuple[str, ...], held: np.ndarray) -> str:
     """Return the objects that speak most for some kinds, in words; "" if there are none."""
     table, named = load(), []
-    chance, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
+    p_object_given_kind, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
     for kind in found:
-        weights = held * np.log(chance[table.kinds.index(kind)] / (prior @ chance))
+        weights = held * np.log(
+            p_object_given_kind[table.kinds.index(kind)] / (prior @ p_object_given_kind)
+        )
         best = [at for at in np.argsort(-weights)[:_REASONS].tolist() if weights[at] > 0.0]
         named += [table.things[at] for at in best]
     return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

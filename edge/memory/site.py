@@ -53,7 +53,7 @@ _ARTICLES = ("the", "a", "an", "my", "our", "your")
 ZONE_KINDS = ("keep_out", "stay_inside")
 """Kinds of zones; see `Zone`."""
 
-Point = tuple[float, float]
+Point = tuple[float, float]  # x and y in `map` [m]
 
 
 class SiteError(UserError):

@@ -116,6 +116,7 @@ def distinct(formulas: Sequence[Formula]) -> tuple[tuple[Formula, ...], int | No
     except CompileError:
         return formulas, None
     kept: list[Automaton] = []  # one for each language
+    # Those that can be fulfilled and ask for something, or all if there are none.
     for automaton in [a for a in compiled if a.steps_left[0] > 0] or compiled:
         if not any(implies(automaton, other) and implies(other, automaton) for other in kept):
             kept.append(automaton)

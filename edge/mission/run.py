@@ -30,6 +30,9 @@ _RESULT_CHARS = 400  # longest text of one result
 class MissionRun:
     """A running mission: it advances the automaton and chooses the target to pursue.
 
+    A target is a proposition of the formula, and its label is its name. A letter of a trace is a
+    label or `NOTHING`. The instances of a target are the known objects of its name.
+
     The automaton moves when the active target is reached. If the formula requires it, it also takes
     a step in which nothing is reached. The mission is planned again when one of the sets D
     (detected), R (reached) or B (failed) changes; with distances as weights, also when new ones
@@ -40,9 +43,9 @@ class MissionRun:
         state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
-        trace: propositions that were reached, and `NOTHING`, oldest first.
-        detected: the set D, as labels.
-        failed: the set B, as labels.
+        trace: letters, oldest first.
+        detected: the set D, labels of detected targets.
+        failed: the set B, labels of failed targets.
         reached: the set R, in order of reaching.
         round: number of the current round, from 1, of a mission that repeats.
         results: what the mission found out so far, for the reason of its end.
@@ -491,8 +494,8 @@ class MissionRun:
             if not self.plan.feasible and self._leave_out_failed(now_ns):
                 continue
             if not self.plan.feasible:
-                why = [why for label, why in self._why_failed.items() if label in self.failed]
-                self._finish("failed", "; ".join(why) or self.plan.reason, now_ns)
+                reasons = [why for label, why in self._why_failed.items() if label in self.failed]
+                self._finish("failed", "; ".join(reasons) or self.plan.reason, now_ns)
                 return
             if self.plan.target is not None:
                 break

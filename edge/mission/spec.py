@@ -1,4 +1,7 @@
-"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error."""
+"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error.
+
+A letter is the name of a proposition, such as "bed".
+"""
 
 from __future__ import annotations
 
@@ -67,7 +70,7 @@ class MissionSpec:
         targets: the propositions that make a difference, in order of first appearance.
         prompts: the names of the targets that are things, with the anchors of relations ("desk" of
             "chair next to desk"), or else the target of the configuration. The detector searches
-            for them; each has one VL channel.
+            for them, and each has its own vision-language scores.
         steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
     """
 
@@ -189,11 +192,11 @@ def translate(
     order = understand(text, [item.name for item in site.items])
     if not isinstance(order, MissionOrder):
         raise NoMissionError(order)
-    plain = order.speech.restored(spell_out(order.speech.text, places))
+    plain = order.speech.with_quotations(spell_out(order.speech.text, places))
     given = quote_places(text, places)
     # What the grammar reads in the person's own words needs no spelling out, unless it would lose
     # something: a check is no visit, and people mean an order when they say "go there and find".
-    means_more = order.speech.corrected or _MEANS_MORE.search(plain)
+    means_more = order.speech.repaired or _MEANS_MORE.search(plain)
     chosen = given if not means_more and _is_understood(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
@@ -329,6 +332,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _without_unused(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
+    # One step is enough, or only one target may be reached.
     alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
     if translation.repeat is not None and alone:
         raise MissionError(

@@ -133,7 +133,7 @@ class Translator:
         """
         began_s = time.monotonic()
         read = self.read(instruction)
-        formulas, safer = distinct([check_text(formula) for formula in read.formulas])
+        formulas, strongest = distinct([check_text(formula) for formula in read.formulas])
         readings = tuple(Reading(formula, describe(formula)) for formula in formulas)
         if reading is not None and not 1 <= reading <= len(readings):
             ways = "way" if len(readings) == 1 else "ways"
@@ -141,12 +141,12 @@ class Translator:
                 f"reading: there is no reading {reading}: the instruction can be read in "
                 f"{len(readings)} {ways}"
             )
-        unclear = len(readings) > 1 and (ask or safer is None)
+        unclear = len(readings) > 1 and (ask or strongest is None)
         if reading is None and (unclear or not read.confident):
             raise AmbiguousInstructionError(
-                readings, safer if read.confident else None, read.doubts
+                readings, strongest if read.confident else None, read.doubts
             )
-        taken = readings[reading - 1 if reading is not None else safer or 0]
+        taken = readings[reading - 1 if reading is not None else strongest or 0]
         seconds = time.monotonic() - began_s
         translation = Translation(instruction, taken.formula, taken.english, read.backend, seconds)
         if len(readings) == 1:

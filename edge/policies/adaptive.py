@@ -1,4 +1,7 @@
-"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path."""
+"""Policy `adaptive`, as in ApexNav: by the value map if its values differ enough, else by path.
+
+A value map has a score for each cell and target: how promising the cell is.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ class AdaptivePolicy:
     def score(self, context: PolicyInput) -> np.ndarray:
         """See `Policy.score`."""
         candidates = context.candidates
-        n = count_frontiers(candidates)
+        n = count_frontiers(candidates)  # frontiers come first in the arrays
         if len(self._score) < len(candidates.kind):
             self._allocate(len(candidates.kind))
         score, value, path_m = self._score, self._value, candidates.path_m[:n]
@@ -74,7 +77,10 @@ class AdaptivePolicy:
             value[:n] /= 1.0 + value[:n]
 
     def _promising_frontiers(self, scored: np.ndarray) -> np.ndarray:
-        """Return the scored frontiers for the tour; none if geometry decides."""
+        """Return the frontiers for the tour, of those with a value; none if nearness decides.
+
+        `scored` and the result are (k,) int64 indices of candidates.
+        """
         config, value = self.config, self._value[scored]
         if len(scored) < 2 or value.std() <= LEAST_SPREAD:
             return scored[:0]

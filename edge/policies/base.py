@@ -26,7 +26,8 @@ the spot."""
 class Candidates:
     """Candidate goals as parallel arrays of which the first `n` entries are valid.
 
-    Frontiers come first, then instances, then at most one spin (a turn on the spot).
+    Frontiers come first, then instances (known objects of the target's name), then at most one spin
+    (a turn on the spot).
 
     Attributes:
         stamp_ns: stamp of the observation from which the candidates were gathered.

@@ -1,4 +1,8 @@
-"""Policy `hvl`: VL-Nav's heuristic-vision-language score of candidates (III.D)."""
+"""Policy `hvl`: VL-Nav's heuristic-vision-language score of candidates (III.D).
+
+S_HVL is the whole score of a frontier (eq. 8). S_VL is its vision-language part: the evidence of
+detections in the frontier's direction (eq. 2 to 4). Numbers of equations are those of VL-Nav.
+"""
 
 from __future__ import annotations
 
@@ -81,16 +85,15 @@ class HvlPolicy:
         alpha = np.zeros((len(seen), len(targets)))
         alpha[np.arange(len(seen)), seen.class_id] = seen.score
         centre_u_px = 0.5 * (seen.xyxy_px[:, 0] + seen.xyxy_px[:, 2])
-        context, weight = seen.context, self.config.w_context
-        if context is not None and len(context) and weight > 0.0:
-            if self._related_words != (context.words, targets):
-                self._related_words = (context.words, targets)
-                self._related = relatedness(context.words, targets)
-            context_alpha = weight * context.score[:, None] * self._related[context.class_id]
-            alpha = np.concatenate((alpha, context_alpha))
-            centre_u_px = np.append(
-                centre_u_px, 0.5 * (context.xyxy_px[:, 0] + context.xyxy_px[:, 2])
-            )
+        others, weight = seen.context, self.config.w_context
+        if others is not None and len(others) and weight > 0.0:
+            if self._related_words != (others.words, targets):
+                self._related_words = (others.words, targets)
+                self._related = relatedness(others.words, targets)
+            others_alpha = weight * others.score[:, None] * self._related[others.class_id]
+            alpha = np.concatenate((alpha, others_alpha))
+            others_u_px = 0.5 * (others.xyxy_px[:, 0] + others.xyxy_px[:, 2])
+            centre_u_px = np.append(centre_u_px, others_u_px)
         camera = seen.observation.camera
         assert camera is not None  # the caller checked
         return camera.bearing_of(centre_u_px), alpha
@@ -128,18 +131,18 @@ class HvlPolicy:
 
 
 def relatedness(words: tuple[str, ...], targets: tuple[str, ...]) -> np.ndarray:
-    """Return the relation of words to targets: 1 - 1 / lift, or 0 if the lift is at most 1.
+    """Return the relation of words to targets: 1 - 1 / r, or 0 if r is at most 1.
 
-    Lift is the likelihood ratio of a room containing one object, given that it contains the other.
+    r is the likelihood ratio of a room containing one object, given that it contains the other.
 
     Returns:
         (words, targets) float64 in [0, 1); 0 for words outside the co-occurrence table.
     """
     known = table.load()
-    lift = np.array(
+    ratio = np.array(
         [[known.likelihood_ratio((word, target))[0, 1] for target in targets] for word in words]
     )
-    return 1.0 - 1.0 / np.maximum(lift.reshape(len(words), len(targets)), 1.0)
+    return 1.0 - 1.0 / np.maximum(ratio.reshape(len(words), len(targets)), 1.0)
 
 
 @jit
@@ -178,7 +181,7 @@ def carry_over(kind, ids, n, known, n_known, vl, old, old_vl):
 
 
 @jit
-def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma, vl):
+def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, n_target_boxes, sigma, vl):
     """Write S_VL of frontiers that no image covered yet (VL-Nav eq. 2-4), in place.
 
     All targets of a frontier get their score from the same image. An image without any box of a
@@ -195,8 +198,8 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
         fov: horizontal field of view in radians.
         mu: (k,) float64, bearing of each detection.
         alpha: (k, targets) float64, evidence of each detection for each target.
-        boxes: the first `boxes` detections are of targets and are summed (eq. 3). Of the others,
-            only the strongest counts.
+        n_target_boxes: number of detections of targets, which come first and are summed (eq. 3).
+            Of the others, only the strongest counts.
         sigma: standard deviation of eq. 3 in radians.
         vl: (targets, cap) float32; NaN entries inside the field of view are filled.
     """
@@ -216,7 +219,7 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
                     continue
                 z = (offset - mu[k]) / sigma
                 evidence = alpha[k, t] * math.exp(-0.5 * z * z)
-                if k < boxes:
+                if k < n_target_boxes:
                     total += evidence
                 else:
                     strongest = max(strongest, evidence)
@@ -224,8 +227,8 @@ def vl_scores(xy, first_seen, n, x, y, yaw, stamp, fov, mu, alpha, boxes, sigma,
 
 
 @jit
-def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics, score):
-    """Write S_HVL of frontiers (VL-Nav eq. 5, 7, 8), in place; an instance scores its confidence.
+def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, unknown_k, heuristics, score):
+    """Write S_HVL of frontiers (eq. 5, 7, 8), and the confidence of instances, as the scores.
 
     Args:
         kind: (cap,) int8.
@@ -236,7 +239,7 @@ def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics
         n: number of candidates.
         w_dist: weight of the distance term.
         w_vl: weight of the VL term.
-        k: constant of eq. 6.
+        unknown_k: constant k of eq. 6.
         heuristics: False scores frontiers by S_VL alone (table I, "w/o Heuristics").
         score: (cap,) float32 output.
     """
@@ -249,5 +252,5 @@ def hvl_scores(kind, confidence, vl, ratio, away, n, w_dist, w_vl, k, heuristics
             score[i] = s_vl
             continue
         s_dist = 1.0 / (1.0 + away[i])
-        s_unknown = 1.0 - math.exp(-k * ratio[i])
+        s_unknown = 1.0 - math.exp(-unknown_k * ratio[i])
         score[i] = w_dist * s_dist + w_vl * s_vl * s_unknown

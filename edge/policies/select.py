@@ -1,7 +1,7 @@
 """Choice of one of the scored candidates as the goal: algorithm 2 of VL-Nav (III.E), without state.
 
-With any policy, instances come before frontiers. The current goal stays unless another candidate
-is clearly better.
+An instance is a known object of the target's name. With any policy, instances come before
+frontiers. The current goal stays unless another candidate is clearly better.
 """
 
 from __future__ import annotations
@@ -76,6 +76,7 @@ def rank_candidates(
     far = (dx * dx + dy * dy > delta_reached_m**2) | (kind[:n] != FRONTIER)
     alive = np.flatnonzero(far & ~candidates.blocked[:n])
     doubtful = ~candidates.confirmed[alive] & confirmed_first
+    # By the last key first: instances, confirmed ones, score, id.
     order = np.lexsort((candidates.id[alive], -score[alive], doubtful, kind[alive] != INSTANCE))
     return alive[order]
 
@@ -106,14 +107,14 @@ def choose(
         while it is still valid. None if no candidate is reachable.
     """
     current = -1 if held is None else _index_of(held.goal, context.candidates)
-    is_candidate = current in order
+    current_is_ranked = current in order
     for index in map(int, order):
         cell = _goal_cell(context, index, instance_of, stop_m)
         if cell is None:
             continue
         if (
             held is not None
-            and is_candidate
+            and current_is_ranked
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):
@@ -195,7 +196,9 @@ def _goal_cell(
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
         enough_points = max(1, min(MOST_POINTS, int(ENOUGH_SHARE * len(instance.points_m))))
-        for within_m, points in ((stop_m, enough_points), *((within_m, 1) for within_m in STOP_M)):
+        # First near many points of its surface, then near any point, as `STOP_M` says.
+        attempts = (stop_m, enough_points), *((fallback_m, 1) for fallback_m in STOP_M)
+        for within_m, points in attempts:
             found = context.map.stopping_point(instance.points_m, within_m, points)
             if found is not None:
                 return found[0], found[1]

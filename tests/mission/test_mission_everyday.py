@@ -221,7 +221,7 @@ def test_an_order_to_remember_must_say_as_what(said):
 )  # fmt: skip
 def test_speech_is_tidied(said, text, reasons):
     speech = tidy_up(said)
-    assert (speech.restored(speech.text), speech.reasons) == (text, reasons)
+    assert (speech.with_quotations(speech.text), speech.reasons) == (text, reasons)
 
 
 @pytest.mark.parametrize(

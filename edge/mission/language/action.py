@@ -24,6 +24,23 @@ from edge.mission.language.tokens import REASONS, Token, TokenReader
 UP = ("up", "down", "over", "on")
 """Particles after "back" that say nothing about the goal: "back up to the roof"."""
 _MOTION = ("go", "come", "walk", "move", "head", "run", "drive", "travel", "return", "proceed")
+# Beginnings of verbs that carry an object to another one.
+_CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
+_INTO = ("into", "onto", "in to")
+# Verbs that mean leaving or going along before "off", "out" or "with".
+_LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
+_PASSES = ("cross", "follow", "traverse", "pass")  # beginnings of verbs whose object is passed
+_STREETS = ("road", "street", "lane")
+_ALONG = ("path", "route", "road", "way", *PASSING)  # ends of verbs with a path to follow
+_GOES_ON = ("proceed", "continue")  # beginnings of verbs that another verb may follow
+# Beginnings of verbs after which a place is passed: "take the stairs to a".
+_RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
+_ANYWHERE = ("go anywhere", "visit anywhere")
+# First words of verbs for a manner of going, which a ban cannot forbid.
+_MANNERS = [  # each in a list, as `split` returns it
+    [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
+]
+_ALL_OF = ("both", "both of", "all of", "all", "every")
 
 
 def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bool:
@@ -119,25 +136,6 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
         refuse_missing_name(reader)
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
         clause.elsewhere = clause.mood != "can"
-
-
-# Beginnings of verbs that carry an object to another one.
-_CARRIES = ("bring", "fetch", "take", "put", "carry", "grab", "collect", "load", "pick", "get ")
-_INTO = ("into", "onto", "in to")
-# Verbs that mean leaving or going along before "off", "out" or "with".
-_LEAVES = (*_MOTION, "get", "step", "climb", "fly", "roll", "navigate", "move", "pass")
-_PASSES = ("cross", "follow", "traverse", "pass")  # beginnings of verbs whose object is passed
-_STREETS = ("road", "street", "lane")
-_ALONG = ("path", "route", "road", "way", *PASSING)  # ends of verbs with a path to follow
-_GOES_ON = ("proceed", "continue")  # beginnings of verbs that another verb may follow
-# Beginnings of verbs after which a place is passed: "take the stairs to a".
-_RIDES = ("take", "use", "ride", "climb", "go", "pass", "follow")
-_ANYWHERE = ("go anywhere", "visit anywhere")
-# First words of verbs for a manner of going, which a ban cannot forbid.
-_MANNERS = [
-    [verb] for verb in ("rush", "hurry", "race", "run", "running", "rushing", "zoom", "turn")
-]
-_ALL_OF = ("both", "both of", "all of", "all", "every")
 
 
 def take_passed(

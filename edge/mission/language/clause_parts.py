@@ -55,6 +55,8 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
     begin, start = reader.at, reader.peek()
     if start.text in ("on", "for") and reader.is_at(*_NUMBERS, *_MARKERS, ahead=1):
         reader.at += 1
+    # "At least two and at most four times": kinds of the markers, the numbers, and the first number
+    # after each marker ("" for none). `times`: it counts visits, as "times" or "twice" shows.
     markers: set[str] = set()
     numbers: list[int] = []
     marked: dict[str, int] = {}
@@ -66,6 +68,7 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
             markers.add(token.kind)
             marker = token.kind
         elif token.kind in _NUMBERS and not (token.kind == "once" and _means_as_soon_as(reader)):
+            # Nine digits are enough: all these numbers are above `MAX_VISITS`.
             numbers.append(NUMBERS[token.text] if token.text in NUMBERS else int(token.text[:9]))
             times = times or token.kind != "number"
             marked.setdefault(marker, numbers[-1])
@@ -359,10 +362,8 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
             token.text == "let"
             and reader.is_at("article", ahead=1)
             and reader.is_at("verb", ahead=3)
-        ):
-            reader.refuse_finally(
-                "an instruction is for one robot only", token
-            )  # "let the dog go there"
+        ):  # "let the dog go there"
+            reader.refuse_finally("an instruction is for one robot only", token)
         if token.text == "it" and _is_acting_robot(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"

@@ -54,6 +54,11 @@ Bare = Literal["yes", "known", "no"]
 """Permission of a clause without a verb; see `take_clause`."""
 _PERFORM = ("make", "complete", "perform", "have")
 _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
+_PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
+# "any visit to", "each trip to"
+_ANY_VISIT = tuple(
+    f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
+)
 
 
 def starts_clause(reader: TokenReader, ahead: int = 0) -> bool:
@@ -95,6 +100,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.at += 1
     if reader.is_at("end", "stop") and _take_restriction(memory, clause):
         return clause
+    # "Visiting the bed …" at the start of a sentence is no order, but "bring" is.
     gerund = starts and reader.is_at("verb") and reader.peek().text.endswith("ing")
     gerund = gerund and reader.peek().text != "bring"
     take_mood(reader, clause)
@@ -103,7 +109,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         bare = "yes"  # "the goal is the bed"
     if before.text in ("do", "does", "did") and reader.is_at("pronoun"):
         reader.refuse("say what to visit", reader.peek())  # "do that again"
-    main: Token | None = reader.peek()
+    main: Token | None = reader.peek()  # mostly the verb
     opening = reader.tokens[begin : reader.at]  # the tokens before the verb
     clause.subject = any(t.kind in ("you", "ensure") for t in opening)
     clause.in_future = any(
@@ -116,6 +122,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         )  # "I have a sofa"
     if reader.peek().text in _PERFORM and _is_count(reader, 1):
         reader.at += 1
+    # The action: a count, a verb, a place after "be", names with a predicate, or only names.
     count_at = reader.peek()
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
         clause.count = intersect_counts(reader, clause.count, count, count_at)
@@ -187,9 +194,6 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.conditions.append(Condition("before", clause.token, any_other))  # "not b first"
         clause.first = False
     return clause
-
-
-_PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
 
 
 def _ends_here(reader: TokenReader) -> bool:
@@ -329,6 +333,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         clause.things = each_of(things) if clause.negated else things
         return
     reader.at = begin
+    # No predicate came: these are only names, as in "…, then the bed".
     named = start.kind != "word" or is_indefinite(reader) or _well_known(reader, memory)
     if not (named and (bare == "yes" or clause.negated)) and not (
         bare == "known" and _well_known(reader, memory)
@@ -343,11 +348,6 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", start
         )  # "the path goes through b"
-
-
-_ANY_VISIT = tuple(
-    f"{every} {visit} to" for every in ("any", "every", "each", "a") for visit in ("visit", "trip")
-)
 
 
 def _take_consequence(

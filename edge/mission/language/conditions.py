@@ -21,6 +21,12 @@ from edge.mission.language.noun_phrases import (
 )
 from edge.mission.language.tokens import Token, TokenReader
 
+STATES = (
+    "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
+    "mopped",
+)  # fmt: skip
+"""Verb forms that also describe the state of an object."""
+
 
 def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> Condition:
     """Parse `until the bed is reached`, `once you have visited it`, `before that`."""
@@ -143,10 +149,3 @@ def _take_predicate(reader: TokenReader, inner: Clause) -> bool:
         reader.refuse_finally("the state of an object cannot be used, only that it is reached")
     reader.at, inner.negated = begin, negated
     return False
-
-
-STATES = (
-    "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
-    "mopped",
-)  # fmt: skip
-"""Verb forms that also describe the state of an object."""

@@ -22,7 +22,7 @@ LONGEST_NAME = 6  # words
 ARTICLES = frozenset(["the", "a", "an", "my", "our", "your", "his", "her", "its", "their"])
 # Words after which any known noun is a name.
 _DETERMINERS = ARTICLES | {"this", "that", "each", "every", "any", "some", "another"}
-_PLACES = tuple(sorted(PHRASES["place"], key=len, reverse=True))  # prepositions, longest first
+_PREPOSITIONS = tuple(sorted(PHRASES["place"], key=len, reverse=True))  # of place, longest first
 _OF_NO_NAME = {"of", "between", "against"}  # prepositions that join no two names
 # An ordinal before these is a part of the name.
 _STORIES = {"floor", "floors", "story", "level", "room", "landmark", "door", "street", "building"}
@@ -165,13 +165,13 @@ def _name_at(pieces: list[_Piece], at: int, letters_are_names: bool) -> tuple[in
     if not length or _is_own_way(pieces, at) or _is_verb(pieces, at, length):
         return 0, None
     text = " ".join(piece.text for piece in pieces[at : at + length])
-    place, skipped = _place_at(pieces, at + length)
+    preposition, skipped = _preposition_at(pieces, at + length)
     if _is_own_way(pieces, at + length + skipped):
-        place = ""  # "the table on your path"
-    if place and (more := _known_length(pieces, at + length + skipped)):
+        preposition = ""  # "the table on your path"
+    if preposition and (more := _known_length(pieces, at + length + skipped)):
         where = pieces[at + length + skipped : at + length + skipped + more]
         other = " ".join(piece.text for piece in where)
-        text = f"{names.normalise(text)} {place} {other}"
+        text = f"{names.normalise(text)} {preposition} {other}"
         length += skipped + more
     return (length, names.canonical(text)) if names.is_name(text) else (0, None)
 
@@ -242,15 +242,16 @@ def _has_letter_names(pieces: list[_Piece]) -> bool:
     return not any(_known_length(pieces, at) for at in range(len(pieces)))
 
 
-def _place_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
+def _preposition_at(pieces: list[_Piece], at: int) -> tuple[str, int]:
     """Return a preposition of place here, and the number of pieces of it and its article."""
-    for place in _PLACES:
-        words = place.split()
-        if place not in _OF_NO_NAME and [p.text for p in pieces[at : at + len(words)]] == words:
+    for preposition in _PREPOSITIONS:
+        words = preposition.split()
+        comes = [p.text for p in pieces[at : at + len(words)]] == words
+        if comes and preposition not in _OF_NO_NAME:
             end = at + len(words)
             article = end < len(pieces) and pieces[end].text in ARTICLES
             named = pieces[end + article].text if end + article < len(pieces) else ""
             if named in _WAYS:
                 return "", 0  # "the lamp on your path"
-            return place, len(words) + article
+            return preposition, len(words) + article
     return "", 0

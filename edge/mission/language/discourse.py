@@ -1,4 +1,12 @@
-"""Parser of a whole instruction: joins the meanings of its clauses to one formula."""
+"""Parser of a whole instruction: joins the meanings of its clauses to one formula.
+
+A sentence is one or more sequences with "or" between them. A sequence is a list of steps with
+"then" between them. A joint is the token between two clauses, such as "and"; its kind is "" if the
+clauses follow each other without a word. A loose meaning has rules only, no goal.
+
+`reader.pick(token, n)` asks for one of n meanings of an ambiguous token. `grammar.readings` parses
+the instruction once for each combination of these choices; 0 is the usual meaning.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +108,7 @@ class Discourse:
         halted: token of the place where the robot must stop.
         detour: token of a sentence that is on the way to the goal of the sentence before.
         shuns: True if something must be avoided, not only until something else is reached.
-        waits: pairs of names, and of the objects that must be reached before them.
+        waits: pairs of names and the objects that must be reached before them.
         number: number of the last numbered step ("second, …"); 1 before any.
         listed: True if an order followed "do not …" and a comma.
         each: largest number of visits to each place, and the token of that limit.
@@ -178,6 +186,7 @@ class Discourse:
             return []
         if self.goal is None and not self.shuns and (chain := chain_waits(self.waits)):
             return [chain]
+        # 0: it asks for nothing; 1: for a; 2: for a and b.
         way = self.reader.pick(self.reader.tokens[0], 2 if self.shuns else 3)
         asked = [until for _, until in self.waits] if way else []
         if way == 2:
@@ -224,6 +233,7 @@ class Discourse:
         self.detour, self.listed = None, False
         if reader.is_at("either") and reader.is_at("verb", "you", "first", ahead=1):
             reader.take("either")
+        # True if the sentence comes after all goals so far.
         after = self.first or (joint is not None and joint.kind in THEN)
         start = reader.peek()
         before = self.last
@@ -250,8 +260,8 @@ class Discourse:
             reader.refuse("'either' needs a second choice", either)
         if loose:
             self.rules.append(loose)
-        single = all(len(sequence) == 1 for sequence in sequences[:-1])
-        comma_then = any(
+        single = all(len(earlier) == 1 for earlier in sequences[:-1])
+        comma_then = any(  # ", then"
             (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
         )
         has_either = either.text == "either" and len(sequences) > 1
@@ -263,13 +273,14 @@ class Discourse:
         if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
             reader.refuse_finally("unclear what is forbidden; use a separate sentence", start)
         if len(sequences) > 1 and not all(
-            any(step.goals for step in sequence) for sequence in sequences
+            any(step.goals for step in alternative) for alternative in sequences
         ):
             reader.refuse("each alternative needs something to reach", start)
         if not sequence:
             return
-        options = tuple(sequence_goal(sequence, reader) for sequence in sequences)
+        options = tuple(sequence_goal(alternative, reader) for alternative in sequences)
         goal = options[0] if len(options) == 1 else AnyOf(options)
+        # The sentence goes before, into, or after the goal so far.
         ahead_of_all = self.first and joint is not None and joint.kind == "but"  # "But first …"
         if self.goal is None:
             self.goal = goal
@@ -305,6 +316,7 @@ class Discourse:
             self._check_number(joint)
             clause, meaning = self._take_clause(joint, sequence)
             kind = joint.kind if joint else ""
+            # Rules without a goal wait until the next step, or the end, shows where they belong.
             if meaning.loose and kind != "but" and not meaning.follows:
                 loose = _join(loose, meaning)
             else:
@@ -336,6 +348,7 @@ class Discourse:
     def _check_number(self, joint: Token | None) -> None:
         """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
         words = joint.text.split() if joint else []
+        # The ordinal in the joint: 2 for "second". "Lastly" without earlier numbers is the last.
         number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in words), None)
         if joint and self.number == 1 and not self.clauses and words[-1] in ("lastly", "finally"):
             number = len(nouns.NUMERALS)
@@ -343,6 +356,7 @@ class Discourse:
             if self.number > 1 and self.reader.is_at("first", "opener"):
                 self.reader.refuse_finally(_OUT_OF_ORDER)
             return
+        # "…, second chair": the second step, or the second chair?
         bare = self.reader.is_at("word") and len(self.reader.peek().text) > 1
         if number <= self.number or (bare and joint.text in nouns.ORDINALS):
             self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
@@ -368,6 +382,7 @@ class Discourse:
         self, joint: Token | None, sequence: list[ClauseMeaning]
     ) -> tuple[Clause, ClauseMeaning]:
         """Parse the next clause; return it and its meaning after the clauses before it."""
+        # If a clause without a verb may come: after "and" or "then" it may.
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
@@ -381,6 +396,7 @@ class Discourse:
         meaning = meaning_of(clause, self.reader, self.times)
         meaning.follows, meaning.returns = then, clause.returns
         self._relate(clause, meaning, sequence)
+        # Refuse a goal in the plural, such as "the chairs".
         for name in {name for goal in meaning.goals for name in names_in(goal)}:
             if several := self.memory.several.get(name):
                 self.reader.refuse_finally(ONE_OF_A_KIND, several)
@@ -414,7 +430,7 @@ class Discourse:
         return then
 
     def _resolve(
-        self, clause: Clause, joint: str, then: bool, sequence: list[ClauseMeaning]
+        self, clause: Clause, joint_kind: str, then: bool, sequence: list[ClauseMeaning]
     ) -> None:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
@@ -427,9 +443,9 @@ class Discourse:
                 "unclear: this number for all, or for the last one? use two sentences", clause.token
             )
         allowed = then and clause.mood == "can" and not clause.negated
-        if allowed and (joint == "only then" or self.reader.pick(clause.token, 2) == 0):
+        if allowed and (joint_kind == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
-        limits = joint == "but" and clause.verb == "" and bool(clause.conditions)
+        limits = joint_kind == "but" and clause.verb == "" and bool(clause.conditions)
         if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
             clause.mood = "can"  # "visit a or b, but b only after c"
 
@@ -482,19 +498,19 @@ class Discourse:
                 self.memory.note([visit.options])
 
     def _add_to_sequence(
-        self, clause: Clause, meaning: ClauseMeaning, joint: str, sequence: list[ClauseMeaning]
+        self, clause: Clause, meaning: ClauseMeaning, joint_kind: str, sequence: list[ClauseMeaning]
     ) -> None:
         """Add a clause as a new step, or as a part of the last step."""
         if clause.returns and len(sequence) == 1:
             split_return(meaning, sequence)
-        if joint == "only then" and sequence:
+        if joint_kind == "only then" and sequence:
             meaning.rules += rules_of_only_then(sequence[-1], meaning)
         if clause.enroute and not sequence:
             if self.goal is None:
                 self.reader.refuse_finally("unclear where to; say 'on the way to …'", clause.token)
             self.detour = clause.token  # "go to a. on the way, go to b"
         ends = len(sequence) == 1 and not meaning.follows and self.reader.is_at("stop", "end")
-        first = clause.first and (joint == "but" or ends)  # "visit a, visit b first"
+        first = clause.first and (joint_kind == "but" or ends)  # "visit a, visit b first"
         if (first or clause.enroute) and sequence and meaning.goals:
             put_first(meaning, sequence, clause.first)  # "…, but first go to the sofa"
             clause.first = False
@@ -503,7 +519,7 @@ class Discourse:
         elif not sequence or meaning.follows or (self.first and not meaning.loose):
             sequence.append(meaning)
         else:
-            sequence[-1].add(meaning, joint)
+            sequence[-1].add(meaning, joint_kind)
         self.first = clause.first and not meaning.loose
 
     def _after_permission(self, clause: Clause, started: bool) -> None:
@@ -524,7 +540,7 @@ class Discourse:
         if reader.is_at("comma") and reader.is_at("or", ahead=1):
             return None
         begin, joint = reader.at, reader.peek()
-        while token := reader.take(*JOINTS):
+        while token := reader.take(*JOINTS):  # the strongest of several words is the joint
             if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
                 joint = token
         last = reader.is_at("filler", "addressed") or (self.clauses and reader.is_at("any order"))

@@ -81,10 +81,12 @@ def _alternatives_of_sequence(f: Formula) -> Alternatives | None:
     again = _once_more(first, rest)
     if again is not None:
         later = _alternatives_of_sequence(again)
+        # Each chain of the rest begins with visits to p: count one more.
         return later and [
             tuple((Visit(s.options, s.times + 1), *more) for s, *more in chains) for chains in later
         ]
     found = _alternatives_of_all(tuple(part.args[0] if part.op == "X" else part for part in rest))
+    # Without X, one visit could fulfil both p and a later part that also begins with p.
     strict = all(part.op == "X" for part in rest)
     if found is None or not all(
         strict or not set(chain[0].options) & set(options) for chains in found for chain in chains
@@ -98,6 +100,7 @@ def _once_more(first: Formula, rest: list[Formula]) -> Formula | None:
     if len(rest) != 1 or rest[0].op != "F" or rest[0].args[0].op != "&":
         return None
     gap, *more = rest[0].args[0].args
+    # `gap` is !p, `more` is F(p …), of which `starts` is p.
     if gap != Formula("!", (first,)) or len(more) != 1 or more[0].op != "F":
         return None
     body = more[0].args[0]
@@ -360,7 +363,7 @@ def _is_exact_count(part: Formula, parts: tuple[Formula, ...]) -> bool:
 
 def _limit_until_text(f: Formula) -> str | None:
     """Return words for `!x W (x W (!x W end))`: at most one visit until the end."""
-    start, n = f, 0
+    start, n = f, 0  # n: visits allowed so far; each takes two levels, `!x W (x W …)`
     while f.op == "W" and f.args[0].op == "!":
         here, rest = f.args[0].args[0], f.args[1]
         if (options := options_of(here)) is None:

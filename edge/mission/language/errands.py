@@ -1,9 +1,12 @@
 """Rewriting of everyday errands into plain orders with quoted propositions.
 
-Checks, explorations, patrols, waits and related objects become `go to "check stove"`, `go to
-"explored kitchen"`, `go to "wait 30 s"`, `find "mug in the kitchen"`. Each quoted proposition is
-the canonical text of a destination (see `edge.mission.destinations`). `spell_out` applies the
-rules in a fixed order; the translators read its result.
+Checks, explorations, patrols, waits and objects with a relation become `go to "check stove"`,
+`go to "explored kitchen"`, `go to "wait 30 s"`, `find "mug in the kitchen"`. Each quoted
+proposition is the canonical text of a destination (see `edge.mission.destinations`). `spell_out`
+applies the rules in a fixed order; the translators read its result.
+
+A text begins with a space while the rules rewrite it, so each word of a pattern follows a space.
+The slots of a match are its named groups; see `templates`.
 """
 
 from __future__ import annotations
@@ -156,7 +159,8 @@ _WAITS = compile_templates(
     """,
     PARTS,
 )
-# "the mug on the desk", "the chair between the bed and the sofa", "the sofa or by the bed"
+# "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
+# (`other`), "the mug on the desk or by the bed" (`again`, `else`)
 _RELATED = re.compile(
     rf" (?P<thing>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
     rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
@@ -164,7 +168,8 @@ _RELATED = re.compile(
     re.I,
 )
 # "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
-# either", "I lost the mug, look for it in the hall"
+# either", "I lost the mug, look for it in the hall". The slot `order` has the words before the
+# pronoun, `any` is "either" or the like, and `later` and `at` are the relation at the end.
 _INTRODUCED = re.compile(
     r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
     r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
@@ -201,11 +206,13 @@ _WANTED_FOUND = re.compile(
     r" (?:to be )?found(?=[.!]*$)",
     re.I,
 )
+# "the nearest chair to the desk"
 _NEAREST = re.compile(
     rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
     rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
+# "the room with a piano"
 _ROOM_WITH = re.compile(
     rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
@@ -215,6 +222,7 @@ _PERMITS = re.compile(
     rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
     re.I,
 )
+# Other spelling of a relation → the relation.
 _RELATIONS = {
     "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
     "beside of": "beside", "behind of": "behind",
@@ -224,34 +232,45 @@ _LEADS_TO_NAME = re.compile(
     r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
 )
 _WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
+# `"wait 30 s" and go on`
 _AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
 _EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
+# "rooms 3, 4 and 5", and not "bays 2 and 3 times"
 _NUMBERED = re.compile(
     r"\b(?P<kind>room|aisle|bay|ward|unit)s (?P<numbers>\d+\w?(?:(?:,? (?:and|or|then) |, )"
     r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
     re.I,
 )
 _FIRST_REWRITES = (
+    # "afterwards to the hall", "and then into the hall"
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
     (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
                 rf" (?={ARTICLE} |{phrase_of('room')}\b|{MARK})", re.I), ", then to "),
+    # "and keep going until …"
     (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
                 r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
                 r"(?=,? (?:until|forever)\b)", re.I), ""),
+    # "three rounds: the hall and …", "patrol the hall and the office. Three rounds."
     (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
     (re.compile(rf"[.;](?= (?:for )?{COUNT} (?:rounds|laps|loops|times)[.!]*$)", re.I), ","),
+    # "for ten minutes, patrol the hall and …"
     (re.compile(rf"^ (?:for|during) (?P<span>{DURATION}),? (?P<order>(?:patrol|explore|guard)\b"
                 r"[^.;!?]*)", re.I), r" \g<order> for \g<span>"),
+    # "and when you are done, come back"
     (re.compile(r",? and (?:when|once|after) you (?:are|have) (?:finish|finished|done|ready),?"
                 r"(?= (?:go|come|drive|return|find|look|visit)\b)", re.I), ", then"),
+    # "somewhere in the hall", "go really fast and …", "…, have a look for it"
     (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
     (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
     (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
+    # "and after go to …"
     (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
      ", then"),
+    # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
     (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
+    # "before you have been to the hall", "passing close to it", "and stop right there."
     (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
      r"\1 you have visited"),
     (re.compile(r"\bpass(ing)? (?:near|close)(?: to| by)?\b", re.I), r"pass\1 by"),
@@ -264,7 +283,7 @@ _THERE_AND = re.compile(
     re.I,
 )
 _UNCLEAR = (
-    (
+    (  # `"explored hall", then the bed`, `"red mug" or under the …`, `"mug on the desk" and the …`
         re.compile(
             rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ '
             rf'(?:{ARTICLE} |")'
@@ -283,7 +302,7 @@ _UNCLEAR = (
         re.compile(r"(?<=\w) stop (?=(?:go|come|drive|find|look|return)\b)", re.I),
         "unclear if the robot stops there or goes there instead; use two sentences",
     ),
-    (
+    (  # "go to the room and …"
         re.compile(
             rf"\b(?:{ARTICLE}|every|each|any|all) rooms?"
             r"(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
@@ -299,6 +318,7 @@ _UNCLEAR = (
 )
 """Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
 _NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
+# Between the names of "mug on the desk", "room with a piano".
 _BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 # The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
@@ -307,6 +327,7 @@ _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", r
 _IN_TURN = compile_templates("go to <stops>", {})
 _FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
+_JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
 def spell_out(text: str, places: Iterable[str] = ()) -> str:
@@ -340,6 +361,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         ([_ROOM_FIRST], _rewrite_room_first),
         (_SEARCHES, _rewrite_search),
         (_PATROLS, _rewrite_patrol),
+        # Only at the start of the text.
         (_ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
         (_ERRAND_AND_BACK, _rewrite_errand_and_back),
         (_CHECKS, _rewrite_check),
@@ -380,7 +402,7 @@ def _refuse_unknown_names(text: str) -> None:
     Raises:
         UnclearError: there is such a word.
     """
-    for phrase in text.split('"')[1::2]:
+    for phrase in text.split('"')[1::2]:  # the texts in quotes
         if _NO_OBJECT.match(phrase):
             continue
         for name in _BETWEEN_NAMES.split(phrase.removeprefix(f"{CHECK} ")):
@@ -400,6 +422,7 @@ def _is_name(name: str) -> bool:
     words = bare(name).partition(" of ")[0].split()
     if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
         return True
+    # "crash trolley": the known noun begins at word 1, and "crash" may stand before it.
     head = next((i for i in range(len(words)) if nouns.is_noun(" ".join(words[i:]))), None)
     return head is not None and all(map(_modifies, words[:head]))
 
@@ -416,6 +439,7 @@ def _rewrite_outside_quotes(
     """
 
     def replace(found: re.Match[str]) -> str:
+        # The match begins in quotes, or only one of its ends is in quotes.
         if text.count('"', 0, found.start()) % 2 or found[0].count('"') % 2:
             return found[0]
         new = change(found)
@@ -436,6 +460,7 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     thing = bare(found["thing"])
     relation, anchor = slots["relation"] or slots["later"], slots["anchor"] or slots["at"]
     where = _relation_text(relation, anchor)
+    # Without an article, "look" is a verb.
     verb = thing == slots["thing"].lower() and TABLE.get((thing.split()[0],)) == "verb"
     known = slots["opening"] or (_is_name(thing) and not verb)
     if slots["relation"] and slots["later"]:
@@ -443,6 +468,7 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
         return None
     other = f" or the {bare(slots['other'])}" if slots["other"] else ""
+    # "there is a mug on the desk, go there" asks to go to it; "look there" stays as it is.
     order = _GO_THERE.sub("go to", found["order"]) if slots["there"] else found["order"]
     if slots["there"] and order == found["order"]:
         return None
@@ -480,6 +506,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
         return None
     if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
         known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
+        # An unknown thing needs an article other than "any" and "some".
         named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
         nowhere = thing.startswith("rooms ") or thing.split()[-1] in NOWHERE
         if is_room(thing) or nowhere or not named:
@@ -514,6 +541,7 @@ def _relation_text(
     name = bare(anchor)
     words = name.split()
     phrase = f"{relation} {anchor}".lower().split()
+    # A phrase of the lexicon that is longer than the relation, such as "at some point".
     idiom = any(
         tuple(phrase[:n]) in TABLE for n in range(len(relation.split()) + 1, len(phrase) + 1)
     )
@@ -537,6 +565,7 @@ def _rewrite_exploration(found: re.Match[str]) -> str | None:
     """
     slots = found.groupdict()
     time = _for_duration(slots.get("span"))
+    # Rooms, and the words between them; "" stands for the whole site.
     joints = re.findall(_JOINT, slots.get("stops") or "")
     rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
     rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
@@ -563,9 +592,6 @@ def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
             raise UnclearError(f"instruction: {found[0].strip()!r}: unclear where; name the room")
         room = f" {bare(last['name'])}"
     return _go_to(f"{EXPLORED}{room}{_for_duration(found['span'])}", found)
-
-
-_JOINT = r",? (?:and then|and|then|or) |, "
 
 
 def _for_duration(span: str | None) -> str:
@@ -623,6 +649,7 @@ def _quote_related(found: re.Match[str]) -> str | None:
     slots = found.groupdict()
     thing = found["thing"]
     words = thing.split()
+    # "find mug on the desk": the name begins after the verb.
     while words and TABLE.get((words[0].lower(),)) in ("verb", "avoid") and len(words) > 1:
         words = words[1:]
     before = thing[: len(thing) - len(" ".join(words))]
@@ -641,7 +668,7 @@ def _quote_related(found: re.Match[str]) -> str | None:
         return None
     other = slots.get("other") if relation == "between" else None
     where = _relation_text(relation, found["anchor"], other)
-    within = slots.get("within")
+    within = slots.get("within")  # " in the kitchen": the name begins at the third part
     if where is None or (within and not is_room(bare(within.split(" ", 2)[2]))):
         return None
     where += _relation_text("in", within.split(" ", 2)[2]) or "" if within else ""
@@ -683,8 +710,8 @@ def _rewrite_list_in_turn(found: re.Match[str]) -> str | None:
 
 def _go_to_each(stops: Sequence[str]) -> str:
     """Return the order to go to each of the stops in sequence."""
-    names = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
-    return " " + ", then ".join(f"go to {name}" for name in names)
+    goals = (stop if is_marked(stop) or stop[0] == '"' else f"the {stop}" for stop in stops)
+    return " " + ", then ".join(f"go to {goal}" for goal in goals)
 
 
 def _with_article(name: str) -> str:

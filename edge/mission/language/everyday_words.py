@@ -218,9 +218,11 @@ AFTER_A_NAME = (
 def phrase_of(kind: str) -> str:
     """Return a regular expression for one of the phrases of a kind, the longest first."""
     phrases = sorted(expand_choices(_ROWS[kind]), key=len, reverse=True)
+    # `re.escape` also escapes spaces, which need none.
     return f"(?:{'|'.join(map(re.escape, phrases))})".replace(r"\ ", " ")
 
 
+# A word of a name: "mug", but also "trash can" and "bottle of water".
 _WORD = (
     r"(?:(?:trash|garbage|rubbish|watering|paint|soda|beer) can"
     rf"|(?:bottle|glass|cup|mug|bowl|plate|box|bag|pack|packet|roll|jar|tin|stack|pile) of "

@@ -93,13 +93,19 @@ class Flow:
         reaches = moves or bare or (clause.verb.startswith(_ARRIVES) and not clause.negated)
         after = any(
             (
-                clause.trails,
+                clause.trails,  # "go to b after that"
                 kind in THEN,
+                # "return to a"
                 clause.returns and (sequence or asked) and not clause.negated,
+                # "go to a, proceed to b"
                 onward and sequence and not (sequence[-1].loose or passes),
+                # "go to a. Finish at b."
                 onward and asked and clause.verb.startswith(_ENDING),
+                # "go to a go to b"
                 moves and self.moved and kind == "" and not ensures,
+                # "go to a. Go to b."
                 moves and self.moved and kind is None and asked and not (any_order or through),
+                # "go through b and go to a"
                 reaches and self.passed and joint and not also,
                 # "via b, go to a"
                 self.passed and not self.verb and not clause.negated and kind in ("", "comma"),
@@ -136,6 +142,7 @@ class Flow:
             UnclearError: it could.
         """
         kind = joint.kind if joint else ""
+        # "Before you go to a, visit b and …" joins the next part; "then" makes it unclear.
         leads = self.hanging is not None and self.hanging.kind == "before"
         joined = joint is not None and kind not in ("but", "or") and (not leads or kind in THEN)
         if self.hanging and joined and not (clause.subject or clause.conditions):

@@ -46,6 +46,7 @@ _CANNOT = (
     ),
 )
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
+# "Anna's mug"
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
 
 

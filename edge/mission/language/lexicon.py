@@ -11,6 +11,7 @@ import re
 from edge import names
 from edge.mission.language import nouns
 
+# Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c".
 _ROWS: dict[str, str] = {
     # Words for the robot, moods, and words without meaning.
     "you": """
@@ -396,7 +397,6 @@ _ROWS: dict[str, str] = {
         through|enter|enters|cross|crosses|pass|touch|use|uses|lead through|take you through)
     """,
 }
-"""Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c"."""
 
 _REGULAR_VERBS = """
     peek
@@ -425,6 +425,9 @@ AFTER_VERB = tuple(_PARTICLES.split())
 """Particles that belong to the preceding verb: "turn on", "look for", "stop at"."""
 
 
+_CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
+
+
 def expand_choices(phrases: str) -> list[str]:
     """Return all phrases of a row; "(a|b) c" becomes two phrases."""
     todo, done = [phrase for phrase in phrases.split(";") if phrase.strip()], []
@@ -437,7 +440,6 @@ def expand_choices(phrases: str) -> list[str]:
     return done
 
 
-_CHOICE = re.compile(r"\(([^()]*)\)")  # a choice without another one inside
 PHRASES = {kind: tuple(expand_choices(row)) for kind, row in _ROWS.items()}
 """Kind → its phrases."""
 AVOIDING = frozenset(PHRASES["avoid"])
@@ -510,6 +512,7 @@ CONTRACTIONS = {
        for end in ("s", "'s")},
     **{f"{word}'s": f"{word} is" for word in ("it", "he", "she", "here", "how", "who")},
 }  # fmt: skip
+# "2nd", "twenty-one"
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
 _COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")
 # End of a contraction → the words that replace it.
@@ -538,4 +541,4 @@ NUMBERS = {
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")
-"""Letters and digits, with single apostrophes, hyphens or underscores between them."""
+"""A word: letters and digits, with single ' - _ between them, as in "don't" and "twenty-one"."""

@@ -35,7 +35,7 @@ ANY_NAME = r'"\"" [^"\\\x00-\x1f] [^"\\\x00-\x1f]{0,39} "\""'
 
 
 def gbnf(phrases: Sequence[str]) -> str:
-    """Return the GBNF grammar of the formulas over `phrases`.
+    """Return the grammar of the formulas over `phrases`, in GBNF, the notation of llama.cpp.
 
     The number of phrases limits nesting and operands, so a model that repeats itself comes to an
     end. With more than `MOST_NAMES` phrases, every quoted name is allowed.
@@ -60,6 +60,9 @@ def gbnf(phrases: Sequence[str]) -> str:
 
 def _level(n: int, operands: int) -> dict[str, str]:
     """Return the rules of formulas with at most `n` nested parentheses and `operands` per & or |.
+
+    `first` may begin a conjunction, `timed` is any later part, and `signed` is one with operators
+    before a name or before parentheses. `both` and `either` are parentheses around & and |.
 
     One pair of parentheses has only one kind of &, | or ->, so precedence does not matter. One step
     reaches one object, so `a & b` contradicts itself, and small models tend to continue it without

@@ -1,4 +1,8 @@
-"""Meaning of one clause: goals, and rules for the whole mission."""
+"""Meaning of one clause: goals, and rules for the whole mission.
+
+A count is a range of separate visits. `reader.pick(token, n)` asks for one of n meanings of an
+ambiguous token, see `grammar.readings`; 0 is the usual meaning.
+"""
 
 from __future__ import annotations
 
@@ -81,11 +85,11 @@ class ClauseMeaning:
         self.rules += [at_most(names, n) for names, n, again in self.limits if not again]
         self.limits = [limit for limit in self.limits if limit[2]]
 
-    def add(self, other: ClauseMeaning, joint: str = "") -> None:
-        """Add another meaning: both apply."""
+    def add(self, other: ClauseMeaning, joint_kind: str = "") -> None:
+        """Add another meaning: both apply. The kind of the joint is `and`, `comma`, … or ""."""
         if self.goals and other.goals:
-            self.listed = self.listed and joint in ("", "comma")
-            self.commas = joint == "comma"
+            self.listed = self.listed and joint_kind in ("", "comma")
+            self.commas = joint_kind == "comma"
         self.goals += other.goals
         self.things = NounPhrase(self.things.groups + other.things.groups)
         self.rules += other.rules
@@ -124,6 +128,7 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
         )
     if clause.things.every and (meaning := _meaning_of_every(clause, clause.things, reader)):
         return meaning
+    # One object has no order.
     alone = len(clause.things.groups) + len(clause.route) < 2 and not clause.negated
     if alone and (clause.order == "strict order" or (clause.order and clause.conditions)):
         reader.refuse("an order goes with a list: 'visit a, b and c in this order'", clause.token)
@@ -177,7 +182,7 @@ def _meaning_of_ban(
         reader.refuse_finally("use two sentences", clause.token)
     for avoided in clause.avoiding:  # "do not visit b without visiting a"
         meaning.rules += held_until(things.names, avoided)
-    if clause.count:
+    if clause.count:  # "never visit a more than twice"
         _add_count(clause, things, clause.count, meaning, times)
         _refuse_conditions(clause, reader)
     elif _is_again(clause, things, times) and not (
@@ -187,12 +192,13 @@ def _meaning_of_ban(
     elif _is_again(clause, things, times) and all(
         c.things.names == things.names for c in clause.conditions
     ):
+        # At most as many visits as were asked for; else the condition says how many.
         for name in things.names:
             most = times.get(name, 1)
             for condition in clause.conditions:
                 most = condition.count.least if condition.count else most
             meaning.limits.append(((name,), most, None if clause.conditions else clause.token))
-    elif clause.conditions:
+    elif clause.conditions:  # "do not visit a before b"
         for condition in clause.conditions:
             meaning.rules += _rules_of_ban(clause, things, condition, reader)
             if condition.kind in ("before", "until"):
@@ -264,9 +270,10 @@ def _meaning_of_order(
 ) -> ClauseMeaning:
     """Return the meaning of `visit x …`, `you must visit x …`, `you can visit x …`."""
     meaning = ClauseMeaning()
+    # "visit a at most twice until b"
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _meaning_of_count_until(clause, things, clause.count, reader, times)
-    if clause.count and len(things.groups) > 1 and clause.order:
+    if clause.count and len(things.groups) > 1 and clause.order:  # "a, b in order, once each"
         most = clause.count.most
         meaning.goals.append(
             steps([visits(NounPhrase((g,)), clause.count.least) for g in things.groups])
@@ -281,11 +288,13 @@ def _meaning_of_order(
         meaning.things = things
     if clause.count and clause.route:
         reader.refuse_finally("unclear if the path is counted too; use two sentences", clause.token)
-    if clause.order == "strict order":
+    if clause.order == "strict order":  # "visit a and b in exactly this order"
         for before, after in itertools.pairwise(_steps_of(clause, things)):
             meaning.rules += held_until(after.names, before)
+    # "go to b only through a"
     if clause.only_way and reader.pick(reader.tokens[-1], 2) == 1:
         meaning.rules += held_until(things.names, NounPhrase(clause.route[-1].groups))
+    # "Visit a without b": the ban ends at a, or is permanent if nothing comes before or after.
     last = reader.is_at("end") or reader.is_at("end", ahead=1)
     alone = last and (clause.during or not times)
     for avoided in (*clause.avoiding, *clause.not_first):
@@ -300,8 +309,9 @@ def _meaning_of_order(
             meaning.rules += never(others)  # nothing follows, so the safer reading costs nothing
         else:
             meaning.withouts.append((tuple(others), things, clause.token))
-    for avoided in clause.not_first:
+    for avoided in clause.not_first:  # "without visiting b first"
         meaning.rules += held_until(avoided.names, things)
+    # Names that were visited before: no further visit until the goal.
     for avoided in (*clause.not_again, *clause.avoiding):
         again = [n for n in avoided.names if n in times or avoided in clause.not_again]
         meaning.rules += [
@@ -362,6 +372,7 @@ def _add_condition(
 ) -> None:
     """Add the effect of a condition on "visit x"."""
     kind, when = condition.kind, condition.things
+    # "Whenever you visit y, visit x" and "once you visit y you must visit x": x after every y.
     answers = (condition.recurring and clause.mood != "can") or clause.mood == "must"
     if kind == "after" and clause.verb.startswith(_END_VERBS) and not condition.recurring:
         answers = False  # the end of the mission is no reaction
@@ -422,6 +433,7 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
     duty = clause.mood == "must" and not clause.subject
     if duty or clause.done or clause.token.text.startswith(_DUTY_STARTS):
         return True
+    # Positions of the clause's and of the condition's first token.
     start, begin = (
         next(i for i, token in enumerate(reader.tokens) if token is wanted)
         for wanted in (clause.token, condition.token)

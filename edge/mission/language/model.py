@@ -148,6 +148,7 @@ class NeuralTranslator:
         if offered:
             return NeuralReading(tuple(offered), False, doubts)
         if readings and (gains := self._unexplained(readings[0], words)):
+            # The words that are least explained, at least half as bad as the worst one.
             worst = [words[at] for at in sorted(gains) if 2 * gains[at] >= max(gains.values())]
             part = one_line(" ".join(worst), 60)
             raise TranslationError(
@@ -208,6 +209,7 @@ class NeuralTranslator:
         Returns:
             Position of the word → gain of log probability without the word or its phrase [nats].
         """
+        # True for each word that must be explained; a phrase has only such words.
         counts = [not (w in FUNCTION_WORDS or w in NAMES or w in ",.") for w in words]
         phrases = [
             (start, end)
@@ -305,7 +307,7 @@ class NeuralTranslator:
                 continue
             if automaton.steps_left[0] < 0:
                 continue  # it cannot be fulfilled, so it is not meant
-            same = next((members for kind, members in groups if _equal(kind, automaton)), None)
+            same = next((members for other, members in groups if _equal(other, automaton)), None)
             if same is None:
                 groups.append((automaton, [hypothesis]))
             else:
@@ -328,7 +330,7 @@ class NeuralTranslator:
 def _without(words: Sequence[str], start: int, end: int) -> tuple[str, ...]:
     """Return a sentence without a phrase, and without an article that would then precede a name.
 
-    The network never saw an article there.
+    The network never saw an article there. "Go to the second <0>" without "second" is "go to <0>".
     """
     stranded = words[end : end + 1] and words[end] in NAMES and words[start - 1 : start]
     start -= bool(stranded and words[start - 1] in ARTICLES)

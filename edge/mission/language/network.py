@@ -107,6 +107,7 @@ class TranslationNetwork:
         beams: list[tuple[list[str], float]] = [([], 0.0)]
         complete: list[FormulaHypothesis] = []
         while beams and len(beams[0][0]) < MOST_TOKENS:
+            # Log probability, row of the hypothesis in `logits` and `past`, next token.
             extended: list[tuple[float, int, str]] = []
             for row, (tokens, log_p) in enumerate(beams):
                 options = list(allowed(tokens, n_names, MOST_TOKENS))

@@ -28,6 +28,10 @@ COUNTING = ("number", "once", "times n", "at least", "at most", "exactly", "only
 LEAVE = ("leave", "leaving", "exit", "exiting")  # never names
 # Hint of a refusal.
 ONE_OF_A_KIND = "the robot can go to one object of a kind; say 'the …'"
+_ONE_OF = ("one of", "either of", "either one of", "at least one of")
+# Pronouns for several objects, and for one.
+PLURALS = ("them", "these", "those")
+SINGULARS = ("it", "this", "that", "that one", "this one")
 _ELEMENT_KINDS = ("word", "quoted", "article", "either", "all of", "pronoun", "group")
 _STARTS_PREDICATE = ("be", "must", "can", "happen", "banned")
 
@@ -118,8 +122,8 @@ def take_noun_phrase(
             return NounPhrase(tuple((name,) for name in memory.mentioned), every=every)
         return NounPhrase(memory.every, every=every)
     elements = [_take_element(reader, memory)]
-    between: list[Token] = []
-    commas: set[str] = set()
+    between: list[Token] = []  # one token between each two elements
+    kinds_between: set[str] = set()  # of all tokens between elements
     while True:
         if (number := number_ahead(reader, elements[-1])) is not None:
             between.append(number)
@@ -129,16 +133,17 @@ def take_noun_phrase(
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
         aside = reader.is_at("comma") and reader.is_at("or", ahead=1)
-        if aside and not banned and "comma" not in commas:
+        if aside and not banned and "comma" not in kinds_between:
             break  # "the bed, or the sofa": an alternative to all before it
         joined = any(reader.is_at("and", "or", ahead=i) for i in range(ahead))
         if not joined and reader.is_at("to", ahead=ahead - 1):
             break  # "not the elevator, to the second floor"
         if not banned and joined and _has_its_own_time(reader, ahead):
             break  # "…, and the bathroom after the hallway"
-        commas |= {reader.peek(i).kind for i in range(ahead)}
+        kinds_between |= {reader.peek(i).kind for i in range(ahead)}
         if not subject and _is_subject(reader, ahead):
             break
+        # Of ", and to", note the "and".
         joint = next((i for i in range(ahead) if reader.is_at("and", "or", ahead=i)), 0)
         between.append(reader.peek(joint))
         reader.at += ahead
@@ -203,7 +208,6 @@ def _is_subject(reader: TokenReader, ahead: int) -> bool:
     return reader.is_at(*_STARTS_PREDICATE, ahead=ahead)
 
 
-_ONE_OF = ("one of", "either of", "either one of", "at least one of")
 _EARLIER = ("previous", "previously", "visited", "earlier", "one", "already", "other")
 _BEEN = (
     ("you", "have", "visited"), ("you", "have", "been", "to"), ("you", "have", "been"),
@@ -247,11 +251,6 @@ def _has_words(reader: TokenReader, words: Sequence[str]) -> bool:
     return all(reader.peek(i).text == word for i, word in enumerate(words))
 
 
-# Pronouns for several objects, and for one.
-PLURALS = ("them", "these", "those")
-SINGULARS = ("it", "this", "that", "that one", "this one")
-
-
 def _objects_of(token: Token, reader: TokenReader, memory: Antecedents) -> NounPhrase:
     """Return the objects of a pronoun; "them" after a single object means all goals so far."""
     meant = (token.text == "there" and memory.asked) or memory.named
@@ -278,7 +277,7 @@ def _take_element(reader: TokenReader, memory: Antecedents) -> tuple[tuple[str, 
             reader.at += 1  # "them both"
         return meant
     if token := reader.take("either"):
-        return (_take_choice(reader, every=token.text != "either"),)
+        return (_take_choice(reader, whole_list=token.text != "either"),)
     name = take_name(reader)
     last = reader.tokens[reader.at - 1]
     memory.several.pop(name, None)
@@ -293,7 +292,7 @@ def _is_singled(reader: TokenReader) -> bool:
     return reader.is_at("group", ahead=ahead) and is_number(reader, ahead + 1)
 
 
-def _take_choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
+def _take_choice(reader: TokenReader, whole_list: bool) -> tuple[str, ...]:
     """Parse `either x, y or z`, which ends after "or z", or `one of x, y and z`, the whole list."""
     if reader.take("all of"):
         reader.skip("group")
@@ -305,14 +304,14 @@ def _take_choice(reader: TokenReader, every: bool) -> tuple[str, ...]:
         reader.at += 1
     reader.take("to")
     options = [take_name(reader)]
-    decided = False
+    has_or = False
     while (ahead := _joint_length(reader)) is not None:
         joint = {reader.peek(i).kind for i in range(ahead)}
-        if not every and ((decided and "or" not in joint) or "and" in joint):
+        if not whole_list and ((has_or and "or" not in joint) or "and" in joint):
             break
-        decided = decided or "or" in joint
+        has_or = has_or or "or" in joint
         reader.at += ahead
         options.append(take_name(reader))
-    if not every and not decided:
+    if not whole_list and not has_or:
         reader.refuse_finally("'either' needs a second choice")
     return tuple(dict.fromkeys(options))

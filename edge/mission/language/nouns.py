@@ -260,14 +260,16 @@ def unknown_in(words: list[str]) -> int | None:
     ordinal ("first floor") may precede the noun. A number or a letter may follow it ("landmark
     two").
     """
-    begin, end = 0, len(words)
+    begin, end = 0, len(words)  # without the number at the end
     if end > 2 and names.number(words[-2:]) is not None:
         end -= 2
     elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
         end -= 1
+    # The longest noun at the end begins at `start`.
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
     if start is None:
         return _find_wrong_word(words, end)
+    # "bed bed"
     twice = next((i for i in range(1, end) if words[i] == words[i - 1]), None)
     if twice is not None:
         return twice
@@ -275,15 +277,15 @@ def unknown_in(words: list[str]) -> int | None:
         return start  # "the red room path": the room, or a path?
     if start and words[start] in _NAMED_BY_CONTENT and _is_compound(*words[start - 1 : start + 1]):
         start -= 1  # "coffee shop"
-    while begin < start:
+    while begin < start:  # the words before the noun; `after_place` follows a place among them
         word = words[begin]
-        place = next(
+        after_place = next(
             (i for i in range(start, begin, -1) if " ".join(words[begin:i]) in _LEADING), None
         )
-        if place is not None:
-            if words[place - 1] in ROOMS and words[end - 1] in ROOMS:
-                return place  # "kitchen bedroom": two rooms in a row
-            begin = place
+        if after_place is not None:
+            if words[after_place - 1] in ROOMS and words[end - 1] in ROOMS:
+                return after_place  # "kitchen bedroom": two rooms in a row
+            begin = after_place
         elif word in ORDINALS and begin and words[begin - 1] in _LEADING:
             return begin  # "first floor third floor"
         elif word in QUALITIES or _is_ordinal(word) or _is_owner(word):
@@ -304,6 +306,7 @@ def _find_wrong_word(words: list[str], end: int) -> int:
     It is the word after a known noun, or the first unknown word.
     """
     for last in range(end - 1, 0, -1):
+        # The name `words[i:last]` is known, so the word after it is wrong.
         # Limit the search: with thousands of unknown words it would take seconds.
         if any(is_noun(" ".join(words[i:last])) for i in range(max(0, last - _LONGEST), last)):
             return last
@@ -319,6 +322,7 @@ def _is_owner(word: str) -> bool:
     return word.endswith("'s") and is_noun(word[:-2])
 
 
+# "b", "12", "b12", "3a"
 _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
 
 
@@ -352,6 +356,9 @@ def is_word(word: str) -> bool:
     return word in PLAIN_WORDS or word in QUALITIES or is_noun(word)
 
 
+_SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
+
+
 def slip_of(word: str, known: Sequence[str]) -> str | None:
     """Return the known word of which this one is a typing error, or None.
 
@@ -364,16 +371,15 @@ def slip_of(word: str, known: Sequence[str]) -> str | None:
     most = 2 if len(word) >= _LONG else 1
     close = difflib.get_close_matches(word, known, n=5, cutoff=0.7)
     slips = [other for other in close if other != word and other[0] == word[0]]
-    if len(word) < _SHORT:
+    if len(word) < _SHORT:  # a letter may be missing, added or swapped, but not another one
         slips = [s for s in slips if len(s) != len(word) or sorted(s) == sorted(word)]
     return next((slip for slip in slips if _edit_distance(word, slip) <= most), None)
 
 
-_SHORT, _LONG = 5, 8  # letters; two slips are allowed from `_LONG` on
-
-
 def _edit_distance(a: str, b: str) -> int:
     """Return the edit distance: letters to add, drop, change, or swap with the next one."""
+    # Row i of the usual table: distances of a[:i] to each b[:j]; `before` and `older` are the last
+    # two rows.
     before, row = [], list(range(len(b) + 1))
     for i, x in enumerate(a, 1):
         older, before, row = before, row, [i]

@@ -1,9 +1,9 @@
 """Prefix notation of formulas, as the network writes them.
 
-Each token except names has a fixed number of operands. So every prefix can be completed, and no
-prefix needs to be parsed twice. In addition to the operators of `logic.ltl` there are
-abbreviations: `>=n x`, `<=n x` and `=n x` count separate visits to x. `O x y` is at most one visit
-to x before the first y.
+Each operator comes before its operands, and has a fixed number of them. So no parentheses are
+needed, and every beginning of a formula can be completed. In addition to the operators of
+`logic.ltl` there are abbreviations: `>=n x`, `<=n x` and `=n x` count separate visits to x. `O x y`
+is at most one visit to x before the first y.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ OPERATORS: dict[str, tuple[int, Callable[..., Formula]]] = {
 }  # fmt: skip
 """Token → number of operands, and the function that makes a formula of them."""
 _OF_NAMES = {"!", "O"} | {token for token in OPERATORS if token[-1].isdigit()}
-"""Tokens whose operands are names or choices of names."""
+"""Operators whose operands are names, or names joined by "|". That of "!" is a single name."""
 
 
 def arity(token: str) -> int:
@@ -83,14 +83,14 @@ def arity(token: str) -> int:
     return OPERATORS[token][0] if token in OPERATORS else 0
 
 
-def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
+def allowed(written: Sequence[str], n_names: int, most: int) -> Iterator[str]:
     """Yield the tokens that may come next, so that the formula can be completed within the limits.
 
     None is yielded when the formula is complete.
 
     Args:
         written: the tokens so far.
-        names: number of names that the formula may use.
+        n_names: number of names that the formula may use.
         most: largest number of tokens.
     """
     n_missing = 1  # operands that are missing
@@ -102,7 +102,7 @@ def allowed(written: Sequence[str], names: int, most: int) -> Iterator[str]:
     if n_missing == 0:
         return
     n_free = most - len(written) - n_missing  # tokens left after the missing operands
-    yield from NAMES[:names]
+    yield from NAMES[:n_names]
     if name_only[-1]:
         if n_free >= 2 and (not written or written[-1] != "!"):
             yield "|"

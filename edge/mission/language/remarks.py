@@ -41,7 +41,7 @@ SUBORDINATE = (
     r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
     r"(?:for|in order) to (?:know|learn|get to know) )"
 )
-"""Regular expression for the space before a clause of reason without a comma."""
+"""Regular expression for the space before a clause of reason: "wait because I am busy"."""
 
 
 def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:

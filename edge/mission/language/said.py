@@ -1,8 +1,8 @@
 """Classification of an utterance: a mission, a question, an order to learn, or control.
 
 `understand` is the entry for all that a person writes. Each kind except the mission has sentence
-templates (module `utterances`). An utterance that fits none of them is a mission for the
-translators.
+templates (module `utterances`) with slots for names (see `templates`). An utterance that fits none
+of them is a mission for the translators.
 """
 
 from __future__ import annotations
@@ -113,15 +113,21 @@ _IN_A_MISSION = ("keep_out", "stay_inside", "pause")  # `do` of orders that a mi
 _OBJECT_SLOTS = ("thing", "name", "anchor", "room")  # slots whose text must not be vague
 _ZONE_KINDS = ("keep_out", "stay_inside", "open")  # `do` of orders whose room may also be a site
 _QUESTION_REWRITES = (
+    # "somebody put the mug on the desk, is that right?"
     (re.compile(rf"^(?:(?:somebody|someone) \w+ )?({NAME} {phrase_of('relation')} {NAME})"
                 r", (?:is that (?:right|true|so)|right|yes or no)(?=\?$)", re.I), r"is \1"),
+    # "my keys, they are on the desk?"
     (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)"
                 rf"(?= {phrase_of('relation')} [^.;:!]*\?$)", re.I), r"\2 \1"),
+    # "so there is a mug?", "it is there a mug?"
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
+    # "my keys, are they on the desk?"
     (re.compile(rf"^({NAME}),? (is|are|was|were) (?:it|they)(?= )", re.I), r"\2 \1"),
+    # "on the desk, is there a mug?"
     (re.compile(rf"^((?:in|on|under|at) {NAME}),? (?:there (is|are)|(is|are) there)"
                 rf" ({NAME})(?=\?$)", re.I), r"\2\3 there \4 \1"),
+    # "the mug is still on the desk?"
     (re.compile(rf"^({NAME}) (is|are|was|were)(?=(?: still| really)* {phrase_of('relation')} "
                 r"[^.;:!]*\?$)", re.I), r"\2 \1"),
 )  # fmt: skip

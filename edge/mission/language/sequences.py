@@ -34,6 +34,7 @@ def sequence_goal(sequence: Sequence[ClauseMeaning], reader: TokenReader) -> Goa
     rules: list[Formula] = []
     for i, meaning in enumerate(sequence):
         after = sequence[i + 1 :]
+        # A list with commas only is in order if a step follows: "a, b, then c".
         parts += _in_order(meaning) if after else meaning.goals and [_together(meaning.goals)]
         rules += meaning.rules
         rules += _rules_of_bans(meaning, sequence[:i], after)
@@ -158,6 +159,7 @@ def repeat_visit(
     visit = step.goals[-1] if step.goals else None
     if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
         reader.refuse("use two sentences", token)
+    # `count` includes the last of the visits that the step has already.
     step.goals[-1] = Visit(visit.options, visit.times - 1 + count.least)
     if count.most is not None:
         step.limits.append((visit.options, visit.times - 1 + count.most, None))
@@ -222,6 +224,7 @@ def chain_waits(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | N
     Args:
         waits: see `ClauseMeaning.waits`.
     """
+    # Name → the name before it; `first` is the name without one before it.
     before = {name: until.names[0] for names, until in waits for name in names}
     single = all(len(names) == 1 and len(until.names) == 1 for names, until in waits)
     first = set(before.values()) - before.keys()
@@ -269,6 +272,7 @@ def _rules_of_bans(
     rules: list[Formula] = []
     for names in meaning.bans:
         for name in names:
+            # The ban of a name that is asked for ends when the step's other objects are reached.
             own = NounPhrase(tuple(group for group in meaning.things.groups if name not in group))
             if name in visited and own.groups:
                 rules += [at_most_before([name], visited[name], end) for end in own.groups]

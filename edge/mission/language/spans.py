@@ -13,6 +13,7 @@ _WORD_VALUES = {
     "a couple of": 2.0, "a couple": 2.0, "couple of": 2.0, "a quarter of an": 0.25,
     "quarter of an": 0.25, "quarter": 0.25, "a good": 1.0,
 }  # fmt: skip
+# Regular expressions; the longest words come first, so that "half a" comes before "half".
 _TENS = rf"(?:{'|'.join(names.TENS)})(?:[ -](?:{'|'.join(names.SMALL_NUMBERS[1:10])}))?"
 _NUMBER = rf"(?:\d+(?:\.\d+)?|{_TENS}|{'|'.join(sorted(names.SMALL_NUMBERS, key=len)[::-1])})"
 COUNT = rf"(?:a couple of|a couple|{_NUMBER}|a)"

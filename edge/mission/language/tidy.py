@@ -20,6 +20,8 @@ _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
            "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
+# "the door's painted" has "is" only at the end of a clause: "the robot's painted door" is the
+# robot's. "room 3's painted" and the listed words have it anywhere.
 _APOSTROPHE_IS = re.compile(
     r"(?<=\w)'s (?=\w+ed\b(?! \w))|(?<=\d)'s (?=\w+ed\b)|"
     r"(?<=\w)'s (?=(?:still|there|not|been|now|off limits|okay|ok|free|open|closed|clear|gone|"
@@ -49,17 +51,21 @@ _REPEATED = re.compile(
     rf"|({_BEGINS}(?: (?!(?:and|or|then)\b)[\w']+){{0,3}})(?: the| an?| my)?(?:,? \2(?![\w'-]))+)",
     re.I,
 )
-"""One to four words that a speaker says twice: "where is the where is the"."""
+"""Words that a speaker says twice: "where is the where is the", "explore hall, explore hall"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
     rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
     re.I,
 )
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""
+# The middle of "the bed, sorry, the sofa" and "the bed, no, the sofa".
 _CORRECTION = (
     rf"[ ,.]*\b{phrase_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 )
 _CORRECTS = re.compile(_CORRECTION, re.I)
+# Removed at the start, in lines from the top: "be a pirate and", "could you please", "I want you"
+# before "go", the "you" of "you go to the bed", the "do" of "do go". Kept: the "can you" of
+# "can you see a mug", the "let us" of "let us play", the "you" of "you may go".
 _OPENING = re.compile(
     rf"(?:(?:let us play|pretend (?:(?:that )?you are|to be)|be) {NAME} and(?: you)? |"
     rf"(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
@@ -70,6 +76,7 @@ _OPENING = re.compile(
 )
 _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{phrase_of('closing')})+[ .!?]*$", re.I)
 _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),", re.I)
+# Also the "to" of "please to find it", but not that of "please to the bed".
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
 # No closing phrase is removed after such an end: "the robot" stays whole.
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
@@ -85,19 +92,19 @@ class TidySpeech:
     """An utterance without what speech adds to it.
 
     Attributes:
-        text: the rest, in one line. Each quotation is one private Unicode character in it.
-        reasons: clauses that were left out because they only give a reason.
-        corrected: True if the speaker corrected or repeated words.
-        quoted: the quotations, in the order of their characters; see `restored`.
+        text: the rest, in one line. A private Unicode character stands for each quotation.
+        reasons: the clauses that were left out because they give no order.
+        repaired: True if the speaker corrected or repeated words.
+        quoted: the quotations in double quotes, in the order of their private characters.
     """
 
     text: str
     reasons: tuple[str, ...] = ()
-    corrected: bool = False
+    repaired: bool = False
     quoted: tuple[str, ...] = ()
 
-    def restored(self, text: str) -> str:
-        """Return a text with its quotations in place."""
+    def with_quotations(self, text: str) -> str:
+        """Return a text with the quotations in place of their private characters."""
         for i, quotation in enumerate(self.quoted):
             text = text.replace(chr(_FIRST_MARK + i), quotation)
         return text
@@ -127,16 +134,17 @@ def tidy_up(utterance: str) -> TidySpeech:
     text = " ".join(_HESITATION.sub(_keep_if_it_corrects, text).split())
     text = _ADDRESS.sub(",", text)
     text = _PLEASE.sub(_comma_if_within, text).strip() or text
-    text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)
+    text = re.sub(r"^(go|come|drive) you\b", r"\1", text, flags=re.I)  # "go you to the bed"
+    # "could you like find it"
     text = re.sub(r"\b((?:could|can|would) you) like (?!to\b)", r"\1 ", text, flags=re.I)
     text = re.sub(r"\b(?:would|do) you mind (\w+)ing\b", _base_form, text, flags=re.I)
-    text = re.sub(r"[ ,]+:(?= )", ":", text)
+    text = re.sub(r"[ ,]+:(?= )", ":", text)  # "find , : the bed"
     unrepeated = _REPEATED.sub(r"\1\2", text)
     uncorrected = strip_politeness(_LIKE.sub("", unrepeated))
-    corrected = _apply_corrections(uncorrected)
-    kept, reasons = split_off_reasons(corrected)
+    text_after_corrections = _apply_corrections(uncorrected)
+    kept, reasons = split_off_reasons(text_after_corrections)
     kept = re.sub(r"[ ,;:]+([.!?])", r"\1", strip_politeness(kept))
-    repaired = unrepeated != text or corrected != uncorrected
+    repaired = unrepeated != text or text_after_corrections != uncorrected
     return TidySpeech(kept, reasons, repaired, tuple(quoted))
 
 
@@ -227,14 +235,16 @@ def _find_replaced(before: str, after: str) -> int | None:
 def split_off_reasons(text: str) -> tuple[str, tuple[str, ...]]:
     """Split off the clauses that give no order: "I heard a noise", "so you know your way".
 
-    Nothing is split off if no other clause would be left, or if a later clause may refer to a name
-    in a remark ("the mug is dirty, find it").
+    They are called reasons here, and `is_remark` finds them. Nothing is split off if no other
+    clause would be left, or if a later clause may refer to a name in a reason ("the mug is dirty,
+    find it").
 
     Returns:
-        The other clauses as one text, and the remarks.
+        The other clauses as one text, and the reasons.
     """
     # Clauses are at even indices, the marks between them at odd ones.
     pieces = re.split(rf"([.!?;,]+ |{SUBORDINATE})", text, flags=re.I)
+    # `kept` has the indices of the other clauses; `refers`: one of them may refer to a reason.
     kept, reasons, refers = [], [], False
     for at in range(0, len(pieces), 2):
         clause = pieces[at].strip(" .!?;")

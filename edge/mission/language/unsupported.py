@@ -61,6 +61,7 @@ BEYOND_NAMES = nouns.split_entries(
     nearest closest nearby nearer closer farthest furthest farther further leftmost rightmost
     middlemost next-door"""
 )
+"""Words that compare objects, or say which one by its place; no name has them."""
 _MOST_NAME_WORDS = 6
 _SPOTS = ("spot", "spots", "place", "position", "point", "somewhere", "anywhere", "everywhere")
 _WITH = ("with", "at", "between", "by")
@@ -96,6 +97,7 @@ def refuse_unsupported(reader: TokenReader) -> None:
         before = _previous(reader)
         if hint == _WHERE:
             start = _name_before(reader) or token
+        # The message begins at the name, or at the preposition of the time.
         if hint == _TIME and before and before.text in _AT_TIMES:
             start = before
         if hint:
@@ -105,7 +107,10 @@ def refuse_unsupported(reader: TokenReader) -> None:
 
 
 def _reason(reader: TokenReader, denied: bool) -> str:
-    """Return why the token here cannot be understood; "" if it may be understood."""
+    """Return why the token here cannot be understood; "" if it may be understood.
+
+    `denied` is True after "not", "without", "avoid" or "neither" in the same part of a sentence.
+    """
     token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.kind in ("quoted", "end"):
         return ""
@@ -277,6 +282,7 @@ def _is_staying(reader: TokenReader, denied: bool) -> bool:
     if not token.text.startswith(_KEEPS):
         return False
     if token.kind == "avoid":  # "never stay away from a"
+        # The last token before it that is no filler.
         before = next(t for t in [*reader.tokens[reader.at - 1 :: -1], token] if t.kind != "filler")
         return reader.at > 0 and denied and before.kind in _DENYING
     ahead = 1

@@ -54,6 +54,7 @@ class Automaton:
 
     @property
     def n_states(self) -> int:
+        """Number of states."""
         return len(self.delta)
 
     @cached_property

@@ -190,6 +190,7 @@ def _next(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Df
         row = np.full(width, rest[0], np.int32)
         delta, accepting = np.vstack([delta, row]), np.append(accepting, False)
         front = [len(delta) - 1]
+    # The front state becomes state 0: exchange both.
     swapped = np.arange(len(delta), dtype=np.int32)
     swapped[[0, front[0]]] = front[0], 0
     return swapped[delta[swapped]], accepting[swapped]
@@ -199,7 +200,8 @@ def _product(op: str, a: Dfa, b: Dfa, budget: CompileBudget) -> Dfa:
     """Return the reachable product of two automata over the same letters."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
-    index = {0: 0}  # pair i * width + j -> state
+    index = {0: 0}  # pair i * width + j of states of a and b → state of the product
+    # Breadth-first: `pairs` has the new pairs of each level, `rows` their next states.
     rows, pairs = [], [np.zeros(1, np.int64)]
     while len(pairs[-1]):
         i, j = np.divmod(pairs[-1], width)
@@ -258,6 +260,7 @@ class _Until:
         self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], letter: int
     ) -> tuple[tuple[int, ...] | None, tuple[Alternative, ...]]:
         """Return the state after a letter; see the class."""
+        # b may begin with this letter, unless it is too late.
         begun = [*alternatives] if waiting is None else [*alternatives, (waiting, 0)]
         moved: list[Alternative] = []
         for held, state in begun:
@@ -274,6 +277,7 @@ class _Until:
         if self._a_none in moved:
             return None
         self._budget.spend(len(moved) ** 2)
+        # Leave out a state that accepts all that another one accepts, since both must accept.
         return tuple(
             s for s in moved if not any(t != s and self._included_in_a(t, s) for t in moved)
         )
@@ -348,6 +352,7 @@ def minimise(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) ->
     Only reachable states stay; they are numbered breadth-first, letters in their order.
     """
     n = len(delta)
+    # Number of each state's block, and the number of blocks: first one or two, by acceptance.
     block, count = accepting.astype(np.int64), int(accepting.max()) + int(not accepting.all())
     while count < n:
         budget.spend_cells((n + _CALL_CELLS) * delta.shape[1])

@@ -418,11 +418,11 @@ def _separate_operators(word: str) -> str:
     for found in _BINARY.finditer(word, 1):
         left, op, right = word[: found.start()], found[0], word[found.end() :]
         # `livingRoom` is a name; `aRb` and `chairRtable` are not, nor is `pinkBoxUtv`.
-        until = op == "U" and word[0].islower() and re.match(WORD, right)
-        if not until and not _is_operand(left):
+        is_until = op == "U" and word[0].islower() and re.match(WORD, right)
+        if not is_until and not _is_operand(left):
             continue
         spaced = _separate_operators(right)
-        if until or spaced or _is_operand(right):
+        if is_until or spaced or _is_operand(right):
             return f"{left} {op} {spaced or right}"
     return ""
 

@@ -76,7 +76,8 @@ def minimal_automaton_by_spot(
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
     steps = _step_conditions(finite, buddy, len(letters))
     rows, accepting = _determinise(finite, steps, buddy.bddfalse, budget)
-    # The empty trace may differ from other traces that lead to the initial state.
+    # The empty trace may differ from other traces that lead to the initial state. So a copy of the
+    # initial state comes first, and all numbers grow by 1.
     delta = np.array([rows[0], *rows], np.int32) + 1
     accepting = [_accepts_empty_trace(formula), *accepting]
     return minimise(delta, np.array(accepting), budget)

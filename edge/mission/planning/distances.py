@@ -44,15 +44,16 @@ def distances(
         snapshot: the map: -1 unknown, 0 free, 100 obstacle, 1 … 99 too near to an obstacle for
             the robot.
         robot_xy_m: position of the robot in `map`.
-        positions: for each letter (m, 2) float64, its known instances in `map`; (0, 2) for none.
-            The nearest instance counts.
+        positions: for each object of the mission (m, 2) float64, its known instances in `map`;
+            (0, 2) for none. The nearest instance counts.
         unknown_cost: cost of a metre over unknown cells, in metres, 1 … 100.
         snap_m: largest distance from an object, or from the robot, to its nearest cell.
         cell_m: approximate cell size of the search; at least the map's cell size is used.
 
     Returns:
-        (k + 1, k) float64, last row from the robot. 0 from an object to itself. inf if there is
-        no path, no instance, or no cell near the instance that the robot may enter.
+        (k + 1, k) float64 for k = len(positions), last row from the robot. 0 from an object to
+        itself. inf if there is no path, no instance, or no cell near the instance that the robot
+        may enter.
 
     Raises:
         ValueError: `unknown_cost` is out of range.
@@ -71,6 +72,7 @@ def distances(
     state = np.zeros((height + 2, width + 2), np.uint8)
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
+    # The grid of the search; each of its cells is a block of cells of the map.
     blocks, radius = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
     ends = [_path_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), radius) for p in positions]
     robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), radius)
@@ -143,7 +145,7 @@ def coarsen(cells, factor, state):
     h, w = cells.shape
     for row in range(state.shape[0] - 2):
         for col in range(state.shape[1] - 2):
-            value = CLOSED  # -1: an obstacle was found, so nothing opens the block again
+            value = CLOSED  # -1 after an obstacle, so that no other cell opens the block again
             for y in range(row * factor, min((row + 1) * factor, h)):
                 for x in range(col * factor, min((col + 1) * factor, w)):
                     cell = cells[y, x]

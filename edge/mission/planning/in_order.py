@@ -19,9 +19,10 @@ from edge.mission.planning.vitl import VitlPlanner
 class InOrderPlanner:
     """Planner that takes the first letter that changes the state and keeps success possible.
 
-    It respects the constraints of the mission and failed objects. It ignores detections and
-    distances, so it is the baseline that shows their value. It may loop if the automaton leads
-    back to an earlier state.
+    A letter is a proposition of the formula, or `NOTHING`. A state is hopeful if acceptance can be
+    reached from it without a failed object; all planned steps lead to hopeful states. So the plan
+    respects the constraints of the mission. It ignores detections and distances: as a baseline, it
+    shows their value. It may loop if the automaton leads back to an earlier state.
     """
 
     def __init__(self, config: PlannerInOrder, automaton: Automaton) -> None:
@@ -38,7 +39,7 @@ class InOrderPlanner:
         if a.steps_left[state] < 0:
             return DEAD
         hopeful = self._hopeful_states(knowledge.failed)
-        if not hopeful[state]:
+        if not hopeful[state]:  # there is no plan; this one names the failed objects as the reason
             return VitlPlanner(PlannerVitl(), a).plan(state, knowledge, current)
         steps: list[str] = []
         seen: set[int] = set()

@@ -62,6 +62,8 @@ class VitlPlanner:
         k, n = len(automaton.propositions), automaton.n_states
         self._by_distance = config.weights == "distance"
         self._explore_m = config.explore_m
+        # A place is one of the k objects, or the robot's position, which is the last one; see
+        # `plan_kernels` for the arrays.
         places = k + 1 if self._by_distance else 1
         self._robot_place = places - 1
         self._order = order_of_relaxation(automaton)
@@ -95,6 +97,7 @@ class VitlPlanner:
         )  # fmt: skip
         cost, steps = self._first_cost.tolist(), self._first_steps.tolist()
         names = (*a.propositions, NOTHING)
+        # Columns of the letters, best first.
         ranked = sorted(
             (c for c in range(len(names)) if cost[c] != kernels.UNREACHABLE),
             key=lambda c: (cost[c], steps[c], names[c] != current),
