@@ -171,7 +171,8 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
     T_base_cam0 = T_base_velo @ invert(T_cam0_velo)
-    # A pose in the file takes points of cam0 to the first frame's cam0; T_map_base, of base to base.
+    # A pose in the file takes points of cam0 to the first frame's cam0. T_map_base is the same
+    # motion, of the base.
     T_first_cam0 = _rigid(poses[number].reshape(3, 4), f"{folder / 'poses.txt'}: line {number + 1}")
     observation = Observation(
         seq=number,

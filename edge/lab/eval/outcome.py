@@ -15,6 +15,7 @@ from edge.text import one_line
 
 OUTCOMES_NAME = "outcomes.jsonl"
 MAX_BYTES = 1 << 30
+"""Largest file of outcomes that is read."""
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
@@ -38,7 +39,7 @@ class EpisodeOutcome:
         shortest_m: shortest path of the episode.
         success: the service reported `reached`, and each time the robot was within `REACHED_M` of
             the footprint of such an object.
-        reason: one line.
+        reason: why the episode ended, in one line.
         failure: one of `FAILURES`; None for a success.
         path_m: length of the driven path, by ground truth.
         elapsed_s: simulated time.
@@ -118,7 +119,10 @@ def crashed_outcomes(
     if not episode.goals:
         return [crashed]
     parts = list(enumerate(zip(episode.parts, episode.goals, strict=True), start=1))
-    return [replace(crashed, episode=id, target=goal, goal=k) for k, (id, goal) in parts[done:]]
+    return [
+        replace(crashed, episode=part_id, target=goal, goal=k)
+        for k, (part_id, goal) in parts[done:]
+    ]
 
 
 def crashed_outcome(

@@ -1,8 +1,8 @@
 """`edge eval translate`: count correct translations of instructions, by language equivalence.
 
-A mission ends, but some sets have formulas about infinite traces. Such a formula is taken to accept a
-finite trace if it holds for that trace followed by empty steps for ever. A formula that accepts no
-trace with at most one object per step, such as "visit a for ever", is counted as not expressible.
+A mission ends, but some sets have formulas about infinite traces. Such a formula counts as true
+for a finite trace if it holds for that trace with endless empty steps after it. If it holds for no
+trace with at most one object per step, as "visit a for ever", the case counts as not expressible.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def score(case: TranslationCase, translator: Translator) -> TranslationScore:
 def summary(scores: Sequence[TranslationScore], left_out: Counter[str]) -> dict[str, Any]:
     """Count outcomes by part (group of cases) and in total.
 
-    `left_out` is the number of cases that are not expressible, by part.
+    `left_out` is the number of cases that were left out, by part. They count as not expressible.
     """
     parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
     return {
