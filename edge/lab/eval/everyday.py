@@ -139,6 +139,7 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
 
 
 def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
+    """Return the kind of a sentence that is no mission, as in `expect`."""
     return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(said)]
 
 
@@ -168,9 +169,11 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
 def _normalise(name: str) -> str:
     """Return a name without articles, in canonical words: "lamp next to sofa"."""
     text = _ARTICLES.sub("", f"{name.lower()} ").strip()
+    # "nearest lamp to sofa" becomes "lamp nearest to sofa".
     text = re.sub(r"^(?:nearest|closest) (.+?) to ", r"\1 nearest to ", text)
     for word, same in (("beside", "next to"), ("close to", "near"), ("inside", "in")):
         text = re.sub(rf"\b{word}\b", same, text)
+    # Each part of "lamp next to sofa" gets its canonical name: "lamp next to", "sofa".
     return (
         " ".join(names.canonical(part) for part in re.split(r"(?<=next to) ", text)) if text else ""
     )
@@ -199,8 +202,10 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
         return False
     timeless = renamed(got, lambda name: _normalise(re.sub(rf" (?:for )?{DURATION}$", "", name)))
     plain = renamed(expected, _normalise)
+    # The expected formula may leave out waits.
     if "wait" in propositions(timeless) and "wait" not in propositions(plain):
         timeless = _without_waits(timeless)
+    # `got` is one round of a patrol; so take one round of the expected formula, too.
     plain, _ = recurrence(plain, patrol_s != 0.0)
     stops = propositions(plain)
     # Also right: no stop may be reached before the one that comes first.
@@ -225,7 +230,7 @@ def _without_waits(formula: Formula) -> Formula:
 
 
 def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]]:
-    """Count outcomes by what a sentence should be, and of all."""
+    """Count outcomes by `expect`, the correct kind of a sentence, and of all sentences."""
     parts = [*dict.fromkeys(s.case["expect"] for s in scores), "all"]
     found = {p: Counter(s.outcome for s in scores if p in ("all", s.case["expect"])) for p in parts}
     return {

@@ -86,8 +86,8 @@ class GroundTruthLogger:
         stops: for each `reached` report, the label and the true distance [m].
         confirmed: by target, the ids of instances that were confirmed correctly.
         false_confirmed: ids of instances that were confirmed but are not the target.
-        revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
-            single target.
+        revisited_m2: floor that a search saw again after an earlier leg (pursuit of one target) of
+            the mission; None for a single target.
         answers: see `EpisodeOutcome`; the caller sets them.
     """
 

@@ -52,13 +52,14 @@ class EpisodeOutcome:
         wrong_stops: number of `reached` reports that were wrong.
         false_confirmations: number of confirmed instances that are not the target.
         revisited_m2: floor that a mission's searches saw again after an earlier leg
-            (`edge.lab.eval.revisits`); None for one target.
-        goals: number of goals sent.
+            (`edge.lab.eval.revisits`), which is the pursuit of one target; None for one target.
+        goals: number of goals (poses to drive to) that the service sent.
         tick_ms: p50, p95 and max of the tick.
         score_ms: p95 of the stage that scores the candidates.
         trail: [x, y] of the robot every 0.25 m, in metres.
         goal_xy: [x, y, kind of candidate] of every goal, in metres.
-        goal: number of the goal in its session, from 1; None if the episode is no session.
+        goal: number of the target among those of its session, from 1; None if the episode is no
+            session.
         ways: see `Episode.ways`.
         zone_entries: number of times that the robot's footprint entered a keep-out zone; None
             without zones.

@@ -19,7 +19,7 @@ from edge.lab.sim.base import FloorPlan, World
 CELL_M = 0.1  # side of a cell
 SAME_M = 0.5  # a known place within this distance of an object is that of the object
 NEW, BEFORE, NOW = 0, 1, 2
-"""Bits of a cell: seen before this leg; seen in this leg. NEW has no bit set: never seen."""
+"""State of a cell: NEW if it was never seen, else bits: seen before this leg, seen in this leg."""
 
 
 class RevisitCounter:

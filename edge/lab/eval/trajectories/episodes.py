@@ -253,6 +253,7 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
         and item.center_m[2] - 0.5 * item.size_m[2] < _MAX_ABOVE_FLOOR_M
     ]
     objects = {k: _house_object(k, item, pose, cells, allowed) for k, item in enumerate(items, 1)}
+    # Without a picture, its camera, and outlines in it.
     return Scene(0, pose, objects, regions, occupancy, cells, None, None, None, {})
 
 

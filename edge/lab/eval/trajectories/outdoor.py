@@ -115,6 +115,7 @@ def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
         cells = int((regions_grid.cells == ground.id).sum())
         if cells:
             regions[ground.id] = Region(ground.id, ground.label, cells * CELL_M**2)
+    # Without a picture, its camera, and outlines in it.
     scene = Scene(0, robot_pose, objects, regions, occupancy, regions_grid, None, None, None, {})
     return scene, cloud_m
 

@@ -6,13 +6,14 @@ The paper draws them by hand; here a rule makes them.
 |---|---|
 | go to A, stop at A | to the stop at A. Candidates are points with a free line to A, nearly as near to A as the nearest (`ABOUT_M`). The stop is the candidate nearest to where the robot comes from |
 | drive past the left of A, then stop at B | by a point abeam of A, on its left as seen from the robot's start; then to the stop at B |
-| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, until B is abeam; then to the stop at B |
+| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, up to the direction of B; then to the stop at B |
 | go to A, then stop at B | to the stop at A, then to the stop at B |
 
-A stop at A is a point where the robot may stop to be at A. A point abeam of A leaves `ASIDE_M`
-between A and the robot. From point to point the reference is the
-cheapest path over drivable ground. Cells within `COMFORT_M` of the necessary clearance cost more. If a
-path is longer than twice the straight line plus 5 m, the task is left out.
+A stop at A is a point where the robot is at A when it stops. A point abeam of A is next to it, at a
+right angle to the line from the robot's start, and leaves `ASIDE_M` between A and the robot. From
+point to point the reference is the cheapest path over drivable ground. A cell is closed if the robot's
+centre cannot be there, else open. Open cells within `COMFORT_M` of closed ones cost more. If a path is
+longer than twice the straight line plus 5 m, the task is left out.
 
 An object gets an unambiguous name:
 
@@ -49,13 +50,13 @@ CATEGORIES = ("specific", "ambiguous", "high-level")
 ASIDE_M = 0.8
 """Gap between an object and a robot that drives past or around it."""
 COMFORT_M = 1.0
-"""Distance beyond the robot's radius within which cells near obstacles cost more."""
+"""Distance from closed cells within which open cells cost more."""
 ABOUT_M = 0.35
 """A candidate for a stop is farther from the object than the nearest one by at most this."""
 MAX_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
-"""A robot on a closed cell (one too near to an obstacle) begins at an open cell this near."""
+"""A robot on a closed cell begins at the nearest open cell, if it is within this distance."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
@@ -275,7 +276,7 @@ def _segments(
             return ()
         parts = [_abeam(place, first, side, math.pi / 2)[None]]
     else:
-        until_rad = _turn_rad(place, first, side, last.at_m)
+        until_rad = _turn_rad(place, first, side, last.at_m)  # the angle of B
         if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
             return ()
         angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
