@@ -1,8 +1,10 @@
 """Oracle policies for evaluations: upper bounds that use the simulator's ground truth.
 
 An evaluation passes them the simulator's `world`. A robot refuses a configuration that names one.
-They spin (`policy.spin`) if a spin shows anything: SPL counts only the path, and a spin
-adds none.
+They spin (`policy.spin`) if a spin shows anything: SPL (success weighted by path length) counts
+only the path, and a spin adds none.
+
+A distance field has the metres left to drive from each cell, (rows, columns) float64.
 """
 
 from __future__ import annotations
@@ -187,7 +189,7 @@ def _path_m(candidates: Candidates) -> np.ndarray:
 
 
 def _values_at(world: World, left_m: np.ndarray, candidates: Candidates) -> np.ndarray:
-    """Return the field at each candidate, (n,) float64; outside the plan, at its edge."""
+    """Return the field `left_m` at each candidate, (n,) float64; outside the plan, at its edge."""
     cells = world.plan.grid.to_cells(candidates.xy_m[: candidates.n].astype(np.float64))
     col, row = np.floor(cells).astype(int).T
     return left_m[np.clip(row, 0, len(left_m) - 1), np.clip(col, 0, left_m.shape[1] - 1)]

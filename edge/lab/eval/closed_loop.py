@@ -34,7 +34,13 @@ START_NS = 1_000_000_000  # stamp of the first observation
 
 
 class RunLog:
-    """Sink that collects the goals, events and goal statuses of a run."""
+    """Sink that collects what happened in a run.
+
+    Attributes:
+        goals: the goals that the service sent.
+        events: texts of the events of the mission log.
+        answers: the goal statuses that the service received.
+    """
 
     def __init__(self) -> None:
         self.goals: list[Goal] = []
@@ -154,8 +160,10 @@ class ClosedLoop:
         answers: list[GoalStatus] = []
         for goal in self.notes.goals[n_goals:]:
             answers += self.controller.on_goal(goal.stamp_ns, goal.pose)
-        command, more = self.controller.step(motion.odometry, motion.v_mps, motion.w_radps, now_ns)
-        for answer in answers + more:
+        command, later_answers = self.controller.step(
+            motion.odometry, motion.v_mps, motion.w_radps, now_ns
+        )
+        for answer in answers + later_answers:
             self.service.on_goal_status(answer)
         self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
 

@@ -1,6 +1,8 @@
 """Episodes of an evaluation: a target or a mission in a world, from a start.
 
-Episodes are planned once, then run with any arm.
+Episodes are planned once, then run with any arm (one of the configurations to compare). A section
+is a part of a configuration, such as `sim.world`. In a session, the robot searches for several
+goals one after another.
 
 A file of episodes (JSON lines) holds all that a rerun needs: the world's section, the start, the
 task, the shortest path, and the sensors.
@@ -33,6 +35,7 @@ from edge.text import one_line, read_json_object
 
 log = logging.getLogger("edge.lab.eval.episodes")
 MAX_BYTES = 1 << 28
+"""Largest file of episodes that is read."""
 
 COMMON_TARGETS = (
     "bed", "chair", "house plant", "sofa", "television", "toilet",
@@ -61,7 +64,7 @@ class Episode:
         sensing: sections `robot`, `sensors` and `sim`, the same for every arm, unless an arm
             changes them.
         goals: names of the objects to find one after another (`edge.lab.eval.sessions`).
-        moved: share of the movable objects that move before each goal but the first.
+        moved: share of the movable objects that are moved before each goal but the first; 0 to 1.
         site: zones, as GeoJSON (`edge.lab.eval.zones`); empty if there are none.
         ways: "detour" if a path around the zones is left, "closed" if not; "" without zones.
         asks: names to ask for at the end (`edge.lab.eval.questions`).
@@ -121,8 +124,8 @@ def make_episode(
     content = [world, start, target, instruction, sensing, *([more] if more else [])]
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
     what = one_line(target or instruction or "session", 40).replace(" ", "-")
-    id = f"{name}/{what}/{digest}"
-    return Episode(id, world, start, target, instruction, shortest_m, sensing, **more)
+    episode_id = f"{name}/{what}/{digest}"
+    return Episode(episode_id, world, start, target, instruction, shortest_m, sensing, **more)
 
 
 def sensing_settings(config: Config) -> dict[str, Any]:
@@ -215,8 +218,8 @@ def plan_missions(
         UserError: a world cannot be loaded, or no mission is possible.
     """
     episodes: list[Episode] = []
-    for place, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
-        world_seed = seed + 1_000_000 * place  # other missions in each world
+    for number, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
+        world_seed = seed + 1_000_000 * number  # other missions in each world
         found = missions.plan_missions(world, targets, count, world_seed, radius_m, min_distance_m)
         episodes += [
             make_episode(
@@ -275,12 +278,12 @@ def _plan_in_world(
     episodes: list[Episode] = []
     for k, target in enumerate(with_progress("targets", targets) if strict else targets):
         objects = objects_of(world, target)
-        field = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
+        distances_m = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
         # Many poses are too near to the target. Each target has its own seed.
         poses = free_poses(world, 50 * starts, seed + 1000 * k, radius_m)
         found = []
         for pose in poses:
-            shortest_m = geodesic.value_at(world.plan, field, pose.x_m, pose.y_m)
+            shortest_m = geodesic.value_at(world.plan, distances_m, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf and len(found) < starts:
                 start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
                 shortest_m = round(shortest_m, 4)

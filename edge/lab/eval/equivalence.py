@@ -60,7 +60,8 @@ def _accepting(automaton: Automaton, silent_end: bool) -> np.ndarray:
     """Return (n_states,) bool: the accepting states.
 
     With a silent end, a state counts if it accepts after enough steps in which nothing is reached.
-    Languages of LTLf are star-free, so repeating one proposition always ends in one state.
+    Repeating such a step always ends in one state, never in a cycle of several: formulas of LTL on
+    finite traces have star-free languages.
     """
     if not silent_end:
         return automaton.accepting

@@ -57,6 +57,8 @@ SITE = Site(tuple(Place(name, SE2(1.0, 1.0, 0.0)) for name in ("dock", "shelf", 
 """The places that the sentences may name."""
 OUTCOMES = ("right", "asked or refused", "wrong")
 _ARTICLES = re.compile(r"\b(?:the|a|an|my|our|your) ")
+# Examples of matches, by row: "forget the dock"; "you may enter the study again"; "stay inside the
+# kitchen"; "keep out of the bath"; "a zone here"; "this place is the dock".
 _LEARN = (
     (r"forget", ("forget",)),
     (r"\b(?:lift|remove)|\b(?:may|can|allow(?:ed)?)\b.* again|^(?:re-?)?open", ("open",)),
@@ -126,10 +128,10 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
 def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:
     """Understand one sentence as the running service does, and judge it."""
     accepted = {case["expect"], *case.get("also", ())}
-    # The outcome if the service asks or refuses.
-    unclear = "right" if accepted & {"ask", "refuse"} else "asked or refused"
+    outcome_if_refused = "right" if accepted & {"ask", "refuse"} else "asked or refused"
     try:
         found = translate(MissionConfig(translator=translator), case["said"], SITE)
+        # A patrol repeats its mission: 0.0 is no patrol, None one without an end.
         formula, patrol_s = found.formula, found.repeat.limit_s if found.repeat else 0.0
         asks_for_anything = not compile_formula(formula).accepting[0]
     except NoMissionError as error:
@@ -137,9 +139,9 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
         right = _kind(said) in accepted and _is_right(case, said)
         return EverydayScore(case, "right" if right else "wrong", str(said))
     except TranslationError as error:
-        return EverydayScore(case, unclear, str(error))
+        return EverydayScore(case, outcome_if_refused, str(error))
     if not asks_for_anything:
-        return EverydayScore(case, unclear, f"asks for nothing: {to_text(formula)}")
+        return EverydayScore(case, outcome_if_refused, f"asks for nothing: {to_text(formula)}")
     right = "mission" in accepted and (
         "formula" not in case or _same_mission(case, formula, patrol_s)
     )
@@ -147,6 +149,7 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
 
 
 def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
+    """Return the kind of a sentence that is no mission, as in `expect`."""
     return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(said)]
 
 
@@ -156,6 +159,7 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
     if isinstance(said, Control):
         return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
     if isinstance(said, SiteOrder):
+        # The orders of the first row that matches; `meaning` is searched before the sentence.
         orders = next(
             (
                 do
@@ -167,6 +171,7 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
         )
         name = _normalise(said.name or "this room")
         return said.do in orders and name in (about, _normalise(f"{about} room"))
+    # Without any name, a question about all rooms or all objects is right if the case names them.
     named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
     return _normalise(named) == about if named else about != "" and said.topic != "where"
 
@@ -174,9 +179,11 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
 def _normalise(name: str) -> str:
     """Return a name without articles, in canonical words: "lamp next to sofa"."""
     text = _ARTICLES.sub("", f"{name.lower()} ").strip()
+    # "nearest lamp to sofa" becomes "lamp nearest to sofa".
     text = re.sub(r"^(?:nearest|closest) (.+?) to ", r"\1 nearest to ", text)
     for word, same in (("beside", "next to"), ("close to", "near"), ("inside", "in")):
         text = re.sub(rf"\b{word}\b", same, text)
+    # Each part of "lamp next to sofa" gets its canonical name: "lamp next to", "sofa".
     return (
         " ".join(names.canonical(part) for part in re.split(r"(?<=next to) ", text)) if text else ""
     )
@@ -199,13 +206,16 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
         patrol_s: time of a patrol; 0.0 for none, None if it has no end.
     """
     expected = parse(case["formula"])
+    # The times within the names of propositions, such as "wait for 5 minutes".
     spans = [m[0] for name in propositions(got) for m in re.finditer(DURATION, name)]
     if sum(map(seconds_of, spans)) + (patrol_s or 0.0) != _seconds(case):
         return False
     timeless = renamed(got, lambda name: _normalise(re.sub(rf" (?:for )?{DURATION}$", "", name)))
     plain = renamed(expected, _normalise)
+    # The expected formula may leave out waits.
     if "wait" in propositions(timeless) and "wait" not in propositions(plain):
         timeless = _without_waits(timeless)
+    # `got` is one round of a patrol; so take one round of the expected formula, too.
     plain, _ = recurrence(plain, patrol_s != 0.0)
     stops = propositions(plain)
     # Also right: no stop may be reached before the one that comes first.
@@ -215,7 +225,7 @@ def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) ->
 
 def _without_waits(formula: Formula) -> Formula:
     """Return the formula without the proposition "wait": F(a & F wait) is F a."""
-    done: dict[int, Formula | None] = {}
+    done: dict[int, Formula | None] = {}  # by id of a node: its new formula; None: nothing is left
     for node in postorder(formula):
         if node.op == "ap":
             done[id(node)] = None if node.name == "wait" else node
@@ -230,7 +240,7 @@ def _without_waits(formula: Formula) -> Formula:
 
 
 def everyday_counts(scores: Sequence[EverydayScore]) -> dict[str, dict[str, int]]:
-    """Count outcomes by what a sentence should be, and of all."""
+    """Count outcomes by `expect`, the correct kind of a sentence, and of all sentences."""
     parts = [*dict.fromkeys(s.case["expect"] for s in scores), "all"]
     found = {p: Counter(s.outcome for s in scores if p in ("all", s.case["expect"])) for p in parts}
     return {

@@ -1,4 +1,7 @@
-"""Ground-truth logger: the true course of an episode, recorded tick by tick from the simulator."""
+"""Ground-truth logger: the true course of an episode, recorded tick by tick from the simulator.
+
+Here an object is one of the simulated world, and an instance is an object in the service's map.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from edge.types import Goal, Instance, MissionStatus, Observation
 TRAIL_M = 0.25  # least distance between two points of the saved trail
 MIN_PX = 40  # pixels of an object from which it counts as seen
 CONFIRMED_STATES = ("confirmed", "reached")
-SAME_M = 0.5  # an instance within this distance of an object is that object
+SAME_M = 0.5  # an instance within this distance of an object of its name is that object
 STUCK_RADIUS_M = 1.0  # a robot that stays within this radius …
 STUCK_AFTER_S = 60.0  # … for this time is stuck
 
@@ -83,8 +86,8 @@ class GroundTruthLogger:
         stops: for each `reached` report, the label and the true distance [m].
         confirmed: by target, the ids of instances that were confirmed correctly.
         false_confirmed: ids of instances that were confirmed but are not the target.
-        revisited_m2: floor that a search saw again after an earlier leg of the mission; None for a
-            single target.
+        revisited_m2: floor that a search saw again after an earlier leg (pursuit of one target) of
+            the mission; None for a single target.
         answers: see `EpisodeOutcome`; the caller sets them.
     """
 
@@ -190,7 +193,7 @@ class GroundTruthLogger:
         for instance in instances:
             if instance.state not in CONFIRMED_STATES:
                 continue
-            right_ids = self.confirmed.get(instance.label)
+            right_ids = self.confirmed.get(instance.label)  # None: not the name of a target
             if right_ids is None or instance.id in right_ids | self.false_confirmed:
                 continue
             x, y = instance.center_m[:2].tolist()

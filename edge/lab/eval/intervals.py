@@ -105,6 +105,7 @@ def _resampled_ratios(sums: np.ndarray, k: int, resamples: int, seed: int) -> np
     draws = np.empty((resamples, k))
     for first in range(0, resamples if clusters else 0, _CHUNK):
         m = min(_CHUNK, resamples - first)
+        # One `bincount` counts for all m resamples: resample i has the numbers from i * clusters.
         picks = rng.integers(0, clusters, (m, clusters)) + clusters * np.arange(m)[:, None]
         weights = np.bincount(picks.ravel(), minlength=m * clusters).reshape(m, clusters)
         drawn = weights.astype(np.float64) @ sums
@@ -118,6 +119,7 @@ def _expanded_percentiles(value: float, draws: np.ndarray, clusters: int) -> Int
     draws = draws[np.isfinite(draws)] if clusters > 1 else draws[:0]
     if not math.isfinite(value) or not len(draws):
         return Interval(value if math.isfinite(value) else math.nan, math.nan, math.nan)
+    # Student's quantile, widened as in Hesterberg 2015, gives the percentiles to take.
     t = stdtrit(clusters - 1, 0.975) * math.sqrt(clusters / (clusters - 1))
     low, high = np.quantile(draws, (ndtr(-t), ndtr(t)))
     return Interval(value, float(low), float(high))

@@ -44,21 +44,25 @@ OBJECT_NAMES = {
 """Label → name of its objects."""
 MOVING = 250
 """First label of moving objects."""
-PLANT, TRUNK, TREE_M = 70, 71, 3.0
-"""Vegetation is a tree if it is `TREE_M` high or over a trunk: a scan of a near tree ends low."""
+PLANT, TRUNK = 70, 71
+"""Labels of vegetation and of tree trunks."""
+TREE_M = 3.0
+"""Vegetation is a tree if it is this high or over a trunk: a scan of a near tree ends low."""
 REACH_M = {50: 1.5, 51: 1.0, 70: 0.8}
-"""Label → gap that separates two of its objects if their instances are not known.
-
-Other labels have `REACH_ELSE_M`.
-"""
+"""Label → gap that separates two of its objects if their instances are not known."""
 REACH_ELSE_M = 0.6
+"""The same gap for other labels."""
 MIN_POINTS = 12
+"""An object with fewer points is ignored."""
 MIN_PX = 6
-"""An object with fewer points, or with a smaller side in the picture, is ignored."""
+"""An object whose bounding box in the picture has a smaller side is ignored."""
 _SKEW = 0.01
-"""Tolerance for rounded numbers of a rotation."""
+"""Tolerance for a rotation matrix, whose numbers are rounded in the file."""
 _GAP_PX = 5, 9
-"""Width and height of the gaps between returns of one surface in the picture, across scan lines."""
+"""Width and height of the gaps between neighbouring returns of one surface in the picture.
+
+Scan lines lie above each other, so the gaps are higher than wide.
+"""
 
 
 class KittiError(UserError):
@@ -160,20 +164,23 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         raise KittiError(
             f"{folder / 'calib.txt'}: P2 does not fit {path.name} ({width}x{height} px): {error}"
         ) from None
+    # cam0 and cam2 are the sequence's cameras; cam2 took the images of `image_2`.
     T_cam0_velo = _rigid(calibration["Tr"], folder / "calib.txt: Tr")
     T_cam2_cam0 = np.eye(4)
     T_cam2_cam0[:3, 3] = offset_m
     T_base_velo = np.eye(4)
     T_base_velo[2, 3] = LIDAR_HEIGHT_M
-    to_base = T_base_velo @ invert(T_cam0_velo)
-    T_cam0 = _rigid(poses[number].reshape(3, 4), f"{folder / 'poses.txt'}: line {number + 1}")
+    T_base_cam0 = T_base_velo @ invert(T_cam0_velo)
+    # A pose in the file takes points of cam0 to the first frame's cam0. T_map_base is the same
+    # motion, of the base.
+    T_first_cam0 = _rigid(poses[number].reshape(3, 4), f"{folder / 'poses.txt'}: line {number + 1}")
     observation = Observation(
         seq=number,
         stamp_ns=round(1e9 * float(times[number, 0])),
-        T_map_base=to_base @ T_cam0 @ invert(to_base),
+        T_map_base=T_base_cam0 @ T_first_cam0 @ invert(T_base_cam0),
         rgb=cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB),
         camera=camera,
-        T_base_camera=to_base @ invert(T_cam2_cam0),
+        T_base_camera=T_base_cam0 @ invert(T_cam2_cam0),
         cloud_m=np.ascontiguousarray(scan[:, :3]),
         T_base_lidar=T_base_velo,
     )
@@ -192,6 +199,7 @@ def objects_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
         for instance in np.unique(frame.instance[frame.semantic == label]):
             labelled = np.flatnonzero((frame.semantic == label) & (frame.instance == instance))
             reach_m = REACH_M.get(label, REACH_ELSE_M)
+            # Points without an instance may belong to several objects: group them by distance.
             groups = (
                 clusters(cloud[labelled], reach_m) if instance == 0 else [np.arange(len(labelled))]
             )
@@ -207,7 +215,7 @@ def objects_in(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
 def _is_tree(plant_m: np.ndarray, trunks_m: np.ndarray) -> bool:
     """Return True if vegetation is high, or over a trunk."""
     is_high = float(np.ptp(plant_m[:, 2])) >= TREE_M
-    flat = np.array([1.0, 1.0, 0.0], np.float32)
+    flat = np.array([1.0, 1.0, 0.0], np.float32)  # sets z to 0
     return is_high or overlap_share(downsample(trunks_m) * flat, downsample(plant_m) * flat) > 0.0
 
 
@@ -217,6 +225,7 @@ def solid_m(frames: Sequence[KittiFrame]) -> np.ndarray:
     Their height over the nearest ground is within the obstacle limits of `OUTDOORS`. Moving objects
     are skipped: another frame shows them elsewhere.
     """
+    # By label: True for objects that do not move.
     is_solid = np.isin(np.arange(1 << 16), [label for label in OBJECT_NAMES if label < MOVING])
     ground, solid = [np.empty((0, 3))], [np.empty((0, 3))]
     for frame in frames:

@@ -83,10 +83,10 @@ def plan_missions(
     present = [target for target in targets if fields.has(target)]
     found: list[PlannedMission] = []
     for k, mission in enumerate(draw_missions(present, count, seed)):
-        field = fields.cost_to_go_m(compiled(mission.formula))
+        cost_to_go_m = fields.cost_to_go_m(compiled(mission.formula))
         # Each mission has its own seed.
         for pose in free_poses(world, _POSES, seed + 1000 * k, robot_radius_m):
-            shortest_m = geodesic.value_at(world.plan, field, pose.x_m, pose.y_m)
+            shortest_m = geodesic.value_at(world.plan, cost_to_go_m, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf:
                 start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
                 found.append(PlannedMission(mission, start, round(shortest_m, 4)))
@@ -105,7 +105,7 @@ def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Generat
     for (family, template, objects), _ in zip(drawn, range(_MAX_DRAWS), strict=False):
         if len(missions) == count:
             break
-        used = template.placeholders
+        used = template.placeholders  # indices into `objects`
         if not TARGETS[0] <= len(used) <= TARGETS[1] or max(used) >= len(objects):
             continue  # too few or too many objects, or a placeholder without an object
         formula = formula_of(template, objects)

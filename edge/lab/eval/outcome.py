@@ -15,6 +15,7 @@ from edge.text import one_line
 
 OUTCOMES_NAME = "outcomes.jsonl"
 MAX_BYTES = 1 << 30
+"""Largest file of outcomes that is read."""
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
@@ -38,7 +39,7 @@ class EpisodeOutcome:
         shortest_m: shortest path of the episode.
         success: the service reported `reached`, and each time the robot was within `REACHED_M` of
             the footprint of such an object.
-        reason: one line.
+        reason: why the episode ended, in one line.
         failure: one of `FAILURES`; None for a success.
         path_m: length of the driven path, by ground truth.
         elapsed_s: simulated time.
@@ -51,13 +52,14 @@ class EpisodeOutcome:
         wrong_stops: number of `reached` reports that were wrong.
         false_confirmations: number of confirmed instances that are not the target.
         revisited_m2: floor that a mission's searches saw again after an earlier leg
-            (`edge.lab.eval.revisits`); None for one target.
-        goals: number of goals sent.
+            (`edge.lab.eval.revisits`), which is the pursuit of one target; None for one target.
+        goals: number of goals (poses to drive to) that the service sent.
         tick_ms: p50, p95 and max of the tick.
         score_ms: p95 of the stage that scores the candidates.
         trail: [x, y] of the robot every 0.25 m, in metres.
         goal_xy: [x, y, kind of candidate] of every goal, in metres.
-        goal: number of the goal in its session, from 1; None if the episode is no session.
+        goal: number of the target among those of its session, from 1; None if the episode is no
+            session.
         ways: see `Episode.ways`.
         zone_entries: number of times that the robot's footprint entered a keep-out zone; None
             without zones.
@@ -118,7 +120,10 @@ def crashed_outcomes(
     if not episode.goals:
         return [crashed]
     parts = list(enumerate(zip(episode.parts, episode.goals, strict=True), start=1))
-    return [replace(crashed, episode=id, target=goal, goal=k) for k, (id, goal) in parts[done:]]
+    return [
+        replace(crashed, episode=part_id, target=goal, goal=k)
+        for k, (part_id, goal) in parts[done:]
+    ]
 
 
 def crashed_outcome(

@@ -19,7 +19,7 @@ from edge.lab.sim.base import FloorPlan, World
 CELL_M = 0.1  # side of a cell
 SAME_M = 0.5  # a known place within this distance of an object is that of the object
 NEW, BEFORE, NOW = 0, 1, 2
-"""Bits of a cell: seen before this leg; seen in this leg. NEW has no bit set: never seen."""
+"""State of a cell: NEW if it was never seen, else bits: seen before this leg, seen in this leg."""
 
 
 class RevisitCounter:
@@ -123,13 +123,16 @@ def mark_view(blocked, seen, x, y, yaw_rad, half_rad, reach):
         yaw_rad: viewing direction.
         half_rad: half the field of view.
         reach: range in cells.
+
+    Returns:
+        The number of new cells, and of those seen before but not since.
     """
     h, w = blocked.shape
-    rays = int(2 * half_rad * reach) + 2
+    rays = int(2 * half_rad * reach) + 2  # at most a cell apart at the end of the range
     new = again = 0
     for k in range(rays):
         angle = yaw_rad - half_rad + 2 * half_rad * k / (rays - 1)
-        dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
+        dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)  # steps of half a cell
         for i in range(int(2 * reach)):
             col, row = math.floor(x + i * dx), math.floor(y + i * dy)
             if not (0 <= row < h and 0 <= col < w) or blocked[row, col]:

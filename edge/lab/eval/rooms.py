@@ -45,7 +45,8 @@ class RoomVerdict:
         kinds: kinds that the robot reports; empty if none is certain.
         best: kind that the robot finds most likely, certain or not.
         chance: probability of `best`.
-        typical: number of typical things of the true kind that were seen in the mapped room.
+        typical: number of kinds of objects seen in the mapped room that are typical of the true
+            kind, such as a bed of a bedroom.
     """
 
     world: str
@@ -88,7 +89,7 @@ def true_room_at(world: World, xy_m: np.ndarray) -> np.ndarray:
         xy_m: (n, 2) points.
     """
     found = np.full(len(xy_m), -1)
-    for number, room in enumerate(world.rooms):
+    for number, room in enumerate(world.rooms):  # a room is a list of rectangles
         for x0, y0, x1, y1 in room:
             x, y = xy_m[:, 0], xy_m[:, 1]
             found[(x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)] = number
@@ -105,13 +106,11 @@ def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
         counts = np.bincount(true_rooms[true_rooms >= 0], minlength=len(world.rooms))
         if room is None or not counts.any():
             continue
-        best, parts = (
-            int(counts.argmax()),
-            np.flatnonzero(counts >= _PART_SHARE * len(cells)).tolist(),
-        )
+        largest = int(counts.argmax())  # index of the true room that most of the floor lies in
+        parts = np.flatnonzero(counts >= _PART_SHARE * len(cells)).tolist()
         also = frozenset(world.room_kinds[index] for index in parts)
-        share = float(counts[best] / len(cells))
-        verdicts.append(_verdict(world, room, world.room_kinds[best], share, also))
+        share = float(counts[largest] / len(cells))
+        verdicts.append(_verdict(world, room, world.room_kinds[largest], share, also))
     return verdicts
 
 

@@ -30,7 +30,10 @@ EPISODES_NAME = "episodes.jsonl"
 DEFAULT_TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
 
 OnOutcome = Callable[[int, int, EpisodeOutcome], None]
-"""Called with each outcome as it comes: its number, the total number to come, and the outcome."""
+"""Called with each new outcome: its number, the total number, and the outcome.
+
+Both numbers include the outcomes that are already on file.
+"""
 
 
 def run_all(
@@ -51,8 +54,9 @@ def run_all(
         episodes: the episodes.
         out: a folder. Its outcomes are reused, except those of crashed episodes and of other
             configurations. None: no file is written.
-        workers: number of processes; 1: only this one.
-        processes: run over Zenoh, each episode with its own simulator and controller processes.
+        workers: number of processes that run episodes; 1: only this one.
+        processes: True: run over Zenoh, and start a simulator and a controller process for each
+            episode.
         pages: folder for a report of each episode.
         on_outcome: called with each new outcome.
         stop: ends the run early.
@@ -69,6 +73,7 @@ def run_all(
         _save_new(out / EPISODES_NAME, episodes)
     usable = {key: o for key, o in known.items() if o.failure != "crashed"}
     pairs = [(episode, arm) for episode in episodes for arm in arms]
+    # An episode has one outcome, a session one for each goal: its `parts`.
     keys = [(part, arm.id) for episode, arm in pairs for part in episode.parts]
     jobs = [
         EpisodeJob(arm, episode, processes, pages and pages / _page_name(episode, arm))

@@ -64,8 +64,9 @@ def plan_sessions(
         targets: names that goals may have.
         count: number of goals of a session.
         seed: of the goals and starts.
-        min_distance_m: shortest path from the start, or from anywhere at the last goal.
-        moved: see `Episode`.
+        min_distance_m: shortest allowed path to a goal, from the start or from any place that
+            counts as at the last goal.
+        moved: share of the movable objects that are moved before each goal but the first.
 
     Raises:
         UserError: a world cannot be loaded, or no session is possible.

@@ -23,7 +23,7 @@ class TrajectoryScores:
     """The scores of a trajectory against its reference.
 
     Attributes:
-        success: it ends within 1 m of the reference's end.
+        success: it ends within `REACHED_M` (1 m) of the reference's end.
         error_m: navigation error, the distance between the ends.
         frechet_m: Fréchet distance.
         ndtw: normalised dynamic time warping; 1 for the same trajectory.
@@ -165,7 +165,10 @@ def _points(path_m: np.ndarray) -> np.ndarray:
 
 @jit
 def _discrete_frechet_m(a, b):
-    """Return the discrete Fréchet distance (Eiter & Mannila 1994): jumps from point to point."""
+    """Return the discrete Fréchet distance (Eiter & Mannila 1994): jumps from point to point.
+
+    `row[j]` is the distance of `a` up to point i and `b` up to j; `diagonal` that of i - 1, j - 1.
+    """
     row = np.empty(len(b))
     for i in range(len(a)):
         diagonal = 0.0
@@ -184,7 +187,10 @@ def _discrete_frechet_m(a, b):
 
 @jit
 def _warping_cost_m(reference, path):
-    """Return the least sum of distances over all monotone matchings of the points."""
+    """Return the least sum of distances over all monotone matchings of the points.
+
+    `row[j]` is the sum for the first i points of `reference` and the first j of `path`.
+    """
     row = np.full(len(path) + 1, math.inf)
     row[0] = 0.0
     for i in range(len(reference)):
@@ -200,7 +206,10 @@ def _warping_cost_m(reference, path):
 
 @jit
 def _free(x, y, ax, ay, bx, by, leash):
-    """Return the part (from, to) of segment a-b within `leash` of (x, y); from > to if empty."""
+    """Return the part (from, to) of segment a-b within `leash` of (x, y).
+
+    0 is a and 1 is b. If no part is near enough, from > to.
+    """
     dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
     # Solve square t^2 + 2 half t + rest = 0 for the place t along the segment.
     square, half, rest = dx * dx + dy * dy, dx * ox + dy * oy, ox * ox + oy * oy - leash * leash
@@ -221,10 +230,14 @@ def _free(x, y, ax, ay, bx, by, leash):
 
 @jit
 def _is_long_enough(a, b, leash):
-    """Return True if a leash is long enough: a path through the free space, cell by cell.
+    """Return True if a leash is long enough for two polylines.
+
+    Cell (i, j) of the free-space diagram holds all pairs of a point on segment i of `a` (its x) and
+    one on segment j of `b` (its y). A pair is free if the leash spans it. The leash is long enough
+    if a path through free pairs leads from the begins to the ends without going back.
 
     `below[i]` is the reachable part of the lower side of cell (i, j), `left_low` to `left_high`
-    that of its left side.
+    that of its left side; both from 0 to 1, and low > high if it is empty.
     """
     n, m = len(a), len(b)
     if n == 1 or m == 1:
@@ -243,7 +256,7 @@ def _is_long_enough(a, b, leash):
         joined = joined and low <= 0.0 and high >= 0.0
         below[i, 0], below[i, 1] = (low, high) if joined else (1.0, 0.0)
         joined = joined and high >= 1.0
-    on_left, left_low, left_high = True, 1.0, 0.0
+    on_left, left_low, left_high = True, 1.0, 0.0  # on_left: like `joined`, for the left border
     for j in range(m - 1):
         bx0, by0, bx1, by1 = b[j, 0], b[j, 1], b[j + 1, 0], b[j + 1, 1]
         left_low, left_high = _free(a[0, 0], a[0, 1], bx0, by0, bx1, by1, leash)

@@ -1,8 +1,8 @@
 """`edge eval translate`: count correct translations of instructions, by language equivalence.
 
-A mission ends. So a formula about infinite traces applies to the traces that fulfil it if nothing
-more is reached afterwards. The case counts if such a trace exists with one object or nothing per
-step. For "visit a for ever" none exists.
+A mission ends, but some sets have formulas about infinite traces. Such a formula counts as true
+for a finite trace if it holds for that trace with endless empty steps after it. If it holds for no
+trace with at most one object per step, as "visit a for ever", the case counts as not expressible.
 """
 
 from __future__ import annotations
@@ -48,6 +48,19 @@ from edge.mission.translate import (
 from edge.perception.runtime.cards import load_card
 from edge.text import format_table, one_line
 
+Case = TypeVar("Case")
+
+VITL, LANG2LTL, CLEAN_UP = "ViTL tasks", "Lang2LTL", "Clean-up"
+"""Names of the sets; `edge.lab.eval.translation_cases` describes them."""
+SEEN = {
+    VITL: "made by code",
+    LANG2LTL: "seen while the grammar was written, and by the model",
+    CLEAN_UP: "seen while the grammar was written, and by the model",
+}
+"""Set → note on its figures."""
+NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
+"""Note on figures of a model that was not trained on the set."""
+_CARD_TRANSLATORS = ("model", "auto")  # their models' cards have such figures
 _TASKS = 2000  # tasks of the task-level benchmark
 _SHOWN_FAILURES = 5  # failures on the screen, for each set and translator
 _SHOWN_CHARS = 400  # of a failure on the screen
@@ -59,8 +72,9 @@ class TranslationScore:
 
     Attributes:
         case: the case.
-        outcome: "right"; "right if weak" (if the reference's `!x U y` is read as the weak until);
-            "wrong"; "asked" (the translator asked which reading is meant); or "refused".
+        outcome: "right"; "right if weak" (right if the reference's `!x U y` is read as the weak
+            until, which does not require y); "wrong"; "asked" (the translator asked which reading
+            is meant); or "refused".
         got: the translator's formula as text, or its reason to ask or refuse.
         distinguishing_trace: a shortest trace on which reference and translation differ.
     """
@@ -70,8 +84,6 @@ class TranslationScore:
     got: str
     distinguishing_trace: tuple[str, ...] = ()
 
-
-Case = TypeVar("Case")
 
 OUTCOMES = ("right", "right if weak", "wrong", "asked", "refused")
 
@@ -102,7 +114,10 @@ def score(case: TranslationCase, translator: Translator) -> TranslationScore:
 
 
 def summary(scores: Sequence[TranslationScore], left_out: Counter[str]) -> dict[str, Any]:
-    """Count outcomes by part and in total."""
+    """Count outcomes by part (group of cases) and in total.
+
+    `left_out` is the number of cases that were left out, by part. They count as not expressible.
+    """
     parts = dict.fromkeys([*(s.case.part for s in scores), *left_out])
     return {
         "cases": len(scores),
@@ -214,18 +229,6 @@ def _run_everyday(args: argparse.Namespace) -> int:
     return 0
 
 
-VITL, LANG2LTL, CLEAN_UP = "ViTL tasks", "Lang2LTL", "Clean-up"
-SEEN = {
-    VITL: "made by code",
-    LANG2LTL: "seen while the grammar was written, and by the model",
-    CLEAN_UP: "seen while the grammar was written, and by the model",
-}
-"""Set → note on its figures."""
-NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
-"""Note on figures of a model that was not trained on the set."""
-_CARD_TRANSLATORS = ("model", "auto")
-
-
 def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:
     """Return a table of shares with one row for each set and translator.
 
@@ -255,7 +258,10 @@ def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[st
 
 
 def _counts_not_seen() -> dict[str, dict[str, dict[str, int]]]:
-    """Return the outcomes of models that were not trained on a set, from the small model's card."""
+    """Return set → translator → outcomes of models that were not trained on the set.
+
+    They are from the small model's card.
+    """
     measured = load_card(SMALL_TRANSLATOR).measured
     found = {
         title: {
@@ -263,7 +269,11 @@ def _counts_not_seen() -> dict[str, dict[str, dict[str, int]]]:
         }
         for title in (LANG2LTL, CLEAN_UP)
     }
-    return {title: {n: c for n, c in by.items() if c} for title, by in found.items()}
+    # Leave out the translators whose card has no such figure.
+    return {
+        title: {name: counts for name, counts in by_name.items() if counts}
+        for title, by_name in found.items()
+    }
 
 
 def _score_all(

@@ -29,6 +29,7 @@ from edge.lab.eval.sessions import run_session
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
+"""Environment variables that limit numerical libraries to one thread."""
 _STOP_CHECK_S = 0.5  # time between two checks for a stop
 _END_S = 5.0  # longest wait for the end of a worker process
 
@@ -105,7 +106,7 @@ class _Worker:
 def run_in_workers(
     jobs: Iterable[EpisodeJob], count: int, stop: threading.Event
 ) -> Iterator[EpisodeOutcome]:
-    """Run the jobs in `count` processes of one thread each; yield outcomes as they are done.
+    """Run the jobs in `count` worker processes of one thread each; yield outcomes as they come.
 
     If `stop` is set, unfinished jobs have no outcome.
     """

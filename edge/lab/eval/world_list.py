@@ -22,6 +22,8 @@ WORLD_FORMS = (
     "FILE.jsonl.gz[0:75], generated[1000:1050], furnished[1000:1050], "
     "furnished:FILE.jsonl.gz[0:75], house:NAME, MESH.glb,OBJECTS.json"
 )
+# "generated[1000:1050]": name "generated", first 1000, end 1050. "h.jsonl.gz[3]": no `to`, no end.
+# Without brackets, only the name.
 _SPEC = re.compile(r"^(?P<name>.+?)(?:\[(?P<first>\d*)(?P<to>:(?P<end>\d*))?\])?$")
 _FURNISHED = "furnished"
 _MAX_SEEDS = 100_000

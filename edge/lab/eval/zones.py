@@ -57,19 +57,19 @@ def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) ->
         raise UserError("--zones: possible only for episodes with one target; omit --zones")
     plan, radius_m = setup.world.plan, setup.radius_m
     objects = objects_of(setup.world, episode.target)
-    field = geodesic.distance_field(plan, objects, radius_m, REACHED_M)
-    path_m = shortest_path(plan, field, *episode.start[:2])
+    distances_m = geodesic.distance_field(plan, objects, radius_m, REACHED_M)
+    path_m = shortest_path(plan, distances_m, *episode.start[:2])  # (n, 2) points
     for _ in range(_DRAWS):
         middle_m = path_m[int(rng.uniform(*ALONG) * len(path_m))]
         corners_m = _polygon(middle_m, rng)
         if distance_m(corners_m, np.array([episode.start[:2]]))[0] < radius_m + START_M:
             continue  # too near to the robot
-        around = geodesic.distance_field(
+        distances_around_m = geodesic.distance_field(
             plan_with_zone(plan, corners_m, MARGIN_M), objects, radius_m, REACHED_M
         )
-        left_m = geodesic.value_at(plan, around, *episode.start[:2])
-        ways = "detour" if math.isfinite(left_m) else "closed"
-        shortest_m = round(left_m, 4) if ways == "detour" else episode.shortest_m
+        detour_m = geodesic.value_at(plan, distances_around_m, *episode.start[:2])
+        ways = "detour" if math.isfinite(detour_m) else "closed"
+        shortest_m = round(detour_m, 4) if ways == "detour" else episode.shortest_m
         site = Site((Zone("zone", "keep_out", tuple(map(tuple, corners_m.tolist()))),))
         return [
             make_episode(
@@ -92,6 +92,7 @@ def shortest_path(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) ->
     cells = [plan.grid.cell_of(x_m, y_m)]
     while field[cells[-1]] > 0.0:
         row, col = cells[-1]
+        # Go to the lowest of the neighbours: their part of the field, and its index there.
         rows, cols = slice(max(row - 1, 0), row + 2), slice(max(col - 1, 0), col + 2)
         low = np.unravel_index(np.argmin(field[rows, cols]), field[rows, cols].shape)
         cells.append((int(rows.start + low[0]), int(cols.start + low[1])))

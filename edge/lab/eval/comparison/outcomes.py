@@ -26,6 +26,7 @@ Record = dict[str, Any]
 
 
 def _p95(record: Record, key: str) -> float | None:
+    """Return a 95th percentile: of several percentiles in the record, or the only one there."""
     times = record.get(key)
     return times.get("p95") if isinstance(times, dict) else times
 
@@ -171,7 +172,8 @@ def gather(records: Iterable[Record]) -> Outcomes:
     arms = tuple(dict.fromkeys(arm for arm, _ in newest))
     episodes = tuple(sorted({episode for _, episode in newest}, key=natural_key))
     at = {(arms.index(arm), episodes.index(e)): r for (arm, e), r in newest.items()}
-    episode_records: list[Record] = [{} for _ in episodes]  # a record of any arm
+    # By episode: a record of any arm, for what does not depend on the arm; {} until one is found.
+    episode_records: list[Record] = [{} for _ in episodes]
     for (_, e), record in at.items():
         _check_same_episode(episode_records[e], record)
         # The record of a crash may lack the name of the world.

@@ -126,15 +126,17 @@ def _legend() -> str:
 
 
 def _controls(comparison: Comparison) -> str:
+    """Build the form that sorts and filters the episodes. A and B are two arms to choose."""
     outcomes = comparison.outcomes
     names = [one_line(name, 40) for name in outcomes.arms]
     targets = sorted({t for t in outcomes.target.tolist() if t})
     kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
-    orders = (
+    # (value for the script, text) of each choice.
+    order_options = (
         ("", "as planned"), ("difference", "SPL of A minus B"), ("spl", "SPL of A"),
         ("path", "path of A"), ("shortest", "shortest path"),
     )  # fmt: skip
-    outcome = (
+    outcome_options = (
         ("", "any"), ("failed", "A failed"), ("reached", "A succeeded"),
         ("lost", "A failed, B succeeded"), ("some", "some failed"), ("all", "all failed"),
         *((f"kind:{kind}", f"A: {kind}") for kind in kinds),
@@ -150,10 +152,10 @@ def _controls(comparison: Comparison) -> str:
     return (
         '<form id="controls">'
         f"{_select('a', 'A', numbered, other)}{_select('b', 'B', numbered, base)}"
-        f"{_select('order', 'sort by', orders)}"
+        f"{_select('order', 'sort by', order_options)}"
         '<label><input type="checkbox" id="reverse">largest first</label>'
         f"{_select('target', 'target', [('', 'any'), *((t, one_line(t, 40)) for t in targets)])}"
-        f"{_select('outcome', 'outcome', outcome)}"
+        f"{_select('outcome', 'outcome', outcome_options)}"
         f'<output id="count"></output><span class="break"></span>{shown}</form>'
     )
 
@@ -161,6 +163,7 @@ def _controls(comparison: Comparison) -> str:
 def _select(
     name: str, label: str, options: Sequence[tuple[str, str]], chosen: int | None = None
 ) -> str:
+    """Build a menu. Options are (value, text); `chosen` is the index of the one at first."""
     inner = "".join(
         f'<option value="{escape(value)}"{" selected" if k == chosen else ""}>{escape(words)}'
         "</option>"

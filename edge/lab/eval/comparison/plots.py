@@ -1,4 +1,8 @@
-"""Plots of a comparison: SPL and SR, paired differences, SPL over distance, success over budget."""
+"""Plots of a comparison: SPL and SR, paired differences, SPL over distance, success over budget.
+
+SR is the success rate of an arm, and SPL its success weighted by path length (both from 0 to 1).
+Masks of episodes are (E,) bool.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ WIDTH_IN = 7.6
 MAX_NAME = 32  # characters of an arm's name
 BINS = 5  # most groups of episodes by distance
 MIN_A_BIN = 8  # least number of episodes in a group
-BUDGETS = 8.0  # end of the axis, in lengths of the shortest path
+BUDGETS = 8.0  # largest path budget of the plot, in lengths of the shortest path
 
 
 def rates(comparison: Comparison) -> Figure:
@@ -64,6 +68,7 @@ def distances(comparison: Comparison) -> Figure:
     cluster, _ = clusters(outcomes)
     spl = spl_of(outcomes)
     middles = [float(np.median(outcomes.shortest_m[inside])) for inside in bins]
+    # By bin, by arm. The clusters of a bin are numbered from 0 without gaps.
     found = [
         arm_means([spl[:, inside]], np.unique(cluster[inside], return_inverse=True)[1].ravel())[0]
         for inside in bins

@@ -1,5 +1,9 @@
 """Computes the figures of a comparison: means, paired differences, failures, lost SPL.
 
+An arm is one of the compared configurations. SR is the success rate. SPL, success weighted by path
+length, is the shortest path over the driven one, and 0 for a failure; lost SPL is 1 minus SPL.
+Arrays are (A, E): A arms by E episodes.
+
 Every interval is a bootstrap over worlds (`outcomes.clusters`), except those of shares, which are
 Wilson's: the bootstrap interval of a share of 0 has no width.
 """
@@ -216,7 +220,7 @@ def compare(
         outcomes: the outcomes.
         baseline: name of an arm; None: the first.
         left_m: (A, E) metres left to drive when the target was first seen, NaN if unknown or never
-            (`worlds.fill_left_at_sight_m`).
+            (`worlds.fill_left_at_sight_m`). `outcomes["left_m"]` are those left at the end.
         resamples: number of bootstrap resamples.
 
     Raises:
@@ -271,6 +275,7 @@ def arm_means(
         return []
     stacked = np.concatenate(values)
     counted = ~np.isnan(stacked)
+    # A row of the result is one arm of one array.
     flat = bootstrap(np.where(counted, stacked, 0.0), counted.astype(float), cluster, resamples)
     n_arms = len(values[0])
     return [flat[k * n_arms : (k + 1) * n_arms] for k in range(len(values))]
@@ -283,6 +288,7 @@ def pair(
     both_ran = outcomes.ran[arm] & outcomes.ran[baseline]
     missing = int((outcomes.ran[arm] ^ outcomes.ran[baseline]).sum())
     cluster, _ = clusters(outcomes)
+    # Number the clusters that are left from 0, without gaps.
     cluster = np.unique(cluster[both_ran], return_inverse=True)[1].ravel()
     rows = np.array([arm, baseline])
 
@@ -297,7 +303,8 @@ def pair(
     soft_known = ~np.isnan(soft) & ~np.isnan(base_soft)
     path, base_path = on_same_episodes(outcomes["path_m"])
     time, base_time = on_same_episodes(outcomes["elapsed_s"])
-    both = (success * base_success).astype(bool)
+    both = (success * base_success).astype(bool)  # both succeeded
+    # Each figure is the sum of its numerators over the sum of its denominators.
     numerators = (
         success - base_success, spl - base_spl, np.where(soft_known, soft - base_soft, 0.0), spl,
         np.where(both, path, 0.0), np.where(both, time, 0.0),
@@ -306,12 +313,12 @@ def pair(
         ones, ones, soft_known.astype(float), base_spl,
         np.where(both, base_path, 0.0), np.where(both, base_time, 0.0),
     )  # fmt: skip
-    sr, spl_d, soft_d, spl_r, path_r, time_r = bootstrap(
+    sr, spl_difference, soft_difference, spl_ratio, path_ratio, time_ratio = bootstrap(
         np.stack(numerators), np.stack(denominators), cluster, resamples
     )
     return PairedDifference(
-        outcomes.arms[arm], len(ones), missing, sr, spl_d, soft_d, spl_r,
-        int(both.sum()), path_r, time_r,
+        outcomes.arms[arm], len(ones), missing, sr, spl_difference, soft_difference, spl_ratio,
+        int(both.sum()), path_ratio, time_ratio,
         int((spl > base_spl + 1e-9).sum()), int((spl < base_spl - 1e-9).sum()),
     )  # fmt: skip
 
@@ -361,7 +368,7 @@ def _losses(
     outcomes: Outcomes, left_m: np.ndarray, cluster: np.ndarray, resamples: int
 ) -> dict[str, SplLoss]:
     """Return the decomposition of the lost SPL, by arm."""
-    search, approach = excess_m(outcomes, left_m)
+    search, approach = excess_m(outcomes, left_m)  # metres
     spl, path_m = spl_of(outcomes), outcomes["path_m"]
     counted = outcomes.ran & (outcomes.target != "")
     metres = arm_means([search, approach], cluster, resamples)
@@ -381,13 +388,16 @@ def _losses(
 def excess_m(outcomes: Outcomes, left_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how far a success drove beyond the shortest path: before and after first sight.
 
+    `left_m` are the metres left at first sight; see `compare`.
+
     The search's excess is the path until first sight, plus the distance that was left then, minus
     the shortest path from the start. The approach's excess is the rest. If a success never saw its
     target (by ground truth), all is the search's.
 
     Returns:
-        (A, E) float64 each, at least 0, NaN for a failure or a mission with several targets. Their
-        sum is the path minus the shortest path, or 0 if that is negative because of the raster.
+        search and approach, (A, E) float64 each, at least 0, NaN for a failure or a mission with
+        several targets. Their sum is the path minus the shortest path. If that is negative, because
+        the shortest path is measured on cells, it is 0.
     """
     counted = outcomes.success & (outcomes.target != "")
     over = np.maximum(outcomes["path_m"] - outcomes["shortest_m"], 0.0)

@@ -40,7 +40,15 @@ SUMMARIES = {
 
 
 class ReportTable(NamedTuple):
-    """A table of texts; the first cell of each row is its name."""
+    """A table of texts.
+
+    Attributes:
+        name: short name, unique among the tables.
+        title: title above the table.
+        head: titles of the columns.
+        rows: cells of each row; the first names the row.
+        note: explanation below the table; "": none.
+    """
 
     name: str
     title: str
@@ -165,6 +173,7 @@ def group(comparison: Comparison, by: str) -> ReportTable:
 
 
 def _spl_sr(figures: dict[str, Estimate]) -> str:
+    """Format `0.71 [0.66, 0.75], 80`: SPL with its interval, and SR in %."""
     if not figures["sr"].n:
         return DASH
     share = 100 * figures["sr"].interval.value
@@ -181,6 +190,7 @@ def _arm_name(comparison: Comparison, index: int) -> str:
 
 
 def _figure(metric: ComparisonMetric, figure: Estimate, bounds: bool) -> str:
+    """Format a figure, with its interval if `bounds`."""
     if bounds:
         return bounded(figure.interval, metric.digits, metric.scale)
     value = figure.interval.value
@@ -188,7 +198,14 @@ def _figure(metric: ComparisonMetric, figure: Estimate, bounds: bool) -> str:
 
 
 def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """Format `0.71 [0.66, 0.75]`; without bounds if there are none."""
+    """Format `0.71 [0.66, 0.75]`; without bounds if there are none.
+
+    Args:
+        interval: value and bounds.
+        digits: number of decimals.
+        scale: factor on the numbers.
+        sign: "+" writes the sign of positive numbers, too.
+    """
     if math.isnan(interval.value):
         return DASH
     value, low, high = (f"{scale * x:{sign}.{digits}f}" for x in interval)

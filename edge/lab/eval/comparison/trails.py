@@ -43,9 +43,10 @@ class TrailBackground(NamedTuple):
 
     def units(self, xy_m: np.ndarray) -> np.ndarray:
         """Return (n, 2) points of `map` in SVG coordinates, int64."""
-        shifted = np.asarray(xy_m, np.float64).reshape(-1, 2)
+        points_m = np.asarray(xy_m, np.float64).reshape(-1, 2)
         d = self.drawing
-        flipped = np.stack([shifted[:, 0] - d.left_m, d.top_m - shifted[:, 1]], axis=1)
+        # y counts downwards in SVG.
+        flipped = np.stack([points_m[:, 0] - d.left_m, d.top_m - points_m[:, 1]], axis=1)
         return np.rint(flipped / UNIT_M).astype(np.int64)
 
     @property
@@ -86,7 +87,16 @@ def symbols(grounds: Mapping[str, TrailBackground]) -> str:
 def figure(
     ground: TrailBackground, target: str, name: str, arm: int, record: Record | None, spl: float
 ) -> str:
-    """Return the map of one episode with one arm, and its outcome below."""
+    """Return the map of one episode with one arm, and its outcome below.
+
+    Args:
+        ground: background of the episode's world.
+        target: name of the episode's target; "" for a mission.
+        name: name of the arm.
+        arm: index of the arm, by which the page's script hides it.
+        record: the outcome; None: the episode was not run.
+        spl: SPL, success weighted by path length, of the episode.
+    """
     words = f"<b>{escape(one_line(name, 40))}</b>"
     if record is None:
         return (
@@ -136,6 +146,8 @@ def _trail(units: np.ndarray) -> str:
     moved = np.ones(len(units), bool)
     moved[1:] = (np.diff(units, axis=0) != 0).any(axis=1)
     units = units[moved]
+    # Indices at which pieces begin and end. A short trail has fewer pieces than RAMP has colours;
+    # their colours, `t0` to `t9`, are then spread over it.
     edges = np.unique(np.linspace(0, len(units) - 1, len(RAMP) + 1).astype(int))
     return "".join(
         f'<path class="t t{k * len(RAMP) // max(len(edges) - 1, 1)}" '
@@ -160,5 +172,6 @@ def _circle(kind: str, at: np.ndarray, radius: float) -> str:
 def _path(units: np.ndarray) -> str:
     """Return a polyline as short SVG text: its start, then relative steps."""
     steps = np.diff(units, axis=0).ravel().tolist()
+    # A minus sign also separates two numbers.
     text = "".join(f"{'' if k == 0 or v < 0 else ' '}{v}" for k, v in enumerate(steps))
     return f"M{units[0, 0]} {units[0, 1]}{f'l{text}' if steps else ''}"

@@ -26,8 +26,8 @@ class FloorPlanDrawing:
 
     Attributes:
         png: content of the picture; north (larger y) is at the top.
-        left_m: smallest x, in `map`.
-        top_m: largest y, in `map`.
+        left_m: x of the left edge, in `map`.
+        top_m: y of the upper edge, in `map`.
         width_m: extent in x.
         height_m: extent in y.
         footprints: by target, the corners (k, 2) of its objects.
@@ -84,6 +84,7 @@ def _cells(world: World, robot_radius_m: float) -> Grid:
     occupied = grid.cells > 0
     _, component = cv2.connectedComponents((~occupied).astype(np.uint8), connectivity=4)
     reachable = plan.reachable(world.start.x_m, world.start.y_m, robot_radius_m)
+    # Floor is all free space that is connected with reachable cells.
     floor = np.isin(component, np.unique(component[reachable])) & ~occupied
     wide = 2 * round(_WALL_M / cell_m) + 1
     shown = cv2.dilate(floor.astype(np.uint8), np.ones((wide, wide), np.uint8)) > 0
@@ -95,6 +96,7 @@ def _cells(world: World, robot_radius_m: float) -> Grid:
 
 
 def _cut(grid: Grid, inside: np.ndarray) -> Grid:
+    """Cut a grid to the cells `inside`, (n, 2) rows and columns, and a margin."""
     margin = round(_MARGIN_M / grid.resolution_m)
     (r0, c0), (r1, c1) = inside.min(axis=0) - margin, inside.max(axis=0) + margin + 1
     r0, c0 = max(int(r0), 0), max(int(c0), 0)
@@ -118,14 +120,14 @@ def fill_left_at_sight_m(
         objects = objects_named(world, target)
         if not objects:
             continue
-        field = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
+        distances_m = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
         for (a, e), record in outcomes.records.items():
             seen_m = outcomes["first_sight_path_m"][a, e]
             if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
                 place = point_along(
                     np.asarray(record.get("trail") or [record["start"][:2]]), seen_m
                 )
-                out_m[a, e] = nearest_value(world, field, place)
+                out_m[a, e] = nearest_value(world, distances_m, place)
 
 
 def point_along(trail_m: np.ndarray, path_m: float) -> np.ndarray:

@@ -46,7 +46,9 @@ COMPLETE, VIOLATED, GAVE_UP, NO_ANSWER, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanningProblem:
-    """A delexicalised task's automaton, extended to all objects of its world.
+    """A task's automaton, extended to all objects of its world.
+
+    The automaton is delexicalised: its propositions are letters in place of objects' names.
 
     Attributes:
         automaton: over the objects that the formula names.

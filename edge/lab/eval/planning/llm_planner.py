@@ -51,20 +51,21 @@ Current State:
 • Reached (in order): [{reached}]
 • Failed (unreachable): {{{failed}}}"""
 
+# "TARGET: <potted plant>", "target: **bed**": group 1 is the object, up to a punctuation mark.
 _TARGET = re.compile(r"TARGET\s*:\s*[^\w\n]*([^\n.,;:()<>\"'*`]+)", re.IGNORECASE)
 _DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
 # Reasoning before the answer, perhaps cut off.
 _THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
 
 
-def prompt(task: BenchmarkTask, situation: PlannerInput) -> str:
-    """Return the question for the model in a situation."""
+def prompt(task: BenchmarkTask, known: PlannerInput) -> str:
+    """Return the question for the model. No object of the benchmark fails, so that set is empty."""
     spoken = [SPOKEN.get(name, name) for name in world_of(task.objects)]
-    observed = situation.seen & ~situation.reached
+    observed = known.seen & ~known.reached  # bit masks, by object
     return PROMPT.format(
         task=task.sentence,
         observed=", ".join(word for i, word in enumerate(spoken) if observed >> i & 1),
-        reached=", ".join(spoken[i] for i in situation.order),
+        reached=", ".join(spoken[i] for i in known.order),
         failed="",
     )
 
@@ -176,8 +177,8 @@ def llm_chooser(task: BenchmarkTask, ask: Callable[[str], str]) -> ChooseTarget:
     objects = world_of(task.objects)
     answers: dict[str, int] = {}
 
-    def choose(situation: PlannerInput) -> int:
-        question = prompt(task, situation)
+    def choose(known: PlannerInput) -> int:
+        question = prompt(task, known)
         if question not in answers:
             if len(answers) == MAX_QUESTIONS:
                 return INVALID
@@ -198,12 +199,13 @@ def run_llm(
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[SweepResults, BaseException | None]:
-    """Run the LLM-planner on some of the tasks, with the same luck as the other planners.
+    """Run the LLM-planner on some of the tasks, with the random numbers of the other planners.
 
     Args:
         tasks: all tasks.
         rows: indices of the tasks to run.
-        settings: the settings.
+        settings: the settings; each of their p_obs, the probability that an exploration finds its
+            target, is run.
         client: asks the model.
         jobs: number of questions at the same time.
         progress: called with the number of episodes done so far.
@@ -250,7 +252,7 @@ def run_llm(
             row, j, e = futures[future]
             episode = future.result()
             if episode is not None:
-                at = (0, j, row, e)
+                at = (0, j, row, e)  # (planner, p_obs, task, episode)
                 results.outcome[at], results.explorations[at], results.steps[at] = episode
             progress(done)
     except BaseException as error:

@@ -1,7 +1,7 @@
 """The exact optimum of the paper's executor: the lowest expected number of explorations.
 
-It solves a stochastic shortest path over automaton states and knowledge, for all situations of a
-problem.
+It solves a stochastic shortest path over automaton states and knowledge (the objects whose places
+are known).
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Optimum:
         order = order_of_relaxation(automaton)
         least_costs(automaton.delta, problem.accepting, order, p_obs, self.value, self.best)
 
-    def choose(self, situation: PlannerInput) -> int:
+    def choose(self, known: PlannerInput) -> int:
         """Return the next target. See `edge.lab.eval.planning.executor.ChooseTarget`."""
-        left = self._others - (situation.seen & ~self._named_bits).bit_count()
-        return int(self.best[situation.seen & self._named_bits, left, situation.state])
+        left = self._others - (known.seen & ~self._named_bits).bit_count()
+        return int(self.best[known.seen & self._named_bits, left, known.state])
 
 
 def solvable(problem: PlanningProblem) -> bool:
@@ -76,7 +76,8 @@ def least_costs(delta, accepting, order, p_obs, value, best):
         best: see `Optimum`; written.
     """
     k = delta.shape[1] - 1
-    # By state: sum of the costs after an encounter of each unknown object.
+    # `known`: set of known propositions; `extra`: number of other objects not yet encountered.
+    # `total`, by state: sum of the costs after an encounter of each unknown object.
     total = np.empty(delta.shape[0])
     for known in range(value.shape[0] - 1, -1, -1):
         for extra in range(value.shape[1]):

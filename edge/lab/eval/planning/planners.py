@@ -1,7 +1,8 @@
 """The planners that `edge eval planning` compares, behind one interface.
 
-A planner is made for a problem, then for a p_obs, and then answers situations
-(`edge.lab.eval.planning.executor.ChooseTarget`). Only `optimal` uses p_obs.
+A planner is made in two calls: for a problem, then for p_obs, the probability that an exploration
+finds its target. The result is called with a `PlannerInput` and returns the index of the next
+target, or `NOTHING` (let a step pass) or `DONE` (stop). Only `optimal` uses p_obs.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ def vitl(problem: PlanningProblem, known_reached: bool = True) -> Callable[[floa
 
 
 def vitl_eq1(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
-    """Return ViTL eq. 1 to the letter: a reached object weighs 1, as if it had to be found."""
+    """Return the `vitl` planner with eq. 1 taken literally.
+
+    A step to a reached object then costs 1, as much as one to an object that was not found yet.
+    """
     return vitl(problem, known_reached=False)
 
 
@@ -62,9 +66,9 @@ def random_valid(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     """Return a planner that draws any object that changes the state and keeps success possible."""
     targets = valid_targets(problem)
 
-    def choose(situation: PlannerInput) -> int:
-        valid = targets[situation.state]
-        return valid[int(situation.draw * len(valid))] if valid else DONE
+    def choose(known: PlannerInput) -> int:
+        valid = targets[known.state]
+        return valid[int(known.draw * len(valid))] if valid else DONE
 
     return lambda p_obs: choose
 
@@ -75,16 +79,20 @@ def clairvoyant(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
     The bound holds only if every place is known.
     """
     left = problem.steps_left
-    left_after = left[problem.moves]
+    left_after = left[problem.moves]  # (state, target): steps left after reaching the target
+    # By state: the first target that leaves one step less.
     shortest = [
         next((i for i in range(problem.n_propositions) if left_after[s, i] == left[s] - 1), NOTHING)
         for s in range(len(left))
     ]
-    return lambda p_obs: lambda situation: shortest[situation.state]
+    return lambda p_obs: lambda known: shortest[known.state]
 
 
 def least_explorations(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
-    """Return the exact optimum for the planners' information; see `Optimum`."""
+    """Return the planner with the fewest expected explorations that any can have; see `Optimum`.
+
+    Like all but `clairvoyant`, it knows only the places that were seen so far.
+    """
     return lambda p_obs: Optimum(problem, p_obs).choose
 
 
@@ -106,29 +114,31 @@ def valid_targets(problem: PlanningProblem) -> list[list[int]]:
     `NOTHING` (let a step pass) is included only if no object does.
     """
     moves, alive = problem.moves, problem.steps_left >= 0
+    # (state, target): the target leads to another state, from which success is possible.
     useful = alive[moves] & (moves != np.arange(len(moves))[:, None])
     targets = []
     for row in useful:
-        letters = np.flatnonzero(row[: problem.n_propositions]).tolist()
-        targets.append(letters or ([NOTHING] if row[-1] else []))  # last column: nothing reached
+        objects = np.flatnonzero(row[: problem.n_propositions]).tolist()
+        targets.append(objects or ([NOTHING] if row[-1] else []))  # last column: nothing reached
     return targets
 
 
 def _cached_chooser(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
     """Return a planner of the service as a `ChooseTarget` with a cache of its answers."""
-    letters = problem.automaton.propositions
-    index = {letter: i for i, letter in enumerate(letters)}
+    names = problem.automaton.propositions
+    index = {name: i for i, name in enumerate(names)}
     named_bits = (1 << problem.n_propositions) - 1  # of the objects that the formula names
     answers: dict[tuple[int, int, int, int], int] = {}
 
-    def choose(situation: PlannerInput) -> int:
-        state, current = situation.state, situation.current
-        seen, reached = situation.seen & named_bits, situation.reached & named_bits
+    def choose(known: PlannerInput) -> int:
+        state, current = known.state, known.current
+        seen, reached = known.seen & named_bits, known.reached & named_bits
         key = (state, seen, reached, current)
         if key not in answers:
-            detected = _names(seen & ~reached, letters)
-            knowledge = MissionKnowledge(detected, _names(reached, letters), frozenset())
-            plan = planner.plan(state, knowledge, letters[current] if current >= 0 else None)
+            detected = _names_of_bits(seen & ~reached, names)
+            knowledge = MissionKnowledge(detected, _names_of_bits(reached, names), frozenset())
+            plan = planner.plan(state, knowledge, names[current] if current >= 0 else None)
+            # A plan with steps but without a target: the planner lets a step pass.
             waits = plan.feasible and bool(plan.steps)
             answers[key] = index.get(plan.target, NOTHING if waits else DONE)
         return answers[key]
@@ -136,6 +146,6 @@ def _cached_chooser(planner: Planner, problem: PlanningProblem) -> ChooseTarget:
     return choose
 
 
-def _names(mask: int, letters: tuple[str, ...]) -> frozenset[str]:
-    """Return the propositions of the bits that are set."""
-    return frozenset(letter for i, letter in enumerate(letters) if mask >> i & 1)
+def _names_of_bits(mask: int, names: tuple[str, ...]) -> frozenset[str]:
+    """Return the names of the propositions whose bits are set."""
+    return frozenset(name for i, name in enumerate(names) if mask >> i & 1)

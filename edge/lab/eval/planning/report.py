@@ -2,9 +2,10 @@
 
 - complete: share of runs that end in an accepting state, with Wilson's interval.
 - explorations: mean of the completed runs (the paper's attempts, figure 4b).
-- steps / bound: explorations and direct reaches, summed over completed runs, over the steps of the
-  shortest accepted traces of these runs' tasks (the steps of `clairvoyant`).
-- explorations / optimum: sums over the runs that both the planner and `optimal` completed.
+- steps / bound: sum of explorations and direct reaches in completed runs, divided by the sum of the
+  steps of the shortest accepted traces of their tasks (the steps of `clairvoyant`).
+- explorations / optimum: sum of the planner's explorations, divided by the sum of those of
+  `optimal`, in the runs that both completed.
 
 Means and ratios have intervals by the delta method, with the task as the independent unit.
 """
@@ -66,6 +67,10 @@ def rows_of(results: SweepResults) -> list[Row]:
 
 
 def _row(results: SweepResults, k: int, at: slice, p_obs: float | None) -> Row:
+    """Return the figures of planner `k` at a slice `at` of the p_obs.
+
+    The local arrays are (p_obs, tasks, episodes).
+    """
     outcome, complete = results.outcome[k, at], results.complete[k, at]
     explorations, steps = results.explorations[k, at], results.steps[k, at]
     ended = Counter(outcome[outcome != NOT_RUN].tolist())
@@ -140,7 +145,10 @@ def legend(planners: Sequence[str]) -> str:
 
 
 def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
-    """Return the number of tasks, in total and by family."""
+    """Return the number of tasks, in total and by family.
+
+    Lifted (delexicalised) formulas count formulas that differ only in their objects once.
+    """
     families = Counter(task.family for task in tasks)
     structures = len({delexicalise(task.formula) for task in tasks})
     kinds = ", ".join(f"{n} {name}" for name, n in families.items())

@@ -1,7 +1,8 @@
 """Runs all planners on all tasks at all p_obs, in parallel processes.
 
-Tasks that share a delexicalised formula run together, so that automaton, plans and policies are
-made once for all of them.
+p_obs is the probability that an exploration finds its target. A delexicalised formula has
+placeholders in place of the objects. Tasks that share one run together, so that automaton and plans
+are made once for all of them.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ def empty_results(tasks: Sequence[BenchmarkTask], settings: Settings) -> SweepRe
 
 
 def _batches(tasks: Sequence[BenchmarkTask], size: int) -> Iterator[TaskBatch]:
-    rows: dict = {}  # by delexicalised formula
+    rows: dict = {}  # by delexicalised formula: indices of its tasks
     for row, task in enumerate(tasks):
         rows.setdefault(delexicalise(task.formula), []).append(row)
     for delexicalised, members in rows.items():

@@ -14,7 +14,7 @@ _Z95 = 1.96  # quantile of the normal distribution for 95 %
 
 
 class Slope(NamedTuple):
-    """Growth in an hour, with the bounds of its 95 % interval."""
+    """Growth in an hour, in the value's unit, with the bounds of its 95 % interval."""
 
     per_h: float
     low: float
@@ -27,7 +27,9 @@ class Slope(NamedTuple):
 
 
 def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
-    """Return the Theil-Sen slope, with Sen's interval from the variance of Kendall's S.
+    """Return the Theil-Sen slope: the median of the slopes between any two values.
+
+    The interval is Sen's: two ranks of the sorted slopes, from the variance of Kendall's S.
 
     Samples of adjacent seconds are correlated, which would make the interval too narrow. So medians
     over longer bins are compared, at most about `_BINS`. Values are compared only within one life
@@ -45,13 +47,13 @@ def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
         i, j = np.triu_indices(len(t_s), 1)
         slopes.append((values[j] - values[i]) / (t_s[j] - t_s[i]) * 3600.0)
         n = len(t_s)
-        variance += n * (n - 1) * (2 * n + 5) / 18.0
+        variance += n * (n - 1) * (2 * n + 5) / 18.0  # of Kendall's S, for values without ties
     sorted_slopes = np.sort(np.concatenate(slopes))
     if sum(len(t_s) for t_s, _ in thinned) < _MIN_VALUES:
         return None
-    half = _Z95 * math.sqrt(variance)  # half the width of the interval, in ranks of slopes
+    width = _Z95 * math.sqrt(variance)  # of the interval, in ranks of slopes
     n = len(sorted_slopes)
-    low, high = (n - half) / 2.0 - 1.0, (n + half) / 2.0
+    low, high = (n - width) / 2.0 - 1.0, (n + width) / 2.0
     bounds = np.clip([math.floor(low), math.ceil(high)], 0, n - 1)
     return Slope(float(np.median(sorted_slopes)), *(float(sorted_slopes[k]) for k in bounds))
 

@@ -38,6 +38,7 @@ from edge.lab.eval.soak.log import PipeLog
 from edge.lab.eval.soak.relay import Relay
 from edge.perception.runtime.cards import card_path, load_detector_card
 
+# A sink that publishes the timing of the service's loop.
 JITTER_SINK = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
 """Names of models: a copy of the configured one, and one that cannot be loaded."""
@@ -126,8 +127,8 @@ class SoakHarness:
             lambda: self.page("/readyz")[1].get("state") == "running",
             "edge run: the service did not start",
         )
-        self._session = zenoh_session(self.config.zenoh, "connect", self._stop)
-        self.session = self._session.__enter__()
+        self._session_context = zenoh_session(self.config.zenoh, "connect", self._stop)
+        self.session = self._session_context.__enter__()
         self.relay = Relay(self._robot_zenoh, self.config.zenoh, self._stop)
         self.start_simulator()
         self.start_controller()
@@ -157,8 +158,8 @@ class SoakHarness:
                 self.kill(name)
         if hasattr(self, "relay"):
             self.relay.close()
-        if hasattr(self, "_session"):
-            self._session.__exit__(None, None, None)
+        if hasattr(self, "_session_context"):
+            self._session_context.__exit__(None, None, None)
         self.kill("service")
         self.log.close()
         self._output.close()
@@ -244,6 +245,7 @@ class SoakHarness:
         """Return the process of the service's model; None if it has none now."""
         self.update_descendants()
         alive = (process for process in self.family if _MODEL_COMMAND.search(process.command))
+        # Ended processes stay in `family`.
         return next((process for process in alive if process.is_running()), None)
 
     def update_descendants(self) -> None:

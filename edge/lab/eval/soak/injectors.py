@@ -27,7 +27,9 @@ from edge.lab.eval.soak.relay import MessageFilter
 from edge.live.view import PUBLIC
 
 Injection = Generator[None, None, None]
+"""A running fault."""
 Injector = Callable[[SoakHarness, np.random.Generator], Injection]
+"""Returns an `Injection` that has not started yet."""
 
 LATE_S = 0.4  # delay of the messages by `delay_messages`
 _BATCH = 40  # messages of a flood in one step; there are several steps a second
@@ -43,7 +45,7 @@ def hold_until_end(end: Callable[[], object] = lambda: None) -> Injection:
 
 
 def alter_messages(make: Callable[[np.random.Generator], MessageFilter]) -> Injector:
-    """Return an injector that makes the relay alter messages."""
+    """Return an injector that makes the relay alter messages; `make` returns the filter."""
 
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         harness.relay.alter = make(rng)
@@ -99,6 +101,8 @@ def kill_controller(harness: SoakHarness, rng: np.random.Generator) -> Injection
 
 
 def signal_model(number: int) -> Injector:
+    """Return an injector that sends a signal to the model's process."""
+
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         process = harness.model_process()
         if process is None:
@@ -237,7 +241,9 @@ def flood_requests(make: Callable[[np.random.Generator], bytes]) -> Injector:
 # Beginnings of requests, which never get an end.
 _INCOMPLETE = (b"", b"GET /live/map HT", b"GET /live/map HTTP/1.1\r\nHost: 127.0.0.1\r\n")
 REQUESTS = (b'{"do": "status"}', b'{"do": "resume"}')
+"""Valid requests for a flood."""
 ANSWER = b'{"stamp": 1, "state": "accepted"}'
+"""A valid goal status."""
 
 
 def malformed_request(rng: np.random.Generator) -> bytes:

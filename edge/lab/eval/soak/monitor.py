@@ -29,7 +29,7 @@ from edge.text import read_json_object
 
 log = logging.getLogger("edge.lab.eval.soak")
 
-_MAX_BEATS = 4096
+_MAX_BEATS = 4096  # jitter messages to keep; one comes each second
 _MINUTE_S = 60.0
 _DROPPED = "edge_source_dropped_total"  # metric of `/metrics`
 _LINE_START = re.compile(r"\d\d:\d\d:\d\d")  # time at the start of a log record
@@ -86,7 +86,7 @@ class SoakMonitor:
             full_key = harness.config.zenoh.key(key)
             harness.session.declare_subscriber(full_key, partial(self._on_json, handle))
         goal = harness.config.zenoh.key(topics.GOAL.key)
-        self._goals: set[bytes] = set()  # the newest goal message
+        self._newest_goal: bytes | None = None  # the message
         harness.session.declare_subscriber(goal, self._on_goal)
 
     # -- on Zenoh's threads -----------------------------------------------------------------------
@@ -118,8 +118,8 @@ class SoakMonitor:
         """Count a goal once: it is sent again until it is answered."""
         payload = sample.payload.to_bytes()
         with self._lock:
-            if payload not in self._goals:
-                self._goals = {payload}
+            if payload != self._newest_goal:
+                self._newest_goal = payload
                 self.counts["goals"] += 1
 
     # -- on the soak's thread --------------------------------------------------------------------
@@ -199,6 +199,7 @@ class SoakMonitor:
         model = harness.model_process()
         for name, pid in (("service", harness.service.pid), ("model", model and model.pid)):
             used = usage(pid) if pid is not None else None
+            # None: the process does not run.
             sample[name] = used and {
                 "pid": pid,
                 "memory_mb": round(used.memory_mb, 2),

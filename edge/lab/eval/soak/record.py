@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 Row = dict[str, Any]
+"""A line of the record."""
 
 
 class SoakRecord:

@@ -28,6 +28,7 @@ MessageFilter = Callable[[Topic, bytes], Sequence[bytes]]
 """Returns the messages that replace a message of a topic. It is called on Zenoh's threads."""
 
 _IMAGES = (topics.RGB, topics.DEPTH, topics.SEGMENTATION)
+# PLAYED are the topics that the robot or its simulator publishes.
 _STAMPED = tuple(topic for topic in topics.PLAYED if topic.type != "json")
 
 
@@ -137,7 +138,7 @@ def moved(payload: bytes, x_m: float, yaw_rad: float = 0.0) -> bytes:
 
 def restamped(payload: bytes, stamp_ns: int) -> bytes:
     """Return a message that begins with a header, with another stamp."""
-    begin, end = len(HEADER), len(HEADER) + STAMP.size
+    begin, end = len(HEADER), len(HEADER) + STAMP.size  # bytes of the stamp: (s, ns)
     return payload[:begin] + STAMP.pack(*divmod(stamp_ns, 1_000_000_000)) + payload[end:]
 
 

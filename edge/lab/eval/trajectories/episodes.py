@@ -52,7 +52,7 @@ WANTED = {"specific": 3, "ambiguous": 3, "high-level": 4}
 """Most tasks of a frame or a start, by category."""
 STARTS = 10
 """Starts in a house."""
-_KEY = 18  # of the random numbers; `outdoor` has another
+_KEY = 18  # first part of the seeds here; `outdoor` has another
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MAX_STREETS = 10_000
 _NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that nobody says
@@ -158,6 +158,7 @@ def _draw_tasks(
     for task in possible_tasks(place, "to", rng):
         if len(found[task.category]) < wanted[task.category]:
             found[task.category].append(task)
+    # One task of each kind in turn, until all kinds have run out.
     by_kind = [possible_tasks(place, kind, rng) for kind in KINDS if kind != "to"]
     high = (task for group in itertools.zip_longest(*by_kind) for task in group if task is not None)
     found["high-level"] = list(itertools.islice(high, wanted["high-level"]))
@@ -252,6 +253,7 @@ def house_scene(world: World, pose: SE2, radius_m: float) -> Scene:
         and item.center_m[2] - 0.5 * item.size_m[2] < _MAX_ABOVE_FLOOR_M
     ]
     objects = {k: _house_object(k, item, pose, cells, allowed) for k, item in enumerate(items, 1)}
+    # Without a picture, its camera, and outlines in it.
     return Scene(0, pose, objects, regions, occupancy, cells, None, None, None, {})
 
 

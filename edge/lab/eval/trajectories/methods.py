@@ -3,6 +3,8 @@
 The writer (the rules, or a model) turns an instruction into a trajectory. Methods differ in the
 writer's input, and in the use of its trajectory.
 
+In the table, words are the instruction.
+
 | method | input of the writer | then |
 |---|---|---|
 | ours | words, picture, map | refined on the value map |
@@ -39,7 +41,7 @@ from edge.tasks.write import WriteError, WrittenTrajectory, write_trajectory
 from edge.text import one_line
 from edge.trajectory.pursuit import MotionLimits
 
-LIMITS = MotionLimits(1.5, 1.0, 0.8, 3.0)
+LIMITS = MotionLimits(speed_mps=1.5, turn_radps=1.0, accel_mps2=0.8, turn_accel_radps2=3.0)
 """Speed limits of the robot. They set the times of a refined trajectory, not its path."""
 CAUSES: tuple[tuple[type[UserError], str], ...] = (
     (TranslationError, "not understood"),
@@ -65,7 +67,8 @@ class Method(NamedTuple):
     """A method of the comparison.
 
     Attributes:
-        writing: input of the writer: "all", "no picture" or "no map".
+        writing: input of the writer: "all" (instruction, picture and map), "no picture" or "no
+            map".
         finish: turns the written trajectory into a path.
         ends: True for a method of table I, in which only the end counts.
     """
@@ -81,7 +84,7 @@ class MethodResult(NamedTuple):
     Attributes:
         path_m: (n, 2) float64. If the trajectory was refused: the robot's place.
         refused: one of `REFUSALS`; "" if there is a trajectory.
-        reason: one line.
+        reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and finishing.
     """
 
@@ -145,7 +148,9 @@ def methods_of(config: TasksConfig, scene: Scene | None = None) -> tuple[str, ..
 def run_methods(
     episode: TrajectoryEpisode, names: Sequence[str], config: TasksConfig
 ) -> dict[str, MethodResult]:
-    """Return the result of each method on an episode. Methods with the same input share a writing.
+    """Return the result of each method on an episode.
+
+    Methods with the same input of the writer share what it wrote.
 
     Only the instruction, the scene and the robot's radius are used.
 

@@ -82,7 +82,7 @@ class TrajectoryOutcome:
         true_contacts: collisions with the true obstacles.
         length_m: length of the trajectory.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
-        reason: one line.
+        reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and refining.
         path: the trajectory.
     """
@@ -130,6 +130,7 @@ def outcome_of(
     path_m = result.path_m
     occupancy, robot_m = episode.scene.occupancy, episode.robot_m
     scores = trajectory_scores(path_m, episode.task.reference_m, occupancy, robot_m)
+    # `solid_m` are the true obstacles as points; without them, the grid `truth` is exact.
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
     else:
@@ -181,7 +182,7 @@ class TrajectoryResults:
     """Outcomes as arrays: M methods by E episodes.
 
     Attributes:
-        methods: their names, with the writer's name if there are several.
+        methods: their names, with the writer's name if there are several writers.
         method_names: their names without that of the writer.
         facts: of each episode.
         ran: (M, E) bool.
@@ -209,6 +210,7 @@ def gather(
     by_id = {one.id: one for one in facts}
     several = len({outcome.writer for outcome in outcomes}) > 1
     names = {_name(outcome, several): outcome.method for outcome in outcomes}
+    # Episodes without any outcome are left out.
     ids = [one for one in by_id if any(outcome.episode == one for outcome in outcomes)]
     method_index, episode_index = ({key: k for k, key in enumerate(keys)} for keys in (names, ids))
     at: dict[tuple[int, int], TrajectoryOutcome] = {}

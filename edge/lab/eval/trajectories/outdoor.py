@@ -35,8 +35,9 @@ from edge.lab.sim.street import Street, StreetObject, solids, street
 from edge.tasks.scene import Region, Scene, SceneObject
 from edge.tasks.value_map import closed_cells
 
-CELL_M = 0.2
-ROBOT_M, HEIGHT_M = 0.4, 1.0  # radius and height of the robot
+CELL_M = 0.2  # side of a cell of the grids
+ROBOT_M = 0.4  # radius of the robot
+HEIGHT_M = 1.0  # height of the robot
 TASK_M = 7.0, 36.0
 """Smallest and largest distance of a task's objects from the robot."""
 RINGS, COLUMNS, RANGE_M = 64, 1024, 60.0  # of the LiDAR: rays in a column and in a row, and range
@@ -46,7 +47,7 @@ LIDAR_M = 1.73  # height of the LiDAR above the ground
 MIN_POINTS = 8  # an object with fewer points is not in the scene
 _X_M, _Y_M = (-12.0, 44.0), (-20.0, 20.0)  # extent of the occupancy grid in `map`
 _TRIES = 200  # streets to draw for an episode
-_KEY = 17  # of the random numbers
+_KEY = 17  # first part of the seeds, different from those of other modules
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +115,7 @@ def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
         cells = int((regions_grid.cells == ground.id).sum())
         if cells:
             regions[ground.id] = Region(ground.id, ground.label, cells * CELL_M**2)
+    # Without a picture, its camera, and outlines in it.
     scene = Scene(0, robot_pose, objects, regions, occupancy, regions_grid, None, None, None, {})
     return scene, cloud_m
 
@@ -122,6 +124,7 @@ def place_of(scene: Scene) -> ReferenceScene:
     """Return the place from which a street's tasks are drawn."""
     landmarks = tuple(
         Landmark(
+            # The caption is "colour label, size", so the text before the label is the colour.
             item.id, item.label, item.caption.partition(item.label)[0].strip(),
             item.position_m[:2],
             box_outline_m(item.position_m, item.size_m, item.heading_rad),
@@ -232,6 +235,7 @@ def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) of a scan that lie on one of these parts."""
     centers = np.array([part.center_m for part in parts], np.float32)
     halves = 0.5 * np.array([part.size_m for part in parts], np.float32) + 0.01
+    # First take the points in a box around all parts, then test each part in its own frame.
     reach = np.linalg.norm(halves, axis=1)[:, None]
     low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
     near = cloud_m[((cloud_m > low) & (cloud_m < high)).all(axis=1)]
@@ -239,7 +243,7 @@ def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
     for part, center, half in zip(parts, centers, halves, strict=True):
         c, s = math.cos(part.yaw_rad), math.sin(part.yaw_rad)
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], np.float32)
-        local = np.abs((near - center) @ turn) / half
+        local = np.abs((near - center) @ turn) / half  # 1 is on the surface
         is_ellipsoid = part.shape == kernels.ELLIPSOID
         size = np.linalg.norm(local, axis=1) if is_ellipsoid else local.max(axis=1, initial=0.0)
         on |= size <= 1.0

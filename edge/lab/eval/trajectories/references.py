@@ -6,12 +6,14 @@ The paper draws them by hand; here a rule makes them.
 |---|---|
 | go to A, stop at A | to the stop at A. Candidates are points with a free line to A, nearly as near to A as the nearest (`ABOUT_M`). The stop is the candidate nearest to where the robot comes from |
 | drive past the left of A, then stop at B | by a point abeam of A, on its left as seen from the robot's start; then to the stop at B |
-| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, until B is abeam; then to the stop at B |
+| go around the left of A, then stop at B, if B is behind A or on its other side | along an arc on that side of A, up to the direction of B; then to the stop at B |
 | go to A, then stop at B | to the stop at A, then to the stop at B |
 
-A point abeam of A leaves `ASIDE_M` between A and the robot. From point to point the reference is the
-cheapest path over drivable ground. Cells within `COMFORT_M` of the necessary clearance cost more. If a
-path is longer than twice the straight line plus 5 m, the task is left out.
+A stop at A is a point where the robot is at A when it stops. A point abeam of A is next to it, at a
+right angle to the line from the robot's start, and leaves `ASIDE_M` between A and the robot. From
+point to point the reference is the cheapest path over drivable ground. A cell is closed if the robot's
+centre cannot be there, else open. Open cells within `COMFORT_M` of closed ones cost more. If a path is
+longer than twice the straight line plus 5 m, the task is left out.
 
 An object gets an unambiguous name:
 
@@ -45,20 +47,26 @@ from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 KINDS = ("to", "past", "around", "then")
 """Kinds of instructions: the rows of the first table above, from the top."""
 CATEGORIES = ("specific", "ambiguous", "high-level")
-ASIDE_M, COMFORT_M, ABOUT_M = 0.8, 1.0, 0.35  # see above
+ASIDE_M = 0.8
+"""Gap between an object and a robot that drives past or around it."""
+COMFORT_M = 1.0
+"""Distance from closed cells within which open cells cost more."""
+ABOUT_M = 0.35
+"""A candidate for a stop is farther from the object than the nearest one by at most this."""
 MAX_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
 ESCAPE_M = 1.0
-"""A robot on a closed cell (one too near to an obstacle) begins at an open cell this near."""
+"""A robot on a closed cell begins at the nearest open cell, if it is within this distance."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
 _ASIDE_RAD = math.radians(8.0)  # a smaller bearing is neither left nor right
 _APART_M = 1.0  # least difference in distance between objects that are counted
 _ARC_FROM_RAD = math.radians(60.0)  # angle of the first point of an arc; `_abeam` defines angles
 _ARC_STEP_RAD = math.radians(30.0)  # between two points of an arc
-_AROUND_RAD = math.radians(150.0), math.radians(300.0)  # smallest and largest angle of B
+# Smallest and largest angle of B in "go around A, then stop at B".
+_AROUND_RAD = math.radians(150.0), math.radians(300.0)
 _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
-_TURN_SIGN = {"left": -1.0, "right": 1.0}
+_TURN_SIGN = {"left": -1.0, "right": 1.0}  # 1: the angles of `_abeam` count counterclockwise
 _MIN_LEG_M = 3.0  # least distance between the two parts of an instruction
 _OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
 
@@ -113,6 +121,7 @@ class ReferenceScene:
     @cached_property
     def reachable(self) -> np.ndarray:
         """(h, w) bool: True if the robot can get there."""
+        # A weight of 0 means closed. The cost map has a border of one cell around the grid's.
         is_open = self.costmap.weight[1:-1, 1:-1] != 0
         begin = self.begin_m
         if begin is None:
@@ -140,6 +149,7 @@ class ReferenceScene:
         nearest = astar.nearest_free(self.costmap, cell, here, ESCAPE_M)
         if nearest is None:
             return None
+        # nearest: (row, column); its middle is half a cell further.
         x_m, y_m = self.costmap.metres_of(np.array([nearest[1] + 0.5, nearest[0] + 0.5])).tolist()
         return x_m, y_m
 
@@ -153,8 +163,8 @@ class TrajectoryTask:
         category: one of `CATEGORIES`.
         instruction: the text.
         landmarks: ids of the objects that it names, in order.
-        segments: (n, 2) float64 each, the points of the rule. Without a map, they are joined by
-            straight lines.
+        segments: by part of the instruction, (n, 2) float64: the points that the rule above
+            prescribes, such as an arc or a stop. `reference_m` leads through all of them.
         reference_m: (n, 2) float64, from the robot's place.
     """
 
@@ -194,6 +204,7 @@ def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterat
 
 def referring_expression(place: ReferenceScene, landmark: Landmark) -> str | None:
     """Return an unambiguous name of an object; None if too many are like it."""
+    # All objects that the word could mean, including this one.
     like = [other for other in place.landmarks if names.is_kind_of(other.label, landmark.label)]
     if len(like) == 1:
         return f"the {landmark.label}"
@@ -204,12 +215,15 @@ def referring_expression(place: ReferenceScene, landmark: Landmark) -> str | Non
         return None
     before = 0  # number of such objects on the same side that are nearer
     for other in like:
-        at_rad, at_m = _bearing_and_distance(place, other)
-        if other is landmark or at_m >= away_m + _APART_M:
+        other_bearing, other_away_m = _bearing_and_distance(place, other)
+        if other is landmark or other_away_m >= away_m + _APART_M:
             continue
-        same_side = at_rad * bearing > 0
-        unclear = abs(at_rad) <= _ASIDE_RAD or (same_side and abs(at_rad) >= math.pi / 2)
-        if unclear or (same_side and at_m > away_m - _APART_M):
+        same_side = other_bearing * bearing > 0
+        # Straight ahead or behind, a person may or may not count it.
+        unclear = abs(other_bearing) <= _ASIDE_RAD or (
+            same_side and abs(other_bearing) >= math.pi / 2
+        )
+        if unclear or (same_side and other_away_m > away_m - _APART_M):
             return None
         before += same_side
     if before >= len(_ORDER):
@@ -248,7 +262,7 @@ def _instruction(kind: str, side: str, first: str, last: str) -> str:
 def _segments(
     place: ReferenceScene, kind: str, first: Landmark, last: Landmark, side: str
 ) -> tuple[np.ndarray, ...]:
-    """Return the points of the rule; () if it cannot be followed."""
+    """Return `TrajectoryTask.segments`; () if the rule cannot be followed."""
     here = np.array([place.pose.x_m, place.pose.y_m])
     if kind == "to":
         parts = [_stop(place, last, here)]
@@ -262,7 +276,7 @@ def _segments(
             return ()
         parts = [_abeam(place, first, side, math.pi / 2)[None]]
     else:
-        until_rad = _turn_rad(place, first, side, last.at_m)
+        until_rad = _turn_rad(place, first, side, last.at_m)  # the angle of B
         if not _AROUND_RAD[0] <= until_rad <= _AROUND_RAD[1]:
             return ()
         angles_rad = np.arange(_ARC_FROM_RAD, until_rad, _ARC_STEP_RAD)
@@ -329,7 +343,10 @@ def _stops(place: ReferenceScene, landmark: Landmark) -> np.ndarray:
 
 
 def _others(place: ReferenceScene, landmark: Landmark) -> CostMap:
-    """Return a cost map that is closed at obstacles other than the object."""
+    """Return a cost map that is closed at obstacles other than the object.
+
+    Occupied cells within `_OWN_CELLS` of the object's outline are its own.
+    """
     grid = place.occupancy
     outside = np.ones(grid.cells.shape, np.uint8)
     cells = np.floor(grid.to_cells(landmark.outline_m)).astype(np.int64)
@@ -337,8 +354,8 @@ def _others(place: ReferenceScene, landmark: Landmark) -> CostMap:
     column, row = cells[((cells >= 0) & (cells < (w, h))).all(axis=1)].T
     outside[row, column] = 0
     away = cv2.distanceTransform(outside, cv2.DIST_L2, 5)
-    standing = (grid.cells > 0) & (away > _OWN_CELLS)
-    return from_weights(replace(grid, cells=(~standing).astype(np.uint8)))
+    is_other = (grid.cells > 0) & (away > _OWN_CELLS)
+    return from_weights(replace(grid, cells=(~is_other).astype(np.uint8)))
 
 
 def _cheapest_path(place: ReferenceScene, segments: Sequence[np.ndarray]) -> np.ndarray | None:

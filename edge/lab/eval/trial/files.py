@@ -25,6 +25,7 @@ from edge.text import one_line
 # Names of the files; MODEL is a folder with what a model got and answered.
 OBJECTS, CAMERA, MAP, PAGE = "objects.png", "camera.png", "map.png", "scene.html"
 JSON, CSV, MODEL = "trajectory.json", "trajectory.csv", "model"
+# Of the CSV file; the first four are those of `RefinedTrajectory.poses`.
 COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 
 
@@ -67,10 +68,10 @@ class RunFolder:
         coarse_on_ground_m = None
         if coarse_m is not None:
             coarse_on_ground_m = np.column_stack([coarse_m, ground_heights_m(view, coarse_m)])
-            poses_m = None if refined is None else refined.poses[:, :3]
+            refined_m = None if refined is None else refined.poses[:, :3]  # x, y, z
             half_m = outcome.config.robot.radius_m
             self._write_picture(
-                CAMERA, camera_picture.draw_trajectory(scene, coarse_on_ground_m, poses_m, half_m)
+                CAMERA, camera_picture.draw_trajectory(scene, coarse_on_ground_m, refined_m, half_m)
             )
         self._write(MAP, trajectory_map.png(scene, coarse_m, refined, outcome.costmap))
         self._write(PAGE, _bytes(_page(outcome, coarse_on_ground_m)))

@@ -25,8 +25,10 @@ from edge.tasks.scene_builder import SceneBuilder
 from edge.text import one_line
 from edge.types import MASK_SIDE, Detections, Observation
 
-MIN_PX, MIN_SIDE_PX = 60, 4
-"""An object of the built-in street with fewer pixels or a smaller side is not seen."""
+MIN_PX = 60
+"""An object of the built-in street with fewer pixels is not seen."""
+MIN_SIDE_PX = 4
+"""An object of the built-in street whose bounding box has a smaller side is not seen."""
 ON_GROUND_M = 0.05
 """A return of the built-in street that is not higher is on the ground."""
 
@@ -187,9 +189,16 @@ def _plugin_pipeline(
     """Return the plugin pipeline of `tasks.pipeline`; its errors become `SceneCaptureError`."""
     where = config.locate("tasks.pipeline")
     arguments: dict[str, Any] = {"perception": config.perception, "words": words}
-    needs = ("tags", "boxes", "masks", "captions", "embeddings")
+    part_names = ("tags", "boxes", "masks", "captions", "embeddings")  # fields, in order
     make = component_factory(
-        "pipeline", plugin.kind, plugin.options, {}, where, needs, tuple(arguments), functions=True
+        "pipeline",
+        plugin.kind,
+        plugin.options,
+        {},
+        where,
+        part_names,
+        tuple(arguments),
+        functions=True,
     )
     pipeline = make(**arguments)
 
@@ -210,7 +219,7 @@ def _plugin_pipeline(
 
         return None if part is None else called
 
-    return PerceptionPipeline(*map(guarded, needs))
+    return PerceptionPipeline(*map(guarded, part_names))
 
 
 def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:

@@ -29,7 +29,7 @@ class TaskRun:
         instruction: the text.
         view: the scene and its sensor data.
         config: the configuration.
-        rounds: answers of a model.
+        rounds: the attempts of a model that writes; () for the rules.
         written: the coarse trajectory; None: there is none.
         refined: the refined trajectory, on the ground that the LiDAR saw; None: there is none.
         costmap: costs that the refinement used; None: there is none.
@@ -113,7 +113,7 @@ def run_task(
 
 def on_ground(refined: RefinedTrajectory, view: SceneCapture) -> RefinedTrajectory:
     """Return the trajectory with heights over the ground in place of the plane z = 0."""
-    poses = refined.poses.copy()
+    poses = refined.poses.copy()  # (n, 4): x, y, z [m] and heading [rad]
     poses[:, 2] += ground_heights_m(view, poses[:, :2])
     return replace(refined, poses=poses)
 
@@ -135,6 +135,7 @@ def ground_heights_m(view: SceneCapture, xy_m: np.ndarray) -> np.ndarray:
     kept = ((cells >= 0) & (cells < (w, h))).all(axis=1)
     # True up to 3 cells from an obstacle.
     near = cv2.dilate((scene.occupancy.cells > 0).astype(np.uint8), np.ones((7, 7), np.uint8))
+    # Of the points on the grid, keep those that are not near an obstacle.
     kept[kept] = near[cells[kept, 1], cells[kept, 0]] == 0
     if not kept.any():
         return np.full(len(xy_m), view.base_z_m)
