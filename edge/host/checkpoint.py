@@ -190,7 +190,7 @@ def _read_archive(content: bytes) -> Arrays:
             members = archive.infolist()
             stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
             if not stored or sum(m.file_size for m in members) > len(content):
-                raise ValueError("they are compressed, or have more bytes than the file")
+                raise ValueError("the arrays are compressed, or have more bytes than the file")
             return {m.filename.removesuffix(".npy"): _read_array(archive.read(m)) for m in members}
     except Exception as error:  # the parsers may raise anything on hostile input
         raise ValueError(f"damaged: the arrays cannot be read: {one_line(error)}") from None
