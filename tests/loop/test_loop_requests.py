@@ -53,8 +53,11 @@ def test_a_request(verbs, data, more):
         (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not a field of do: new (its fields: "),
         (b'{"do": "new"}', "exactly one of instruction, formula and task"),
         (b'{"do": "new", "formula": "a", "id": 3}', "id: expected text, got 3"),
-        (b'{"do": "new", "formula": "a", "reading": 1}', "only valid with an instruction"),
-        (b'{"do": "new", "instruction": "a", "reading": 0}', "an integer from 1 on, got 0"),
+        (b'{"do": "new", "formula": "a", "reading": 1}', "only valid with the field instruction"),
+        (
+            b'{"do": "new", "instruction": "a", "reading": 0}',
+            "the number of a reading, 1 or more, got 0",
+        ),
         (b'{"do": "cancel", "id": "a b"}', "id: expected at most 64 letters, digits and"),
         (b'{"do": "cancel", "id": "%s"}' % (b"a" * 65), "at most 64"),
         (b'{"do": "cancel", "why": ""}', "why: expected text, got ''"),

@@ -165,7 +165,8 @@ def _parse_methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
     for name in names:
         if name in METHODS and name not in possible:
             raise UserError(
-                f"--methods: {name}: without --url the same as ours; omit {name}, or give --url"
+                f"--methods: {name}: without --url this is the same as ours; omit {name}, or give "
+                "--url"
             )
         if name not in possible:
             raise UserError(
