@@ -164,8 +164,8 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
     ends = {
         SEGFAULT: "its process: ended by SIGSEGV",
         EXIT: "its process: ended with exit code 3",
-        NO_MEMORY: "its process: out of memory: killed",
-        NAN: r"its process: damaged answer \(boxes that are not finite\): killed",
+        NO_MEMORY: "its process: ran out of memory; it was killed",
+        NAN: r"its process: sent a damaged answer \(boxes that are not finite\); it was killed",
         TOO_MANY: r"its process: ended with exit code 1|damaged answer",
     }
     descriptors = []

@@ -135,7 +135,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
 def _check_words(what: str, words: Any) -> None:
     """Raise ValueError unless a field of a header is a list of words."""
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise ValueError(f"{what} {bounded_repr(words, 40)}, expected a list of words")
+        raise ValueError(f"{what}: expected a list of words, got {bounded_repr(words, 40)}")
 
 
 def _unpack(
@@ -169,9 +169,11 @@ def decode_health(header: dict[str, Any]) -> Health:
         or len(health) != 2
         or not all(isinstance(t, str) for t in health)
     ):
-        raise ValueError(f"health {bounded_repr(health, 40)}, expected [state, detail]")
+        raise ValueError(f"health: expected [state, detail], got {bounded_repr(health, 40)}")
     if health[0] not in _STATES:
-        raise ValueError(f"health {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})")
+        raise ValueError(
+            f"health: unknown state {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})"
+        )
     return Health(*health)
 
 

@@ -67,7 +67,8 @@ class Prompter:
         if images != (view is None):
             raise ModelError(
                 f"model {self._name}: its chat template shows {images} images "
-                f"({self.image_token or 'the model takes none'}), expected {int(view is None)}"
+                f"({self.image_token or 'the model takes none'}), expected {int(view is None)}: "
+                "the template is of another model, or damaged"
             )
         return text
 
