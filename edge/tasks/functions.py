@@ -111,7 +111,9 @@ class ScriptFunctions:
     def visual_3d(self, points: Any) -> None:
         """Show a trajectory in the scene, without driving it."""
         if len(self.shown_trajectories) == MOST_SHOWN:
-            raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown, more cannot be shown")
+            raise CallError(
+                f"visual_3d: {MOST_SHOWN} trajectories are shown already; more are not allowed"
+            )
         self.shown_trajectories += coarse_of(points, (), None, self.limits).segments
 
     def give_trajectory(

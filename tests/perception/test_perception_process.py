@@ -335,7 +335,8 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         (
             "lie",
             ModelProcessError,
-            r"sent a damaged message before it was ready \(health 'splendid' .*\); it was killed$",
+            r"sent a damaged message before it was ready \(health: unknown state 'splendid' .*\); "
+            "it was killed$",
         ),
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],

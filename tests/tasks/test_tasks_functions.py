@@ -104,7 +104,7 @@ def test_one_trajectory_is_given(functions):
 def test_what_is_shown_is_not_given(functions):
     for _ in range(MOST_SHOWN):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
-    with pytest.raises(CallError, match="10 trajectories are shown, more"):
+    with pytest.raises(CallError, match="10 trajectories are shown already; more"):
         functions.visual_3d([(0, 0)])
     assert functions.trajectory is None
     assert len(functions.shown_trajectories) == MOST_SHOWN
