@@ -203,7 +203,9 @@ def _read_array(content: bytes) -> np.ndarray:
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
     n_bytes = math.prod(shape) * dtype.itemsize
     if dtype.kind not in "biufU" or not dtype.itemsize or n_bytes != len(content) - file.tell():
-        raise ValueError(f"an array {dtype} {shape} does not fit its {len(content)} bytes")
+        raise ValueError(
+            f"an array of type {dtype} and shape {shape} does not fit its {len(content)} bytes"
+        )
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 

@@ -137,7 +137,7 @@ def _check_new(fields: dict) -> dict:
     """Return the checked fields of a new mission."""
     texts = {name: check_text(name, fields[name]) for name in _INSTRUCTION_FIELDS if name in fields}
     if len(texts) != 1:
-        raise ValueError("do: new needs exactly one of instruction, formula and task")
+        raise ValueError("do: new needs exactly one of the fields instruction, formula and task")
     if_free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {
         **texts,

@@ -51,7 +51,7 @@ def test_a_request(verbs, data, more):
         (b'{"do": "stop"}', "do: unknown 'stop' (choices: new, "),
         (b'{"do": "pause", "why": 1}', "'why': not a field of do: pause (its fields: for_s)"),
         (b'{"do": "new", "formula": "F a", "x": 1}', "'x': not a field of do: new (its fields: "),
-        (b'{"do": "new"}', "exactly one of instruction, formula and task"),
+        (b'{"do": "new"}', "exactly one of the fields instruction, formula and task"),
         (b'{"do": "new", "formula": "a", "id": 3}', "id: expected text, got 3"),
         (b'{"do": "new", "formula": "a", "reading": 1}', "only valid with the field instruction"),
         (

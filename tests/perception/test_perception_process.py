@@ -136,7 +136,7 @@ def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
     larger = seen(hw=(480, 640), value=102)
     assert detector.detect(larger).score[0] == np.float32(larger.rgb.mean() / 255)
 
-    with pytest.raises(ValueError, match="no image to detect in"):
+    with pytest.raises(ValueError, match="it has no camera image to detect objects in"):
         detector.detect(seen().__class__(seq=1, stamp_ns=0, T_map_base=np.eye(4)))
     detector.detect(seen(ENGINE))
     assert detector.health() == Health("building engine", "3 of 9")

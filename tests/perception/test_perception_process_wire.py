@@ -96,7 +96,7 @@ def with_array(name, value):
 
 
 DAMAGES = {
-    "another image's": (changed(seq=2), "seq 2, expected 3"),
+    "another image's": (changed(seq=2), "seq: expected 3, got 2"),
     "no number": (changed(n=None), "56 bytes do not fit n None boxes and 0 context boxes"),
     "more boxes than bytes": (changed(n=3), "56 bytes do not fit n 3 boxes and 0 context boxes"),
     "fewer boxes than bytes": (changed(n=1), "56 bytes do not fit n 1 boxes and 0 context boxes"),
@@ -122,7 +122,7 @@ DAMAGES = {
         changed(n=3, context={"n": -1, "words": []}),
         "fit n 3 boxes and -1 context boxes",
     ),
-    "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes '2'"),
+    "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes: .*got '2'"),
     "no health": (changed(health=None), "health: .*got None"),
     "unknown health": (
         changed(health=["fine", ""]),

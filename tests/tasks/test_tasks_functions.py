@@ -76,7 +76,7 @@ def test_a_way_avoids_what_is_in_between(functions):
         (lambda f: f.region_at("here"), "at: expected a point"),
         (lambda f: f.nearest_reachable((0, 0), 9), "expected ids of regions .1, 2., got "),
         (lambda f: f.distance((0, 0), {}), "b: expected a point"),
-        (lambda f: f.line((0, 0), (1e6, 0)), "line: a and b are over "),
+        (lambda f: f.line((0, 0), (1e6, 0)), "line: a and b are more than "),
         (lambda f: f.offset(9, "left"), "id: expected the id of an object .1, 2, 3, 4, 5., got 9"),
         (lambda f: f.offset(1, "top"), "offset: side: expected behind, left, right, in front of"),
         (lambda f: f.offset(1, "left", -1), "distance_m: expected 0 or more, got -1"),

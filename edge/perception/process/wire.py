@@ -103,12 +103,14 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
     """
     prompts, invalid = header.get("prompts"), header.get("invalid_boxes")
     if header.get("seq") != seq:
-        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
+        raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     if type(invalid) is not int:
-        raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}, expected an integer")
+        raise ValueError(f"invalid_boxes: expected an integer, got {bounded_repr(invalid, 40)}")
     context_boxes = header.get("context")
     if not (context_boxes is None or isinstance(context_boxes, dict)):
-        raise ValueError(f"context {bounded_repr(context_boxes, 40)}, expected an object or null")
+        raise ValueError(
+            f"context: expected an object or null, got {bounded_repr(context_boxes, 40)}"
+        )
     words, m = (
         ([], 0) if context_boxes is None else (context_boxes.get("words"), context_boxes.get("n"))
     )

@@ -150,7 +150,7 @@ def _decode(
         ValueError: the reply is invalid, for the reason given in one line.
     """
     if header.get("seq") != seq:
-        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
+        raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     values = header.get("p")
     if not isinstance(values, list) or len(values) != len(sizes):
         raise ValueError(f"p: expected {len(sizes)} lists, got {bounded_repr(values, 40)}")
