@@ -364,7 +364,7 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
         is_rotation = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
     if not (is_rotation and np.abs(T[:3, 3]).max() <= FARTHEST_M):
         raise KittiError(
-            f"{where}: not a pose: expected a rotation matrix, and a translation of at most "
+            f"{where}: expected a rotation matrix, and a translation of at most "
             f"{FARTHEST_M / 1000:g} km"
         )
     return T
