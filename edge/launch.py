@@ -123,8 +123,8 @@ def open_service(
     make_policy = find_policy(config.policy, config.origin("policy"))
     # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
     if not any(sink.kind in ("zenoh", "ros2") or ":" in sink.kind for sink in config.sinks):
-        log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add one to "
-                    "drive a robot", config.locate("sinks"))  # fmt: skip
+        log.warning("%s: no zenoh or ros2 sink: no motion controller receives goals; add such "
+                    "a sink to drive a robot", config.locate("sinks"))  # fmt: skip
     with ExitStack() as stack:
         mission, checkpoint, spec = config.mission, None, None
         site = SiteFile(None if mission.site is None else resources.expand(mission.site))

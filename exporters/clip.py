@@ -156,7 +156,8 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
     if unknown := [p for p in wanted if p not in TEXT_PRECISION]:
         choices = ", ".join(TEXT_PRECISION)
         raise ExportError(
-            f"--precision: an image or text encoder has no {unknown[0]!r} (choices: {choices})"
+            f"--precision: no precision {unknown[0]!r} for image and text encoders (choices: "
+            f"{choices})"
         )
     if wanted != ["fp32"]:
         require_calibration(args.calibration, args.card)

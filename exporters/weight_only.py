@@ -48,7 +48,10 @@ def quantize_weights(model: onnx.ModelProto, precision: str) -> onnx.ModelProto:
     quantizer.process()
     quantized = quantizer.model.model
     if not tables and all(node.op_type != "MatMulNBits" for node in quantized.graph.node):
-        raise ExportError(f"{precision}: the model has no constant matrix that can be quantized")
+        raise ExportError(
+            f"{precision}: the model has no constant matrix that can be quantized; choose another "
+            "precision"
+        )
     return quantized
 
 

@@ -101,7 +101,11 @@ FAULTS = [
         "f.yaml: policy.kind: missing (choices: hvl, vlfm, directional, adaptive, "
         "nearest_frontier, search, module:Class)",
     ),
-    ({"policy": {"kind": "my:b c"}}, "f.yaml: policy.kind: expected module:Class, got 'my:b c'"),
+    (
+        {"policy": {"kind": "my:b c"}},
+        "f.yaml: policy.kind: expected module:Class, such as "
+        "my_package.my_module:MyClass, got 'my:b c'",
+    ),
     ({"zenoh": {"mode": "x"}}, "f.yaml: zenoh.mode: unknown 'x' (choices: peer, client)"),
     (
         {"zenoh": {"topics": {"camera/rbg": "x"}}},
@@ -409,7 +413,7 @@ def nested(first: str, more: str) -> str:
     [
         (nested("a: &a [x, x]\n", "{name}: &{name} [{nine}]\n"), "more than 20000 keys and values"),
         (nested("a: &a {x: 1}\n", "{name}: &{name} {{<<: [{nine}]}}\n"), "more than 20000"),
-        ("robot: &a\n  name: [*a]", "line 2: an alias (*name) inside the value it"),
+        ("robot: &a\n  name: [*a]", "line 2: an alias (*name) is inside the value"),
         ("".join(f"- &a{i + 1} [*a{i}]\n" for i in range(1, 99)), "undefined alias 'a1'"),
         ("- &a0 x\n" + "".join(f"- &a{i + 1} [*a{i}]\n" for i in range(99)), "nested too deeply"),
         ("{a: " * 100, "nested too deeply"),

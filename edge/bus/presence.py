@@ -44,7 +44,9 @@ def online_sessions(session: zenoh.Session, pattern: str) -> dict[str, set[str]]
     found: dict[str, set[str]] = {}
     for reply in session.liveliness().get(f"{pattern}/{topics.ALIVE}/*", timeout=ANSWER_S):
         if reply.ok is None:
-            raise BusError(f"{pattern}: the router did not list the services in {ANSWER_S:g} s")
+            raise BusError(
+                f"{pattern}: the router did not list the services within {ANSWER_S:g} s; try again"
+            )
         prefix, _, session_id = str(reply.ok.key_expr).rpartition(f"/{topics.ALIVE}/")
         found.setdefault(prefix, set()).add(session_id)
     return found

@@ -143,7 +143,7 @@ class RequestServer:
                 else:
                     asked.reply(self.key, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
         except zenoh.ZError as error:
-            log.warning("an answer to a request was lost: %s", _reason(error))
+            log.warning("the answer to a request could not be sent: %s", _reason(error))
 
 
 def _payload(query: zenoh.Query) -> bytes:

@@ -196,8 +196,8 @@ def zenoh_session(
             closing = start_detached_thread("zenoh-close", _close, opened)
             closing.join(CLOSE_S)
             if closing.is_alive():
-                log.warning("zenoh: a peer at %s accepts no data: the session is given up; its "
-                            "last messages may be lost", settings.address)  # fmt: skip
+                log.warning("zenoh: a peer at %s accepts no data: the session is given up; the "
+                            "last messages to it may be lost", settings.address)  # fmt: skip
 
 
 def _close(opened: zenoh.Session) -> None:

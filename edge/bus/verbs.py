@@ -102,7 +102,8 @@ def check_pose(name: str, value: object) -> SE2:
     valid = len(numbers) == 3 and all(type(n) in (int, float) for n in numbers)
     if not valid or not all(abs(n) <= FARTHEST_M for n in numbers):
         raise ValueError(
-            f"{name}: expected [x_m, y_m, yaw_rad], none beyond {FARTHEST_M:g}, got {show(value)}"
+            f"{name}: expected [x_m, y_m, yaw_rad], each from {-FARTHEST_M:g} to {FARTHEST_M:g}, "
+            f"got {show(value)}"
         )
     return SE2(*map(float, numbers))
 

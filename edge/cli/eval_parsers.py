@@ -19,7 +19,7 @@ from edge.cli.options import (
 def add_eval(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `eval` and its kinds."""
     evaluate = commands.add_parser(
-        "eval", help="measure how well policies, planners, translators and trajectories do"
+        "eval", help="measure the quality of policies, planners, translators and trajectories"
     )
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
     _add_episodes(kinds)
@@ -38,8 +38,8 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option, exclusive = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option(
         "--episodes", type=Path, metavar="FILE",
-        help="run the episodes of this file, which --plan wrote; of this group's other options "
-        "only --limit then has an effect",
+        help="run the episodes of this file, which --plan wrote; the other options of this group "
+        "are then ignored, except --limit",
     )  # fmt: skip
     option("--plan", type=Path, metavar="FILE", help="write the episodes to this file; run none")
     option(
@@ -122,7 +122,7 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--report", type=Path, metavar="DIR",
-        help="as --out, and write a page with pictures for every episode that is run",
+        help="like --out; also write a web page with pictures for each episode to this folder",
     )  # fmt: skip
     option(
         "--workers", "--jobs", type=count, default=1, metavar="N",
@@ -135,7 +135,8 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option = episodes.add_argument_group("results").add_argument
     option(
         "--compare", type=Path, metavar="DIR",
-        help="run nothing; write tables, plots and maps of the outcomes in this folder of --out",
+        help="run no episode; read the outcomes in this folder, which --out wrote, and write "
+        "tables, plots and maps of them there",
     )  # fmt: skip
     option(
         "--baseline", metavar="NAME",
@@ -175,7 +176,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--seed",
         type=seed,
         default=0,
-        help="seed of the missions and of what is found (default: %(default)s)",
+        help="seed of the missions and of what explorations find (default: %(default)s)",
     )
     option(
         "--p-obs", type=probabilities, default=_P_OBS, metavar="P,P,…",
@@ -185,7 +186,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--planners",
         metavar="NAME,NAME,…",
-        help="planners to compare (default: all, without the language model of --llm)",
+        help="planners to compare (default: all); to add a language model, give --llm",
     )
     option(
         "--episodes", type=count, default=1, metavar="N",
@@ -258,8 +259,8 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--everyday", type=Path, metavar="JSONL",
-        help="score only the everyday sentences of this file, in the format of docs/language.md; "
-        "some are questions or orders to learn",
+        help="score only the everyday sentences in this file (format: docs/language.md), which may "
+        "also be questions, or things to remember",
     )  # fmt: skip
     option(
         "--failures",
@@ -333,11 +334,12 @@ def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--model", help="with --url: the model's name on the server")
     option(
         "--rounds", type=count, default=4, metavar="N",
-        help="with --url: most answers of the model for one episode (default: %(default)s)",
+        help="with --url: maximum number of answers by the model for one episode (default: "
+        "%(default)s)",
     )  # fmt: skip
     option(
         "--time-limit", type=count, default=120, metavar="S",
-        help="with --url: most seconds for all answers of one episode (default: %(default)s)",
+        help="with --url: longest time for all answers of one episode, in s (default: %(default)s)",
     )  # fmt: skip
     option(
         "--out", type=Path, default=Path("trajectories"), metavar="DIR",

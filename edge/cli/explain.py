@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
-        raise UserError(f"--draw: {drawing}: the name must end in {', '.join(_DRAWINGS)}")
+        raise UserError(f"--draw: {drawing}: the name must end in one of {', '.join(_DRAWINGS)}")
     if drawing is not None and drawing.suffix != ".dot":
         require_lab()
     mission = load(args.config).mission

@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     for warning in renamed:
-        log.warning("%s; the next release no longer knows the old name", warning)
+        log.warning("%s; the old name will not work in the next release", warning)
     # Python's last garbage collection at exit takes 0.3 s in a service.
     atexit.register(gc.freeze)
     if args.trust_cache:  # set in the environment, so that model processes inherit it

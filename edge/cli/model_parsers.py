@@ -35,7 +35,7 @@ def _add_list_options(action: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     option(
         "--timeout", type=positive, default=120.0, metavar="S",
-        help="with --check: most seconds for each model (default: %(default)g)",
+        help="with --check: longest time for each model, in s (default: %(default)g)",
     )  # fmt: skip
     check, show = (
         lazy_handler("edge.models.check", "run"),

@@ -202,7 +202,11 @@ def _add_mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain = actions.add_parser("explain", help="show how a mission is understood and planned")
     explain.add_argument("text", help="instruction in words, or a formula with --formula")
     kind = explain.add_mutually_exclusive_group()
-    kind.add_argument("--formula", action="store_true", help="read the text as a formula (LTL)")
+    kind.add_argument(
+        "--formula",
+        action="store_true",
+        help="read the text as an LTL formula (default: as an instruction)",
+    )
     mission.add_reading(kind)
     explain.add_argument("--config", default="demo", help=f"{CONFIG} (default: demo)")
     explain.add_argument(
@@ -279,8 +283,8 @@ def _add_replay(commands) -> None:  # type: ignore[no-untyped-def]
         "replay", help="run the service again on the inputs of a recorded run; compare the results"
     )
     replay.add_argument(
-        "file", metavar="FILE", help="first file of the recorded run; with --trace also the "
-        "configuration of a running service, which gives the times at its http.port",
+        "file", metavar="FILE", help="first file of the recorded run; --trace also takes the "
+        "configuration of a running service, and reads the times from its http.port",
     )  # fmt: skip
     replay.add_argument(
         "--config", help=f"replay with this configuration (default: the recorded one): {CONFIG}"
@@ -294,7 +298,8 @@ def _add_replay(commands) -> None:  # type: ignore[no-untyped-def]
         "--trust",
         action="store_true",
         help="load the plugins and files that the recorded configuration names; plugins can do "
-        "all that you can, so use --trust only for recordings that you trust (default: refuse)",
+        "all that you can, so use --trust only for recordings that you trust (default: refuse to "
+        "load them)",
     )
     instead = replay.add_argument_group("write a file instead")
     kind = instead.add_mutually_exclusive_group()

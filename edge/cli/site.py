@@ -31,18 +31,18 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
     """Add `edge zone`."""
-    zone = commands.add_parser("zone", help="close an area to the robot, or all but one area")
+    zone = commands.add_parser("zone", help="keep the robot out of an area, or inside an area")
     actions = zone.add_subparsers(dest="do", required=True, metavar="ACTION", title="actions")
     for kind, text in (
-        ("keep-out", "close the inside of a polygon"),
-        ("stay-inside", "close all but the inside of a polygon"),
+        ("keep-out", "keep the robot out of a polygon"),
+        ("stay-inside", "keep the robot inside a polygon"),
     ):
         add = _action(actions, kind, text)
         add.add_argument("name", help="name of the zone; replaces a zone with the same name")
         add.add_argument(
             "corners", nargs="+", type=_corner, metavar="X,Y",
-            help="at least three corners, x and y in the map frame in m; write -- before a "
-            "negative X",
+            help="at least three corners, x and y in the map frame in m; if an X is negative, "
+            "write -- before the first corner",
         )  # fmt: skip
     _add_common_actions(actions, "places and zones")
 

@@ -195,8 +195,9 @@ class Config(Section):
         """
         if self.mission.site is not None and not self.source.localised:
             raise ConfigError(
-                f"{self.locate('mission.site', 'source.localised')}: a file of places needs poses "
-                "in a map that lasts: set source.localised to true, or remove mission.site"
+                f"{self.locate('mission.site', 'source.localised')}: a file of places needs a map "
+                "frame that is the same after each start: set source.localised to true if it is, "
+                "or remove mission.site"
             )
 
     def check_policy(self) -> None:

@@ -27,7 +27,7 @@ MODULE_CLASS = "module:Class"  # tag and placeholder of the kind of a plugin
 def _check_plugin_kind(kind: str) -> str:
     module, _, name = kind.partition(":")
     if not (name.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise ValueError(f"expected {MODULE_CLASS}")
+        raise ValueError(f"expected {MODULE_CLASS}, such as my_package.my_module:MyClass")
     return kind
 
 

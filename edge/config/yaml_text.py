@@ -61,7 +61,9 @@ def parse_yaml(text: str | bytes) -> Any:
     except RecursionError:
         raise YamlTooLargeError(_TOO_DEEP) from None
     except (AttributeError, IndexError, KeyError):  # PyYAML raises them at `!!timestamp x`
-        raise ValueError("not YAML: a value does not fit its tag, such as !!timestamp") from None
+        raise ValueError(
+            "not YAML: a value does not fit its tag (!!timestamp or another)"
+        ) from None
 
 
 class _RefusedError(ValueError):
@@ -99,7 +101,9 @@ class _Loader(yaml.SafeLoader):
         node = super().compose_node(parent, index)
         if is_alias:
             if id(node) not in self._known:  # the alias is inside its own anchor
-                raise _RefusedError(f"line {line}: an alias (*name) inside the value it stands for")
+                raise _RefusedError(
+                    f"line {line}: an alias (*name) is inside the value that it stands for"
+                )
             nodes, height = self._known[id(node)]
         else:
             nodes, height = 1, self._height

@@ -195,7 +195,7 @@ def _read_archive(content: bytes) -> Arrays:
             members = archive.infolist()
             stored = all(m.compress_type == zipfile.ZIP_STORED for m in members)
             if not stored or sum(m.file_size for m in members) > len(content):
-                raise ValueError("they are compressed, or have more bytes than the file")
+                raise ValueError("the arrays are compressed, or have more bytes than the file")
             return {m.filename.removesuffix(".npy"): _read_array(archive.read(m)) for m in members}
     except Exception as error:  # the parsers may raise anything on hostile input
         raise ValueError(f"damaged: the arrays cannot be read: {one_line(error)}") from None
@@ -208,7 +208,9 @@ def _read_array(content: bytes) -> np.ndarray:
     shape, _, dtype = np.lib.format.read_array_header_1_0(file)
     n_bytes = math.prod(shape) * dtype.itemsize
     if dtype.kind not in "biufU" or not dtype.itemsize or n_bytes != len(content) - file.tell():
-        raise ValueError(f"an array {dtype} {shape} does not fit its {len(content)} bytes")
+        raise ValueError(
+            f"an array of type {dtype} and shape {shape} does not fit its {len(content)} bytes"
+        )
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 

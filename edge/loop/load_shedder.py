@@ -161,7 +161,7 @@ class LoadShedder:
             self._state.reset_times()
             self._event(
                 f"load shedding: the board's power mode changed from {before.power_mode} to "
-                f"{board.power_mode}; which level fits is measured again",
+                f"{board.power_mode}; load shedding measures again which level fits",
                 now_ns,
             )
 

@@ -289,7 +289,7 @@ class Plausibility:
                 self._logged_ns[found.name] = now_ns
                 self._event(found.message, now_ns, logging.WARNING)
         for name in sorted(before - {found.name for found in lasting}):
-            self._event(f"{name}: good again", now_ns, logging.INFO)
+            self._event(f"{name}: this check of the sensor data passes again", now_ns, logging.INFO)
         self.failed = tuple(lasting)
 
     def why(self, then: Consequence) -> str:

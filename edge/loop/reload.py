@@ -241,8 +241,9 @@ def _model_to_swap(present: PerceptionConfig, new: PerceptionConfig, running: st
     card = similarity_card(new)
     if card is not None and is_running_detector(card, present) != is_running_detector(card, new):
         raise ReloadError(
-            f"perception.detector.model: perception.similarity: {card.name} uses the detector's "
-            f"image features, now or with the new model: {_advice('perception.detector.model')}"
+            f"perception.detector.model: {card.name} of perception.similarity uses the image "
+            "features of the old detector or of the new one: "
+            f"{_advice('perception.detector.model')}"
         )
     only_the_name = changed == ["perception.detector.model"]
     return None if only_the_name and new.detector.model == running else new.detector.model

@@ -138,7 +138,7 @@ def _check_new(fields: dict) -> dict:
     """Return the checked fields of a new mission."""
     texts = {name: check_text(name, fields[name]) for name in _INSTRUCTION_FIELDS if name in fields}
     if len(texts) != 1:
-        raise ValueError("do: new needs exactly one of instruction, formula and task")
+        raise ValueError("do: new needs exactly one of the fields instruction, formula and task")
     if_free = {"if_free": True} if check_flag("if_free", fields) else {}
     return {
         **texts,
@@ -181,9 +181,11 @@ def _check_reading(fields: dict) -> dict:
         return {}
     reading = fields["reading"]
     if type(reading) is not int or reading < 1:
-        raise ValueError(f"reading: expected an integer from 1 on, got {show(reading)}")
+        raise ValueError(
+            f"reading: expected the number of a reading, 1 or more, got {show(reading)}"
+        )
     if "instruction" not in fields:
-        raise ValueError("reading: only valid with an instruction")
+        raise ValueError("reading: this field is only valid with the field instruction")
     return {"reading": reading}
 
 
@@ -202,7 +204,9 @@ def _check_repetition(fields: dict) -> dict:
 def _check_seconds(for_s: object) -> float:
     """Return the value of `for_s` after a check."""
     if not isinstance(for_s, (int, float)) or type(for_s) is bool or not 0 < for_s <= LONGEST_S:
-        raise ValueError(f"for_s: expected over 0 to {LONGEST_S:g} s, got {show(for_s)}")
+        raise ValueError(
+            f"for_s: expected a time above 0 s, at most {LONGEST_S:g} s, got {show(for_s)}"
+        )
     return for_s
 
 
@@ -274,7 +278,9 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     if name and name == mission.id:  # the same request once more
         return
     if name and any(name == outcome["id"] for outcome in service.past_missions):
-        raise UserError(f"mission {name} is already over on this robot: give it another id")
+        raise UserError(
+            f"mission {name} is already over on this robot: give the new mission another id"
+        )
     if request.fields.get("if_free") and not mission.done:
         raise UserError(
             f"not free: {_last_mission_text(service)}; wait for its end, or cancel this mission"

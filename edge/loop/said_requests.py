@@ -149,6 +149,8 @@ def _zone_to_open(service: Service, name: str) -> str:
         found = [zone.name for zone in zones if zone.kind == "stay_inside"]
     if len(found) != 1:
         listed = one_line(", ".join(zone.name for zone in zones) or "none")
-        number = "no zone" if not found else f"{len(found)} zones"
-        raise UserError(f"{one_line(name) or 'this room'}: {number} of this name (zones: {listed})")
+        number = "no zone has" if not found else f"{len(found)} zones have"
+        raise UserError(
+            f"{one_line(name) or 'this room'}: {number} this name; name one of the zones: {listed}"
+        )
     return found[0]

@@ -31,8 +31,8 @@ def _check_set(fields: dict) -> dict:
         return {"room": room, "kind": kind, "name": _item_here(name).name}
     if "room" in fields or ("name" in fields) == ("feature" in fields):
         raise ValueError(
-            "do: set needs a name (of the place or room here), a GeoJSON feature, or a room and "
-            "kind: keep_out or stay_inside"
+            "do: set needs a name (for the place or room where the robot is), a feature (GeoJSON), "
+            "or a room with kind: keep_out or stay_inside; give only one of the three"
         )
     if "feature" in fields:
         return {"item": item_of(fields["feature"])}
@@ -106,7 +106,8 @@ def _zone_of(service: Service, fields: dict) -> Zone:
         known = one_line(", ".join(room.title for room in service.map.rooms.rooms) or "none")
         number = "no room" if not found else f"{len(found)} rooms"
         raise UserError(
-            f"room: {number} called {bounded_repr(fields['room'])}, expected one (known: {known})"
+            f"room: {number} called {bounded_repr(fields['room'])}, expected exactly one "
+            f"(known: {known})"
         )
     corners = tuple((round(x, 3), round(y, 3)) for x, y in found[0].polygon_m.tolist())
     return Zone(fields["name"], fields["kind"], corners)

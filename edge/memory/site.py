@@ -209,7 +209,7 @@ class Site:
         kept = tuple(other for other in self.items if not is_same(other.name, item.name))
         if len(kept) >= MAX_FEATURES:
             raise SiteError(
-                f"site: {MAX_FEATURES} places and zones, more are not allowed; remove one first"
+                f"site: at most {MAX_FEATURES} places and zones are allowed; remove one first"
             )
         return Site((*kept, item))
 

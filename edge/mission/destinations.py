@@ -289,7 +289,7 @@ def duration_s(text: str) -> float:
         count = float(number[0])
     if count is None or not 0 < count * unit_s <= LONGEST_S:
         raise DestinationError(
-            f"{one_line(text, 60)}: expected a time over 0 s and up to {LONGEST_S / 3600:g} h, "
+            f"{one_line(text, 60)}: expected a time above 0 s and up to {LONGEST_S / 3600:g} h, "
             'as in "30 s" or "10 min"'
         )
     return float(count * unit_s)

@@ -200,6 +200,6 @@ def store_vocabulary(source: Path) -> Path:
     except OSError as error:
         raise ModelError(
             f"{source}: cannot be copied to {path} ({error.strerror}); set $EDGE_VOCABULARY to "
-            "the first"
+            f"{source}"
         ) from None
     return path

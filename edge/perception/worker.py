@@ -88,8 +88,8 @@ class ModelWorker(Worker[Item, Result], Generic[Item, Result, Model]):
             try:
                 callback(model, item, outcome)
             except Exception:
-                log.exception("model %s: a bug in its watch during probation; please report this "
-                              "traceback", model.name)  # fmt: skip
+                log.exception("model %s: the check of its results failed: a bug in edge; please "
+                              "report this traceback", model.name)  # fmt: skip
 
 
 class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
@@ -160,8 +160,8 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
             previous.set_prompts(prompts)
         except UserError as error:
             raise type(error)(
-                f"{previous.name}, which is kept until {self.detector.name} passes its probation: "
-                f"{error}; try again after the probation"
+                f"model {previous.name}, kept until {self.detector.name} passes its probation, "
+                f"refuses the prompts: {error}; try again after the probation"
             ) from None
         try:
             self.detector.set_prompts(prompts)

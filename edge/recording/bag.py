@@ -308,7 +308,7 @@ def _decompress(path: Path, out: Path) -> Path:
                 left -= len(block)
                 if left < 0:
                     raise RecordingError(
-                        f"{path}: too large for {out.parent.parent} once decompressed: "
+                        f"{path}: it does not fit into {out.parent.parent} when decompressed: "
                         "set TMPDIR to a larger disk"
                     )
                 file.write(block)

@@ -157,7 +157,8 @@ def spans_of(path: Path) -> list[Span]:
             return spans[:MAX_SPANS]
     if not spans:
         raise RecordingError(
-            f"{session.truncation or path}: no tick in it: name the recording of a service that ran"
+            f"{session.truncation or path}: has no cycle of a service; name the recording of a "
+            "service that ran"
         )
     return spans
 

@@ -153,8 +153,9 @@ class _ReplayedService:
             return config
         if self._detect and detector.vocabulary is not None:
             raise ReplayError(
-                "--detect: perception.detector.vocabulary: a recording may name any file: give "
-                "your own configuration with --config, or --trust if you know who made it"
+                "--detect: perception.detector.vocabulary: not read, because a recording may "
+                "name any file: give your own configuration with --config, or --trust if you know "
+                "who made it"
             )
         detector = detector.model_copy(update={"engine_cache": None, "vocabulary": None})
         perception = config.perception.model_copy(update={"detector": detector})
@@ -369,8 +370,9 @@ def replay(
                 raise
             except Exception as error:  # an error that the loop survived, or damaged data
                 raise RecordingError(
-                    f"{session.head.path}: the replay failed after {outcome.ticks} ticks, by an "
-                    f"error in the run or damage: {type(error).__name__}: {one_line(error, 120)}"
+                    f"{session.head.path}: the replay failed after {outcome.ticks} ticks; the "
+                    "recorded run had an error, or the recording is damaged: "
+                    f"{type(error).__name__}: {one_line(error, 120)}"
                 ) from error
             _compare(outcome, step, run.sink.decisions)
             run.sink.decisions.clear()

@@ -140,9 +140,9 @@ class RecordedRun:
         """
         for key, kind in () if self.trust else plugin_kinds(config):
             raise RecordingError(
-                f"{self.head.path}: {key}: {one_line(kind, 80)} is no built-in kind, and a "
-                "recording may name any program: give your own configuration with --config, or "
-                "--trust if you know who made the recording"
+                f"{self.head.path}: {key}: {one_line(kind, 80)} is no built-in kind; it is "
+                "not loaded, because a recording may name any program: give your own "
+                "configuration with --config, or --trust if you know who made the recording"
             )
 
     def messages(self) -> Iterator[RecordedMessage]:

@@ -14,7 +14,7 @@ def generate_launch_description():
         [
             DeclareLaunchArgument("config", description="path of edge's configuration (YAML)"),
             DeclareLaunchArgument(
-                "edge", default_value="edge", description="path or name of the command edge"
+                "edge", default_value="edge", description="path or name of the `edge` command"
             ),
             ExecuteProcess(
                 cmd=[LaunchConfiguration("edge"), "ros2-adapter", LaunchConfiguration("config")],

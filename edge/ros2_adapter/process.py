@@ -71,8 +71,8 @@ def make_plan(config: Config) -> dict[str, Any]:
         )
     if settings.via != "adapter":
         raise ConfigError(
-            f"{config.locate('ros2.via')}: {settings.via} needs no adapter: set it to "
-            "adapter, or do not start one"
+            f"{config.locate('ros2.via')}: {settings.via} needs no adapter: set ros2.via "
+            "to adapter, or do not start the adapter"
         )
     dialect = dialect_of(settings.via, config.zenoh.prefix)
 

@@ -183,7 +183,8 @@ def make_lens_plan(
         return LensPlan("ignored", log_line=f"{lens}: images are used as rectified: {why}")
     if setting == "refuse":
         raise ValueError(
-            f"{lens}: source.distortion is refuse: send rectified images, or set it to rectify"
+            f"{lens}: source.distortion is refuse: send rectified images, or set "
+            "source.distortion to rectify"
         )
     try:
         rectifier = Rectifier(lens, camera)

@@ -219,7 +219,8 @@ class TimeSynchronizer:
         if reason != "superseded" and (topic, reason) not in self._logged:
             self._logged.add((topic, reason))
             shown = f"({detail}) " if detail else ""
-            log.warning("%s: dropped: %s %s(further ones are only counted)", topic, reason, shown)
+            log.warning("%s: message dropped: %s %s(further ones are only counted)", topic, reason,
+                        shown)  # fmt: skip
 
     def _count_old(self, leader: SensorFrame, joined: _Joined) -> None:
         """Count an observation with an old pose or mount; log the first of its kind."""

@@ -88,7 +88,9 @@ def parse_labels(payload: bytes) -> tuple[str, ...]:
         ValueError: with one line that names the fault.
     """
     if len(payload) > _MAX_LABELS_BYTES:
-        raise ValueError(f"a list of {len(payload)} bytes, at most {_MAX_LABELS_BYTES} are allowed")
+        raise ValueError(
+            f"a list of labels with {len(payload)} bytes, at most {_MAX_LABELS_BYTES} are allowed"
+        )
     labels = read_json(payload)
     if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
         raise ValueError("not a JSON list of words")

@@ -250,7 +250,7 @@ class ZmqSource(ZenohSource):
             self._disconnect_warned = True
             log.warning(
                 "%s: the camera disconnected, or sent more than %g MB "
-                "(source.max_message_mb); connecting again (further times are not logged)",
+                "(source.max_message_mb); connecting again (not logged again)",
                 one_line(self._address), self._max_bytes / 1e6,
             )  # fmt: skip
 
@@ -342,4 +342,6 @@ def _connect(config: Config, camera: zmq.Socket, address: str) -> None:
     except Exception as error:  # ZMQError, or others for an address of the wrong type
         cause = f"{one_line(address)}: {one_line(error)}"
         where = config.locate("source.options.address")
-        raise ConfigError(f"{where}: {cause}; expected one like tcp://127.0.0.1:5555") from None
+        raise ConfigError(
+            f"{where}: {cause}; give an address such as tcp://127.0.0.1:5555"
+        ) from None

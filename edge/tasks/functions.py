@@ -104,14 +104,17 @@ class ScriptFunctions:
             raise CallError(f"a_star_plan: no path {ends}: {found.reason}")
         if len(found.path_m) > MOST_PATH_POINTS:
             raise CallError(
-                f"a_star_plan: the path has over {MOST_PATH_POINTS} points: choose a nearer end"
+                f"a_star_plan: the path has more than {MOST_PATH_POINTS} points; choose a nearer "
+                "end"
             )
         return _points(found.path_m)
 
     def visual_3d(self, points: Any) -> None:
         """Show a trajectory in the scene, without driving it."""
         if len(self.shown_trajectories) == MOST_SHOWN:
-            raise CallError(f"visual_3d: {MOST_SHOWN} trajectories are shown, more cannot be shown")
+            raise CallError(
+                f"visual_3d: {MOST_SHOWN} trajectories are shown already; more are not allowed"
+            )
         self.shown_trajectories += coarse_of(points, (), None, self.limits).segments
 
     def give_trajectory(
@@ -164,7 +167,9 @@ class ScriptFunctions:
         steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
         if steps > MOST_PATH_POINTS:
             longest_m = 0.5 * MOST_PATH_POINTS * self.limits.max_jump_m
-            raise CallError(f"line: a and b are over {longest_m:g} m apart; choose nearer ends")
+            raise CallError(
+                f"line: a and b are more than {longest_m:g} m apart; choose nearer ends"
+            )
         fractions = np.linspace(0.0, 1.0, max(steps, 1) + 1)[:, None]
         return _points(ends[0] + fractions * (ends[1] - ends[0]))
 

@@ -80,7 +80,7 @@ def run_pipeline(pipeline: PerceptionPipeline, observation: Observation) -> Capt
     embedding = None if pipeline.embeddings is None else pipeline.embeddings(found)
     for name, answers in (("captions", caption), ("embeddings", embedding)):
         if answers is not None and len(answers) != len(found):
-            raise ValueError(f"{len(found)} boxes, but {len(answers)} {name}; expected as many")
+            raise ValueError(f"{len(found)} boxes, but {len(answers)} {name}; expected one a box")
     return CaptionedDetections(found, caption, embedding)
 
 

@@ -117,5 +117,5 @@ def annotated_jpeg(scene: Scene) -> bytes | None:
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     ok, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not ok:
-        raise ValueError(f"the picture, {image.shape}, cannot be written as JPEG")
+        raise ValueError(f"the picture of shape {image.shape} cannot be written as JPEG")
     return jpeg.tobytes()

@@ -114,7 +114,7 @@ def _plan_step(
             most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
             if step.distance_m > most_m:
                 raise CallError(
-                    f"a path straight on of {step.distance_m:g} m is too long: at most {most_m:g} m"
+                    f"a straight path of {step.distance_m:g} m is too long: at most {most_m:g} m"
                 )
             end = here.ahead(step.distance_m)
             path = functions.line(at, end)

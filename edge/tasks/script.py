@@ -147,7 +147,7 @@ def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Call
             log.exception(
                 "tasks: the function %s failed; please report it with this traceback", name
             )
-            raise RuntimeError(f"{name}: internal error; do not use it") from None
+            raise RuntimeError(f"{name}: internal error; do not call this function again") from None
 
     return call
 

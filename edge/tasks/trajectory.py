@@ -106,8 +106,10 @@ def check(coarse: CoarseTrajectory, ground: ReachableGround, limits: TrajectoryL
             point.
     """
     scene = ground.scene
-    if not coarse.segments or not all(map(len, coarse.segments)):
-        raise TrajectoryError("the trajectory, or one of its segments, has no points")
+    if not coarse.segments:
+        raise TrajectoryError("the trajectory has no segments")
+    if empty := [k for k, points in _enumerate_from_1(coarse.segments) if not len(points)]:
+        raise TrajectoryError(f"segment {empty[0]} of the trajectory has no points")
     for k, points in _enumerate_from_1(coarse.segments):
         _check_points(points, k, ground)
     if unknown := [region for region in coarse.regions if region not in scene.regions]:

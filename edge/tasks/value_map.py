@@ -78,7 +78,7 @@ def value_map(
     if place != (regions.origin_xy_m, regions.resolution_m, regions.cells.shape):
         raise ValueError("occupancy and regions differ in origin, resolution or shape")
     if not all(0 < region < 256 for region in drivable):
-        raise ValueError(f"drivable: expected ids from 1 to 255, got {sorted(drivable)}")
+        raise ValueError(f"drivable: expected region ids from 1 to 255, got {sorted(drivable)}")
     if cells.size == 0:
         return from_weights(replace(occupancy, cells=np.zeros(cells.shape, np.uint8)), TUBE)
     table = np.full(256, HIGH, np.uint8)

@@ -87,7 +87,7 @@ class Learner:
             for name, part in self._state.items():
                 part.load_state_dict(state[name])
             self.done, self._trained_s = state["step"], state["seconds"]
-            log.info("training continues after step %d of %s", self.done, checkpoint)
+            log.info("training continues after step %d of the checkpoint %s", self.done, checkpoint)
         self._started_s = time.monotonic()
 
     def step(self, loss: Tensor, clip: float, share: Callable[[], None] | None = None) -> None:

@@ -58,7 +58,9 @@ def test_no_room_is_known_before_the_first_tick():
     assert ask(loop, MEMORY_VERBS, handle_memory, do="rooms") == {"text": "0 rooms", "rooms": []}
     with pytest.raises(UserError, match="pose is not known yet"):
         ask(loop, do="set", kind="room", name="office")
-    with pytest.raises(UserError, match=r"no room called 'kitchen', expected one \(known: none\)"):
+    with pytest.raises(
+        UserError, match=r"no room called 'kitchen', expected exactly one \(known: none\)"
+    ):
         ask(loop, do="set", kind="keep_out", room="kitchen")
 
 

@@ -259,7 +259,7 @@ def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
         states.append("floor" in judge.failing())
     known.close()
     assert states == [False, True, True, True, True, False, False, False]
-    assert [line[:13] for line, _ in judge.said] == ["map: no floor", "floor: good a"]
+    assert [line[:13] for line, _ in judge.said] == ["map: no floor", "floor: this c"]
 
 
 def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on():
@@ -331,7 +331,8 @@ def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
     )
     assert judge.said == [(line, logging.WARNING)]
     judge.see(**room())
-    assert judge.said[1:] == [("depth_empty: good again", logging.INFO)]
+    again = "depth_empty: this check of the sensor data passes again"
+    assert judge.said[1:] == [(again, logging.INFO)]
     assert judge.stage.status() == {"state": "ok", "failed": {}, "refused": {
         name: 2 * (name == "depth_empty") for name in judge.stage.refused}}  # fmt: skip
     for after_ns, lines in ((REPORT_AFTER_NS, 0), (LOG_AGAIN_NS, 1)):

@@ -52,7 +52,7 @@ def test_a_place_is_learned_and_forgotten(loop):
     assert say(loop, "Forget the dock, we moved it.")["text"] == "removed: dock"
     with pytest.raises(UserError, match="no place or zone 'dock'"):
         say(loop, "Forget the dock.")
-    with pytest.raises(UserError, match="kitchen: no zone of this name"):
+    with pytest.raises(UserError, match="kitchen: no zone has this name"):
         say(loop, "You may go into the kitchen again.")
 
 

@@ -94,7 +94,7 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
         {"id": "1", "phase": "failed", "reason": "another is at it"},
         {"id": "2", "phase": "failed", "reason": "replaced"},
     ]
-    over = "mission 2 is already over on this robot: give it another id"
+    over = "mission 2 is already over on this robot: give the new mission another id"
     assert refusal(loop, "new", sofa, id="2") == over
     assert json.dumps(answer)
 

@@ -56,7 +56,7 @@ def test_the_text_decides(text, meant):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("wait 0 s", "^0 s: expected a time over 0 s"),
+        ("wait 0 s", "^0 s: expected a time above 0 s"),
         ("wait 25 hours", "up to 24 h"),
         ("explored for some min", "^some min: expected a time"),
         ("explored map", "map: no room has this name, .*; give a room this name first"),

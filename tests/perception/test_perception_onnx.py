@@ -166,7 +166,8 @@ def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tin
     detector.set_prompts(["desk"])
     assert detector._prompt_set.classes.n_classes == 3
     assert [r.message for r in caplog.records] == [
-        "model tiny: perception.detector.background: words unknown to it are ignored: "
+        "model tiny: perception.detector.background: words that the model does not know are "
+        "ignored: "
         "'zebra', 'heron'"
     ]
     with pytest.raises(PromptError, match="zebra"):

@@ -136,7 +136,7 @@ def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
     larger = seen(hw=(480, 640), value=102)
     assert detector.detect(larger).score[0] == np.float32(larger.rgb.mean() / 255)
 
-    with pytest.raises(ValueError, match="no image to detect in"):
+    with pytest.raises(ValueError, match="it has no camera image to detect objects in"):
         detector.detect(seen().__class__(seq=1, stamp_ns=0, T_map_base=np.eye(4)))
     detector.detect(seen(ENGINE))
     assert detector.health() == Health("building engine", "3 of 9")
@@ -164,8 +164,8 @@ def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
     ends = {
         SEGFAULT: "its process: ended by SIGSEGV",
         EXIT: "its process: ended with exit code 3",
-        NO_MEMORY: "its process: out of memory: killed",
-        NAN: r"its process: damaged answer \(boxes that are not finite\): killed",
+        NO_MEMORY: "its process: ran out of memory; it was killed",
+        NAN: r"its process: sent a damaged answer \(boxes that are not finite\); it was killed",
         TOO_MANY: r"its process: ended with exit code 1|damaged answer",
     }
     descriptors = []
@@ -335,7 +335,8 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         (
             "lie",
             ModelProcessError,
-            r"sent a damaged message before it was ready \(health 'splendid' .*\); it was killed$",
+            r"sent a damaged message before it was ready \(health: unknown state 'splendid' .*\); "
+            "it was killed$",
         ),
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],

@@ -96,7 +96,7 @@ def with_array(name, value):
 
 
 DAMAGES = {
-    "another image's": (changed(seq=2), "seq 2, expected 3"),
+    "another image's": (changed(seq=2), "seq: expected 3, got 2"),
     "no number": (changed(n=None), "56 bytes do not fit n None boxes and 0 context boxes"),
     "more boxes than bytes": (changed(n=3), "56 bytes do not fit n 3 boxes and 0 context boxes"),
     "fewer boxes than bytes": (changed(n=1), "56 bytes do not fit n 1 boxes and 0 context boxes"),
@@ -107,9 +107,9 @@ DAMAGES = {
         "55 bytes do not fit n 2 boxes and 0 context boxes",
     ),
     "a prompt that is none": (changed(prompts=["chair", 3]), "prompts"),
-    "one prompt": (changed(prompts="ch"), "prompts 'ch'"),
+    "one prompt": (changed(prompts="ch"), "prompts: .*got 'ch'"),
     "context that is none": (changed(context=["lamp"]), "context"),
-    "one word of context": (changed(context={"n": 0, "words": "lamp"}), "context 'lamp'"),
+    "one word of context": (changed(context={"n": 0, "words": "lamp"}), "context: .*got 'lamp'"),
     "more context than bytes": (
         changed(context={"n": 1, "words": ["lamp"]}),
         "fit n 2 boxes and 1 context boxes",
@@ -122,9 +122,12 @@ DAMAGES = {
         changed(n=3, context={"n": -1, "words": []}),
         "fit n 3 boxes and -1 context boxes",
     ),
-    "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes '2'"),
-    "no health": (changed(health=None), "health None"),
-    "unknown health": (changed(health=["fine", ""]), "health 'fine'.*choices: ok, building"),
+    "a count that is none": (changed(invalid_boxes="2"), "invalid_boxes: .*got '2'"),
+    "no health": (changed(health=None), "health: .*got None"),
+    "unknown health": (
+        changed(health=["fine", ""]),
+        "health: unknown state 'fine'.*choices: ok, building",
+    ),
     "NaN in a box": (with_array("xyxy_px", np.nan), "boxes that are not finite"),
     "no end of a box": (with_array("xyxy_px", np.inf), "boxes that are not finite"),
     "NaN score": (with_array("score", np.nan), "scores that are not in 0 to 1"),

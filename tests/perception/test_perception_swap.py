@@ -360,7 +360,7 @@ def test_prompts_that_change_on_probation_reach_both(bench):
         (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
         (
             ["desk"],
-            r"^old, which is kept until new passes .*: prompt 'desk': .*; try again after",
+            r"^model old, kept until new passes .*: prompt 'desk': .*; try again after",
         ),
     ):
         with pytest.raises(PromptError, match=line):

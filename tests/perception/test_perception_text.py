@@ -156,7 +156,8 @@ def test_another_models_card_that_is_not_valid_is_passed_over(cards, vocabulary,
 def test_with_neither_both_are_named(cards):
     with pytest.raises(PromptError) as raised:
         make_text_encoder(_Card, None)
-    assert str(raised.value).startswith("neither a CLIP text model (no text card of family clip")
+    says = "no text embeddings: found neither a CLIP text model (no text card of family clip"
+    assert str(raised.value).startswith(says)
     assert "clip_vitb32_vocab.npz: no vocabulary" in str(raised.value)
     assert "\n" not in str(raised.value)
 

@@ -79,7 +79,7 @@ def test_a_recording_has_every_tick(tmp_path, capsys):
 def test_a_recording_without_ticks(tmp_path):
     recording = Recording(tmp_path)
     recording.service.idle(1, None)
-    with pytest.raises(RecordingError, match="no tick in it"):
+    with pytest.raises(RecordingError, match="has no cycle of a service"):
         commands.spans_of(recording.close())
     with McapWriter(tmp_path / "bus.mcap") as file:
         file.add(STATUS, 0, 0, b"{}")

@@ -112,7 +112,10 @@ def test_the_section_of_the_page_has_a_plan_too():
     ("data", "said"),
     [
         ({"ros2": {"via": "adapter"}}, r"source\.kind: zenoh does not use ROS 2: set it to ros2"),
-        ({"source": {"kind": "ros2"}}, r"ros2\.via: rmw_zenoh needs no adapter: set it to adapter"),
+        (
+            {"source": {"kind": "ros2"}},
+            r"ros2\.via: rmw_zenoh needs no adapter: set ros2.via to adapter",
+        ),
         ({"ros2": {"adapter": {"reliable": ["x"]}}}, r"ros2\.adapter\.reliable\.0: unknown 'x'"),
         ({"ros2": {"topics": {"odom": "a b"}}}, r"ros2\.topics\.odom: string should match"),
     ],

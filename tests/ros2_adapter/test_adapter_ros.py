@@ -174,7 +174,9 @@ def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, rob
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
     service.say("map", b"not a map", latched=True)
-    adapter.says("occupancy: dropped: not little-endian CDR: the message begins with 6e6f7420")
+    adapter.says(
+        "occupancy: message dropped: not little-endian CDR: the message begins with 6e6f7420"
+    )
     service.say("map", messages.encode_occupancy_grid(7, Grid(cells, (0.0, 1.0), 0.05)))
     robot.says(json.dumps({"map": [30, 20, 0.05, 100 - 599]}))
 

@@ -76,7 +76,7 @@ def test_a_way_avoids_what_is_in_between(functions):
         (lambda f: f.region_at("here"), "at: expected a point"),
         (lambda f: f.nearest_reachable((0, 0), 9), "expected ids of regions .1, 2., got "),
         (lambda f: f.distance((0, 0), {}), "b: expected a point"),
-        (lambda f: f.line((0, 0), (1e6, 0)), "line: a and b are over "),
+        (lambda f: f.line((0, 0), (1e6, 0)), "line: a and b are more than "),
         (lambda f: f.offset(9, "left"), "id: expected the id of an object .1, 2, 3, 4, 5., got 9"),
         (lambda f: f.offset(1, "top"), "offset: side: expected behind, left, right, in front of"),
         (lambda f: f.offset(1, "left", -1), "distance_m: expected 0 or more, got -1"),
@@ -104,7 +104,7 @@ def test_one_trajectory_is_given(functions):
 def test_what_is_shown_is_not_given(functions):
     for _ in range(MOST_SHOWN):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
-    with pytest.raises(CallError, match="10 trajectories are shown, more"):
+    with pytest.raises(CallError, match="10 trajectories are shown already; more"):
         functions.visual_3d([(0, 0)])
     assert functions.trajectory is None
     assert len(functions.shown_trajectories) == MOST_SHOWN

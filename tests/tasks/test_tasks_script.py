@@ -102,7 +102,8 @@ def test_a_fault_of_ours_is_logged_and_not_told(functions, monkeypatch, caplog):
     monkeypatch.setattr(ScriptFunctions, "distance", broken)
     with caplog.at_level(logging.ERROR):
         outcome = run_script("distance((0, 0), (1, 1))", functions, ScriptLimits())
-    assert outcome.error == "line 1: RuntimeError: distance: internal error; do not use it"
+    says = "line 1: RuntimeError: distance: internal error; do not call this function again"
+    assert outcome.error == says
     assert "secret" in caplog.text
 
 

@@ -78,8 +78,8 @@ def test_regions_that_are_none(regions):
 @pytest.mark.parametrize(
     ("segments", "message"),
     [
-        ((), "the trajectory, or one of its segments, has no points"),
-        ((np.empty((0, 2)),), "the trajectory, or one of its segments, has no points"),
+        ((), "the trajectory has no segments"),
+        ((np.empty((0, 2)),), "segment 1 of the trajectory has no points"),
         ([(0.5, math.nan)], r"point 1 of segment 1, \(0.5, nan\), is not finite"),
         ([(0, 0, math.inf)], "point 1 of segment 1, .*, is not finite"),
         ([(0, 0, -1e4)], "point 1 of segment 1, .*, has height -10000 m; it must be from -"),

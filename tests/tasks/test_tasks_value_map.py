@@ -137,8 +137,8 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
         ({"occupancy": np.zeros((30, 40), np.uint8)}, "expected int8 occupancy"),
         ({"regions": np.zeros((30, 40), np.int8)}, "uint8 regions"),
         ({"regions": np.zeros((30, 41), np.uint8)}, "differ in origin, resolution or shape"),
-        ({"drivable": (0,)}, "expected ids from 1 to 255"),
-        ({"drivable": (256,)}, "expected ids from 1 to 255"),
+        ({"drivable": (0,)}, "expected region ids from 1 to 255"),
+        ({"drivable": (256,)}, "expected region ids from 1 to 255"),
     ],
 )
 def test_what_is_no_map_is_refused(change, words):

@@ -47,7 +47,7 @@ def _xyz_offsets(reader: CdrReader) -> tuple[int, int, int]:
     """Return the offsets of x, y and z in a point, from the message's list of fields."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_FIELDS:
-        raise DecodeError(f"cloud has {count} fields, at most {_MAX_FIELDS} are read")
+        raise DecodeError(f"cloud has {count} fields, at most {_MAX_FIELDS} are allowed")
     offsets = {}
     for _ in range(count):
         name = reader.string()

@@ -101,7 +101,7 @@ def decode_compressed_header(payload: bytes) -> CompressedHeader:
     height, width, bits = _read_size(payload, begin, end, format_text)
     if bits != (expected := 8 if content == "colour" else 16):
         raise DecodeError(
-            f"compressed image {format_text[:40]!r}: {bits} bits a channel, expected {expected}"
+            f"compressed image {format_text[:40]!r}: {bits} bits per channel, expected {expected}"
         )
     is_rgb = "compressed rgb" in format_text
     return CompressedHeader(stamp_ns, frame_id, height, width, content, begin, end, a, b, is_rgb)

@@ -144,7 +144,7 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
     """Read action_msgs/GoalInfo, or GoalStatus with `status`, as (goal_id, status or 0)."""
     (count,) = reader.read(U32, 4)
     if count > _MAX_GOALS:
-        raise DecodeError(f"message of {count} goals, at most {_MAX_GOALS} are read")
+        raise DecodeError(f"message of {count} goals, at most {_MAX_GOALS} are allowed")
     goals = []
     for _ in range(count):
         (goal_id,) = reader.read(_UUID, 1)

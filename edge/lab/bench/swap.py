@@ -86,7 +86,7 @@ class SwapBench:
         if not self._during:
             raise UserError(
                 f"bench: --swap: the swap to {self._model} was not complete at the end (state: "
-                f"{swap['state']}); give more --seconds"
+                f"{swap['state']}); give a larger number of --seconds"
             )
         return {**swap, "before": self._before, "during": self._during}
 

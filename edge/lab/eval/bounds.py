@@ -86,8 +86,8 @@ class KnownRoom:
     def __init__(self, world: World, robot_radius_m: float) -> None:
         if not world.rooms:
             raise ValueError(
-                f"{world.name}: the world knows no rooms, which KnownRoom needs; use ProcTHOR "
-                "houses"
+                f"{world.name}: the rooms of this world are not known, but KnownRoom needs them; "
+                "use ProcTHOR houses"
             )
         self._world, self._radius_m = world, robot_radius_m
         self._search = SearchPolicy(PolicySearch())

@@ -373,7 +373,8 @@ def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
         is_rotation = np.allclose(R @ R.T, np.eye(3), atol=_SKEW) and np.linalg.det(R) > 0.0
     if not (is_rotation and np.abs(T[:3, 3]).max() <= FARTHEST_M):
         raise KittiError(
-            f"{where}: expected a rotation, and a translation of at most {FARTHEST_M / 1000:g} km"
+            f"{where}: expected a rotation matrix, and a translation of at most "
+            f"{FARTHEST_M / 1000:g} km"
         )
     return T
 

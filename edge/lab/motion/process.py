@@ -102,7 +102,7 @@ class Bus:
             try:
                 if len(sample.payload) > self._max_bytes:
                     raise ValueError(
-                        f"{len(sample.payload)} bytes are more than source.max_message_mb allows"
+                        f"it has {len(sample.payload)} bytes, over the limit source.max_message_mb"
                     )
                 decoded.append(decode(sample.payload.to_bytes()))
             except ValueError as error:

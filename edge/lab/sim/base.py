@@ -191,7 +191,7 @@ def free_poses(
     if len(rows) == 0:
         raise WorldError(
             f"world {world.name}: the robot (radius {radius_m} m) does not fit at the start "
-            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}) m; set another in sim.start"
+            f"({world.start.x_m:.2f}, {world.start.y_m:.2f}) m; set another start in sim.start"
         )
     picks = rng.integers(0, len(rows), count)
     yaws = rng.uniform(-math.pi, math.pi, count)

@@ -72,8 +72,8 @@ def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
                 ) from None
         first_name, count = first_name or str(house.get("name")), count + 1
     raise WorldError(
-        f"{path}: sim.world.name: none of the {count} houses is {section.name!r} "
-        f"(such as {first_name})"
+        f"{path}: sim.world.name: none of the {count} houses is called {section.name!r}; the first "
+        f"is {first_name}"
     )
 
 

@@ -331,5 +331,5 @@ def _report_left_out(formula: Formula, objects: tuple[str, ...]) -> None:
     known = dict.fromkeys(names.canonical(phrase) for phrase in objects if names.is_known(phrase))
     left_out = [name for name in known if name not in propositions(formula)]
     if left_out:
-        log.warning("mission: the formula leaves out %s of the instruction; check the mission's "
-                    "meaning", ", ".join(left_out))  # fmt: skip
+        log.warning("mission: the instruction names %s, but the formula does not; check the "
+                    "mission's meaning", ", ".join(left_out))  # fmt: skip

@@ -58,7 +58,7 @@ class InOrderPlanner:
             after = self.automaton.step(state, letter)
             if letter not in failed and after != state and hopeful[after]:
                 return letter
-        raise AssertionError("a hopeful state has a step to a hopeful one")
+        raise AssertionError("a bug in edge: no step leads on from a state that can still succeed")
 
     def _hopeful_states(self, failed: frozenset[str]) -> np.ndarray:
         """Return (n,) bool: states from which acceptance needs no failed object."""

@@ -55,7 +55,9 @@ def check_rgb(observation: Observation) -> np.ndarray:
     """Return the observation's image, contiguous; raise ValueError if it is unusable."""
     rgb = observation.rgb
     if rgb is None:
-        raise ValueError(f"observation {observation.seq}: no image to detect in")
+        raise ValueError(
+            f"observation {observation.seq}: it has no camera image to detect objects in"
+        )
     if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
         raise ValueError(
             f"observation {observation.seq}: image is {rgb.dtype} {rgb.shape}, "

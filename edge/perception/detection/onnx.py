@@ -222,7 +222,8 @@ class OnnxDetector:
         if texts > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
                 f"{texts} text classes (prompts, synonyms, background and contrast words), "
-                f"but TensorRT engines are built for at most {MAX_TEXTS}: name fewer"
+                f"but TensorRT engines are built for at most {MAX_TEXTS}: search for fewer "
+                "objects, or name fewer background words"
             )
         bound = bind(
             self._session,
@@ -242,7 +243,8 @@ class OnnxDetector:
         unknown = [repr(word) for word in self.config.background if word not in known]
         if unknown:
             log.warning(
-                "model %s: perception.detector.background: words unknown to it are ignored: %s",
+                "model %s: perception.detector.background: words that the model does not know are "
+                "ignored: %s",
                 self.name, ", ".join(unknown),
             )  # fmt: skip
         return known

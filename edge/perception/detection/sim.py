@@ -130,7 +130,7 @@ class SimDetector:
         try:
             nouns = tuple(_noun(prompt) for prompt in prompts)
         except names.NotANameError as error:
-            raise PromptError(f"prompt: {error}, such as 'chair'") from None
+            raise PromptError(f"prompt: {error}; give a name such as 'chair'") from None
         self._prompts_and_nouns = (prompts, nouns)
 
     def detect(self, observation: Observation) -> Detections:
@@ -140,8 +140,9 @@ class SimDetector:
         depth = observation.depth_m
         if truth is None or depth is None or truth.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(
-                f"observation {observation.seq}: no segmentation and depth of one size: lost on "
-                "the way, or not sent (for a real camera use perception.detector.kind: onnx)"
+                f"observation {observation.seq}: no segmentation with a depth image of the same "
+                "size; only the simulator sends both: for a real camera set "
+                "perception.detector.kind: onnx"
             )
         ids = truth.ids
         if truth.labels != self._labels:

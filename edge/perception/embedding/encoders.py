@@ -82,7 +82,8 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
         wanted = " or ".join(str(model.path) for model in models)
         wanted = wanted or f"no text card of family {VOCABULARY_FAMILY}"
         raise PromptError(
-            f"neither a CLIP text model ({wanted}), nor a vocabulary: {error}"
+            f"no text embeddings: found neither a CLIP text model ({wanted}), nor a vocabulary: "
+            f"{error}"
         ) from None
 
 

@@ -110,7 +110,7 @@ def tidy(prompt: str) -> str:
     try:
         return names.normalise(prompt)
     except names.NotANameError as error:
-        raise PromptError(f"prompt: {error}, such as 'chair'") from None
+        raise PromptError(f"prompt: {error}; give a name such as 'chair'") from None
 
 
 def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:

@@ -116,9 +116,9 @@ class ModelProcessClient:
         deadline_s = time.monotonic() + timeout_s
         while (message := _receive(self._control)) is None:
             if cancelled():
-                raise self.kill("stopped during its start")
+                raise self.kill("was stopped during its start")
             if time.monotonic() >= deadline_s:
-                raise self.kill(f"not ready after {timeout_s:g} s ({limit}): killed")
+                raise self.kill(f"was not ready after {timeout_s:g} s ({limit}); it was killed")
         if not message:
             # If the process has not ended yet, the empty message is not JSON: `_decode` kills it.
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -195,9 +195,9 @@ class ModelProcessClient:
             header = read_json_object(head)
             answer = None if "error" in header else decode(seq, header, block)
         except ValueError as error:
-            raise self.kill(f"damaged answer ({error}): killed") from None
+            raise self.kill(f"sent a damaged answer ({error}); it was killed") from None
         if header.get("error") == "MemoryError":
-            raise self.kill("out of memory: killed")
+            raise self.kill("ran out of memory; it was killed")
         wire.raise_error(header, self.name)
         assert answer is not None
         return answer
@@ -215,10 +215,10 @@ class ModelProcessClient:
             elif time.monotonic() - deadline_s >= min(
                 _core_wait_s(self._process.pid) - core_wait_before_s, timeout_s
             ):
-                raise self.kill(f"no answer within {timeout_s:g} s ({limit}): killed")
+                raise self.kill(f"gave no answer within {timeout_s:g} s ({limit}); it was killed")
         if not (sent and message):  # the other end is closed
             self._ended.wait(_END_S)
-            raise self.kill("accepts no requests: killed")
+            raise self.kill("accepts no more requests; it was killed")
         return message
 
     def check(self, prompts: Sequence[str], timeout_s: float) -> bool:

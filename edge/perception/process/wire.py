@@ -103,12 +103,14 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
     """
     prompts, invalid = header.get("prompts"), header.get("invalid_boxes")
     if header.get("seq") != seq:
-        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
+        raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     if type(invalid) is not int:
-        raise ValueError(f"invalid_boxes {bounded_repr(invalid, 40)}, expected an integer")
+        raise ValueError(f"invalid_boxes: expected an integer, got {bounded_repr(invalid, 40)}")
     context_boxes = header.get("context")
     if not (context_boxes is None or isinstance(context_boxes, dict)):
-        raise ValueError(f"context {bounded_repr(context_boxes, 40)}, expected an object or null")
+        raise ValueError(
+            f"context: expected an object or null, got {bounded_repr(context_boxes, 40)}"
+        )
     words, m = (
         ([], 0) if context_boxes is None else (context_boxes.get("words"), context_boxes.get("n"))
     )
@@ -135,7 +137,7 @@ def decode_answer(seq: int, header: dict[str, Any], block: bytes) -> DetectorRep
 def _check_words(what: str, words: Any) -> None:
     """Raise ValueError unless a field of a header is a list of words."""
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise ValueError(f"{what} {bounded_repr(words, 40)}, expected a list of words")
+        raise ValueError(f"{what}: expected a list of words, got {bounded_repr(words, 40)}")
 
 
 def _unpack(
@@ -169,9 +171,11 @@ def decode_health(header: dict[str, Any]) -> Health:
         or len(health) != 2
         or not all(isinstance(t, str) for t in health)
     ):
-        raise ValueError(f"health {bounded_repr(health, 40)}, expected [state, detail]")
+        raise ValueError(f"health: expected [state, detail], got {bounded_repr(health, 40)}")
     if health[0] not in _STATES:
-        raise ValueError(f"health {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})")
+        raise ValueError(
+            f"health: unknown state {bounded_repr(health[0], 40)} (choices: {', '.join(_STATES)})"
+        )
     return Health(*health)
 
 

@@ -484,7 +484,7 @@ class SimilarityCard(BaseCard):
         if named not in ((True, True, False), (False, False, True)):
             raise ValueError("set image_encoder and text_encoder, or only detector")
         if self.related is not None and self.detector != RUNNING:
-            raise ValueError(f"related: needs detector: {RUNNING}")
+            raise ValueError(f"related: allowed only together with detector: {RUNNING}")
         return self
 
 

@@ -110,7 +110,7 @@ class Device:
         error, *values = getattr(self._cuda, name)(*arguments)
         if error != self._cuda.cudaError_t.cudaSuccess:
             _, text = self._cuda.cudaGetErrorString(error)
-            raise RuntimeError(f"{name}: {text.decode()}")
+            raise RuntimeError(f"CUDA function {name} failed: {text.decode()}")
         return tuple(values)
 
 

@@ -200,7 +200,9 @@ class ToRos:
             except ValueError as error:
                 if not self._warned:
                     self._warned = True
-                    log.warning("%s: dropped: %s (further ones are not logged)", self._key, error)
+                    log.warning(
+                        "%s: message dropped: %s (further ones are not logged)", self._key, error
+                    )
 
 
 def cdr_of(zbytes: Any, max_bytes: int) -> bytes:

@@ -38,7 +38,7 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
 
 
 def test_where_rooms_are_unknown_none_is_known():
-    with pytest.raises(ValueError, match="garage: the world knows no rooms"):
+    with pytest.raises(ValueError, match="garage: the rooms of this world are not known"):
         KnownRoom(SimpleNamespace(name="garage", rooms=()), RADIUS_M)
 
 

@@ -114,7 +114,7 @@ BROKEN = {
     ),
     "a pose out of this world": (
         lambda f: (f / "poses.txt").write_text(f"{IDENTITY}\n".replace("0 0 1 0", "0 0 1 1e30")),
-        r"poses\.txt: line 1: expected a rotation, and a translation of at most 1000 km",
+        r"poses\.txt: line 1: expected a rotation matrix, and a translation of at most 1000 km",
     ),
     "binary calibration": (lambda f: (f / "calib.txt").write_bytes(b"\xff"), "not an ASCII text "
     "file"),

@@ -245,7 +245,7 @@ def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Pat
 
     path = shared_dir / "worlds" / "procthor_val.jsonl.gz"
     assert load(path, "procthor-val-1").name == "procthor-val-1"
-    with pytest.raises(WorldError, match=r"none of the 75 houses is 'nope' .*procthor-val-0"):
+    with pytest.raises(WorldError, match=r"none of the 75 houses is called 'nope'.*procthor-val-0"):
         load(path, "nope")
     with pytest.raises(WorldError, match="No such file"):
         load(tmp_path / "missing.jsonl.gz", "x")

@@ -101,11 +101,11 @@ def _parse_task(line: str) -> BenchmarkTask:
     formula = with_canonical_names(parse(data["formula"]))
     objects = propositions(formula)
     if {names.canonical(str(name)) for name in data["objects"]} != set(objects):
-        raise ValueError(f"objects: expected those of the formula: {', '.join(objects)}")
+        raise ValueError(f"objects: expected the objects of the formula: {', '.join(objects)}")
     if len(world_of(objects)) > MAX_OBJECTS:
         raise ValueError(
-            f"objects: with the six of HM3D {len(world_of(objects))}, at most {MAX_OBJECTS} are "
-            "allowed"
+            f"objects: {len(world_of(objects))} with the six of HM3D, which are always added; at "
+            f"most {MAX_OBJECTS} are allowed"
         )
     if delexicalise(formula).automaton.steps_left[0] < 0:
         raise ValueError("formula: contradicts itself, so no mission can fulfil it")

@@ -61,7 +61,7 @@ def soak_config(config: Config, out: Path) -> Config:
     if config.loop.lockstep or config.sim.lockstep:
         where = config.locate("loop.lockstep", "sim.lockstep")
         raise UserError(
-            f"{where}, sim.lockstep: edge soak runs in real time; set both keys to false"
+            f"{where}: edge soak runs in real time; set loop.lockstep and sim.lockstep to false"
         )
     zenoh = {"endpoint": _endpoint(), "file": None, "client_file": None}
     http = {"host": "127.0.0.1", "port": free_port(), "token_file": None}

@@ -144,7 +144,7 @@ def _config(args: argparse.Namespace) -> TasksConfig:
     """
     if args.url is None:
         if args.model is not None:
-            raise UserError("--model: give the URL of the model's server, too, with --url")
+            raise UserError("--model: also give the URL of the model's server, with --url")
         return TasksConfig()
     planner = {"kind": "model", "url": args.url, "time_limit_s": args.time_limit,
                "max_attempts": args.rounds}  # fmt: skip
@@ -165,7 +165,8 @@ def _parse_methods(wanted: str | None, config: TasksConfig) -> tuple[str, ...]:
     for name in names:
         if name in METHODS and name not in possible:
             raise UserError(
-                f"--methods: {name}: without --url the same as ours; omit {name}, or give --url"
+                f"--methods: {name}: without --url this is the same as ours; omit {name}, or give "
+                "--url"
             )
         if name not in possible:
             raise UserError(

@@ -150,17 +150,18 @@ def _decode(
         ValueError: the reply is invalid, for the reason given in one line.
     """
     if header.get("seq") != seq:
-        raise ValueError(f"seq {bounded_repr(header.get('seq'), 40)}, expected {seq}")
+        raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     values = header.get("p")
     if not isinstance(values, list) or len(values) != len(sizes):
-        raise ValueError(f"p {bounded_repr(values, 40)}, expected {len(sizes)} lists")
+        raise ValueError(f"p: expected {len(sizes)} lists, got {bounded_repr(values, 40)}")
     try:
         found = [np.array(p, np.float32) for p in values]
     except (TypeError, ValueError):
-        raise ValueError(f"p {bounded_repr(values, 40)}, expected lists of numbers") from None
+        raise ValueError(f"p: expected lists of numbers, got {bounded_repr(values, 40)}") from None
     for p, size in zip(found, sizes, strict=True):
         if p.shape != (size,) or not (p >= 0).all() or abs(float(p.sum()) - 1.0) > _SUM_ERROR:
             raise ValueError(
-                f"p {bounded_repr(p.tolist(), 40)}, expected {size} probabilities with the sum 1"
+                f"p: expected {size} probabilities with the sum 1, got {p.size} with the sum "
+                f"{float(p.sum()):g}: {bounded_repr(p.tolist(), 40)}"
             )
     return found

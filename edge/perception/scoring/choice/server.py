@@ -58,7 +58,9 @@ def picture_prompt(max_px: int, view: MarkedView) -> ServerPrompt:
     """
     rgb = view.observation.rgb
     if rgb is None:
-        raise ValueError(f"observation {view.observation.seq}: no image to show to the model")
+        raise ValueError(
+            f"observation {view.observation.seq}: it has no camera image to show to the model"
+        )
     image, marks = draw(rgb, view.marks, max_px)
     part = {"type": "image_url", "image_url": {"url": data_url(image)}}
     return ServerPrompt(view, part, marks)

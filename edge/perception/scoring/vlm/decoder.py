@@ -83,8 +83,8 @@ class Decoder:
         else:
             return
         raise ModelError(
-            f"{self._files.folder}: model {self._files.name}: its decoder {fault}: take a decoder "
-            "of the usual layout (decoder_model_merged)"
+            f"{self._files.folder}: model {self._files.name}: its decoder {fault}; take another "
+            "model, with a file like decoder_model_merged.onnx"
         )
 
     def _empty_arrays(self) -> Iterator[tuple[str, np.ndarray]]:

@@ -72,7 +72,7 @@ def read_files(card: ChoiceCard) -> ModelFiles:
     if card.vision_encoder is not None and not isinstance(image, dict):
         raise ModelError(
             f"{folder / PREPROCESSOR}: model {card.name}: its card does not name this file, which "
-            "configures the image preprocessing; add it to the card's others"
+            "configures the image preprocessing; add it under `others` in the card"
         )
     return ModelFiles(
         name=card.name,
@@ -129,7 +129,8 @@ def _template(card: ChoiceCard, tokenizer: dict[str, Any]) -> str:
     except (KeyError, TypeError, StopIteration):
         raise ModelError(
             f"model {card.name}: no chat template: neither in {TOKENIZER_CONFIG}, nor in a file "
-            f"({', '.join(TEMPLATES)}) that the card names"
+            f"({', '.join(TEMPLATES)}) that the card names; add such a file to the model's folder, "
+            "and under `others` in the card"
         ) from None
 
 

@@ -207,7 +207,8 @@ class LanguageModel:
             if len(question_ids) > self._card.max_tokens:
                 raise ModelError(
                     f"model {self.name}: a question has {len(question_ids)} tokens, but max_tokens "
-                    f"of its card is {self._card.max_tokens}"
+                    f"of its card is {self._card.max_tokens}; raise max_tokens if the model can "
+                    "read more, or take another model"
                 )
             is_image = question_ids == self._prompter.image_id
             images = int(is_image.sum()) if len(features) else 0

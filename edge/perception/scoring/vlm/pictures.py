@@ -160,7 +160,8 @@ def _check_limit(most_tokens: int, least: int) -> None:
     """Raise ValueError if the smallest image has more tokens than the card allows."""
     if most_tokens < least:
         raise ValueError(
-            f"an image takes {least} tokens, but image_tokens of the card is {most_tokens}"
+            f"the smallest image takes {least} tokens, but image_tokens of the card is "
+            f"{most_tokens}; raise image_tokens"
         )
 
 
@@ -204,8 +205,8 @@ def _qwen2_vl(
     _check_limit(most_tokens, math.ceil(least / per_token_px))
     if max(least, per_token_px) > MAX_EDGE_PX**2 or most < per_token_px:
         raise ValueError(
-            f"min_pixels {least} (at most {MAX_EDGE_PX**2}) or max_pixels {most} "
-            f"(at least {per_token_px}) is out of range"
+            f"expected min_pixels of at most {MAX_EDGE_PX**2} and max_pixels of at least "
+            f"{per_token_px}, got min_pixels {least} and max_pixels {most}"
         )
     most = min(most, most_tokens * per_token_px, MAX_EDGE_PX**2)
     normalise = _Normalise(settings)

@@ -68,7 +68,8 @@ class Prompter:
         if images != expected:
             raise ModelError(
                 f"model {self._name}: its chat template shows {images} images "
-                f"({self.image_token or 'the model takes none'}), expected {expected}"
+                f"({self.image_token or 'the model takes none'}), expected {expected}: "
+                "the template is of another model, or damaged"
             )
         return text
 

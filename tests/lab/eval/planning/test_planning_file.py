@@ -41,7 +41,7 @@ def test_round_trip(tmp_path):
         ({**GOOD, "id": -1}, "id: expected 0 to 2**63 - 1, got -1"),
         ({**GOOD, "formula": "F (bed"}, "formula, column"),
         ({**GOOD, "formula": "F bed & G !bed"}, "contradicts itself"),
-        ({**GOOD, "objects": [3]}, "objects: expected those of the formula: bed"),
+        ({**GOOD, "objects": [3]}, "objects: expected the objects of the formula: bed"),
         (
             {
                 **GOOD,

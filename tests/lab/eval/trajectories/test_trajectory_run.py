@@ -124,7 +124,7 @@ def test_places_that_are_none_are_told_in_a_line(spec, words):
     ("options", "words"),
     [
         (["--methods", "our"], "no method 'our' (choices: ours; "),
-        (["--methods", "llm_tg"], "without --url the same as ours"),
+        (["--methods", "llm_tg"], "without --url this is the same as ours"),
         (["--model", "x"], "give the URL of the model's server"),
         (["--url", "nonsense"], "not the URL of a chat server"),
         (["--detector", "street"], "(sim) sees nothing in a real picture"),
