@@ -260,7 +260,7 @@ def test_the_image_is_sent_with_its_letters_and_no_image_is_an_error(make_observ
     with serving(model()) as server:
         asks = scorer_of(server, max_image_px=160)
         put_to(asks, view(make_observation, rgb=rgb))
-        with pytest.raises(ValueError, match="observation 3: no image"):
+        with pytest.raises(ValueError, match="observation 3: it has no camera image"):
             asks.prepare(view(make_observation))
     image, text = server.requests[0][2]["messages"][1]["content"]
     assert image["type"] == "image_url"

@@ -196,7 +196,7 @@ def test_detections_outlive_a_segmenter_that_fails(seen, caplog):
 def test_an_observation_without_an_image_has_no_masks(make_observation):
     masker = Masker(GrabcutSegmenter(), GRABCUT)
     assert made(masker.add(found_in(make_observation(), BOX)).mask) == [False]
-    assert "no image" in masker.last_error
+    assert "no camera image" in masker.last_error
 
 
 class Finder:
