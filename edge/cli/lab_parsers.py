@@ -107,7 +107,8 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     models(
         "--providers",
         metavar="LIST",
-        help="execution providers of onnxruntime, with commas between (default: all available)",
+        help="where to run the models: cpu, cuda, ort-tensorrt (TensorRT in onnxruntime) or "
+        "tensorrt (without onnxruntime), with commas between (default: all that work here)",
     )
     models(
         "--threads", type=count, metavar="N",

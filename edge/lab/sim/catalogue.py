@@ -20,6 +20,7 @@ import numpy as np
 
 from edge import names
 from edge.lab.sim.base import WorldError
+from edge.text import one_line
 
 _PROPERTIES = "PluginFurnitureCatalog.properties"
 # Key, number of the model, and value: "name#3 = Brown sofa" gives "name", "3", "Brown sofa".
@@ -102,7 +103,9 @@ def _models_of(file: Path) -> list[CatalogueModel]:
             sizes = {info.filename: info.file_size for info in archive.infolist()}
         models = [_model(file, row) for _, row in sorted(rows.items())]
     except (OSError, zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise WorldError(f"{file}: not a furniture catalogue: {error!r}") from None
+        raise WorldError(
+            f"{file}: not a furniture catalogue ({one_line(error)}); install it again, or remove it"
+        ) from None
     return [m for m in models if m is not None and sizes.get(m.path, 0) <= _MAX_OBJ_BYTES]
 
 
@@ -168,9 +171,12 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
         resolver = ZipResolver(files, namespace=folder)
         scene = trimesh.load_scene(files[model.path], file_type="obj", resolver=resolver)
         bounds = scene.bounds  # (2, 3): lowest and highest corner, in the OBJ file's axes
+        if bounds is None:
+            raise ValueError("it has no triangles")
     except (OSError, KeyError, ValueError, IndexError, TypeError, zipfile.BadZipFile) as error:
         raise WorldError(
-            f"{model.archive}: {model.path}: not a readable model: {error!r}"
+            f"{model.archive}: the furniture model {model.path} cannot be read "
+            f"({one_line(error)}); install the catalogue again"
         ) from None
     turn = _AXES @ np.array(model.rotation).reshape(3, 3)
     corners = np.array(np.meshgrid(*bounds.T)).reshape(3, -1)  # (3, 8), of the box
