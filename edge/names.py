@@ -153,7 +153,7 @@ BROADER: dict[str, tuple[str, ...]] = {
     "truck": ("vehicle",),
     "van": ("vehicle",),
 }
-"""Canonical name → broader kinds of object, if they are not its last word (dining table: table)."""
+"""Canonical name → broader kinds of object, except its last word ("dining table" is a "table")."""
 
 NEAR: dict[str, tuple[str, ...]] = {
     "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
@@ -182,7 +182,8 @@ _AFTER_HEAD = re.compile(
 # Borders between words in CamelCase: "TVStand" is "TV" and "Stand".
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # Suffixes of 3-D models, which are no part of the name: "_01" in "Sofa_01", "_A_2" in "Sofa_A_2";
-# "C" in "SofaC". A number after a space is part of it ("room 12"), but not after "- " ("Sofa- 2").
+# "C" in "SofaC". A number after a space is part of the name ("room 12"), but not after "- "
+# ("Sofa- 2").
 _VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
 _VARIANT_LETTER = re.compile(r"(?<=[a-z])[A-Z]$")
 
@@ -352,7 +353,7 @@ def is_known(word: str) -> bool:
 
 
 def is_alias(word: str) -> bool:
-    """Return True if the alias table has exactly this word, also as a canonical name."""
+    """Return True if the alias table has exactly this word, which is not normalised first."""
     return word in _CANONICAL
 
 

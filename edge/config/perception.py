@@ -106,8 +106,8 @@ class ModelProcessConfig(Section):
     A process that ended is started again, after a pause.
 
     Attributes:
-        timeout_s: a frame that takes longer counts as a hang: the process is killed. Time that the
-            process waited for a CPU core is added, up to the same time again.
+        timeout_s: a frame that takes longer counts as a hang: the process is killed. Time in
+            which the process waits for a CPU core does not count, up to `timeout_s` more.
         start_timeout_s: time to start the process and load the model.
     """
 
@@ -255,7 +255,7 @@ class PerceptionConfig(Section):
         swap: conditions for a change of the model at run time.
         load_shedding: work to drop when the computer is too slow.
         similarity: card of an image-text scorer (the score of VLFM); null: none runs.
-        choice: model that chooses among frontiers.
+        choice: model that scores the frontiers, to choose among them.
         detector: object detector.
         segmenter: finds the pixels of a target in its box, so that its place is right although
             another object stands before it. It runs in the background, after the detector.
@@ -270,9 +270,9 @@ class PerceptionConfig(Section):
         merge_m: a detection within this distance of an object of its name belongs to that object.
         min_hits: an object counts as seen after detections in this many images.
         confirm_score: detections with a lower score do not count for `confirm_hits`.
-        confirm_range_m: detections from farther away do not confirm an object. A place that was
-            closer than this in `confirm_hits` images was seen well: it is not looked at again
-            before a target is declared not found.
+        confirm_range_m: detections from farther away do not confirm an object. A place that
+            was closer than this in `confirm_hits` images was seen well. Before a target is declared
+            not found, the robot looks again only at the other places.
         confirm_hits: number of images that confirm an object.
         confirm_mean: lowest mean score over all views from nearby for a confirmed object.
         confirm_lead: the summed score must be this many times that of any other name.

@@ -94,10 +94,11 @@ class SimConfig(Section):
         start: start pose (x in m, y in m, yaw in rad); null: that of the world.
         seed: seed of the noise.
         lockstep: true: simulated time. The simulator takes the next step when the service has
-            processed the last one. Set `loop.lockstep`, too.
+            processed the last one. Set `loop.lockstep`, too, for reproducible runs.
         step_s: simulated time of a step in lockstep.
         depth_noise: standard deviation of depth at 1 m, in m; it grows with depth squared.
-        drift_m_per_m: standard deviation of the odometry's scale error of distance.
+        drift_m_per_m: standard deviation of the odometry's scale error of distance (0.01: 1 cm
+            per m).
         drift_rad_per_rad: standard deviation of the odometry's scale error of turns.
     """
 

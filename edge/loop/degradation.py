@@ -2,7 +2,7 @@
 
 This module only computes: the caller passes the time, and there is no access to models. At level 0,
 all configured work runs. At level n, the first n entries of `perception.load_shedding.levels` are
-dropped.
+applied: each one names a cheaper detector, or a scorer to pause.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ LOW_S = 60.0
 LOW_LOAD = 0.7
 """The load is low if the detector takes at most this share of its budget."""
 MOST_DOUBLINGS = 6
-"""Largest number of doublings of `LOW_S` after work was added in vain: about an hour."""
+"""`LOW_S` is doubled after each failed attempt to add work, at most this often (64 minutes)."""
 UNLIKELY_DOUBLINGS = 4
-"""Least doublings of `LOW_S` if the detector would be too slow with the added work, by its earlier
-times. The work is then tried seldom, but it is tried: the load may have changed."""
+"""If earlier detector times predict no low load with the added work, `LOW_S` is doubled at least
+this often. The work is then tried seldom, but it is tried: the load may have changed."""
 
 
 class LoadSample(NamedTuple):
@@ -48,9 +48,10 @@ class LevelChange(NamedTuple):
 class DegradationLevels:
     """Chooses how much work to drop.
 
-    Level 0 drops nothing. Each higher level drops one more entry of
-    `perception.load_shedding.levels`. There are at least `DWELL_S` between two changes. Work was
-    added too early if it does not stay for twice the wait before it. The next wait is then doubled.
+    Level 0 drops nothing. Each higher level applies one more entry of
+    `perception.load_shedding.levels`. There are at least `DWELL_S` between two changes. The load
+    must be low for some time (at first `LOW_S`) before work is added again. If work must then be
+    dropped within twice that time, it was added too early, and the next wait is doubled.
 
     Args:
         n_levels: Number of levels, without level 0.
@@ -78,17 +79,19 @@ class DegradationLevels:
         self._added: tuple[int, int] | None = None
         self._doublings = 0  # of `LOW_S`; one more after each attempt that failed
         self._ms_before_change: float | None = None  # detector time before the newest higher level
-        # By level: detector time on it, divided by that on the next higher level.
-        self._ratio = [1.0] * self._n_levels
+        # By level: detector time on it, divided by that on the next higher level (at least 1). It
+        # predicts how much slower the detector becomes if the service goes back to this level.
+        self._slowdown = [1.0] * self._n_levels
 
     def update(self, sample: LoadSample, now_ns: int) -> LevelChange | None:
         """Return the change of the level that is due, or None.
 
-        The caller must call `arrived` or `change_failed` before the next call.
+        After a change was returned, the caller must call `arrived` or `change_failed` before the
+        next call.
         """
         took_ms = sample.detect_ms
         if took_ms is not None and self._ms_before_change is not None:
-            self._ratio[self.level - 1] = max(1.0, self._ms_before_change / max(took_ms, 1e-3))
+            self._slowdown[self.level - 1] = max(1.0, self._ms_before_change / max(took_ms, 1e-3))
             self._ms_before_change = None
         why = self._overload_reason(sample)
         low = not why and sample.has_headroom and self._is_low(took_ms)
@@ -126,7 +129,7 @@ class DegradationLevels:
 
     def reset_times(self) -> None:
         """Forget the measured times, since the computer has become faster or slower."""
-        self._ratio = [1.0] * self._n_levels
+        self._slowdown = [1.0] * self._n_levels
         self._doublings = 0
 
     def _overload_reason(self, sample: LoadSample) -> str:
@@ -143,7 +146,7 @@ class DegradationLevels:
 
     def _wait_ns(self, took_ms: float) -> int:
         """Return how long the load must be low before work is added again."""
-        would_be_low = self._is_low(took_ms * self._ratio[self.level - 1])
+        would_be_low = self._is_low(took_ms * self._slowdown[self.level - 1])
         return self._low_for_ns << (
             self._doublings if would_be_low else max(self._doublings, UNLIKELY_DOUBLINGS)
         )

@@ -32,7 +32,7 @@ from edge.text import one_line
 
 MOST_SERIES = 100
 """Largest number of series of one counter. Labels from outside may have any number of values, and
-Prometheus keeps each series for weeks. All further values are summed up as `OTHER`."""
+Prometheus keeps each series for weeks. All further values share one series, `OTHER`."""
 OTHER = "other"
 _LONGEST_LABEL = 100  # characters of a label value
 

@@ -66,6 +66,8 @@ take the filters `room` and `since_s`. `{"do": "crop", "id": 3}` answers with `j
 def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     """Return the known objects of a name, or all; the picture of one; or the rooms.
 
+    See `MEMORY_VERBS` for the keys of the answer.
+
     Raises:
         UserError: there is no picture of the object, or no room of this name.
     """
@@ -86,8 +88,8 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
     )  # fmt: skip
     found = known(name=name)
     if name:
-        asked = (*service.mission.spec.prompts, *objects.words)
-        is_looked_for = any(names.is_kind_of(word, name) for word in asked)
+        prompted = (*service.mission.spec.prompts, *objects.words)
+        is_looked_for = any(names.is_kind_of(word, name) for word in prompted)
         text = describe_location(name, found, pose, is_looked_for, rooms.room_phrase)
         if not found:
             words = similar_words(name, objects.words, service.map.prior)
@@ -102,8 +104,8 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
 def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) -> list[str]:
     """Return the words that mean a similar thing, most similar first: at most three.
 
-    The first words are similar by the detector's vocabulary, if there is a prior. The next ones are
-    similar by the table of objects that look alike (`edge.names.NEAR`).
+    The first words have similar text embeddings in the detector's vocabulary, which the prior
+    holds. The next ones are in the table of objects that look alike (`edge.names.NEAR`).
     """
     near = [] if prior is None else prior.words.alike(name, words)
     near += [word for word in words if names.look_alike(word, name)]

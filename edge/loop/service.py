@@ -73,7 +73,7 @@ class Service:
         scorers: Models that are queried in the background; None if none is configured.
         overruns: Function that returns the number of reads that found a message ring (the buffer of
             received messages) full, by ring.
-        calibration: Calibration of this computer; None: stages have no budgets but deadlines.
+        calibration: Calibration of this computer; None: stages have deadlines only, no budgets.
         idle: Do not start the mission. The robot stands still until a mission is requested.
         input_log: Input log; None: a new one is made.
         inputs: Function that returns the source's table of inputs, for any thread; empty if the
@@ -174,14 +174,16 @@ class Service:
         self._resume_ns: int | None = None  # loop time at which a pause ends by itself
         self._images = 0  # number of images that the detector has processed, as of this tick
         self._newest_seq = -1  # number of the newest observation
-        self._last_void_seq = -1  # boxes of this observation and older ones are in the old frame
+        # Newest observation before the last pose jump: boxes up to it are in the old frame.
+        self._last_seq_before_jump = -1
         self.refused = self._in_zone = False
         self.past_missions: deque[dict[str, str]] = deque(maxlen=_MAX_PAST_MISSIONS)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
         if idle:
             self.mission.set_idle()
-            # A controller may still have a goal from a previous service.
+            # A controller may still have a goal from a previous service. With `driving` set, the
+            # service sends it a goal to stand still.
             self.goals.client.driving = True
         saved, content = None, None
         if checkpoint is not None:
@@ -217,9 +219,10 @@ class Service:
         decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
         use = self._input_log.record_decision(USE, decide_use, usual="")
         self._end_stage(CHECK)
-        self.refused = use != ""  # "": everything is permitted
+        self.refused = use != ""  # "": everything; "map": mapping only; "none": nothing
         if self.refused:
-            # A refused observation may show that the newest complete ticks used old pictures.
+            # If the images are late or frozen, the ticks before this one were blind, too. So
+            # `blind_s` counts from the last real picture of the surroundings.
             surroundings_ns = self._input_log.record_decision(
                 SIGHTED, lambda: str(self.plausibility.surroundings_ns)
             )
@@ -297,12 +300,15 @@ class Service:
             self.policy.reset("map rolled")
 
     def _track(self, detections: Detections | None, now_ns: int) -> None:
-        """Stage `lift`: turn boxes into instances, with the depth and pose of their image."""
+        """Stage `lift`: turn boxes into instances (objects in the map).
+
+        The depth and pose of the boxes' own image are used, not those of this tick.
+        """
         self._detections = None
         if detections is None:
             return
         try:
-            is_in_old_frame = detections.observation.seq <= self._last_void_seq
+            is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
             if not is_in_old_frame and detections.prompts == self.mission.spec.prompts:
                 self.latency.span(DETECT, detections.latency_ns)
                 if self.scorers is not None:
@@ -360,7 +366,7 @@ class Service:
         mission.check_limits(now_ns)
         if self.goals.follows(mission) or mission.done:
             return context
-        self.goals.retarget(mission)
+        self.goals.retarget(mission)  # forgets the goal and the attempts of the last target
         self.map.gather(self.behaviour.gather(), context.observation, now_ns)
         return self._score(context.observation, now_ns)
 
@@ -559,6 +565,7 @@ class Service:
             self._report(dropped, now_ns)
 
     def _hold_position(self, pose: SE2, now_ns: int) -> None:
+        """Send a goal to stand still if the controller drives, and forget the current goal."""
         if self.goals.client.driving:
             if self.mission.active:
                 why = self.plausibility.why("stand")
@@ -587,7 +594,7 @@ class Service:
         self._discard_pending()
         self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()
-        self._last_void_seq = self._newest_seq
+        self._last_seq_before_jump = self._newest_seq
         if self.checkpoint is not None:
             self.checkpoint.map.on_pose_jump()
 

@@ -199,12 +199,13 @@ class Condition:
         kind: "before", "after", "until", "unless" or "when" ("once" is "when").
         token: first token of the condition.
         things: objects of the event.
-        only: "only after …".
-        denied: "not before …", or an event that is negated.
-        recurring: "whenever", "if": each time, not once.
-        going: "when visiting a": on the way there, or afterwards.
-        count: required number of events.
-        referred: it names its event only by a pronoun ("before that").
+        only: "only after …", "only before …".
+        denied: "not before …", or an event that is negated ("once you have not …").
+        recurring: "whenever", "if": each event counts, not only the first.
+        going: "when visiting a", which may mean on the way there or afterwards.
+        count: number of events in "after you have visited a twice".
+        referred: "before that" or "before" alone. Without a verb ("before that is visited"), it
+            means only the order of two goals.
     """
 
     kind: str

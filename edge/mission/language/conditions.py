@@ -29,7 +29,20 @@ STATES = (
 
 
 def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> Condition:
-    """Parse `until the bed is reached`, `once you have visited it`, `before that`."""
+    """Parse `until the bed is reached`, `once you have visited it`, `before that`.
+
+    Args:
+        reader: the token reader, at the first word of the condition, or at "only" or "not" before
+            it.
+        memory: the objects that pronouns mean.
+        clause: clause of the condition; "as soon as" sets its `soon`.
+
+    Returns:
+        The condition; see `Condition` for its flags.
+
+    Raises:
+        TranslationError: the condition is incomplete, unclear or not supported.
+    """
     only = denied = False
     if limit := reader.take("only", "not"):
         only, denied = limit.kind == "only", limit.kind == "not"
@@ -42,8 +55,9 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
     condition = Condition(kind, token, NounPhrase(()), only, denied, recurring)
     begin = reader.at
     take_happening(reader, memory, condition)
+    # "Go to a, but go to b before that": the last goal is b, the clause's own, so "that" is a.
     if condition.things is clause.things and kind in ("before", "after") and memory.previous:
-        condition.things = memory.previous  # "…, but go to b before that"
+        condition.things = memory.previous
     if kind in ("after", "when") and any(
         t.text == "ever" for t in reader.tokens[begin : reader.at]
     ):
@@ -52,8 +66,14 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
 
 
 def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
-    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
-    inner = Clause(reader.peek())
+    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`.
+
+    Args:
+        reader: the token reader, after the first word of the condition.
+        memory: the objects that pronouns mean.
+        condition: receives the objects of the event, its flags and its count.
+    """
+    inner = Clause(reader.peek())  # only collects the event's "not" and "first"
     mood_kinds = take_mood(reader, inner)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)
     if inside and ("be" in mood_kinds or (condition.kind == "when" and not mood_kinds)):
@@ -63,11 +83,12 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         condition.denied = condition.denied or inner.negated
         return
     been = reader.is_at("to") and reader.tokens[reader.at - 1].text == "been"
+    # "Never enter a, unless going to b": this allows a only on the way to b.
     if condition.kind == "unless" and reader.peek().text.startswith("going"):
         reader.refuse_finally("use two sentences for 'only to get to …'", condition.token)
     if been or reader.is_at("verb"):
         participle = reader.peek().text.split()[0].endswith("ing")
-        condition.going = condition.token.text == "when" and participle
+        condition.going = condition.token.text == "when" and participle  # "when passing a"
         reader.skip("verb")
         skip_particles(reader, inner)
         if not starts_noun_phrase(reader):
@@ -82,6 +103,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         pronoun = reader.take("pronoun")
         assert pronoun is not None
         condition.things = _objects_of_pronoun(reader, memory, pronoun)
+        # "before it" means the order of goals; "before it is visited" names an event.
         condition.referred = not _take_predicate(reader, inner)
     elif starts_noun_phrase(reader):
         condition.things = take_noun_phrase(reader, memory, subject=True)
@@ -104,7 +126,7 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
 
 def _refuse_denied(reader: TokenReader, condition: Condition, inner: Clause) -> None:
     """Refuse "until you have not been to a", "unless you are not in a"."""
-    if inner.negated and condition.kind not in ("when", "once"):
+    if inner.negated and condition.kind != "when":
         reader.refuse_finally("say it without 'not'", condition.token)
 
 

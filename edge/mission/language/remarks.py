@@ -18,7 +18,7 @@ _MAY_DIRECT = re.compile(
     r"(?:leav|skip|keep|clos|block|lock|shut|bann|forbid|exclud|omit)\w*|bans?|sa(?:y|ys|ying|id)|"
     r"talking|thinking|wrong|mistaken?|done with|"
     r"insist|order|ask|tell|call|called|name|"
-    r"named|remember|find|which|whichever|whatever|either|order|both|twice|times|rounds?|"
+    r"named|remember|find|which|whichever|whatever|either|both|twice|times|rounds?|"
     r"ones?(?! \w+$| \w+ (?:is|are|has|have) )|"
     r"else|others?|rest|also|well|(?:minute|hour|second)s?(?! ago)|"
     r"limits|bounds|closed|taboo|private|go|stay|keep|you|"
@@ -41,7 +41,9 @@ SUBORDINATE = (
     r"(?:so|so that) you (?:know|learn|remember|will know|get to know)\b|"
     r"(?:for|in order) to (?:know|learn|get to know) )"
 )
-"""Regular expression for the space before a clause of reason: "wait because I am busy"."""
+"""Regular expression for the space before a clause of reason: "wait because I am busy".
+
+The "as" of "as soon as", "as far as" and "as long as" begins no reason."""
 
 
 def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
@@ -52,11 +54,11 @@ def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
         states: True if a clause about a state ("the isolation is over") also counts.
         first: True if the clause begins the text; then an assent ("all clear") also counts.
     """
-    if first_match(_templates(IDIOMS + ASSENTS * first), clause) is not None:
+    if first_match(_templates(IDIOMS + (ASSENTS if first else "")), clause) is not None:
         return True
     if _MAY_DIRECT.search(clause) or has_order(clause.lower().split()):
         return False
-    return first_match(_templates(REMARKS + STATES * states), clause) is not None
+    return first_match(_templates(REMARKS + (STATES if states else "")), clause) is not None
 
 
 def has_order(words: list[str]) -> bool:

@@ -7,7 +7,7 @@ The modules `said`, `errands` and `remarks` compile them to regular expressions.
 - `(a|b)` is a choice, `[a|b]` may be left out, and `*` after one of these repeats it any number of
   times.
 - `<thing>` is a slot: a name of up to five words, with or without an article. The match has its
-  text as a named group.
+  text as a named group. So is each slot that is not in the next list.
 - `<stops>` is a list of names, `<count>` a number, `<often>` once or twice, `<relation>` a word
   such as "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten
   minutes".
@@ -40,7 +40,8 @@ _ORDER = (
     r"(?:(?:do )?not )?(?:go|come|drive|head|run|move|visit|explore|patrol|check|look|search|stay|"
     r"keep|enter|leave|return|wait|bring|fetch|take|get|not (?:the|an?|my|to))\b"
 )
-# Matches after "i ", "to " and the like: the "go" in "because I go out" is no order.
+# Matches after " i ", " to " and the like. So `...` goes on at the "go" of "because I go out", but
+# ends before the "go" of "because it rains go home".
 _HAS_SUBJECT = "|".join(
     f"(?<= {word} )"
     for word in ("i", "we", "you", "he", "she", "they", "people", "to", "can", "will", "would")

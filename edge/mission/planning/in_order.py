@@ -21,8 +21,9 @@ class InOrderPlanner:
 
     A letter is a proposition of the formula, or `NOTHING`. A state is hopeful if acceptance can be
     reached from it without a failed object; all planned steps lead to hopeful states. So the plan
-    respects the constraints of the mission. It ignores detections and distances: as a baseline, it
-    shows their value. It may loop if the automaton leads back to an earlier state.
+    respects the constraints of the mission. It ignores detections and distances: a
+    comparison with it shows their value. It may loop if the automaton leads back to an earlier
+    state.
     """
 
     def __init__(self, config: PlannerInOrder, automaton: Automaton) -> None:
@@ -50,7 +51,15 @@ class InOrderPlanner:
             state = a.step(state, letter)
         cost, first = float(len(steps)), steps[0]
         reason = f"{letter_text(first)} is the first in the sentence that is possible now"
-        return TargetPlan(first or None, tuple(steps), cost, True, (), reason, ((first, cost),))
+        return TargetPlan(
+            target=first or None,
+            steps=tuple(steps),
+            cost=cost,
+            feasible=True,
+            blocked_by=(),
+            reason=reason,
+            options=((first, cost),),
+        )
 
     def _first_letter(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
         """Return the first letter of the formula that leads to another hopeful state."""
