@@ -120,8 +120,8 @@ def unknown_ratios(
 def _flood(flooded, passable, start, first, last):
     """Spread the bits of `flooded` within `passable`, over the rows from `first` to before `last`.
 
-    Each round goes up from row `start`, and then down. It ends when a round changes nothing, or
-    when all passable bits are set.
+    Each round goes up from row `start` to the last row, and then down to `first`. It ends when a
+    round changes nothing, or when all passable bits are set.
     """
     while True:
         is_changing = False
@@ -144,4 +144,4 @@ def _flood(flooded, passable, start, first, last):
             row = more
         if full or not is_changing:
             return
-        start = first
+        start = first  # the next round begins at the bottom

@@ -77,7 +77,7 @@ class ValueMap:
             window: window of the map.
             cell_m: rounded so that a move of the window moves whole cells.
             range_m: farthest range that counts as in view.
-            beta: factor of ViTL's virtual edge frontiers, in [0, 1].
+            beta: in [0, 1]; ViTL assumes a frontier of value beta * S at both edges of a view.
         """
         # A value cell has 2**_cell_bits map cells on a side, at most 64: the window moves by
         # multiples of 64 map cells.
@@ -181,8 +181,8 @@ class ValueMap:
     ) -> None:
         """Write ViTL's score of each direction, fused with the earlier values, over the view.
 
-        Frontiers outside the field of view are ignored. Without any frontier, only the edges have
-        scores.
+        Frontiers outside the field of view are ignored. Without a frontier in view, the value of
+        the edges fills the view.
 
         Args:
             profile: range of the observation.
@@ -260,7 +260,7 @@ class ValueMap:
         return float(self.value[at]) / UNIT, float(self.weight[at]) / UNIT
 
     def _find_seen_cells(self, profile: RangeProfile) -> int:
-        """Write the window's cells in view to `_seen_cells`; return their number."""
+        """Write the cells in view to `_seen_cells`, mark tiles as written; return their number."""
         if not self._window.placed:
             return 0
         window, (ox, oy) = self._window, self._window.origin

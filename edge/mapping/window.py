@@ -23,7 +23,7 @@ class Window:
         n: cells on a side.
         resolution_m: side of a cell.
         origin: world cell (x, y) of the lower-left corner.
-        placed: True once the window has its place; the first sensor data decide it.
+        placed: True once the window has its place; the first sensor data set it.
         written: (n / TILE, n / TILE) bool by storage tile: True if a layer of the checkpoint was
             written there since the last copy. Writers of layers set it; `TileCopier` clears it.
     """

@@ -36,7 +36,7 @@ class DownloadLimits:
             redirects.
         slow_s: period for `slow_bytes`.
         slow_bytes: a download that gets fewer bytes in `slow_s` is stopped.
-        tries: connections to one address; each resumes the last one.
+        tries: attempts per address; each resumes where the one before ended.
         small_s: time for a whole small file.
         small_bytes: largest small file.
         wheel_s: time for pip to download a wheel.
@@ -190,7 +190,7 @@ class _SpeedWatch:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         self._ended.set()
-        self.has_header.set()
+        self.has_header.set()  # wakes the watch thread
         if self._why and (kind is None or issubclass(kind, InterruptedFetchError)):
             raise InterruptedFetchError(self._why) from None
 

@@ -21,7 +21,7 @@ _U16 = struct.Struct("<H")
 _F32 = struct.Struct("<f")
 _MAX_GOALS = 1024
 _KEEPOUT_FILTER = 0
-_STAGING_S, _UNDOCKING_S = 1000.0, 30.0  # time limits: the defaults of DockRobot, UndockRobot
+_MAX_STAGING_S, _MAX_UNDOCKING_S = 1000.0, 30.0  # the defaults of DockRobot, UndockRobot
 
 # Statuses of action_msgs/GoalStatus.
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
@@ -48,19 +48,19 @@ def encode_dock_goal(
     writer = CdrWriter().write(_UUID, 1, goal_id).write(U8, 1, 1).string(dock_id)
     write_pose(writer.header(stamp_ns, frame_id), SE2(0.0, 0.0, 0.0).matrix())
     # dock_type, max_staging_time, navigate_to_staging_pose
-    return writer.string("").write(_F32, 4, _STAGING_S).write(U8, 1, 1).bytes()
+    return writer.string("").write(_F32, 4, _MAX_STAGING_S).write(U8, 1, 1).bytes()
 
 
 def encode_undock_goal(goal_id: bytes) -> bytes:
     """Encode UndockRobot_SendGoal_Request, for the type of dock that the server docked at."""
-    return CdrWriter().write(_UUID, 1, goal_id).string("").write(_F32, 4, _UNDOCKING_S).bytes()
+    return CdrWriter().write(_UUID, 1, goal_id).string("").write(_F32, 4, _MAX_UNDOCKING_S).bytes()
 
 
 def decode_undock_result(payload: bytes) -> Result:
     """Decode UndockRobot_GetResult_Response of any distribution."""
     reader = CdrReader(payload)
     (status,) = reader.read(_I8, 1)
-    reader.read(U8, 1)
+    reader.read(U8, 1)  # success, which the status has as well
     (code,) = reader.read(_U16, 2)
     return Result(status, code, reader.string() if reader.left >= 4 else "")
 

@@ -18,10 +18,10 @@ from edge.perception.scoring.choice.factory import open_view_scorer
 
 
 def measure(job: ChoiceJob) -> ChoiceMeasurement:
-    """Show all views to a model.
+    """Ask a model about all views; measure the time to load it and the time per view.
 
-    Each time covers preparing the image and all answers of the model: the probability of each mark,
-    of "elsewhere", and the answer to the scene question.
+    The time per view includes preparing the image and all answers of the model: the probability
+    of each mark, of "elsewhere", and the answer to the scene question.
     """
     before_mb, began = resident_mb(), time.perf_counter()
     scorer = open_view_scorer(job.choice)

@@ -74,7 +74,7 @@ def bootstrap(
 
     Args:
         numerators: (k, n) float64, one row per ratio.
-        denominators: (k, n) float64. An entry that does not count is 0 in both arrays.
+        denominators: (k, n) float64. An entry outside a row's ratio is 0 in both arrays.
         cluster: (n,) int from 0; entries that are not independent have the same number.
         resamples: number of resamples.
         seed: of the resamples.

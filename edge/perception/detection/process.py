@@ -129,8 +129,8 @@ class ProcessDetector(SupervisedProcess):
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
         """See `SupervisedProcess`; the state is `degraded` if the model can no longer be loaded."""
-        known = failed is None or isinstance(failed, ModelProcessError)
-        state = "restarting" if known and not pause.limit else "degraded"
+        is_process_fault = failed is None or isinstance(failed, ModelProcessError)
+        state = "restarting" if is_process_fault and not pause.limit else "degraded"
         self._set_state(Health(state, f"{why}; {self._describe_restart(pause)}"))
 
     def _is_cancelled(self, first: Future[None]) -> bool:

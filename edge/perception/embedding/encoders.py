@@ -29,7 +29,7 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
         vocabulary: configured path; see `find_vocabulary`.
 
     Raises:
-        ModelError: a model is there and cannot be used.
+        ModelError: the model's file exists, but cannot be used.
         PromptError: there is neither a model nor a vocabulary, or the embeddings have another
             length than the detector needs.
     """
@@ -73,7 +73,7 @@ def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEnc
         return AttributeEncoder(named)
     models = [named] if named is not None else _vocabulary_models()
     for model in models:
-        # A model of another family that is missing is an error: no vocabulary replaces it.
+        # No vocabulary replaces a model of another family: if missing, ClipTextEncoder raises.
         if model.path.is_file() or model.family != VOCABULARY_FAMILY:
             return ClipTextEncoder(model)
     try:

@@ -66,7 +66,7 @@ def cut(
 
     Args:
         rgb: (256, 320, 3) uint8.
-        boxes: (o, 4).
+        boxes: (o, 4), x0, y0, x1, y1 in px.
         hw: new height and width.
         rng: None for no augmentation.
 

@@ -22,7 +22,7 @@ class Slope(NamedTuple):
 
     @property
     def resolves(self) -> float:
-        """The smallest growth that the data would have shown."""
+        """Half the width of the interval: smaller growth cannot be told from none."""
         return 0.5 * (self.high - self.low)
 
 

@@ -43,7 +43,7 @@ class MissionFeeder:
         self._labels: dict[int, list[str]] = {}
 
     def step(self) -> dict[str, Any] | None:
-        """Give the next mission if the last has ended; return the end of the last one, or None."""
+        """Give the next mission if the last has ended; return how that ended, or None."""
         status = self._monitor.status
         # An older status may still be that of the mission before.
         fresh = self._monitor.status_s > self._asked_s + _RETRY_S

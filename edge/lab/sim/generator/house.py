@@ -76,7 +76,7 @@ def _house_object(placed: PlacedItem) -> HouseObject:
         category=placed.category,
         at=(placed.x_m, placed.y_m),
         z_m=placed.z_m,
-        yaw_deg=(0.0, 90.0, 180.0, -90.0)[placed.quarter],
+        yaw_deg=(0.0, 90.0, 180.0, -90.0)[placed.quarter],  # by number of quarter turns
         size=placed.size_m,
         color=placed.color,
     )
