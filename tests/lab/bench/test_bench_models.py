@@ -22,9 +22,9 @@ from edge.geometry import invert
 from edge.host import resources
 from edge.lab.bench import compare, frames, isolated, measure, report, variants
 from edge.lab.bench.boxes import (
-    KIND,
-    NAMED,
-    NO,
+    KIND_OF_PROMPT,
+    SAME_NAME,
+    UNRELATED,
     DetectedBoxes,
     GroundTruthBoxes,
     Tally,
@@ -67,7 +67,7 @@ def truth(*rows):
 def test_nothing_wanted_and_nothing_found():
     empty = Tally()
     assert empty.shares() == {"recall": None, "precision": None}
-    assert match_to_truth(boxes(), truth(), np.array([NAMED])) == empty
+    assert match_to_truth(boxes(), truth(), np.array([SAME_NAME])) == empty
     assert match_to_reference(found(), found()) == empty
     assert agreement([], []) == {
         "recall": None, "precision": None, "score_error": None, "boxes": 0,
@@ -77,14 +77,14 @@ def test_nothing_wanted_and_nothing_found():
 @pytest.mark.parametrize(
     ("there", "answers", "boxes_found", "wanted_found_hits"),
     [
-        ([], [NAMED], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True)], [NAMED], [SOFA], (1, 1, 1)),
-        ([(SOFA, 0, True)], [NAMED], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
-        ([(SOFA, 0, True)], [NAMED], [[0, 0, 40, 20]], (1, 1, 1)),
-        ([(SOFA, 0, True)], [KIND], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
-        ([(SOFA, 0, False)], [NAMED], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
-        ([(SOFA, 0, False)], [NO], [SOFA], (0, 1, 0)),
-        ([(SOFA, 0, True), (CHAIR, 0, True)], [NAMED], [CHAIR, SOFA], (2, 2, 2)),
+        ([], [SAME_NAME], [SOFA], (0, 1, 0)),
+        ([(SOFA, 0, True)], [SAME_NAME], [SOFA], (1, 1, 1)),
+        ([(SOFA, 0, True)], [SAME_NAME], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
+        ([(SOFA, 0, True)], [SAME_NAME], [[0, 0, 40, 20]], (1, 1, 1)),
+        ([(SOFA, 0, True)], [KIND_OF_PROMPT], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
+        ([(SOFA, 0, False)], [SAME_NAME], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
+        ([(SOFA, 0, False)], [UNRELATED], [SOFA], (0, 1, 0)),
+        ([(SOFA, 0, True), (CHAIR, 0, True)], [SAME_NAME], [CHAIR, SOFA], (2, 2, 2)),
     ],
 )
 def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_hits):
@@ -135,7 +135,7 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
 def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
-    how = np.array([NAMED, NO, NO], np.uint8)
+    how = np.array([SAME_NAME, UNRELATED, UNRELATED], np.uint8)
     mine = seen.xyxy_px[seen.class_id == 0]
     all_count = GroundTruthBoxes(there.xyxy_px, there.class_id, np.ones(len(there.score), bool))
     only = np.array(counts[: len(there.score)], bool)

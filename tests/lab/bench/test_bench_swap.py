@@ -51,7 +51,7 @@ def test_nothing_is_asked_before_anything_is_seen(bench):
     bench.after_iteration()
     assert bench.swapper.asked == []
     with pytest.raises(
-        UserError, match=r"the swap to new was not complete at the end .state: idle.; give more"
+        UserError, match=r"the swap to new was not complete at the end .state: idle.; give a larger"
     ):
         bench.figures()
 

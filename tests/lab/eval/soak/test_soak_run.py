@@ -75,7 +75,7 @@ def test_a_service_that_is_killed_is_told_of(edge, tmp_path):
     (service,) = [c for c in soak.children() if " run " in " ".join(c.cmdline())]
     service.kill()
     assert soak.wait() == FAILED
-    assert "service lives: it ended with -9" in soak.lines[-1]
+    assert "service lives: the process of the service ended with exit code -9" in soak.lines[-1]
 
 
 @pytest.mark.slow
