@@ -50,6 +50,8 @@ _REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state
 # Largest values of integers that have no limit of their own.
 _FAR = 1 << 32  # cell indices and others
 _FAR_NS = 1 << 61  # stamps in ns, and ids of objects
+_RETRY_NS = 5_000_000_000
+"""Longest time from a checkpoint that could not be written to the next."""
 
 Arrays = dict[str, np.ndarray]
 """Name → array."""
@@ -364,8 +366,9 @@ class CheckpointWriter(Generic[State]):
         return self._worker.idle
 
     def is_due(self, now_ns: int) -> bool:
-        """Return True if the last post is at least one period old."""
-        return self._posted_ns is None or abs(now_ns - self._posted_ns) >= self._period_ns
+        """Return True if the last post is at least one period old; a failure is retried sooner."""
+        period_ns = min(self._period_ns, _RETRY_NS) if self.problem else self._period_ns
+        return self._posted_ns is None or abs(now_ns - self._posted_ns) >= period_ns
 
     def post(self, make: Callable[[], Checkpoint[State]], now_ns: int) -> None:
         """Write a checkpoint next, in place of one that still waits; never blocks.

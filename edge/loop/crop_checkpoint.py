@@ -62,15 +62,19 @@ class CropCheckpoint:
         self._queued_changes = crops.changes
 
     def save_if_changed(self, crops: CropStore, now_ns: int) -> None:
-        """Pass the pictures to the writer if they changed and it is time. Never block."""
-        if crops.changes != self._queued_changes and self.writer.is_due(now_ns):
+        """Pass the pictures to the writer if the file lacks any and it is time. Never block."""
+        if self._is_file_old(crops) and self.writer.is_due(now_ns):
             self._post(crops, now_ns)
 
     def close(self, crops: CropStore | None) -> None:
         """Write the last pictures, and stop the writer; `crops` is None if there was no tick."""
-        if crops is not None and crops.changes != self._queued_changes:
+        if crops is not None and self._is_file_old(crops):
             self._post(crops, 0)
         self.writer.close()
+
+    def _is_file_old(self, crops: CropStore) -> bool:
+        """Return True if pictures changed, or could not be written."""
+        return crops.changes != self._queued_changes or self.writer.problem != ""
 
     def _post(self, crops: CropStore, now_ns: int) -> None:
         """Queue the pictures for the writer."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import errno
 import json
+import os
+import time
 
 import cv2
 import numpy as np
@@ -12,6 +15,7 @@ from simulated import simulated
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
+from edge.host import checkpoint
 from edge.host.checkpoint import CheckpointError
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.crop_checkpoint import CropCheckpoint
@@ -133,3 +137,25 @@ def test_pictures_survive_a_restart(loop, tmp_path):
     path.write_text("of another program")
     with pytest.raises(CheckpointError):
         CropCheckpoint(path)
+
+
+def test_pictures_that_could_not_be_written_are_written_later(loop, tmp_path, monkeypatch):
+    def write(now_s: float) -> str:
+        saved.save_if_changed(crops, int(now_s * 1e9))
+        while not saved.writer.idle:
+            time.sleep(0.001)
+        return saved.writer.problem
+
+    path, crops = tmp_path / "mission.json.crops", loop.service.map.crops
+    saved = CropCheckpoint(path)
+    with monkeypatch.context() as full_disk:
+        full_disk.setattr(checkpoint, "save", raise_disk_full)
+        assert write(0.0) == "No space left on device"
+    assert write(4.0) == "No space left on device"  # not tried again so soon
+    assert write(5.0) == ""
+    assert saved.writer.written == 1
+    saved.close(crops)
+
+
+def raise_disk_full(*args) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
