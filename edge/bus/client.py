@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from typing import TYPE_CHECKING
 
 from edge.errors import UnavailableError
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 CONNECT_S = 5.0
 """Longest time in seconds to connect."""
+_TRIES, _AGAIN_S = 3, 0.3
+"""Number of times to send a request that nobody replies to, and the pause between them: a service
+that gets too many requests at once drops some unread."""
 _REASON_CHARS = 1000  # the longest error of a server, see `edge.bus.requests`
 _ZENOH_TIMEOUT = b"Timeout"  # Zenoh's own payload if no answer came in time
 
@@ -90,18 +94,21 @@ def send_request(
     """
     import zenoh
 
-    replies = session.get(
-        key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
-        timeout=timeout_s, priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
-    )  # fmt: skip
-    for reply in replies:
-        if reply.ok is not None:
-            return _read_answer(key, reply.ok.payload.to_bytes(), what)
-        content = reply.err.payload.to_bytes()
-        if content == _ZENOH_TIMEOUT:
-            raise RequestError(f"{what}: {key}: no answer within {timeout_s:g} s")
-        reason = one_line(_read_answer(key, content, what).get("error"), _REASON_CHARS)
-        raise RefusedError(f"{what}: refused: {reason}")
+    for attempt in range(_TRIES):
+        if attempt > 0:
+            time.sleep(_AGAIN_S)
+        replies = session.get(
+            key, payload=json.dumps(request), encoding=zenoh.Encoding.APPLICATION_JSON,
+            timeout=timeout_s, priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
+        )  # fmt: skip
+        for reply in replies:
+            if reply.ok is not None:
+                return _read_answer(key, reply.ok.payload.to_bytes(), what)
+            content = reply.err.payload.to_bytes()
+            if content == _ZENOH_TIMEOUT:
+                raise RequestError(f"{what}: {key}: no answer within {timeout_s:g} s")
+            reason = one_line(_read_answer(key, content, what).get("error"), _REASON_CHARS)
+            raise RefusedError(f"{what}: refused: {reason}")
     raise RequestError(
         f"{what}: no service answers at {key}; start one with `edge run`. If one runs, its access "
         "rules must allow this client to send requests"

@@ -102,6 +102,26 @@ def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
     assert asking.answer == {}
 
 
+@pytest.mark.parametrize("n_dropped", [0, 2, 3])
+def test_a_request_that_a_busy_service_dropped_is_sent_again(session, n_dropped):
+    seen = []
+
+    def answer(query: zenoh.Query) -> None:
+        seen.append(query.selector)
+        if len(seen) > n_dropped:
+            query.reply(KEY, b"{}")
+
+    queryable = session.declare_queryable(KEY, answer)
+    asking = Asking(session, do="status")
+    if n_dropped < 3:
+        assert asking.answer == {}
+        assert len(seen) == n_dropped + 1
+    else:
+        assert "no service answers" in asking.refusal
+        assert len(seen) == n_dropped
+    queryable.undeclare()
+
+
 @pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
 def test_an_answer_that_is_not_json_is_an_error_to_the_client_only(session, serve, answer):
     server, asking = serve(), Asking(session, do="status")
