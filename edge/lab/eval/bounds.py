@@ -18,7 +18,8 @@ from edge.config import PolicySearch
 from edge.lab.eval import geodesic
 from edge.lab.eval.ground_truth import SAME_M, objects_meant_by
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.sim.base import Room, World, WorldObject
+from edge.lab.eval.true_rooms import inside, room_of
+from edge.lab.sim.base import World
 from edge.policies.base import INSTANCE, SPIN, Candidates, PolicyInput, Why
 from edge.policies.search import SearchPolicy
 
@@ -117,11 +118,10 @@ class KnownRoom:
             (rows, columns) float64 in metres on the plan's raster.
         """
         targets = objects_meant_by(self._world, target)
-        target_rooms = {room_of(self._world, item) for item in targets} - {None}
+        rooms = {room_of(self._world, item) for item in targets}
+        target_rooms = sorted(room for room in rooms if room is not None)
         free = self._world.plan.clearance_m > self._radius_m
-        return cost_to_goal_m(
-            self._world, inside(self._world, sorted(target_rooms)) & free, self._radius_m
-        )
+        return cost_to_goal_m(self._world, inside(self._world, target_rooms) & free, self._radius_m)
 
 
 def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
@@ -138,48 +138,18 @@ def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float)
     Returns:
         (rows, columns) float64 in metres; `FAR_M` everywhere if no path leads to a goal.
     """
-    plan = world.plan
-    free = plan.clearance_m > robot_radius_m
-    cells = np.full(free.shape, np.inf)
-    if goal is not None:
-        cells[goal] = 0.0
-    while geodesic.relax(free, cells):  # until nothing changes
-        pass
-    known = np.isfinite(cells)
+    ends = np.zeros(world.plan.grid.cells.shape, bool) if goal is None else goal
+    distance_m = geodesic.distance_to(world.plan, ends, robot_radius_m)
+    known = np.isfinite(distance_m)
     if not known.any():
-        return np.full(free.shape, FAR_M)
+        return np.full(ends.shape, FAR_M)
     _, nearest = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     # `nearest` has the label of the nearest known cell; each known cell has a label of its own.
     distance_by_label = np.zeros(nearest.max() + 1)
-    distance_by_label[nearest[known]] = cells[known]
-    return distance_by_label[nearest] * plan.grid.resolution_m
-
-
-def room_of(world: World, item: WorldObject) -> Room | None:
-    """Return the room that an object stands in or is nearest to; None without room data."""
-    x, y = item.center_m[:2]
-    return min(world.rooms, key=lambda room: _away_m(room, x, y), default=None)
-
-
-def _away_m(room: Room, x_m: float, y_m: float) -> float:
-    """Return the distance of a point from a room, a union of rectangles (x0, y0, x1, y1)."""
-    return min(
-        np.hypot(max(x0 - x_m, 0.0, x_m - x1), max(y0 - y_m, 0.0, y_m - y1))
-        for x0, y0, x1, y1 in room
-    )
-
-
-def inside(world: World, rooms: list[Room]) -> np.ndarray:
-    """Return (rows, columns) bool on the plan's raster: True inside one of the rooms."""
-    grid = world.plan.grid
-    found = np.zeros(grid.cells.shape, bool)
-    for x0, y0, x1, y1 in (rectangle for room in rooms for rectangle in room):
-        (left, bottom), (right, top) = grid.to_cells((x0, y0)), grid.to_cells((x1, y1))
-        rows = slice(max(round(bottom), 0), max(round(top), 0))
-        found[rows, max(round(left), 0) : max(round(right), 0)] = True
-    return found
+    distance_by_label[nearest[known]] = distance_m[known]
+    return distance_by_label[nearest]
 
 
 def _path_m(candidates: Candidates) -> np.ndarray:

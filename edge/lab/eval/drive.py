@@ -25,6 +25,7 @@ from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, objects_m
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcome
 from edge.lab.eval.questions import answers_of
+from edge.lab.eval.true_rooms import in_room_of_kind
 from edge.lab.report.page import write_report
 from edge.lab.report.recorder import ReportRecorder
 from edge.lab.sim.base import World
@@ -323,6 +324,8 @@ def remaining_m(config: Config, world: World, target: str, x_m: float, y_m: floa
 
 @lru_cache(maxsize=8)
 def _distance_field(world: World, target: str, radius_m: float) -> np.ndarray:
+    if target in world.room_kinds:
+        return geodesic.distance_to(world.plan, in_room_of_kind(world, target, radius_m), radius_m)
     return geodesic.distance_field(world.plan, objects_meant_by(world, target), radius_m, REACHED_M)
 
 

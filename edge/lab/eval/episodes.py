@@ -31,6 +31,7 @@ from edge.lab.eval.arms import data_of, merged
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
 from edge.lab.sim.worlds import load_world
+from edge.memory import ROOM_KINDS
 from edge.text import one_line, read_json_object
 
 log = logging.getLogger("edge.lab.eval.episodes")
@@ -63,7 +64,8 @@ class Episode:
             their own.
         sensing: sections `robot`, `sensors` and `sim`, the same for every arm, unless an arm
             changes them.
-        goals: names of the objects to find one after another (`edge.lab.eval.sessions`).
+        goals: names of the objects and kinds of rooms to find one after another
+            (`edge.lab.eval.sessions`).
         moved: share of the movable objects that are moved before each goal but the first; 0 to 1.
         site: zones, as GeoJSON (`edge.lab.eval.zones`); empty if there are none.
         ways: "detour" if a path around the zones is left, "closed" if not; "" without zones.
@@ -92,10 +94,19 @@ class Episode:
     @property
     def settings(self) -> dict[str, Any]:
         """Settings that the episode adds to a configuration, without `sensing`."""
-        target = self.goals[0] if self.goals else self.target
-        target_section = {"target": target} if self.instruction is None else {}
-        mission = {**target_section, "instruction": self.instruction, "checkpoint": None}
-        return {"mission": mission, "sim": {"start": list(self.start)}}
+        mission: dict[str, Any] = {"instruction": self.instruction}
+        if self.instruction is None:
+            mission = mission_for(self.goals[0] if self.goals else str(self.target))
+        return {
+            "mission": {**mission, "checkpoint": None}, "sim": {"start": list(self.start)},
+        }  # fmt: skip
+
+
+def mission_for(goal: str) -> dict[str, Any]:
+    """Return the settings of a mission to an object by name, or to a room by its kind."""
+    if goal in ROOM_KINDS:
+        return {"instruction": f"go to the {goal}"}
+    return {"target": goal, "instruction": None}
 
 
 def make_episode(

@@ -21,8 +21,22 @@ def distance_field(
     Returns:
         (rows, columns) float64 in metres on the plan's raster; inf if there is no path.
     """
+    return distance_to(plan, near(plan, objects, robot_radius_m, within_m), robot_radius_m)
+
+
+def distance_to(plan: FloorPlan, ends: np.ndarray, robot_radius_m: float) -> np.ndarray:
+    """Return the distance that a robot must drive to any of the places where `ends` is True.
+
+    Args:
+        plan: the plan.
+        ends: (rows, columns) bool.
+        robot_radius_m: radius of the robot's footprint.
+
+    Returns:
+        See `distance_field`.
+    """
     free = plan.clearance_m > robot_radius_m
-    distance = np.where(near(plan, objects, robot_radius_m, within_m), 0.0, np.inf)
+    distance = np.where(ends, 0.0, np.inf)
     while relax(free, distance):  # until nothing changes
         pass
     return distance * plan.grid.resolution_m

@@ -17,6 +17,7 @@ from edge.config import Config
 from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.revisits import RevisitCounter
+from edge.lab.eval.true_rooms import distance_to_room_m
 from edge.lab.eval.zone_entries import ZoneEntryCounter
 from edge.lab.sim.base import World, WorldObject
 from edge.loop.result import TickResult
@@ -185,9 +186,13 @@ class GroundTruthLogger:
     def _judge_reports(self, result: TickResult, truth: GroundTruth) -> None:
         """Add to `stops` each object that the mission log newly reports as reached."""
         events = result.mission().log
-        reached = [e.label for e in events if e.kind == "reached" and _is_object_name(e.label)]
+        reached = [e.label for e in events if e.kind == "reached" and self._is_judged(e.label)]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
+
+    def _is_judged(self, label: str) -> bool:
+        """Return True for an object or a kind of room, not for a place or a wait."""
+        return label in self._world.room_kinds or destination_of(label, Site()) is None
 
     def _judge_instances(self, instances: Sequence[Instance]) -> None:
         for instance in instances:
@@ -214,14 +219,20 @@ class GroundTruthLogger:
     # -- the outcome ------------------------------------------------------------------------------
 
     def distance_to_target_m(self, target: str, x_m: float, y_m: float) -> float:
-        """Return the distance to the nearest footprint of a target; inf if there is none."""
+        """Return the distance to the nearest footprint of a target; inf if there is none.
+
+        The footprint of a kind of room is its floor.
+        """
+        if target in self._world.room_kinds:
+            return distance_to_room_m(self._world, target, x_m, y_m)
         objects = self.objects.get(target, [])
         return min((item.distance_m(x_m, y_m) for item in objects), default=math.inf)
 
     @property
     def wrong_stops(self) -> list[tuple[str, float]]:
-        """The entries of `stops` that were too far from any such object."""
-        return [stop for stop in self.stops if stop[1] > REACHED_M]
+        """The entries of `stops` that were too far from any such object, or in no such room."""
+        kinds = self._world.room_kinds
+        return [(name, m) for name, m in self.stops if m > (0.0 if name in kinds else REACHED_M)]
 
     @property
     def zone_entries(self) -> int | None:
@@ -266,11 +277,6 @@ class GroundTruthLogger:
         if over_budget:
             return "budget"
         return "never seen" if pursued not in self.first_sights else "stuck"
-
-
-def _is_object_name(label: str) -> bool:
-    """Return True if the label is an object to search for, not a destination such as `explored`."""
-    return destination_of(label, Site()) is None
 
 
 def objects_meant_by(world: World, target: str) -> list[WorldObject]:

@@ -20,6 +20,7 @@ from edge.lab.eval import geodesic
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.planning.delexicalised import compiled
 from edge.lab.eval.planning.templates import Family, draws, formula_of, is_open_task, sentence_of
+from edge.lab.eval.true_rooms import in_room_of_kind
 from edge.lab.sim.base import World, free_poses
 from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.logic.ltl import Formula
@@ -146,19 +147,20 @@ class MissionCostFields:
         return any(not names.same_name(label, target) for label in kinds)
 
     def near(self, target: str) -> np.ndarray:
-        """Return (rows, columns) bool: True where this object counts as reached."""
-        if target not in self._near:
+        """Return (rows, columns) bool: True where this object or kind of room counts as reached."""
+        if target in self._near:
+            return self._near[target]
+        if target in self._world.room_kinds:
+            near = in_room_of_kind(self._world, target, self._radius_m)
+        else:
             objects = [o for o in self._world.objects if names.same_name(o.label, target)]
             near = geodesic.near(self._world.plan, objects, self._radius_m, REACHED_M)
-            self._near[target] = near & self._reachable
+        self._near[target] = near & self._reachable
         return self._near[target]
 
     def distance_m(self, target: str) -> np.ndarray:
-        """Return the distance to drive to an object, (rows, columns) float64; inf: no path."""
-        cells = np.where(self.near(target), 0.0, np.inf)
-        while geodesic.relax(self._free, cells):
-            pass
-        return cells * self.plan.grid.resolution_m
+        """Return the distance to drive to a target, (rows, columns) float64; inf: no path."""
+        return geodesic.distance_to(self.plan, self.near(target), self._radius_m)
 
     def cost_to_go_m(self, automaton: Automaton) -> np.ndarray:
         """Return the distance to drive from each place until a new mission is fulfilled.

@@ -13,7 +13,8 @@ from edge.errors import UserError
 from edge.lab.eval.episodes import Episode, make_episode, world_setups
 from edge.lab.eval.ground_truth import objects_meant_by
 from edge.lab.eval.missions import MissionCostFields
-from edge.lab.eval.rooms import RoomVerdict, judge_rooms, true_room_at
+from edge.lab.eval.rooms import RoomVerdict, judge_rooms
+from edge.lab.eval.true_rooms import true_room_at
 from edge.lab.sim.base import World, WorldError, free_poses
 from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service

@@ -18,6 +18,7 @@ from edge.lab.eval import world_list
 from edge.lab.eval.arms import Data, data_of, merged
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.eval.intervals import Interval, wilson
+from edge.lab.eval.true_rooms import true_room_at
 from edge.lab.sim.base import World, free_poses
 from edge.memory import MappedRoom, RoomMemory
 from edge.memory.rooms import TYPICAL, typical_things
@@ -79,21 +80,6 @@ class RoomGoalOutcome:
     success: bool
     seconds: float
     reason: str
-
-
-def true_room_at(world: World, xy_m: np.ndarray) -> np.ndarray:
-    """Return the index of the true room of each point, (n,) int64; -1 for none.
-
-    Args:
-        world: the world.
-        xy_m: (n, 2) points.
-    """
-    found = np.full(len(xy_m), -1)
-    for number, room in enumerate(world.rooms):  # a room is a list of rectangles
-        for x0, y0, x1, y1 in room:
-            x, y = xy_m[:, 0], xy_m[:, 1]
-            found[(x0 <= x) & (x < x1) & (y0 <= y) & (y < y1)] = number
-    return found
 
 
 def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:

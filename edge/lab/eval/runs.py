@@ -23,6 +23,7 @@ from edge.lab.eval.sessions import plan_sessions
 from edge.lab.eval.workers import EpisodeJob, outcomes_of
 from edge.lab.eval.zones import with_zones
 from edge.lab.report.page import prepare
+from edge.memory import RECOGNISED_KINDS, ROOM_KINDS
 from edge.names import canonical
 from edge.perception.embedding.text import find_vocabulary, load_vocabulary
 
@@ -168,6 +169,10 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         return eps.read(args.episodes)[: args.limit]
     worlds = world_list.world_sections(args.worlds or ())
     targets = _targets(args.targets or ("common" if worlds else DEFAULT_TARGETS))
+    if args.goals is None and (rooms := ROOM_KINDS.keys() & targets):
+        raise UserError(
+            f"--targets: {', '.join(sorted(rooms))}: rooms are goals of sessions only; add --goals"
+        )
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
     if args.goals is not None:
@@ -190,12 +195,19 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
     return with_zones(config, planned, args.seed) if args.zones else planned
 
 
-def _targets(asked: str) -> Sequence[str]:
-    if asked == "common":
-        return eps.COMMON_TARGETS
-    if asked == "vocabulary":
-        return list(dict.fromkeys(map(canonical, load_vocabulary(find_vocabulary(None))[0])))
-    return [name for target in asked.split(",") if (name := target.strip())]
+def _targets(asked: str) -> list[str]:
+    """Return the names of `--targets`, each once."""
+    found: list[str] = []
+    for name in map(str.strip, asked.split(",")):
+        if name == "common":
+            found += eps.COMMON_TARGETS
+        elif name == "rooms":
+            found += RECOGNISED_KINDS
+        elif name == "vocabulary":
+            found += map(canonical, load_vocabulary(find_vocabulary(None))[0])
+        elif name:
+            found.append(name)
+    return list(dict.fromkeys(found))
 
 
 def _outcome_line(number: int, total: int, o: EpisodeOutcome) -> str:

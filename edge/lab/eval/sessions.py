@@ -33,7 +33,7 @@ from edge.lab.eval.drive import (
     truth_of,
     warm_up_once,
 )
-from edge.lab.eval.episodes import Episode, make_episode, world_setups
+from edge.lab.eval.episodes import Episode, make_episode, mission_for, world_setups
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger
 from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
@@ -61,7 +61,7 @@ def plan_sessions(
     Args:
         config: gives the robot and its sensors.
         worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names that goals may have.
+        targets: names of objects and kinds of rooms that goals may have.
         count: number of goals of a session.
         seed: of the goals and starts.
         min_distance_m: shortest allowed path to a goal, from the start or from any place that
@@ -212,7 +212,7 @@ class _Session:
             self._move_objects(number)
         if self._arm.forgets:
             loop.service.on_pose_jump(now_ns)
-        mission = self._config.mission.model_copy(update={"target": goals[number - 1]})
+        mission = self._config.mission.model_copy(update=mission_for(goals[number - 1]))
         config = self._config.model_copy(update={"mission": mission})
         loop.service.begin(prepare_mission(config), now_ns)
 

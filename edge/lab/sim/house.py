@@ -44,7 +44,7 @@ class Room(Section):
     """A rectangular room: its floor and ceiling.
 
     Attributes:
-        name: unique name.
+        name: unique name: the kind of room, with a number if there are several.
         rect: x0, y0, x1, y1.
         floor: material of the floor.
         color: colour of the floor.
@@ -178,6 +178,7 @@ def build_house(house: House, config: Config) -> BoxWorld:
         config.robot.height_m,
         (camera.depth_min_m, camera.depth_max_m),
         tuple((room.rect,) for room in house.rooms),
+        tuple(room.name.rstrip("0123456789 ") for room in house.rooms),
     )
 
 
