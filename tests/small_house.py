@@ -14,7 +14,10 @@ BOX = [(0, 0), (8, 0), (8, 4), (0, 4)]
 HOUSE = {
     "name": "small",
     "start": [1.0, 2.0, 0.0],
-    "rooms": [{"name": "one", "rect": [0, 0, 4, 4]}, {"name": "two", "rect": [4, 0, 8, 4]}],
+    "rooms": [
+        {"name": "living room", "rect": [0, 0, 4, 4]},
+        {"name": "bedroom", "rect": [4, 0, 8, 4]},
+    ],
     "walls": [
         *({"start": a, "end": b} for a, b in zip(BOX, BOX[1:] + BOX[:1], strict=True)),
         {"start": (4, 0), "end": (4, 1.4)},

@@ -52,8 +52,8 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--targets", metavar="NAME,NAME,…",
         help="objects to find; `common` means sixteen large objects of most homes, `vocabulary` "
-        "all names of $EDGE_VOCABULARY, and with --goals `rooms` the kinds of rooms; a target that a world lacks is skipped there (default with "
-        "--worlds: common)",
+        "all names of $EDGE_VOCABULARY, and `rooms`, with --goals, the kinds of rooms; a target "
+        "that a world lacks is skipped there (default with --worlds: common)",
     )  # fmt: skip
     option(
         "--min-size", type=float, default=0.0, metavar="M",

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from edge.lab.eval.rooms import RoomGoalOutcome, RoomVerdict, report, true_room_at
-
-
-class _Flat:
-    rooms = (((0.0, 0.0, 2.0, 2.0),), ((2.0, 0.0, 4.0, 1.0), (3.0, 1.0, 4.0, 2.0)))
+from edge.lab.eval.rooms import RoomGoalOutcome, RoomVerdict, report
 
 
 def verdict(kinds=("kitchen",), share=1.0, also=("kitchen",), best="kitchen", typical=3):
@@ -24,12 +19,6 @@ def values(text: str) -> list[str]:
 
 def test_nothing_was_measured():
     assert values(report([], [])) == ["nan"] * 4
-
-
-def test_the_true_room_of_a_point():
-    points = np.array([(1, 1), (2.5, 0.5), (3.5, 1.5), (2.5, 1.5), (-1, 0)])
-    assert true_room_at(_Flat(), points).tolist() == [0, 1, 1, -1, -1]
-    assert true_room_at(_Flat(), np.zeros((0, 2))).tolist() == []
 
 
 @pytest.mark.parametrize(

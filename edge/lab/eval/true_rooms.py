@@ -59,8 +59,8 @@ def in_room_of_kind(world: World, kind: str, robot_radius_m: float) -> np.ndarra
     plan = world.plan
     found = np.zeros(plan.grid.cells.shape, bool)
     for room in _rooms_of(world, kind):
-        floor = inside(world, [room]).astype(np.uint8)
-        depth = cv2.distanceTransform(floor, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        floor = np.pad(inside(world, [room]).astype(np.uint8), 1)  # the plan's edge is outside
+        depth = cv2.distanceTransform(floor, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
         found |= depth * plan.grid.resolution_m >= INSIDE_M
     return found & (plan.clearance_m > robot_radius_m)
 

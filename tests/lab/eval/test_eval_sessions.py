@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import pytest
 from small_house import small_house
@@ -77,6 +78,14 @@ def test_the_first_goal_is_the_same_and_only_memory_helps_the_second(outcomes):
     assert known_second.first_sight_path_m is not None
     assert known_second.path_m < 1.2 * known_second.shortest_m
     assert {kind for *_, kind in known_second.goal_xy} == {"instance"}  # it knows where the sofa is
+
+
+def test_a_goal_may_be_a_room(config, session, arms):
+    (planned,) = plan_sessions(config, [], ["bed", "living room", "kitchen"], 2, 0, 1.0)
+    assert sorted(planned.goals) == ["bed", "living room"]
+    _, room = run_session(arms[1], replace(session, goals=("bed", "living room")))
+    assert (room.success, room.target, room.distance_m) == (True, "living room", 0.0), room.reason
+    assert 1.0 < room.shortest_m <= room.path_m < 1.5 * room.shortest_m
 
 
 def test_a_comparison_leaves_the_first_goal_out(outcomes):
