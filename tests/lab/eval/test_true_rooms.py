@@ -24,6 +24,10 @@ class _Unnamed(_Flat):
     room_kinds = ()
 
 
+class _Full(_Flat):
+    plan = FloorPlan(Grid(np.ones((40, 80), np.uint8), (0.0, 0.0), 0.05))
+
+
 def test_the_true_room_of_a_point():
     points = np.array([(1, 1), (2.5, 0.5), (3.5, 1.5), (2.5, 1.5), (-1, 0)])
     assert true_room_at(_Flat(), points).tolist() == [0, 1, 1, -1, -1]
@@ -50,4 +54,4 @@ def test_a_room_goal_ends_half_a_metre_inside():
     xy_m = _Flat.plan.grid.centres_m(*np.nonzero(found))
     assert xy_m.min(axis=0) == pytest.approx([0.5, 0.5], abs=0.051)
     assert xy_m.max(axis=0) == pytest.approx([1.5, 1.5], abs=0.051)
-    assert not in_room_of_kind(_Flat(), "bedroom", 3.0).any()  # the robot does not fit
+    assert not in_room_of_kind(_Full(), "kitchen", 0.1).any()  # the robot does not fit
