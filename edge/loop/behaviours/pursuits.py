@@ -298,12 +298,6 @@ class RoomPursuit(Pursuit[RoomTarget]):
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        # Rooms of one kind that the robot had been in before: where their walls are is known.
-        rooms = self._map.rooms.rooms
-        self._known_ids = {room.id for room in rooms if room.is_visited and len(room.kinds) == 1}
-
     def gather(self) -> Sequence[Instance]:
         return ()
 
@@ -392,8 +386,8 @@ class RoomPursuit(Pursuit[RoomTarget]):
     def _is_inside(self, room: MappedRoom, context: PolicyInput) -> bool:
         """Return True if the robot is inside.
 
-        Before its walls are known, a room may seem to go on behind a door. So a new room of a kind
-        is reached only when it is explored, at a point near the objects that it was recognised by,
+        Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
+        reached only when it is explored, at a point near the objects that it was recognised by,
         and if the next surveys agree. The goal is such a point, as long as it stays.
         """
         inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
@@ -410,8 +404,8 @@ class RoomPursuit(Pursuit[RoomTarget]):
         return self._agreed > _SURVEYS  # the first one is the survey of the arrival
 
     def _is_found_by_kind(self, room: MappedRoom) -> bool:
-        """Return True if a new room is taken for the target because of its objects."""
-        return self._kind is not None and not room.is_named and room.id not in self._known_ids
+        """Return True if the room is taken for the target because of its objects, not its name."""
+        return self._kind is not None and not room.is_named
 
     def _explore_around_arrival(self, room: MappedRoom, context: PolicyInput) -> bool:
         """Return True while a room found by its kind has frontiers near the point of arrival.
