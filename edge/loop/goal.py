@@ -44,7 +44,7 @@ _PLACE_TRIES = 3
 POINT_SNAP_M = np.array([0.08])
 """Largest distance of a goal from a point in a room: the cell of the point, or the next cell. An
 array of one radius, because `path_lengths_m` takes one for each kind of point."""
-_SAME_POINT_M = 0.6
+SAME_POINT_M = 0.6
 """A goal is kept if one of the new points is this near: points move as the map grows."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
@@ -271,7 +271,7 @@ class GoalTracker:
             and (goal.kind, goal.target) == ("place", target)
             and not grid.state_at(goal.pose.x_m, goal.pose.y_m)
             and math.isfinite(grid.travel_cost.distance_m(goal.pose.x_m, goal.pose.y_m))
-            and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= _SAME_POINT_M
+            and np.hypot(*(points_m - goal.candidate_xy_m).T).min() <= SAME_POINT_M
         ):
             return goal
         path_m, kind = np.empty(n, np.float32), np.zeros(n, np.int8)  # one kind of points

@@ -18,7 +18,7 @@ import numpy as np
 
 from edge.config import PolicySearch
 from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
-from edge.loop.goal import POINT_SNAP_M, GoalTracker
+from edge.loop.goal import POINT_SNAP_M, SAME_POINT_M, GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import (
     RECOGNISED_KINDS,
@@ -47,8 +47,8 @@ from edge.types import Goal, Instance
 
 _MAX_NAMES = 12  # object names in the report of an exploration
 # `RoomMemory.votes` says how much the objects near a point speak for a kind of room. A point needs
-# this share of the range from the lowest to the highest votes to be a goal.
-_MIN_VOTES_SHARE = 0.9
+# this share of the range from the lowest to the highest votes to be a goal, and to stay one.
+_GOOD_SHARE, _KEPT_SHARE = 0.9, 0.7
 _SURVEYS = 2  # surveys after the arrival that must agree that the robot is inside
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
@@ -306,6 +306,9 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if room is None and self._closed_room is not None and self._kind is None:
             self.finish(context.now_ns)
             return
+        if room is None and self._may_guess():
+            self.finish(context.now_ns)  # retries and second looks would lead elsewhere
+            return
         if room is None:
             mission.activity = "exploring to find it"
             super().check_progress(context, images)
@@ -342,6 +345,13 @@ class RoomPursuit(Pursuit[RoomTarget]):
             super().finish(now_ns)
         else:  # a last chance: go to this room
             self._chosen_id, self._is_final = room.id, True
+
+    def _may_guess(self) -> bool:
+        """Return True if all is explored, and a room may well be of the wanted kind."""
+        if self._kind is None or not self._goals.candidates_exhausted:
+            return False
+        likely = self._most_likely(self._kind)
+        return likely is not None and likely.chance[self._kind] >= _LAST_CHANCE
 
     def _most_likely(self, kind: str) -> MappedRoom | None:
         """Return the room to try when none is certain; None if nothing speaks for any."""
@@ -444,7 +454,12 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if not reachable.any():  # no path is known yet: take all points
             reachable[:] = True
         low, high = float(votes[reachable].min()), float(votes[reachable].max())
-        return room.points_m[reachable & (votes >= low + _MIN_VOTES_SHARE * (high - low))]
+        share = 1.0 - (high - votes) / max(high - low, 1e-9)
+        good = share >= _GOOD_SHARE
+        if (goal := self._goals.goal) is not None and goal.kind == "place":
+            near = np.hypot(*(room.points_m - np.float32(goal.candidate_xy_m)).T) <= SAME_POINT_M
+            good |= near & (share >= _KEPT_SHARE)
+        return room.points_m[reachable & good]
 
     def _choose(self, context: PolicyInput) -> MappedRoom | None:
         """Return the room to go to; None if none is known. A choice stays while it is possible."""

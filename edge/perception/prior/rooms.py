@@ -15,6 +15,11 @@ from edge.perception.prior.table import ObjectPrior
 
 _PRIOR_ROOMS = 4.0
 """Pseudo-count of average rooms, added to each kind; pulls small counts to the average."""
+_ON_COUNTERTOP = ("sink", "faucet")
+"""Things on a countertop in real homes.
+
+In the houses that the table was learned from, only bathrooms have them.
+"""
 # A region may hold two rooms, such as a kitchen and a living room. These numbers of
 # `included_kinds` were tuned on houses for training.
 _PAIR_EVIDENCE = 0.5  # weight of a thing as evidence for the one or two kinds of a region
@@ -27,10 +32,12 @@ def object_given_room(table: ObjectPrior) -> np.ndarray:
 
     The result is (kinds, things) float64, in (0, 1).
     """
-    share = (table.kind_rooms_with.sum(0) + 0.5) / (table.kind_rooms.sum() + 1.0)
-    return (table.kind_rooms_with + _PRIOR_ROOMS * share) / (
-        table.kind_rooms[:, None] + _PRIOR_ROOMS
-    )
+    rooms_with, counter = table.kind_rooms_with.copy(), table.row("countertop")
+    for thing in map(table.row, _ON_COUNTERTOP):
+        if min(thing, counter) >= 0:
+            rooms_with[:, thing] = np.maximum(rooms_with[:, thing], rooms_with[:, counter])
+    share = (rooms_with.sum(0) + 0.5) / (table.kind_rooms.sum() + 1.0)
+    return (rooms_with + _PRIOR_ROOMS * share) / (table.kind_rooms[:, None] + _PRIOR_ROOMS)
 
 
 def room_prior(table: ObjectPrior) -> np.ndarray:
