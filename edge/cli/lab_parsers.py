@@ -1,4 +1,4 @@
-"""The parsers of `edge trajectory`, `bench` and `soak`: commands of `edge.lab`."""
+"""The parsers of `edge trajectory`, `worlds`, `bench` and `soak`: commands of `edge.lab`."""
 
 from __future__ import annotations
 
@@ -48,6 +48,33 @@ def add_trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         help="folder for the trajectory, its pictures and a web page (default: ./%(default)s)",
     )  # fmt: skip
     trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
+
+
+def add_worlds(commands) -> None:  # type: ignore[no-untyped-def]
+    """Add `edge worlds`."""
+    worlds = commands.add_parser("worlds", help="bring a building of your own to the simulator")
+    kinds = worlds.add_subparsers(title="verbs", required=True, metavar="VERB")
+    importing = kinds.add_parser(
+        "import", help="turn a Gazebo world (SDF) with its models into a mesh and named objects"
+    )
+    option = importing.add_argument
+    option("world", type=Path, metavar="WORLD", help="world file (.world or .sdf)")
+    option(
+        "--models", type=Path, action="append", metavar="DIR",
+        help="folder that has the models; may be repeated; nothing outside of these folders and "
+        "of the world's own is read (default: the folders in $GAZEBO_MODEL_PATH and "
+        "$GZ_SIM_RESOURCE_PATH)",
+    )  # fmt: skip
+    option(
+        "--out", type=Path, required=True, metavar="DIR",
+        help="folder for the mesh (.glb), objects (.objects.json), names (.names.yaml) and a "
+        "configuration (.yaml)",
+    )  # fmt: skip
+    option(
+        "--floor", type=float, default=0.0, metavar="Z",
+        help="height of the floor in the world file, in m (default: 0)",
+    )  # fmt: skip
+    importing.set_defaults(handler=lazy_handler("edge.lab.sim.gazebo.convert", "run"))
 
 
 def add_bench(commands) -> None:  # type: ignore[no-untyped-def]

@@ -56,6 +56,7 @@ def make_parser() -> argparse.ArgumentParser:
         _add_replay,
         _add_ros2_adapter,
         lab_parsers.add_trajectory,
+        lab_parsers.add_worlds,
         lab_parsers.add_bench,
         eval_parsers.add_eval,
         lab_parsers.add_soak,

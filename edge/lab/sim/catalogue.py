@@ -191,18 +191,18 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
         T_node, name = scene.graph[node]
         part = scene.geometry[name]
         if hasattr(part, "faces") and len(part.faces):
-            _prepare_material(part)
+            prepare_material(part)
             parts.append((part, T @ T_node))
     return tuple(parts)
 
 
-def _prepare_material(part: Any) -> None:
-    """Turn an OBJ material into the kind that glTF has, with a small texture."""
+def prepare_material(part: Any, max_px: int = _MAX_TEXTURE_PX) -> None:
+    """Turn an OBJ material into the kind that glTF has, with a texture of at most `max_px`."""
     material = getattr(part.visual, "material", None)
     if hasattr(material, "to_pbr"):
         material = part.visual.material = material.to_pbr()
     image = getattr(material, "baseColorTexture", None)
-    if image is not None and max(image.size) > _MAX_TEXTURE_PX:
+    if image is not None and max(image.size) > max_px:
         image = image.convert("RGB")
-        image.thumbnail((_MAX_TEXTURE_PX, _MAX_TEXTURE_PX))
+        image.thumbnail((max_px, max_px))
         material.baseColorTexture = image

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from typing import Union
 
 from edge import names
 from edge.mission.language import nouns
@@ -51,8 +53,7 @@ CALLER = "caller"
 MAX_ROUNDS = 10
 """Largest number of rounds of a patrol that becomes one sequence of stops."""
 
-_CHECKS = compile_templates(
-    """
+_CHECKS = """
     {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
             ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
     {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
@@ -68,19 +69,13 @@ _CHECKS = compile_templates(
     {then} {goes} check for <thing> {at}
     {then} {goes} check [on] <thing> {at} [for me|for us]*
     {then} {goes} {check} <room> for <thing>
-    """,
-    PARTS,
-)
-_SEARCHES = compile_templates(
-    """
+"""
+_SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
             [around|round|in|at|inside|through]* <room> for <thing>
     (search|look) {whole} for <thing>
-    """,
-    PARTS,
-)
-_EXPLORES = compile_templates(
-    """
+"""
+_EXPLORES = """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
@@ -92,19 +87,13 @@ _EXPLORES = compile_templates(
     (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander)
             (round|around|in|at|inside) (<room>|{whole})
             {time}
-    """,
-    PARTS,
-)
-_EXPLORES_HERE = compile_templates(
-    """
+"""
+_EXPLORES_HERE = """
     {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
             have a look around|take a look around|roam around|drive around|go exploring|map|
             be [an|a|the] explorer|make [an] exploration) {time}
-    """,
-    PARTS,
-)
-_PATROLS = compile_templates(
-    """
+"""
+_PATROLS = """
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
     {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
@@ -114,51 +103,35 @@ _PATROLS = compile_templates(
             (doing|repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
-    """,
-    PARTS,
-)
-_ROUNDS_FIRST = compile_templates(
+"""
+_ROUNDS_FIRST = (
     "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
-    "<stops>",
-    PARTS,
+    "<stops>"
 )
-_ERRAND_AND_BACK = compile_templates(
-    """
+_ERRAND_AND_BACK = """
     {drive} {over} to <thing> , {back} , <often>
     {drive} {over} to <thing> , {back} , [for] <count> {rounds}
-    """,
-    PARTS,
-)
-_STARTS = compile_templates(
-    """
+"""
+_STARTS = """
     {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
-    """,
-    PARTS,
-)
-_BACK_TO = compile_templates(
-    "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>",
-    PARTS,
-)
-_CALLS = compile_templates(
+"""
+_BACK_TO = "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>"
+_CALLS = (
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
     "(here|to me|to us|to (where|wherever) (i am|we are)) "
-    "[[for] (a|one) (minute|moment|second|sec|bit)]",
-    PARTS,
+    "[[for] (a|one) (minute|moment|second|sec|bit)]"
 )
-_BACKS = compile_templates("{then} {back}", PARTS)
-_WAITS = compile_templates(
-    """
+_BACKS = "{then} {back}"
+_WAITS = """
     {then} {hold} [for] <span> {where} <thing>
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} {where} <thing> [for] <span>
     {then} wait [for (me|us)] {where} <thing>
     {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
     {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
-    """,
-    PARTS,
-)
+"""
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
 # (`other`), "the mug on the desk or by the bed" (`again`, `else`)
 _RELATED = re.compile(
@@ -324,9 +297,10 @@ _BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
 _GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
-_IN_TURN = compile_templates("go to <stops>", {})
+_IN_TURN = "go to <stops>"
 _FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 _COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)
+_Change = Callable[[re.Match[str]], Union[str, None]]  # None keeps the match
 _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
@@ -351,9 +325,29 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
     text = f" {marked}"
     for pattern, plain in _FIRST_REWRITES:
         text = pattern.sub(plain, text)
-    # Patterns and the function that replaces a match. The order matters: each rule sees the text of
-    # the rules before it, and none changes what is in quotes already.
-    rules: Sequence[tuple[Sequence[re.Pattern[str]], Callable[[re.Match[str]], str | None]]] = (
+    for patterns, change in _rules():
+        for pattern in patterns:
+            text = _rewrite_outside_quotes(pattern, change, text)
+    text = _EXPLORED_TWICE.sub(r"\1", text)
+    _refuse_unknown_names(text)
+    text = restore_places(text, known)
+    text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
+    for unclear, hint in _UNCLEAR:
+        if found := unclear.search(text):
+            part = found[0].strip()
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+    refuse_impossible(text.strip())
+    return text.strip()
+
+
+@cache
+def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
+    """Return the patterns of each rule and the function that replaces a match.
+
+    The order matters: each rule sees the text of the rules before it, and none changes what is in
+    quotes already. The templates are compiled at the first call, which takes 0.2 s.
+    """
+    rules: tuple[tuple[str | list[re.Pattern[str]], _Change], ...] = (
         ([_HINTED], _rewrite_hinted),
         ([_WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([_NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
@@ -381,19 +375,8 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         (_CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
         (_WAITS, _rewrite_wait),
     )
-    for patterns, change in rules:
-        for pattern in patterns:
-            text = _rewrite_outside_quotes(pattern, change, text)
-    text = _EXPLORED_TWICE.sub(r"\1", text)
-    _refuse_unknown_names(text)
-    text = restore_places(text, known)
-    text = _AFTER_WAIT.sub(r"\g<wait>, then", text)
-    for unclear, hint in _UNCLEAR:
-        if found := unclear.search(text):
-            part = found[0].strip()
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
-    refuse_impossible(text.strip())
-    return text.strip()
+    return [(compile_templates(p, PARTS) if isinstance(p, str) else p, change)
+            for p, change in rules]  # fmt: skip
 
 
 def _refuse_unknown_names(text: str) -> None:
@@ -427,9 +410,7 @@ def _is_name(name: str) -> bool:
     return head is not None and all(map(_modifies, words[:head]))
 
 
-def _rewrite_outside_quotes(
-    pattern: re.Pattern[str], change: Callable[[re.Match[str]], str | None], text: str
-) -> str:
+def _rewrite_outside_quotes(pattern: re.Pattern[str], change: _Change, text: str) -> str:
     """Replace the matches of a pattern outside quotes.
 
     Args:

@@ -1,0 +1,1 @@
+"""Import of Gazebo worlds (SDF) as a textured mesh and boxes: `edge worlds import`."""
