@@ -19,13 +19,20 @@ from edge import names
 from edge.config import Config, WorldFurnished
 from edge.host import resources
 from edge.lab.sim import shading
-from edge.lab.sim.base import WorldError, WorldObject
+from edge.lab.sim.base import WorldObject
 from edge.lab.sim.boxworld import BoxWorld
 from edge.lab.sim.catalogue import CatalogueModel, load_model, read_catalogue
 from edge.lab.sim.generator.contents import SUPPORTS
 from edge.lab.sim.generator.house import load_generated
 from edge.lab.sim.generator.rng import PortableRng
-from edge.lab.sim.mesh import Atlas, Faces, MeshWorld, face_arrays, objects_of
+from edge.lab.sim.mesh import (
+    Atlas,
+    Faces,
+    MeshWorld,
+    face_arrays,
+    objects_of,
+    require_packages,
+)
 from edge.lab.sim.procthor import load_procthor
 
 _RNG_KEY = 33
@@ -121,15 +128,7 @@ def load_furnished(section: WorldFurnished, config: Config) -> MeshWorld:
     Raises:
         WorldError: an extra is not installed, or the catalogue or the house cannot be read.
     """
-    try:
-        import embreex  # noqa: F401
-        import trimesh  # noqa: F401
-    except ImportError as error:
-        raise WorldError(
-            f"{config.locate('sim.world.kind')}: furnished needs {error.name}, which is not "
-            "installed; run: pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, "
-            "such as generated"
-        ) from None
+    require_packages(config)
     plan = section.house
     house = (  # its furniture is made of boxes
         load_generated(plan, config) if plan.kind == "generated" else load_procthor(plan, config)

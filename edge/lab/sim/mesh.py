@@ -1,6 +1,6 @@
 """World made of a scanned or modelled house: a textured mesh and a list of its objects.
 
-It needs the extra `worlds`: trimesh reads the file, embreex casts the rays.
+It needs the extra `worlds`: trimesh reads the file, and embreex casts the rays of a LiDAR.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,11 @@ from edge.config import Config, WorldMesh
 from edge.geometry import SE2, CameraModel, Grid
 from edge.host import resources
 from edge.host.files import read_regular
-from edge.lab.sim import kernels, mesh_kernels
+from edge.lab.sim import kernels, mesh_kernels, raster_kernels
 from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, WorldError, WorldObject
 
 CELL_M = 0.025  # side of a cell of the floor plan
+_CLUSTER_FACES = 64  # see `raster_kernels`
 _MARGIN_M = 0.5  # free border of the floor plan around the mesh
 # Such houses often have no ceiling: the sky gets a ceiling's colour.
 _SKY = np.array([236, 236, 233], np.uint8)
@@ -79,15 +81,9 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
     Raises:
         WorldError: the extra is not installed, or a file is missing or invalid.
     """
-    try:
-        import trimesh
-        from embreex import rtcore_scene  # noqa: F401
-    except ImportError as error:
-        raise WorldError(
-            f"{config.locate('sim.world.kind')}: mesh needs {error.name}, which is not "
-            "installed; run: "
-            "pip install 'edge-vln[worlds]' (x86_64 only), or choose another kind, such as house"
-        ) from None
+    require_packages(config)
+    import trimesh
+
     path = resources.expand(section.mesh)
     if not path.is_file():
         raise WorldError(f"{config.locate('sim.world.mesh')}: no file {path}; correct the path")
@@ -98,6 +94,21 @@ def load_mesh(section: WorldMesh, config: Config) -> MeshWorld:
         raise WorldError(f"{path}: not a readable mesh: {error}") from None
     items = read_objects(resources.expand(section.objects))
     return MeshWorld(path.stem, faces, *objects_of(faces, items, config.robot.height_m), config)
+
+
+def require_packages(config: Config) -> None:
+    """Raise WorldError if a package that a world of triangles needs is not installed."""
+    try:
+        import trimesh  # noqa: F401
+
+        if config.sensors.lidar is not None:
+            import embreex  # noqa: F401
+    except ImportError as error:
+        raise WorldError(
+            f"{config.locate('sim.world.kind')}: {config.sim.world.kind} needs {error.name}, which "
+            "is not installed; run: pip install 'edge-vln[worlds]' (a LiDAR in it: x86_64 only), "
+            "or choose another kind, such as house"
+        ) from None
 
 
 def read_objects(path: Path) -> list[dict[str, Any]]:
@@ -275,9 +286,6 @@ class MeshWorld:
         rooms: tuple[Room, ...] = (),
         room_kinds: tuple[str, ...] = (),
     ) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         self.name = name
         self.rooms, self.room_kinds = rooms, room_kinds
         self._faces = faces
@@ -285,15 +293,18 @@ class MeshWorld:
             config.sensors.camera.depth_min_m,
             config.sensors.camera.depth_max_m,
         )
-        self._scene = EmbreeScene()
-        self._mesh = TriangleMesh(self._scene, faces.triangles)
+        count = len(faces.triangles)
+        self._first = np.append(np.arange(0, count, _CLUSTER_FACES), count)
+        self._boxes = np.empty((len(self._first) - 1, 6))
+        raster_kernels.bound_clusters(faces.triangles, self._first, self._boxes)
+        self._lidar_scene: Any = None
         self.objects, self._owner = objects, owner
         self.plan = self._floor_plan(config.robot.height_m)
         self.start = self._roomiest_pose()
         # The last camera, and the rays through its pixels.
         self._rays: tuple[CameraModel | None, np.ndarray] = (None, np.empty((0, 3)))
-        # (thread, number of rays) -> origins and directions of the rays in `map`.
-        self._buffers: dict[tuple[int, int], np.ndarray] = {}
+        # (thread, shape of the image or of the rays) -> arrays that are used again.
+        self._buffers: dict[tuple[int, tuple[int, ...]], Any] = {}
 
     def render(
         self,
@@ -304,27 +315,57 @@ class MeshWorld:
         out_ids: np.ndarray,
     ) -> None:
         """See `edge.lab.sim.base.World`."""
-        rays, hit = self._first_hits(self._pixel_rays(camera), T_map_camera)
-        faces, face = self._faces, hit["primID"]
+        height, width = out_depth_m.shape
+        inverse, face, weights, origins, rays = self._buffers_of(
+            out_depth_m.shape,
+            lambda: (
+                np.empty((height, width)), np.empty((height, width), np.int32),
+                np.empty((2, height, width), np.float32),
+                *np.empty((2, height * width, 3), np.float32),
+            ),
+        )  # fmt: skip
+        faces = self._faces
+        raster_kernels.rasterise_view(
+            faces.triangles, self._first, self._boxes, np.linalg.inv(T_map_camera),
+            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
+            inverse, face, weights, out_depth_m,
+        )  # fmt: skip
         if out_rgb is not None:
+            mesh_kernels.aim(self._pixel_rays(camera), T_map_camera, origins, rays)
             mesh_kernels.shade_hits(
-                face, hit["u"], hit["v"], hit["tfar"], rays, camera.fx_px,
-                faces.normals, faces.uvs, faces.tint, faces.texels, faces.levels,
+                face.reshape(-1), *weights.reshape(2, -1), out_depth_m.reshape(-1), rays,
+                camera.fx_px, faces.normals, faces.uvs, faces.tint, faces.texels, faces.levels,
                 faces.first_level, faces.level_count, faces.texel_density, _SKY,
                 out_rgb.reshape(-1, 3),
             )  # fmt: skip
-        # The rays have z = 1, so the distance along a ray is the depth.
-        out_depth_m.reshape(-1)[:] = hit["tfar"]
         kernels.write_object_ids(
             face, self._owner, *self._depth_range_m, out_depth_m.reshape(-1), out_ids.reshape(-1)
         )
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         """See `edge.lab.sim.base.World`."""
-        _, hit = self._first_hits(fan.directions.reshape(-1, 3), T_map_lidar)
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        if self._lidar_scene is None:
+            self._lidar_scene = EmbreeScene()
+            TriangleMesh(self._lidar_scene, self._faces.triangles)
+        directions = fan.directions.reshape(-1, 3)
+        origins, rays = self._buffers_of(
+            directions.shape, lambda: np.empty((2, len(directions), 3), np.float32)
+        )
+        mesh_kernels.aim(directions, T_map_lidar, origins, rays)
+        hit = self._lidar_scene.run(origins, rays, output=True)
         ranges = np.where(hit["primID"] >= 0, hit["tfar"], np.nan)
         ranges[ranges > fan.range_m] = np.nan
         out_ranges_m[:] = ranges.reshape(out_ranges_m.shape)
+
+    def _buffers_of(self, shape: tuple[int, ...], make: Callable[[], Any]) -> Any:
+        """Return this thread's arrays for a shape: camera and LiDAR run in different threads."""
+        key = (threading.get_ident(), shape)
+        if key not in self._buffers:
+            self._buffers[key] = make()
+        return self._buffers[key]
 
     def _pixel_rays(self, camera: CameraModel) -> np.ndarray:
         """Return (h * w, 3) float32 directions with z = 1 in the optical frame."""
@@ -334,23 +375,6 @@ class MeshWorld:
             rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
             self._rays = (camera, rays.astype(np.float32))
         return self._rays[1]
-
-    def _first_hits(
-        self, rays: np.ndarray, T_map_sensor: np.ndarray
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the rays' directions in `map`, (n, 3), and the first hit of each.
-
-        The hits have arrays (n,): `primID` (index of the face, -1 for none), `u`, `v` (weights of
-        the face's second and third corner at the point) and `tfar` (distance, in lengths of the
-        direction).
-        """
-        # Camera and LiDAR run in different threads: each has its own arrays.
-        key = (threading.get_ident(), len(rays))
-        if key not in self._buffers:
-            self._buffers[key] = np.empty((2, len(rays), 3), np.float32)
-        buffers = self._buffers[key]
-        mesh_kernels.aim(rays, T_map_sensor, buffers[0], buffers[1])
-        return buffers[1], self._scene.run(buffers[0], buffers[1], output=True)
 
     def _floor_plan(self, robot_height_m: float) -> FloorPlan:
         triangles = self._faces.triangles
@@ -365,22 +389,18 @@ class MeshWorld:
     def _roomiest_pose(self) -> SE2:
         """Return the place inside the house that is farthest from all obstacles."""
         plan = self.plan
-        inside = plan.clearance_m * _over_floor(self._scene, plan)
+        floor = np.zeros(plan.grid.cells.shape, np.uint8)
+        heights = (-2 * FLOOR_CLEARANCE_M, FLOOR_CLEARANCE_M)
+        mesh_kernels.rasterise_triangles(
+            self._faces.triangles,
+            *heights,
+            np.array(plan.grid.origin_xy_m, np.float32),
+            CELL_M,
+            floor,
+        )
+        inside = plan.clearance_m * floor
         row, col = np.unravel_index(int(np.argmax(inside)), inside.shape)
         return SE2(*plan.grid.centres_m(row, col).tolist(), 0.0)
-
-
-def _over_floor(scene: Any, plan: FloorPlan) -> np.ndarray:
-    """Return (rows, columns) bool: True if there is a floor under the cell."""
-    rows, cols = plan.grid.cells.shape
-    origins = np.full((rows, cols, 3), FLOOR_CLEARANCE_M, np.float32)
-    origins[..., :2] = plan.grid.centres_m(*np.mgrid[0:rows, 0:cols])
-    origins = origins.reshape(-1, 3)
-    down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(origins), 1))
-    hit = scene.run(origins, down, output=True)
-    # The rays start `FLOOR_CLEARANCE_M` above the floor.
-    near = (hit["primID"] >= 0) & (hit["tfar"] < 3 * FLOOR_CLEARANCE_M)
-    return near.reshape(rows, cols)
 
 
 def objects_of(

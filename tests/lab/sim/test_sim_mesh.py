@@ -20,7 +20,6 @@ from edge.lab.sim.base import LidarRays, WorldError
 from edge.lab.sim.worlds import load_world
 
 pytest.importorskip("trimesh", reason="needs the extra `worlds`")
-pytest.importorskip("embreex", reason="needs the extra `worlds`")
 import trimesh
 from PIL import Image
 
@@ -98,6 +97,7 @@ def test_footprint_and_collision_of_a_panel(small):
 
 
 def test_lidar_on_a_mesh(small):
+    pytest.importorskip("embreex", reason="needs the extra `worlds`")
     ranges = np.empty((1, 360), np.float32)
     small.cast(LidarRays.of(Lidar(rings=1, columns=360)), se3(0.5, 0.0, 0.6), ranges)
     assert ranges[0, 180] == pytest.approx(1.5, abs=1e-3)
@@ -222,12 +222,14 @@ def test_bad_object_lists_give_one_clear_line(tmp_path: Path, text: str, message
         read_objects(path)
 
 
-def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path: Path):
+@pytest.mark.parametrize(("package", "sensors"), [("trimesh", {}), ("embreex", {"lidar": {}})])
+def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path: Path, package, sensors):
     import sys
 
-    monkeypatch.setitem(sys.modules, "embreex", None)
-    with pytest.raises(WorldError, match=r"pip install 'edge-vln\[worlds\]'"):
-        load_world(world_config(tmp_path / "a.glb", tmp_path / "a.json"))
+    monkeypatch.setitem(sys.modules, package, None)
+    world = {"kind": "mesh", "mesh": str(tmp_path / "a.glb"), "objects": str(tmp_path / "a.json")}
+    with pytest.raises(WorldError, match=rf"{package}.*pip install 'edge-vln\[worlds\]'"):
+        load_world(simulated({"sim": {"world": world}, "sensors": sensors}))
 
 
 @pytest.fixture(scope="module")
