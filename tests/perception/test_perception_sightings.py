@@ -11,6 +11,7 @@ from edge.geometry import invert, se3, to_optical
 from edge.perception.tracking import sighting_kernels as kernels
 from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH
+from edge.perception.tracking.place_index import CELL_M, make_index, rebuild
 from edge.perception.tracking.sightings import ObjectTracker
 from edge.types import Detections
 
@@ -283,6 +284,28 @@ def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
     assert kernels.weight_of(2.0, 0.0, 0.6, points, 0, *look) == 1.0
 
 
+@given(seed=st.integers(0, 2**32 - 1), views=st.integers(1, 20))
+def test_a_view_moves_the_centre_by_its_share_and_adds_points_reach_and_cell(seed, views):
+    random = np.random.default_rng(seed)
+    centers, seen = random.uniform(-4, 4, (2, 3, 3)).astype(np.float32)
+    surfaces = (seen[:, None] + random.uniform(-0.3, 0.3, (3, 9, 3))).astype(np.float32)
+    points = np.zeros((3, kernels.POINTS, 3), np.float32)
+    n_points, cursor = np.zeros((2, 3), np.int32)
+    n_surface, reach, index = np.array([9, 0, 9], np.int32), np.zeros(3, np.float32), make_index(3)
+    rebuild(index, centers, 3)
+    moved = centers[1] + (seen[2] - centers[1]) / np.float32(views)
+    ours, twin = (points, n_points, cursor), (points.copy(), n_points.copy(), cursor.copy())
+    kernels.add_points(*twin, 1, surfaces[2], 9, 0.1)
+    got = kernels.add_view(
+        index, centers, *ours, reach, 1, seen, surfaces, n_surface, 2, views, 0.1
+    )
+    np.testing.assert_array_equal(centers[1], moved)
+    for mine, other in zip(ours, twin, strict=True):
+        np.testing.assert_array_equal(mine, other)
+    assert got == reach[1] == np.float32(kernels.reach_of(centers, points, n_points, 1))
+    np.testing.assert_array_equal(index[2][1], np.floor(moved[:2] / CELL_M))
+
+
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
 def test_match_and_fuse_agree_with_their_twins(seed, n):
     random = np.random.default_rng(seed)
@@ -295,6 +318,12 @@ def test_match_and_fuse_agree_with_their_twins(seed, n):
     rows = np.arange(n, dtype=np.int32)
     given = (centers, points, n_points)
     assert kernels.match(*given, reach, word, rows, 1, x, y, 2.0) == match(
+        *given, word, 1, x, y, 2.0
+    )
+    index = make_index(len(centers))
+    rebuild(index, centers, n)
+    search_m = 2.0 + reach.max(initial=0.0)
+    assert kernels.match_near(index, n, search_m, rows, *given, reach, word, 1, x, y, 2.0) == match(
         *given, word, 1, x, y, 2.0
     )
     depth = random.uniform(0.5, 6, (24, 32)).astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 
 from edge.jit import jit
 from edge.perception.tracking.look_kernels import HIDDEN, WHOLE, ahead_m, visibility
-from edge.perception.tracking.place_index import rows_near
+from edge.perception.tracking.place_index import move, rows_near
 
 POINTS = 32
 """Number of surface points kept of each row, that is, of each object."""
@@ -56,6 +56,31 @@ def match(centers, points, n_points, reach, word, rows, of_word, x, y, merge_m):
         if d < least:
             best, least = i, d
     return best
+
+
+@jit
+def match_near(
+    index, n, search_m, near, centers, points, n_points, reach, word, of_word, x, y, merge_m
+):  # fmt: skip
+    """Return `match` among the rows near a place.
+
+    Args:
+        index: see `place_index.PlaceIndex`.
+        n: number of rows.
+        search_m: distance of the place from the farthest centre that may match.
+        near: (cap,) int32, scratch.
+        centers: see `match`.
+        points: see `match`.
+        n_points: see `match`.
+        reach: see `match`.
+        word: see `match`.
+        of_word: see `match`.
+        x: see `match`.
+        y: see `match`.
+        merge_m: see `match`.
+    """
+    k = rows_near(index, n, x, y, search_m, near)
+    return match(centers, points, n_points, reach, word, near[:k], of_word, x, y, merge_m)
 
 
 @jit
@@ -132,6 +157,39 @@ def add_points(points, n_points, cursor, i, surface, n_surface, voxel_m):
             points[i, at, axis] = surface[j, axis]
         cursor[i] = (at + 1) % POINTS
         n_points[i] = min(n_points[i] + 1, POINTS)
+
+
+@jit
+def add_view(
+    index, centers, points, n_points, cursor, reach, i, view_centers, surfaces, n_surface, j,
+    views, voxel_m,
+):  # fmt: skip
+    """Update centre, points, reach and cell of row `i` with box `j` of a new view.
+
+    Args:
+        index: see `place_index.PlaceIndex`.
+        centers: see `match`.
+        points: see `match`.
+        n_points: see `match`.
+        cursor: see `add_points`.
+        reach: (cap,) float32, see `reach_of`.
+        i: index of the row.
+        view_centers: (boxes, 3) float32 in `map`.
+        surfaces: (boxes, k, 3) float32 in `map`.
+        n_surface: (boxes,) int32, number of surface points of each box that count.
+        j: index of the box.
+        views: the new view's share of the centre is 1 / views.
+        voxel_m: side of a voxel.
+
+    Returns:
+        The reach of the row.
+    """
+    for axis in range(3):
+        centers[i, axis] += (view_centers[j, axis] - centers[i, axis]) / np.float32(views)
+    add_points(points, n_points, cursor, i, surfaces[j], n_surface[j], voxel_m)
+    move(index, i, np.float64(centers[i, 0]), np.float64(centers[i, 1]))
+    reach[i] = reach_of(centers, points, n_points, i)
+    return np.float64(reach[i])
 
 
 @jit

@@ -9,6 +9,7 @@ targets among the objects are tracked in more detail, in `instances`. Names such
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import NamedTuple
@@ -291,12 +292,11 @@ class ObjectTracker:
         Return -1 if none is within `within_m`.
         """
         # The index has centres; a surface reaches up to `_farthest_m` from its centre.
-        s, rows = self._objects, self._rows_near(x_m, y_m, within_m + self._farthest_m)
-        return int(
-            kernels.match(
-                s.xyz_m, s.points_m, s.n_points, s.reach_m, s.word, rows, word, x_m, y_m, within_m
-            )
-        )
+        s = self._objects
+        return kernels.match_near(
+            self._index, s.n, within_m + self._farthest_m, self._rows, s.xyz_m, s.points_m,
+            s.n_points, s.reach_m, s.word, word, x_m, y_m, within_m,
+        )  # fmt: skip
 
     def _competing_with(self, name: str) -> np.ndarray:
         """Return the weight of each word's confidence against an object, (words,) float32."""
@@ -433,14 +433,14 @@ class ObjectTracker:
             if not strong:
                 continue
             s.hits[at] += 1
-            near = np.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
+            near = math.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
             s.near_hits[at] += near and score >= c.confirm_score
-            s.xyz_m[at] += (boxes.center_m[i] - s.xyz_m[at]) / min(s.hits[at], _MOST_VIEWS)
-            kernels.add_points(
-                s.points_m, s.n_points, self._cursor, at, boxes.points_m[i], boxes.n_points[i],
-                c.voxel_m,
+            reach_m = kernels.add_view(
+                self._index, s.xyz_m, s.points_m, s.n_points, self._cursor, s.reach_m, at,
+                boxes.center_m, boxes.points_m, boxes.n_points, i,
+                min(int(s.hits[at]), _MOST_VIEWS), c.voxel_m,
             )  # fmt: skip
-            self._place(at)
+            self._farthest_m = max(self._farthest_m, reach_m)
             self.observed.append(ObservedObject(int(s.id[at]), seen.xyxy_px[i], score))
             if s.hits[at] == c.min_hits:
                 self._reappear(at)
