@@ -26,7 +26,7 @@ class Outline:
     Attributes:
         middle_m: (2,) float64, centre of the object's box in `map`.
         cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object. Without
-            points, points along the rim of its box.
+            points, those in its box that are not known to be free, else points along its rim.
         hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells and
             of the part of the box that is not known to be free.
         rim_m: distance from the centre of a cell to its rim.
@@ -80,13 +80,14 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
     seen = np.unique(np.floor(occupancy.to_cells(obj.points_m[:, :2])), axis=0)
-    cells_m = occupancy.to_metres(seen + 0.5)
+    covered_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
+    cells_m = occupancy.to_metres(seen + 0.5) if len(seen) else covered_m
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    covered_m = np.concatenate([cells_m, _covered_cells(occupancy, middle_m, half_m, turn, rim_m)])
     if not len(cells_m):
         box_m = (corners * half_m) @ turn
         cells_m = resample(np.concatenate([box_m, box_m[:1]]), occupancy.resolution_m) + middle_m
-        covered_m, rim_m = np.concatenate([cells_m, covered_m]), 0.0
+        rim_m = 0.0
+    covered_m = np.concatenate([cells_m, covered_m])
     # Corners of all cells, relative to the centre.
     around_m = (covered_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
     hull_m = cv2.convexHull(around_m.astype(np.float32))[:, 0].astype(np.float64)
