@@ -15,6 +15,8 @@ from edge import names
 GAP_M, GAP_SHARE = 0.4, 0.012
 """Largest gap between points of one object: `GAP_M` plus `GAP_SHARE` of the sensor's distance.
 """
+PART_SHARE = 0.1
+"""A cluster of points belongs to an object if it has this share of the largest one's points."""
 VOXEL_M = 0.1
 """Side of a voxel; an object has at most one point in each."""
 NEAR_M = 0.3
@@ -122,8 +124,10 @@ def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
     return float(turns[np.argmax((1.0 / (off + _CLOSE_M)).sum(axis=0))])
 
 
-def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
-    """Return the indices of the largest cluster of points, as seen from above.
+def main_clusters(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
+    """Return the indices of the largest clusters of points, as seen from above.
+
+    A house behind trees has several. Small ones are errors of the mask (`PART_SHARE`).
 
     Args:
         points_m: (n, 3) in `map`.
@@ -133,7 +137,8 @@ def main_cluster(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
         return np.zeros(0, np.intp)
     away_m = float(np.median(np.linalg.norm(points_m - sensor_m, axis=1)))
     part = _parts(points_m[:, :2], GAP_M + GAP_SHARE * away_m)
-    return np.flatnonzero(part == np.argmax(np.bincount(part)))
+    count = np.bincount(part)
+    return np.flatnonzero(count[part] >= PART_SHARE * count.max())
 
 
 def clusters(points_m: np.ndarray, reach_m: float) -> list[np.ndarray]:

@@ -19,14 +19,16 @@ _CHUNK_POINTS = 128  # points whose distances to all cells are in memory at a ti
 class Outline:
     """An object seen from above.
 
-    The outline is the part of its box that is not known to be free. The box around a curved hedge
-    or an L-shaped sofa also holds free ground, and a LiDAR sees only two sides of a car.
+    The robot is at an object when it is at what was seen of it. It passes all that the object may
+    cover: a LiDAR sees only two sides of a car, but the box around a curved hedge or an L-shaped
+    sofa also holds free ground.
 
     Attributes:
         middle_m: (2,) float64, centre of the object's box in `map`.
-        cells_m: (n, 2) float64, n >= 1: centres of the cells that the object covers. If the map has
-            nothing in the box, points along the rim of the box.
-        hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells.
+        cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object. Without
+            points, those in its box that are not known to be free, else points along its rim.
+        hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells and
+            of the part of the box that is not known to be free.
         rim_m: distance from the centre of a cell to its rim.
     """
 
@@ -77,14 +79,17 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     c, s = math.cos(obj.heading_rad), math.sin(obj.heading_rad)
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
-    cells_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
+    seen = np.unique(np.floor(occupancy.to_cells(obj.points_m[:, :2])), axis=0)
+    covered_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
+    cells_m = occupancy.to_metres(seen + 0.5) if len(seen) else covered_m
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     if not len(cells_m):
         box_m = (corners * half_m) @ turn
         cells_m = resample(np.concatenate([box_m, box_m[:1]]), occupancy.resolution_m) + middle_m
         rim_m = 0.0
+    covered_m = np.concatenate([cells_m, covered_m])
     # Corners of all cells, relative to the centre.
-    around_m = (cells_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
+    around_m = (covered_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
     hull_m = cv2.convexHull(around_m.astype(np.float32))[:, 0].astype(np.float64)
     return Outline(middle_m, cells_m, hull_m, rim_m)
 

@@ -162,7 +162,24 @@ def grow_ground(low, row, column, z_m, step_m, slope, cell_m, reach, ground, kno
                     ground[y, x], known[y, x] = low[y, x], True
                     queue[found] = y * w + x
                     found += 1
-    filled, done = known.copy(), 0  # second pass: spread the height to all other cells
+    # Ground does not rise faster than the slope within reach: small steps lead up on to a hedge.
+    count, found = found, 0
+    lowest_near = np.empty(count)
+    for i in range(count):
+        r, c, limit = queue[i] // w, queue[i] % w, np.inf
+        for y in range(max(r - reach, 0), min(r + reach + 1, h)):
+            for x in range(max(c - reach, 0), min(c + reach + 1, w)):
+                if known[y, x]:
+                    away_m = cell_m * np.sqrt((y - r) ** 2 + (x - c) ** 2)
+                    limit = min(limit, ground[y, x] + step_m + slope * away_m)
+        lowest_near[i] = limit
+    for i in range(count):
+        r, c = queue[i] // w, queue[i] % w
+        known[r, c] = ground[r, c] <= lowest_near[i]
+        if known[r, c]:
+            queue[found] = queue[i]
+            found += 1
+    filled, done = known.copy(), 0  # last pass: spread the height to all other cells
     while done < found:
         r, c = queue[done] // w, queue[done] % w
         done += 1

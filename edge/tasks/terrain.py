@@ -15,7 +15,7 @@ from edge.tasks.scene import Region
 
 CELL_M = 0.5
 """Side of a cell in grids of the ground's height."""
-STEP_M, SLOPE = 0.08, 0.15
+STEP_M, SLOPE = 0.08, 0.1
 """Neighbouring ground differs in height by at most `STEP_M` plus `SLOPE` times the distance.
 
 A kerb is higher."""
@@ -27,6 +27,8 @@ FILL_M, FILL_SHARE = 1.5, 0.06
 The distance is `FILL_M` plus `FILL_SHARE` times the distance from the robot, because scan lines are
 farther apart far away.
 """
+BRIDGE_M = 0.65
+"""Unseen ground this near to seen ground may be driven over, as in a low bush's shadow."""
 BLIND_M = 4.5
 """Distance within which the robot's own body may hide the ground.
 
@@ -159,12 +161,7 @@ def classify_ground(
     out = np.argmax(votes, axis=2).astype(np.uint8)
     if not out.any():
         return out
-    # For each cell, the distance to the nearest cell with a kind, and the label of that cell.
-    away, nearest = cv2.distanceTransformWithLabels(
-        (out == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    kind_of_label = np.zeros(nearest.max() + 1, np.uint8)
-    kind_of_label[nearest[out > 0]] = out[out > 0]
+    away, nearest = _nearest_kind(out)
     rows, columns = np.mgrid[:h, :w]
     from_robot_m = np.linalg.norm(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=2)
     unseen = (votes.sum(axis=2) == 0) & (grid.cells == 0)
@@ -172,9 +169,32 @@ def classify_ground(
     # Under the robot: the kind that is most frequent near by.
     near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
     under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
-    return np.where(under, np.argmax(near), np.where(gap, kind_of_label[nearest], out)).astype(
-        np.uint8
+    out = np.where(under, np.argmax(near), np.where(gap, nearest, out)).astype(np.uint8)
+    return with_bridges(out, grid)
+
+
+def with_bridges(kind: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return the kinds of ground with those of unseen cells that are next to seen ground.
+
+    Args:
+        kind: (h, w) uint8; 0: not drivable, or unknown.
+        grid: map with these cells; unseen cells within `BRIDGE_M` of a kind get the nearest one.
+    """
+    if not kind.any():
+        return kind
+    away, nearest = _nearest_kind(kind)
+    near = (grid.cells < 0) & (away * grid.resolution_m <= BRIDGE_M)
+    return np.where((kind == 0) & near, nearest, kind)
+
+
+def _nearest_kind(kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each cell the distance in cells to a cell with a kind, and that kind."""
+    away, label = cv2.distanceTransformWithLabels(
+        (kind == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
+    kind_of_label = np.zeros(label.max() + 1, np.uint8)
+    kind_of_label[label[kind > 0]] = kind[kind > 0]
+    return away, kind_of_label[label]
 
 
 def regions_of(

@@ -14,7 +14,7 @@ from edge.tasks.objects import (
     clusters,
     downsample,
     first_in_voxels,
-    main_cluster,
+    main_clusters,
     overlap_share,
 )
 
@@ -67,14 +67,14 @@ def test_two_sides_tell_how_a_thing_stands(heading):
 
 
 def test_nothing_hangs_together_of_nothing():
-    assert len(main_cluster(NONE, np.zeros(3))) == 0
+    assert len(main_clusters(NONE, np.zeros(3))) == 0
     assert clusters(NONE, 1.0) == []
     assert downsample(NONE).shape == (0, 3)
 
 
 def test_strays_are_left_out():
     points = np.vstack((block(10.0), block(10.0, 5.0, n=10)))
-    assert (main_cluster(points, np.zeros(3)) < 400).all()
+    assert (main_clusters(points, np.zeros(3)) < 400).all()
     assert [len(group) for group in clusters(points, 1.0)] == [400, 10]
 
 

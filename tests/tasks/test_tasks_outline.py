@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -53,6 +54,15 @@ def test_what_nobody_saw_of_a_thing_is_of_it():
     scene.occupancy.cells[(scene.occupancy.cells > 0) & hidden] = -1
     got = outline_of(scene.objects[1], scene.occupancy)
     assert got.point_at(math.pi / 2, 0.0) == pytest.approx((8.0, 1.0), abs=0.21)
+
+
+def test_the_robot_arrives_at_what_was_seen_of_a_thing():
+    scene = street(Thing("building", 8.0, 0.0, (8.0, 6.0)))
+    front = np.column_stack((np.full(30, 4.05), np.linspace(-3.0, 3.0, 30), np.ones(30)))
+    seen = replace(scene.objects[1], points_m=front.astype(np.float32))
+    got = outline_of(seen, scene.occupancy)
+    assert got.gaps_m(np.array([[3.0, 0.0], [13.0, 0.0]])) == pytest.approx([1.0, 8.9], abs=0.1)
+    assert got.point_at(0.0, 1.0) == pytest.approx((13.0, 0.0), abs=0.01), "it is passed behind"
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())

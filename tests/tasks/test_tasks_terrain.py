@@ -145,7 +145,8 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     row = grid(["....??" + "?" * 30])
     got = kinds(row, [[0, 0], [0.1, 0], [-0.1, 0], [1.5, 0]], [1, 2, 2, 1], far)[0]
     assert got[:4].tolist() == [2, 2, 1, 1], "between scan lines: the nearest"
-    assert not got[4:].any(), "unknown ground has none"
+    assert got[4] == 1, "unseen ground next to it may be driven over"
+    assert not got[5:].any(), "unknown ground has none"
 
 
 def test_the_robot_stands_on_what_is_most_around_it():
@@ -219,29 +220,27 @@ def test_ground_agrees_with_its_twins(seed):
     np.testing.assert_array_equal(low, lowest_twin(points, -3.0, -3.0, low.shape))
     ground, known = np.empty_like(low), np.empty(low.shape, np.bool_)
     kernels.grow_ground(low, 5, 4, 0.0, STEP_M, SLOPE, CELL_M, 2, ground, known)
-    for r, c in zip(*np.nonzero(known), strict=True):
-        if (r, c) != (5, 4):
-            assert ground[r, c] == low[r, c]
-            assert any(
-                continues(low, ground, known, r, c, y, x)
-                for y in range(max(r - 2, 0), min(r + 3, 12))
-                for x in range(max(c - 2, 0), min(c + 3, 10))
-            )
-    for r, c in zip(*np.nonzero(~known & np.isfinite(low)), strict=True):
-        assert not any(
-            continues(low, ground, known, r, c, y, x)
-            for y in range(max(r - 2, 0), min(r + 3, 12))
-            for x in range(max(c - 2, 0), min(c + 3, 10))
-        )
+    height_m, expected = known_twin(low, (5, 4), 0.0, 2)
+    np.testing.assert_array_equal(known, expected)
+    np.testing.assert_array_equal(ground[known], height_m[known])
     assert np.isin(ground, ground[known]).all(), "filled with heights of ground"
 
 
-def continues(low, ground, known, r, c, y, x):
-    """Return True if cell (r, c) is ground next to the ground in (y, x)."""
-    if not known[y, x] or (y, x) == (r, c):
-        return False
-    away_m = CELL_M * np.hypot(y - r, x - c)
-    return abs(float(low[r, c]) - float(ground[y, x])) <= STEP_M + SLOPE * away_m
+def known_twin(low, robot, z_m, reach):
+    """Return height and ground of each cell: a cell is ground if it continues other ground."""
+    height_m = low.astype(np.float64)
+    height_m[robot] = z_m
+    at = np.stack(np.indices(low.shape), -1).reshape(-1, 2)
+    apart = np.abs(at[:, None] - at)
+    allowed_m = STEP_M + SLOPE * CELL_M * np.hypot(apart[..., 0], apart[..., 1])
+    near, flat_m = apart.max(-1) <= reach, height_m.ravel()
+    with np.errstate(invalid="ignore"):
+        continues = near & (np.abs(flat_m[:, None] - flat_m) <= allowed_m)
+    known = (at == robot).all(-1)
+    for _ in at:
+        known |= continues[:, known].any(1) & np.isfinite(flat_m)
+    limit_m = np.where(near & known, np.where(known, flat_m, 0.0) + allowed_m, np.inf).min(1)
+    return height_m, (known & (flat_m <= limit_m)).reshape(low.shape)
 
 
 def lowest_twin(points, x0_m, y0_m, shape):
