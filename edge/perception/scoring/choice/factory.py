@@ -60,7 +60,11 @@ def make_view_scorer(
     # Import late: nothing of it is needed without a fallback.
     from edge.perception.scoring.choice.fallback import FallbackScorer
 
-    local = make_view_scorer(ChoiceOnnx(card=choice.fallback), perception)
+    try:
+        local = make_view_scorer(ChoiceOnnx(card=choice.fallback), perception)
+    except ModelError as error:
+        reason = str(error).removeprefix("perception.choice.card: ")
+        raise ModelError(f"perception.choice.fallback: {reason}") from None
     return FallbackScorer(make_server_scorer(choice), local)
 
 
