@@ -31,6 +31,7 @@ from edge.text import bounded_repr, one_line, split_url
 MAX_ANSWER_BYTES = 256 * 1024  # limit of an HTTP body for the clients of `make_chat_client`
 MOST_TOKENS = 20  # most log-probabilities that OpenAI and vLLM return for one position
 ROUNDING = 1e-3  # tolerance of a log-probability above 0
+LIFE_PERIOD_S, LIFE_S = 0.5, 1.0  # between two short requests, and for the answer to one
 LEAST = -1e4  # lower bound; for "impossible", OpenAI and vLLM return -9999, llama.cpp -3e38
 
 
@@ -50,6 +51,10 @@ class TokenLimitError(ChatError):
         self.answer = answer
 
 
+class _NoLifeError(Exception):
+    """The server does not even answer a short request."""
+
+
 class ChatTimeoutError(ChatError):
     """The complete answer did not arrive within the time limit."""
 
@@ -64,6 +69,9 @@ class ChatClient:
         api_key: sent as a bearer token and never shown; None or empty sends none.
         time_limit_s: limit for one request in total: name lookup, connection and answer.
         max_answer_bytes: limit of the HTTP body; a longer answer is refused.
+        must_live: True: during a request, the server must answer `GET {url}/models`, with any
+            status, within `LIFE_S`. So a server that hangs is found within 2 s, while one that
+            thinks has `time_limit_s`.
 
     Raises:
         ChatError: the URL or the key cannot be used.
@@ -83,10 +91,12 @@ class ChatClient:
         api_key: str | None = None,
         time_limit_s: float = 30.0,
         max_answer_bytes: int = 65536,
+        must_live: bool = False,
     ) -> None:
         parts = _split(url)
         self.url = parts._replace(query="", fragment="").geturl()  # a query may hold a secret
         self.model, self.time_limit_s, self.max_answer_bytes = model, time_limit_s, max_answer_bytes
+        self._must_live = must_live
         self._parts, self._api_key = parts, (api_key or "").strip()
         self._lock, self._closed = threading.Lock(), False
         # Reading the certificates takes longer than a short answer, so it is done only once.
@@ -188,6 +198,10 @@ class ChatClient:
             if self._closed:
                 raise self._error(_reason(RequestCancelledError()))
             self._under_way.add(exchange)
+        answered = threading.Event()
+        if self._must_live:
+            watch = (exchange, answered)
+            threading.Thread(target=self._watch_life, args=watch, name="http", daemon=True).start()
         try:
             return exchange.send(self._http, request, self.max_answer_bytes, left_s)
         except (TimeoutError, httpx.TimeoutException):
@@ -195,8 +209,21 @@ class ChatClient:
         except Exception as error:
             raise self._error(_reason(error)) from None
         finally:
+            answered.set()
             with self._lock:
                 self._under_way.discard(exchange)
+
+    def _watch_life(self, exchange: CancellableRequest, answered: threading.Event) -> None:
+        """Cancel a request when the server stops answering short ones; see `must_live`."""
+        path = f"{self._parts.path.rstrip('/')}/models"
+        url = self._parts._replace(path=path, fragment="").geturl()
+        while not answered.wait(LIFE_PERIOD_S):
+            request = self._http.build_request("GET", url, headers=self._key(), timeout=LIFE_S)
+            try:
+                CancellableRequest().send(self._http, request, self.max_answer_bytes, LIFE_S)
+            except Exception:
+                exchange.cancel(_NoLifeError())
+                return
 
     def _request(self, body: bytes, left_s: float) -> httpx.Request:
         """Return the HTTP request for a body, with a timeout for each step of it."""
@@ -206,11 +233,13 @@ class ChatClient:
             "Content-Type": "application/json", "Accept": "application/json",
             "Accept-Encoding": "identity",
         }  # fmt: skip
-        if self._api_key:
-            headers["Authorization"] = f"Bearer {self._api_key}"
         return self._http.build_request(
-            "POST", url.geturl(), content=body, headers=headers, timeout=left_s
+            "POST", url.geturl(), content=body, headers={**headers, **self._key()}, timeout=left_s
         )
+
+    def _key(self) -> dict[str, str]:
+        """Return the HTTP header with the API key, if there is one."""
+        return {"Authorization": f"Bearer {self._api_key}"} if self._api_key else {}
 
     def _parse_content(self, reply: HttpReply) -> str:
         """Return the text of the answer; for errors see `ask`."""
@@ -301,16 +330,22 @@ def _reason(error: Exception) -> str:
     match error:
         case RequestCancelledError():
             return "cancelled: the client is closed"
+        case _NoLifeError():
+            return "the server hangs: it does not answer even a short request; see its log"
         case httpx.HTTPError() | UnicodeError():
             return failure_reason(error)
     raise error
 
 
-def make_chat_client(config: TranslatorLlm | WriterModel) -> ChatClient:
+def make_chat_client(config: TranslatorLlm | WriterModel, must_live: bool = False) -> ChatClient:
     """Return the client that a configuration describes; the API key comes from the environment.
+
+    `must_live`: see `ChatClient`.
 
     Raises:
         ChatError: the URL or the key cannot be used.
     """
     api_key = os.environ.get(config.api_key_env)
-    return ChatClient(config.url, config.model, api_key, config.time_limit_s, MAX_ANSWER_BYTES)
+    return ChatClient(
+        config.url, config.model, api_key, config.time_limit_s, MAX_ANSWER_BYTES, must_live
+    )

@@ -7,6 +7,7 @@ import json
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 
@@ -101,12 +102,17 @@ def recorded(answers: Mapping[str, Sequence[str]]) -> Behaviour:
 
 
 @contextlib.contextmanager
-def serving(behave: Behaviour) -> Iterator[ChatServer]:
-    """Run a server with this behaviour on a free local port."""
+def serving(
+    behave: Behaviour, on_get: Behaviour | None = None, port: int = 0
+) -> Iterator[ChatServer]:
+    """Run a server on a local port, with its behaviour for questions and for other requests."""
     server = ChatServer()
 
     class Handler(http_server.Quiet):
         stopping = server.stopping
+
+        def do_GET(self) -> None:
+            (on_get or partial(send, body=b"{}"))(self)
 
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
@@ -115,6 +121,6 @@ def serving(behave: Behaviour) -> Iterator[ChatServer]:
             with contextlib.suppress(ConnectionError):
                 behave(self)
 
-    with http_server.running(Handler, server.stopping) as url:
+    with http_server.running(Handler, server.stopping, port) as url:
         server.url = f"{url}/v1"
         yield server

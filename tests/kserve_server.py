@@ -69,6 +69,10 @@ class Handler(Quiet):
         outputs = self.kserve.run(self.tensors())
         (self.send_tensors if self.kserve.binary else self.send_json_tensors)(outputs)
 
+    def send_nothing(self) -> None:
+        """Refuse every inference."""
+        self.send(b"out of memory", 503)
+
     def tensors(self) -> dict[str, np.ndarray]:
         """Return the tensors of the request."""
         length = int(self.headers.get(HEADER_LENGTH, len(self.body)))

@@ -12,6 +12,7 @@ import pytest
 from chat_server import completion, likeliest, saying, send, serving
 from patience import PATIENCE_S, eventually
 
+from edge import chat
 from edge.chat import ChatClient, ChatError, make_chat_client
 from edge.config import TranslatorLlm
 
@@ -287,3 +288,29 @@ def test_closing_the_client_gives_up_what_it_asks(connects):
             client.ask(HELLO)
     asking.join(PATIENCE_S)
     assert "cancelled: the client is closed" in str(said[0])
+
+
+@pytest.mark.parametrize("status", [200, 404])
+def test_a_server_that_thinks_is_waited_for_while_it_answers_short_requests(status, monkeypatch):
+    monkeypatch.setattr(chat, "LIFE_PERIOD_S", 0.01)
+    lives = []
+
+    def behave(handler):
+        eventually(lambda: len(lives) > 3)
+        send(handler, completion("at last"))
+
+    with serving(
+        behave, lambda handler: lives.append(handler.path) or send(handler, b"", status)
+    ) as server:
+        client = ChatClient(server.url, "m", KEY, PATIENCE_S, must_live=True)
+        assert client.ask(HELLO) == "at last"
+    assert set(lives) == {"/v1/models"}
+
+
+def test_a_server_that_hangs_is_given_up_long_before_the_time_limit(monkeypatch):
+    monkeypatch.setattr(chat, "LIFE_PERIOD_S", 0.01)
+    monkeypatch.setattr(chat, "LIFE_S", 0.2)
+    with serving(silent, silent) as server:
+        client = ChatClient(server.url, "m", time_limit_s=10 * PATIENCE_S, must_live=True)
+        with pytest.raises(ChatError, match=r"^[^ ]*: the server hangs: it does not answer even"):
+            client.ask(HELLO)

@@ -137,6 +137,11 @@ def load_config(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge run`."""
+    if args.warm_up:
+        from edge.loop.warmup import warm_up
+
+        print(f"kernels ready after {warm_up(load_config(args)):.0f} s")
+        return 0
     raise_open_files_limit()
     # First of all, since the imports below take seconds.
     stop = stop_on_signals(args.with_parent)

@@ -95,6 +95,11 @@ def _add_run(commands) -> None:  # type: ignore[no-untyped-def]
         help="at the end, write a report (web page and picture) to this folder (default: no "
         "report)",
     )
+    run.add_argument(
+        "--warm-up",
+        action="store_true",
+        help="compile the kernels of the configuration for the first start, and exit",
+    )
     trust_option(run)
     _add_parent_option(run)
     install = run.add_argument_group("install as a systemd service that starts at boot")
@@ -111,7 +116,7 @@ def _add_run(commands) -> None:  # type: ignore[no-untyped-def]
         "/etc/systemd/system/NAME.service, which needs root)"
     )  # fmt: skip
     only_install = ("--name", "--user", "--out")
-    only_run = ("--target", "--mission", "--formula", "--task", "--once", "--report")
+    only_run = ("--target", "--mission", "--formula", "--task", "--once", "--report", "--warm-up")
     write_unit = lazy_handler("edge.cli.install_service", "run")
     run_now = lazy_handler("edge.cli.main", "run")
     dispatch_on_option(

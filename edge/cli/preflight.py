@@ -171,6 +171,9 @@ def named_models(config: Config) -> Iterator[NamedModel]:
     if isinstance(detector, DetectorOnnx):
         providers = detector.providers
         yield NamedModel("perception.detector.model", detector.model, DetectCard, providers)
+        if detector.fallback is not None:
+            key = "perception.detector.fallback"
+            yield NamedModel(key, detector.fallback, DetectCard, providers)
     for i, level in enumerate(perception.load_shedding.levels):
         if level.model is not None:
             key = f"perception.load_shedding.levels.{i}.model"
@@ -182,6 +185,8 @@ def named_models(config: Config) -> Iterator[NamedModel]:
         yield NamedModel("perception.similarity", perception.similarity, SimilarityCard, providers)
     if isinstance(choice, ChoiceOnnx):
         yield NamedModel("perception.choice.card", choice.card, ChoiceCard, choice.providers)
+    elif isinstance(choice, (ChoiceOpenai, ChoiceText)) and choice.fallback is not None:
+        yield NamedModel("perception.choice.fallback", choice.fallback, ChoiceCard, CPU_ONLY)
 
 
 def _check_model(model: NamedModel, config: Config) -> None:

@@ -69,7 +69,8 @@ class TranslatorAuto(Section):
 
     Attributes:
         card: name of the small network's model card.
-        llm: settings of the language model; null: none is used.
+        llm: settings of the language model; null: none is used. If its server fails or hangs, the
+            others translate without it.
     """
 
     kind: Literal["auto"] = "auto"

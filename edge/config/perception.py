@@ -24,6 +24,8 @@ class DetectorOnnx(Section):
         tau_vl: boxes with a lower score are dropped.
         device_id: number of the GPU.
         engine_cache: folder of TensorRT engines; null: next to the models.
+        fallback: card of a detector on this computer. It detects while the server of `model` gives
+            no answer within 1.5 s (docs/remote.md); for a model on this computer it has no effect.
     """
 
     kind: Literal["onnx"] = "onnx"
@@ -35,6 +37,7 @@ class DetectorOnnx(Section):
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
+    fallback: str | None = None
 
 
 class DetectorSim(Section):
@@ -182,6 +185,7 @@ class ChoiceOpenai(Section):
         time_limit_s: time for one answer.
         pause_s: pause after an answer, to limit the cost of a paid server.
         max_image_px: longer side of the image that is sent.
+        fallback: card of a choice model on this computer, which answers while the server does not.
     """
 
     kind: Literal["openai"] = "openai"
@@ -191,6 +195,7 @@ class ChoiceOpenai(Section):
     time_limit_s: Positive = 5.0
     pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
+    fallback: str | None = None
 
 
 class ChoiceText(Section):
@@ -202,6 +207,7 @@ class ChoiceText(Section):
         api_key_env: environment variable that holds the API key.
         time_limit_s: time for one answer.
         pause_s: pause after an answer, to limit the cost of a paid server.
+        fallback: card of a choice model on this computer, which answers while the server does not.
     """
 
     kind: Literal["text"] = "text"
@@ -210,6 +216,7 @@ class ChoiceText(Section):
     api_key_env: str = "OPENAI_API_KEY"
     time_limit_s: Positive = 5.0
     pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    fallback: str | None = None
 
 
 class ChoiceOnnx(Section):

@@ -118,6 +118,11 @@ class _ChoiceAnswers:
         self.name = scorer.name
         self._scorer = scorer
 
+    @property
+    def detail(self) -> str:
+        """Reason why another model answers than `name`; "" if none does."""
+        return getattr(self._scorer, "detail", "")
+
     def prepare(self, question: _ChoiceQuestion) -> tuple[_ChoiceQuestion, Any]:
         return question, self._scorer.prepare(question.view)
 

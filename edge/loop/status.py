@@ -112,18 +112,22 @@ class HealthWatch:
         )
         self._load_shedding, self._event = load_shedding, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
-        self._degraded = False  # True after it was reported that the detector is degraded
+        self._reported = Health()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
-        """Report once that the detector is degraded, and once that it works again."""
-        state, detail = detector_health(self._worker)
+        """Report once that the detector is degraded or replaced, and once that it works again."""
+        health, reported = detector_health(self._worker), self._reported
         name = self._worker.detector.name
-        if state == "degraded" and not self._degraded:
-            self._degraded = True
-            self._event(f"detector {name}: degraded: {detail}", now_ns)
-        elif state == "ok" and self._degraded:
-            self._degraded = False
+        if health.state == "degraded" != reported.state:
+            self._event(f"detector {name}: degraded: {health.detail}", now_ns)
+        elif health.state == "ok" and health.detail:
+            if not (reported.state == "ok" and reported.detail):
+                self._event(f"detector {name}: {health.detail}", now_ns)
+        elif health.state == "ok" and reported != Health():
             self._event(f"detector {name}: works again", now_ns)
+        elif health.state != "degraded":
+            return
+        self._reported = health
 
     def status(self) -> dict[str, Any]:
         """Return the health of each part for the status message."""

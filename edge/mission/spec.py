@@ -98,6 +98,8 @@ class MissionSpec:
         """Warnings for the operator before the robot drives."""
         unused = one_line(", ".join(self.diagnosis.unused))
         lines = [f"does not affect the mission: {unused}"] if unused else []
+        if self.translation.warning:
+            lines.append(self.translation.warning)
         if self.translation.implied:
             ways = len(self.translation.readings)
             lines.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorLlm
+from edge.errors import UnavailableError
 from edge.mission.destinations import Destination
 from edge.mission.language import grammar
 from edge.mission.language.bans import bans_in, does_imply
@@ -31,6 +33,8 @@ from edge.text import one_line
 
 if TYPE_CHECKING:
     from edge.mission.language.model import NeuralTranslator
+
+log = logging.getLogger(__name__)
 
 _UNDERSTOOD_CHARS = 1000  # English needs about three times as many characters as a formula
 
@@ -55,6 +59,7 @@ class Translation:
         implied: True if the reading was chosen without a question, because it implies all others.
         destinations: propositions of the formula that are no things to search for.
         repeat: the end of a mission that repeats in rounds, each as the formula says; else None.
+        warning: fault of a translator that was replaced by another; "" if there was none.
     """
 
     instruction: str
@@ -67,6 +72,7 @@ class Translation:
     implied: bool = False
     destinations: Mapping[str, Destination] = field(default_factory=dict)
     repeat: Repetition | None = None
+    warning: str = ""
 
     @property
     def understood(self) -> str:
@@ -84,12 +90,14 @@ class ParsedInstruction:
         confident: True if one formula may be carried out without a question. Of several, the one
             that implies the others may be used if nobody can be asked.
         doubts: questions about single words, shown with the question.
+        warning: see `Translation`.
     """
 
     formulas: Sequence[Formula]
     backend: str
     confident: bool = True
     doubts: tuple[str, ...] = ()
+    warning: str = ""
 
 
 Backend = Callable[[str], ParsedInstruction]
@@ -148,7 +156,9 @@ class Translator:
             )
         taken = readings[reading - 1 if reading is not None else strongest or 0]
         seconds = time.monotonic() - began_s
-        translation = Translation(instruction, taken.formula, taken.english, read.backend, seconds)
+        translation = Translation(
+            instruction, taken.formula, taken.english, read.backend, seconds, warning=read.warning
+        )
         if len(readings) == 1:
             return translation
         return replace(
@@ -193,7 +203,7 @@ def make_translator(config: TranslatorConfig) -> Translator:
         # The model is loaded at the first refusal by the grammar: most instructions need none.
         "auto": lambda: combined_backend(
             lambda text: small_model_backend(_load_small_model(config.card))(text),
-            config.llm and _llm_backend(config.llm),
+            config.llm and _llm_backend(config.llm, must_live=True),
         ),
     }
     return Translator(config.kind, readers[config.kind]())
@@ -205,10 +215,10 @@ def _read_by_grammar(instruction: str) -> ParsedInstruction:
     return ParsedInstruction(formulas, "grammar")
 
 
-def _llm_backend(config: TranslatorLlm) -> Backend:
+def _llm_backend(config: TranslatorLlm, must_live: bool = False) -> Backend:
     from edge.mission.language.llm import LlmTranslator  # needs the chat client; the others do not
 
-    model = LlmTranslator(config)
+    model = LlmTranslator(config, must_live)
     return lambda text: with_bans(text, ParsedInstruction((model.read(text),), "llm"))
 
 
@@ -288,7 +298,8 @@ def _ask_models(
 ) -> ParsedInstruction:
     """Ask the models about an instruction that the grammar refused.
 
-    The language model's formula is trusted if the small model offers the same one, or none.
+    The language model's formula is trusted if the small model offers the same one, or none. If its
+    server fails, the others decide without it.
 
     Raises:
         TranslationError: the models refuse it too. The grammar's error is raised, because it gives
@@ -299,13 +310,26 @@ def _ask_models(
     except TranslationError:
         if large is None:
             raise refusal from None
-        return large(instruction)
+        try:
+            return large(instruction)
+        except UnavailableError as error:
+            warning = f"{refusal}; {_without_server(error)}"
+            raise TranslationError(warning, refusal.part, refusal.position) from None
     if offered.confident or large is None:
         return offered
     try:
         answer = large(instruction)
     except TranslationError:
         return offered
+    except UnavailableError as error:
+        return replace(offered, warning=_without_server(error))
     if any(same_language(answer.formulas[0], formula) for formula in offered.formulas):
         return answer
     return ParsedInstruction((*answer.formulas, *offered.formulas), "llm", False, offered.doubts)
+
+
+def _without_server(error: UnavailableError) -> str:
+    """Return a warning that the language model was not asked, and log it."""
+    warning = f"translated without the language model: {one_line(error)}"
+    log.warning("mission: %s", warning)
+    return warning

@@ -10,9 +10,11 @@ from edge import config
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import SimDetector, TruthAt
 from edge.perception.runtime.cards import ModelError, load_detector_card
+from edge.perception.runtime.fallback import LONGEST_WAIT_S
 from edge.perception.runtime.health import ProgressCallback, log_progress
 
 if TYPE_CHECKING:  # load only the backend in use
+    from edge.perception.detection.fallback import FallbackDetector
     from edge.perception.detection.onnx import OnnxDetector
     from edge.perception.detection.remote import RemoteDetector
 
@@ -34,6 +36,10 @@ def open_detector(
     if card.server is not None:
         from edge.perception.detection.remote import RemoteDetector
 
+        if detector.fallback is not None:
+            limit_s = min(card.server.time_limit_s, LONGEST_WAIT_S)
+            server = card.server.model_copy(update={"time_limit_s": limit_s})
+            card = card.model_copy(update={"server": server})
         return RemoteDetector(detector, card, prompts, progress)
     from edge.perception.detection.onnx import OnnxDetector
 
@@ -98,8 +104,34 @@ def make_detector(
         >>> detector.prompts
         ('chair',)
     """
-    if perception.isolation == "process" and not _runs_on_server(perception.detector):
+    on_server = _runs_on_server(perception.detector)
+    if on_server and perception.detector.fallback is not None:
+        return _make_with_fallback(perception, prompts, progress, cancelled)
+    if perception.isolation == "process" and not on_server:
         from edge.perception.detection.process import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)
     return REGISTRY[perception.detector.kind](perception.detector, prompts, progress, truth)
+
+
+def _make_with_fallback(
+    perception: config.PerceptionConfig,
+    prompts: Sequence[str],
+    progress: ProgressCallback,
+    cancelled: threading.Event | None,
+) -> FallbackDetector:
+    """Make the detector on a server, and the one on this computer for when the server fails."""
+    from edge.perception.detection.fallback import FallbackDetector
+
+    detector = perception.detector
+    local = detector.model_copy(update={"model": detector.fallback, "fallback": None})
+    try:
+        if _runs_on_server(local):
+            raise ModelError(f"model {local.model} runs on a server; name one of this computer")
+        made = make_detector(
+            perception.model_copy(update={"detector": local}), prompts, progress,
+            cancelled=cancelled,
+        )  # fmt: skip
+    except ModelError as error:
+        raise ModelError(f"perception.detector.fallback: {error}") from None
+    return FallbackDetector(open_detector(detector, prompts, progress), made)

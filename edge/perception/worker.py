@@ -277,7 +277,7 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
         return {
             "model": self.name, "asked": s.submitted, "answered": s.done, "failed": s.failed,
             "in_a_row": s.in_a_row, "last_latency_ns": s.last_latency_ns,
-            "last_error": s.last_error,
+            "last_error": s.last_error, "detail": getattr(self.model, "detail", ""),
         }  # fmt: skip
 
     def _ask(self, question: Q) -> A | None:

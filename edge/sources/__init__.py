@@ -22,6 +22,7 @@ REGISTRY = {
     "zenoh": "edge.sources.zenoh:ZenohSource",
     "ros2": "edge.sources.ros2:Ros2Source",
     "zmq": "edge.sources.zmq:ZmqSource",
+    "camera": "edge.sources.camera:CameraSource",
 }
 """Imported only if configured, because a source may need extra packages."""
 

@@ -143,6 +143,10 @@ def _taps(session: zenoh.Session, config: Config) -> list[_Tap]:
         from edge.sources.zmq import ZmqTap
 
         taps.append(ZmqTap(config))
+    elif config.source.kind == "camera":
+        from edge.sources.camera import CameraTap
+
+        taps.append(CameraTap(config))
     return taps
 
 

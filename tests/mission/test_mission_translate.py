@@ -5,12 +5,14 @@ from __future__ import annotations
 import pytest
 
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLtl
+from edge.errors import UnavailableError
 from edge.mission.logic.ltl import ap, eventually, parse
 from edge.mission.translate import (
     AmbiguousInstructionError,
     Backend,
     ParsedInstruction,
     TranslationError,
+    Translator,
     check_text,
     combined_backend,
     make_translator,
@@ -75,6 +77,10 @@ def _reader(*texts: str, sure: bool = True, doubts: tuple[str, ...] = ()) -> Bac
     return read
 
 
+def _dead(said: str) -> ParsedInstruction:
+    raise UnavailableError("http://base: nothing listens there")
+
+
 # Said, what the small model and the large one make of it, the formulas then, who spoke, whether
 # it is sure. The grammar reads the first instructions, and refuses the last.
 PLAIN, OPEN, STRANGE = (
@@ -95,6 +101,16 @@ TOGETHER = [
     (STRANGE, _reader("F bed", sure=False), _reader("F tv"), ["F tv", "F bed"], "llm", False),
     (STRANGE, NOTHING, _reader("F bed"), ["F bed"], "stub", True),
     (STRANGE, NOTHING, NOTHING, "not the grammar's reason", "", True),
+    # The server of the large one is dead.
+    (STRANGE, _reader("F bed", sure=False), _dead, ["F bed"], "stub", False),
+    (
+        STRANGE,
+        NOTHING,
+        _dead,
+        "'skedaddle bed'.* without the language model: http://base: nothing",
+        "",
+        True,
+    ),
     # Nobody is to guess at what is no order, or reaches nobody knows how far.
     (
         "have you been to the bed?",
@@ -122,6 +138,13 @@ def test_auto_takes_what_is_agreed_on(
     texts = [str(formula) for formula in found.formulas]
     assert len(texts) == wanted if isinstance(wanted, int) else texts == wanted
     assert (found.backend, found.confident) == (by, sure)
+
+
+def test_a_mission_tells_that_the_language_model_had_no_part_in_it() -> None:
+    read = combined_backend(_reader("F bed", sure=False), _dead)
+    found = Translator("auto", read).translate(STRANGE, reading=1)
+    warning = "translated without the language model: http://base: nothing listens there"
+    assert (str(found.formula), found.warning) == ("F bed", warning)
 
 
 # Said, what a model makes of it, and what is asked about then; a text: it is refused with that.

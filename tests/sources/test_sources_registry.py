@@ -80,7 +80,7 @@ def names(*cases):
 
 
 @names(
-    ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, or module:Class\)"),
+    ("zenho", {}, r"kind: unknown 'zenho' \(choices: zenoh, ros2, zmq, camera, or module:Class\)"),
     ("zenoh", {"rate": 3}, "options: got an unexpected keyword argument 'rate'"),
     (
         "no_such_module:A",

@@ -202,7 +202,7 @@ def test_a_host_without_an_address_is_logged(caplog):
 
 
 def test_the_publisher_of_the_page_is_seen_with_a_lidar_over_zenoh(tmp_path):
-    code, section = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE, re.DOTALL)
+    code, section, *_ = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE, re.DOTALL)
     assert len([line for line in code.splitlines() if line]) <= MAX_LINES
     (tmp_path / "publisher.py").write_text(code, "utf-8")
     film = cv2.VideoWriter(

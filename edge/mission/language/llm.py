@@ -192,13 +192,17 @@ EXAMPLES = (
 class LlmTranslator:
     """Translator that asks the configured language model.
 
+    Args:
+        config: the language model and its server.
+        must_live: see `ChatClient`.
+
     Raises:
         ChatError: the server's URL or the API key cannot be used.
     """
 
-    def __init__(self, config: TranslatorLlm) -> None:
+    def __init__(self, config: TranslatorLlm, must_live: bool = False) -> None:
         self._config = config
-        self._client = make_chat_client(config)
+        self._client = make_chat_client(config, must_live)
 
     def read(self, instruction: str) -> Formula:
         """Return the instruction's formula, with canonical names from the instruction only.

@@ -55,7 +55,17 @@ def make_view_scorer(
     if isinstance(choice, ChoiceOnnx):
         isolated = perception.isolation == "process"
         return open_view_scorer(choice, perception.process if isolated else None)
-    return make_server_scorer(choice)
+    if choice.fallback is None:
+        return make_server_scorer(choice)
+    # Import late: nothing of it is needed without a fallback.
+    from edge.perception.scoring.choice.fallback import FallbackScorer
+
+    try:
+        local = make_view_scorer(ChoiceOnnx(card=choice.fallback), perception)
+    except ModelError as error:
+        reason = str(error).removeprefix("perception.choice.card: ")
+        raise ModelError(f"perception.choice.fallback: {reason}") from None
+    return FallbackScorer(make_server_scorer(choice), local)
 
 
 def open_view_scorer(choice: ChoiceOnnx, process: ModelProcessConfig | None = None) -> ViewScorer:

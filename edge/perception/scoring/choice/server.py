@@ -151,7 +151,10 @@ def make_server_scorer(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScore
     """
     key = os.environ.get(config.api_key_env)
     try:
-        client = ChatClient(config.url, config.model, key, config.time_limit_s)
+        client = ChatClient(
+            config.url, config.model, key, config.time_limit_s,
+            must_live=config.fallback is not None,
+        )  # fmt: skip
     except ChatError as error:
         raise ChatError(f"perception.choice: {error}") from None
     if config.kind == "openai":

@@ -1,0 +1,45 @@
+"""A choice scorer on a server, with one on this computer for the time in which the server fails."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from edge.perception.runtime.fallback import FallbackModel
+from edge.perception.scoring.choice.question import FrontierChoice, MarkedView
+from edge.perception.scoring.choice.server import ServerFrontierScorer
+
+
+class FallbackScorer:
+    """A scorer of views (`ViewScorer`) of two; see `FallbackModel`.
+
+    Args:
+        remote: answers while its server does.
+        local: the `ViewScorer` that answers otherwise.
+    """
+
+    def __init__(self, remote: ServerFrontierScorer, local: Any) -> None:
+        self.name = remote.name
+        self._remote, self._local = remote, local
+        self._models: FallbackModel[Any, FrontierChoice | None] = FallbackModel(
+            "choice", remote.name, local.name, remote.answer
+        )
+
+    @property
+    def detail(self) -> str:
+        """Reason why the local scorer answers; "" while the server does."""
+        return self._models.detail
+
+    def prepare(self, view: MarkedView) -> tuple[Any, Any]:
+        """Prepare the input of both, since the view is gone when the server has failed."""
+        return self._remote.prepare(view), self._local.prepare(view)
+
+    def answer(self, prepared: tuple[Any, Any]) -> FrontierChoice | None:
+        """See `ViewScorer.answer`."""
+        remote, local = prepared
+        return self._models.ask(remote, lambda: self._local.answer(local))
+
+    def close(self) -> None:
+        """Abort the current answers; may be called from another thread."""
+        self._remote.close()
+        self._models.close()
+        self._local.close()

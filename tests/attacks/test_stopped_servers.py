@@ -1,0 +1,162 @@
+"""Servers of models that are stopped or killed: the models here take over, and give back."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from live_patience import eventually
+from live_service import live
+from server_peer import FORMULA, MODEL
+
+from edge.config import ChoiceOpenai, PerceptionConfig, TranslatorAuto, TranslatorLlm
+from edge.errors import UserError
+from edge.geometry import CameraModel
+from edge.host.ports import free_port
+from edge.mission.translate import make_translator
+from edge.perception.runtime.cards import load_card
+from edge.perception.scoring.choice.factory import make_view_scorer
+from edge.perception.scoring.choice.question import Mark, MarkCosts, MarkedView
+from edge.types import Observation
+
+pytestmark = pytest.mark.slow
+
+PEER = Path(__file__).with_name("server_peer.py")
+CHOICE = "mini-house-choice"
+UNCLEAR = "skedaddle bed"  # the grammar refuses it, and the small network is not sure
+
+
+class ServerProcess:
+    """A server of models; `leave` takes it away, and `come_back` brings it back.
+
+    Args:
+        kill: True: it is killed and started again; False: it is stopped (SIGSTOP) and hangs.
+    """
+
+    def __init__(self, kill: bool) -> None:
+        self.port, self._kill = free_port(), kill
+        self.url = f"http://127.0.0.1:{self.port}"
+        self._start()
+
+    def _start(self) -> None:
+        command = [sys.executable, str(PEER), str(self.port)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout.readline() == "ready\n"
+
+    def leave(self) -> None:
+        self.process.send_signal(signal.SIGKILL if self._kill else signal.SIGSTOP)
+        if self._kill:
+            self.process.communicate()
+
+    def come_back(self) -> None:
+        if self._kill:
+            self._start()
+        else:
+            self.process.send_signal(signal.SIGCONT)
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(params=[False, True], ids=["stopped", "killed"])
+def server(request) -> Iterator[ServerProcess]:
+    made = ServerProcess(request.param)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def told(capsys):
+    """Return a function that prints how long something took, also without -s."""
+
+    def tell(what: str, since_s: float) -> None:
+        with capsys.disabled():
+            print(f"\n{what}: {time.monotonic() - since_s:.2f} s")
+
+    return tell
+
+
+def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkeypatch, told):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    card = load_card(MODEL).model_dump(mode="json", exclude={"file", "sha256", "path"})
+    card |= {"name": "far", "server": {"url": server.url, "model": "m"}}
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "far.yaml").write_text(yaml.safe_dump(card))
+    detector = {"kind": "onnx", "model": "far", "threads": 1, "fallback": MODEL}
+    mission = {"target": "bed", "time_limit_s": 1e6}
+    with live({"perception": {"detector": detector}, "mission": mission}) as service:
+
+        def detail() -> str:
+            return service.statuses[-1]["detector"]["detail"]
+
+        def images() -> int:
+            return service.running.worker.stats.done
+
+        def detects() -> None:
+            enough = images() + 3
+            eventually(lambda: images() >= enough, "it detects nothing")
+
+        eventually(lambda: not detail(), "the server is never used")
+        detects()
+        begun = service.statuses[-1]["mission"]["id"]
+        server.leave()
+        since_s = time.monotonic()
+        eventually(lambda: f"{MODEL} answers until far does again" in detail(), "no fallback")
+        detects()
+        told("from the end of the server to the third image of the local detector", since_s)
+        assert service.statuses[-1]["detector"]["state"] == "ok"
+        server.come_back()
+        since_s = time.monotonic()
+        eventually(lambda: not detail(), "the server is not used again")
+        detects()
+        told("and back", since_s)
+        assert service.statuses[-1]["mission"]["id"] == begun
+        assert service.statuses[-1]["phase"] == "searching"
+
+
+def test_directions_are_chosen_without_the_server(server, told):
+    choice = ChoiceOpenai(url=f"{server.url}/v1", model="m", fallback=CHOICE, time_limit_s=60.0)
+    scorer = make_view_scorer(choice, PerceptionConfig(detector={"kind": "sim"}))
+    camera, two = CameraModel.from_hfov(320, 256, 1.3), np.full(2, 3.0, np.float32)
+    seen = Observation(0, 0, np.eye(4), camera=camera, rgb=np.full((256, 320, 3), 90, np.uint8))
+    marks = (Mark(3, 80.0, 128.0, 0.3, 2.0), Mark(4, 240.0, 128.0, -0.3, 2.0))
+    view = MarkedView(seen, "bed", marks, (), None, MarkCosts(two, two, np.zeros(3, np.float32)))
+
+    def answer():
+        return scorer.answer(scorer.prepare(view))
+
+    eventually(lambda: answer() and not scorer.detail)
+    assert answer().p[0] > 0.9
+    server.leave()
+    since_s = time.monotonic()
+    assert answer().ids == (3, 4)
+    told("an answer of the local model after the end of the server", since_s)
+    assert f"{CHOICE} answers until m at {server.url}/v1 does again" in scorer.detail
+    server.come_back()
+    eventually(lambda: answer() and not scorer.detail, "the server is not used again")
+    assert answer().p[0] > 0.9
+    scorer.close()
+
+
+def test_instructions_are_translated_without_the_server(server, caplog, told):
+    llm = TranslatorLlm(url=f"{server.url}/v1", time_limit_s=60.0)
+    translate = make_translator(TranslatorAuto(llm=llm)).translate
+    assert str(translate(UNCLEAR, reading=1).formula) == FORMULA
+    assert "without the language model" not in caplog.text
+    server.leave()
+    since_s = time.monotonic()
+    with pytest.raises(UserError) as raised:  # the small network asks, or the grammar advises
+        translate(UNCLEAR)
+    told("the small network's answer after the end of the server", since_s)
+    assert "translated without the language model: " in caplog.text
+    assert "\n" not in str(raised.value)
+    server.come_back()
+    assert str(translate(UNCLEAR, reading=1).formula) == FORMULA
