@@ -19,8 +19,9 @@ import zenoh
 
 from edge.bus.presence import Presence
 from edge.bus.requests import RequestServer
-from edge.bus.ros2.requests import serve_ros2_requests
+from edge.bus.ros2.requests import serve_ros2_requests, serve_ros2_stop
 from edge.bus.session import ENVELOPE_BYTES, zenoh_session
+from edge.bus.stop import StopServer, stop_requests
 from edge.config import Config
 from edge.config.environment import KNOWN_VARIABLES, is_ours
 from edge.errors import UserError
@@ -30,6 +31,7 @@ from edge.host.interruptible import raise_if_stopped, run_unless_stopped
 from edge.host.memory import trim_memory_periodically
 from edge.host.periodic import run_periodically
 from edge.host.ports import free_port
+from edge.host.stop_latch import RETRY_S, StopLatch
 from edge.loop import requests
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import Sink
@@ -83,6 +85,7 @@ def open_service(
     progress: Callable[[str], None] = lambda what: None,
     problems: Callable[[], Sequence[str]] = tuple,
     make_source: Callable[..., Source] | None = None,
+    latch: StopLatch | None = None,
 ) -> Iterator[LaunchedService]:
     """Prepare the mission, open Zenoh, load the detector and compile kernels; close all at exit.
 
@@ -105,6 +108,8 @@ def open_service(
             requests on the bus.
         make_source: Function that makes a source other than that of the configuration; see
             `find_source`.
+        latch: The stop of the robot, which takes requests before the slow steps; None: a new one,
+            which ends with the service.
 
     Yields:
         The service, ready for `edge.loop.runner.loop`.
@@ -118,7 +123,7 @@ def open_service(
         ChatError: The URL of a scorer's server cannot be used.
         BusError: The endpoint cannot be listened on, or another service has the prefix.
     """
-    stop = stop or threading.Event()
+    stop, latch = stop or threading.Event(), latch or StopLatch()
     make_source, make_sinks = make_source or find_source(config), find_sinks(config)
     make_policy = find_policy(config.policy, config.origin("policy"))
     # A kind with a colon is a plugin, `module:Class`, which may send goals, too.
@@ -152,6 +157,11 @@ def open_service(
         )
         presence = Presence(session, config.zenoh)
         stack.callback(presence.close)
+        stops = stop_requests(latch)
+        stack.callback(StopServer(session, config.zenoh, stops).close)
+        stack.enter_context(run_periodically("stop", RETRY_S, latch.keep))
+        if "ros2" in (config.source.kind, *(sink.kind for sink in config.sinks)):
+            stack.enter_context(serve_ros2_stop(config, session, latch.stop))
         policy = run_unless_stopped(make_policy, stop)
         # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
         all_sinks = [*(make(config=config, session=session) for make in make_sinks), *sinks]
@@ -197,7 +207,7 @@ def open_service(
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)
         if config.ros2.requests:
-            queues = {key: server.queue for key, server in servers.items()}
+            queues = {**{key: server.queue for key, server in servers.items()}, **stops}
             stack.enter_context(serve_ros2_requests(config, session, queues))
         presence.announce()
         # Objects of the start-up are never freed, so the collector need not scan them in the loop.
@@ -211,7 +221,9 @@ def open_service(
         sys.setswitchinterval(_SWITCH_S)
         if not lockstep:
             stack.enter_context(trim_memory_periodically())
-        yield LaunchedService(config, service, worker, source, servers, session, all_sinks)
+        running = LaunchedService(config, service, worker, source, servers, session, all_sinks)
+        running.latch = latch
+        yield running
 
 
 def _load_detector(

@@ -279,8 +279,9 @@ class GoalStatus:
 
 
 MissionPhase = Literal[
-    "idle", "searching", "approaching", "verifying", "waiting", "paused", "reached", "failed"
-]
+    "idle", "searching", "approaching", "verifying", "waiting", "paused", "stopped", "reached",
+    "failed",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ class Edge:
         command = [sys.executable, "-m", "edge.cli", *map(str, arguments)]
         self.process = subprocess.Popen(
             command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env={**os.environ, **environ}, start_new_session=True,
+            env={**os.environ, "XDG_STATE_HOME": str(cwd), **environ}, start_new_session=True,
         )  # fmt: skip
         self.lines: list[str] = []
         self._family: dict[int, psutil.Process] = {}

@@ -64,7 +64,13 @@ MISSION_REQUEST = "mission/request"
 MODELS_REQUEST = "models/request"
 SITE_REQUEST = "site/request"
 MEMORY_REQUEST = "memory/request"
-REQUESTS = (MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST)
+# To stop the robot and to release it (see `edge.bus.stop`): two keys, so that access rules can let
+# everybody stop and few release.
+STOP_REQUEST = "stop/request"
+RELEASE_REQUEST = "release/request"
+REQUESTS = (
+    MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST, STOP_REQUEST, RELEASE_REQUEST,
+)  # fmt: skip
 
 # Not a topic: the service's liveliness token is below this key (see `edge.bus.presence`).
 ALIVE = "alive"

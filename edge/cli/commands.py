@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from edge.bus.stop import stop_requests
 from edge.cli.console import ConsoleSink
 from edge.cli.options import require_lab
 from edge.cli.preflight import check
@@ -19,6 +20,7 @@ from edge.errors import FAILED, Stopped
 from edge.host.credentials import read_token
 from edge.host.ports import free_port, is_free
 from edge.host.service_manager import SystemdNotifier
+from edge.host.stop_latch import StopLatch, stop_file
 from edge.host.web_server import GetRoutes, PostRoutes, serve
 from edge.launch import child_processes, open_service, with_free_port
 from edge.live.view import PUBLIC, LiveView
@@ -108,7 +110,8 @@ def run_service(
     """
     _prepare(config, report)
     recorded = report is not None
-    ended = _serve(config, stop, once, what, reload, recorded=recorded)
+    latch = StopLatch(stop_file(config.zenoh.prefix))
+    ended = _serve(config, stop, once, what, reload, recorded=recorded, latch=latch)
     code = _conclude(ended, report)
     return code if once else os.EX_OK
 
@@ -132,6 +135,7 @@ def _serve(
     stay: bool = False,
     playback: Playback | None = None,
     recorded: bool = False,
+    latch: StopLatch | None = None,
 ) -> RunResult:
     """Run the service until `stop` is set, or as the arguments say; return the results of the run.
 
@@ -145,10 +149,13 @@ def _serve(
             set. The results are then those at the end of the mission or recording.
         playback: recording to play instead of the configured source.
         recorded: collect the data of a report.
+        latch: the stop of the robot; None: a stop ends with the run.
     """
+    latch = latch or StopLatch()
     recorder, health = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
     live, metrics, trace_page = LiveView(config, health), Metrics(health), TracePage()
     sinks = [ConsoleSink(), *([] if recorder is None else [recorder]), live.sink]
+    live.open(stop_requests(latch))  # a robot can be stopped before the service is ready
     pages = {**health.pages(), **metrics.pages(), **trace_page.pages(), **live.pages()}
     with (
         _serve_pages(pages, live.forms(), config.http) as url,
@@ -160,6 +167,7 @@ def _serve(
             health.starting,
             health.problems,
             None if playback is None else playback.open,
+            latch,
         ) as running,
     ):
         live.open({key: server.queue for key, server in running.servers.items()})

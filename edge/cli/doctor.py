@@ -31,6 +31,7 @@ from edge.cli.machine_checks import (
     check_python,
     check_shared_memory,
     check_speed,
+    check_stop,
 )
 from edge.cli.onnx_probe import CPU, probe
 from edge.cli.preflight import CLASSES, named_models
@@ -480,6 +481,7 @@ CHECKS: tuple[Check, ...] = (
     check_jetson,
     check_shared_memory,
     check_cache,
+    check_stop,
     check_numba,
     check_zenoh,
     check_endpoint,

@@ -20,6 +20,7 @@ from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
 from edge.host.files import make_writable
+from edge.host.stop_latch import read_stop, stop_file
 from edge.perception.runtime.sessions import TENSORRT
 
 PYTHON_FROM, PYTHON_BELOW = (3, 10), (3, 14)
@@ -155,6 +156,20 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
             "--shm-size=256m or --ipc=host)"
         )
         yield Finding("warn", f"shared memory: {SHM} has {size_mb} MB", todo)
+
+
+def check_stop(config: Config) -> Iterator[Finding]:
+    """Check if the robot is stopped, and if a stop can be kept."""
+    path = stop_file(config.zenoh.prefix)
+    if path is None:
+        todo = "set XDG_STATE_HOME to a folder that it can write, else a restart forgets a stop"
+        yield Finding("warn", f"stop: user {os.getuid()} has no home folder", todo)
+    elif reason := read_stop(path):
+        todo = "release it with `edge release`; without a service, remove the file"
+        yield Finding("warn", f"stop: the robot is stopped ({path}): {reason}", todo)
+    elif not os.access(next(p for p in path.parents if p.exists()), os.W_OK):
+        todo = "let the service's user write there, else a restart forgets a stop"
+        yield Finding("warn", f"stop: {path.parent} cannot be written", todo)
 
 
 def check_cache(config: Config) -> Iterator[Finding]:

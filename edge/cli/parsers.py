@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge import __version__
-from edge.cli import eval_parsers, lab_parsers, memory, mission, model_parsers, room, site
+from edge.cli import eval_parsers, lab_parsers, memory, mission, model_parsers, room, site, stop
 from edge.cli.options import (
     CONFIG,
     WHERE,
@@ -46,6 +46,7 @@ def make_parser() -> argparse.ArgumentParser:
         _add_config,
         _add_play,
         _add_mission,
+        stop.add_stop,
         _add_fleet,
         site.add_places,
         site.add_zones,

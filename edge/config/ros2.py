@@ -16,6 +16,7 @@ RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
     "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
     "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
+    "stop",
 ]  # fmt: skip
 
 # Our name of a topic or action → its default name in ROS.
@@ -41,6 +42,7 @@ DEFAULT_TOPICS: dict[str, str] = {
     "keepout_info": "/edge/keepout_info",
     "request": "/edge/request",
     "answer": "/edge/answer",
+    "stop": "/edge/stop",
 }
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from edge.bus import topics
 from edge.bus.request_queue import RequestQueue
+from edge.bus.stop import StopRequests
 from edge.bus.verbs import error_payload
 from edge.config import Config
 from edge.geometry import Grid
@@ -64,13 +65,14 @@ class LiveView:
     def __init__(self, config: Config, health: ServiceHealth) -> None:
         self.sink = LiveSink()
         self._config, self._health = config, health
-        self._queues: Mapping[str, RequestQueue] = {}  # by key of `edge.bus.topics.REQUESTS`
+        # By key of `edge.bus.topics.REQUESTS`.
+        self._queues: dict[str, RequestQueue | StopRequests] = {}
         self._lock = threading.Lock()  # so that one thread encodes for all viewers
         self._cached: dict[str, tuple[object, HttpResponse]] = {}  # name → version, response
 
-    def open(self, queues: Mapping[str, RequestQueue]) -> None:
-        """Accept requests from now on, with a queue for each key."""
-        self._queues = queues
+    def open(self, queues: Mapping[str, RequestQueue | StopRequests]) -> None:
+        """Accept requests of these keys from now on."""
+        self._queues = {**self._queues, **queues}
 
     def pages(self) -> GetRoutes:
         """Return the page and its data, by path; `story` is the mission log."""

@@ -404,6 +404,8 @@ class GoalTracker:
     def send_pending(self, mission: MissionRun, pose: SE2, now_ns: int) -> None:
         """Send the current goal if it was not sent yet. Without a goal, make the robot stand."""
         self.client.notice_silence(now_ns)
+        if mission.stopped:  # whatever chose a goal
+            self.idle()
         tracked = self._tracked
         if tracked is not None:
             self._no_goal_since_ns = None

@@ -101,6 +101,7 @@ class ResultPublisher:
         mission: MissionRun,
         task: Callable[[], TaskStatus | None],
         scores: np.ndarray,
+        stopped: str,
     ) -> TickResult:
         """Return the current state, and all events since the last published result.
 
@@ -112,6 +113,7 @@ class ResultPublisher:
             mission: The mission.
             task: Returns the facts of a task; see `TickResult.task`.
             scores: The policy's scores of the candidates.
+            stopped: Why the robot is stopped; "" if it is not.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
         targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
@@ -123,6 +125,7 @@ class ResultPublisher:
             goal=goal,
             goal_status=goals.goal_status,
             has_controller=goals.client.has_controller,
+            stopped=stopped,
             targets=targets,
             goals=tuple(self.goals),
             goal_statuses=tuple(self.goal_statuses),

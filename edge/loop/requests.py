@@ -311,6 +311,7 @@ def _robot_state(service: Service, problems: Sequence[str]) -> dict[str, object]
     return {
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "controller": "answers" if goals.client.has_controller else "silent",
+        "stopped": service.stopped,
         "problems": [one_line(why) for why in problems],
         "known": known,
     }

@@ -125,6 +125,7 @@ class TickResult:
         goal: Current goal of the robot, or None.
         goal_status: Newest status of this goal from the controller; None before the first.
         has_controller: True if a controller answers, or if no answers are expected.
+        stopped: Why the robot is stopped; "" if it is not.
         targets: Targets of the mission.
         goals: Goals that were sent since the last result.
         goal_statuses: Goal statuses that were received since the last result.
@@ -163,6 +164,7 @@ class TickResult:
     goal: Goal | None
     goal_status: GoalStatus | None
     has_controller: bool
+    stopped: str
     targets: tuple[str, ...]
     goals: tuple[Goal, ...]
     goal_statuses: tuple[GoalStatus, ...]

@@ -17,6 +17,7 @@ from typing import Protocol
 
 from edge.config import Config
 from edge.host.priority import real_time
+from edge.host.stop_latch import StopLatch
 from edge.loop.error_boundary import IDLE, TICK
 from edge.loop.reload import Reloader
 from edge.loop.service import DETECT, INGEST, Service
@@ -50,6 +51,7 @@ class RunningService:
         now_ns: Loop time of the newest cycle; 0 before the first.
         epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
         reloader: Reloads the configuration on request; None if reloads are not possible.
+        latch: The stop of the robot.
         clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
             played. None: wall-clock time.
     """
@@ -62,6 +64,7 @@ class RunningService:
     now_ns: int = field(default=0, init=False)
     epoch: int = field(default=0, init=False)
     reloader: Reloader | None = field(default=None, init=False)
+    latch: StopLatch = field(default_factory=StopLatch, init=False)
     clock: Callable[[], int] | None = field(default=None, init=False)
 
 
@@ -84,6 +87,7 @@ def loop(
     with real_time(running.config.loop.priority):
         for _ in cycles(running, stop):
             each()
+            running.latch.confirm(service.stopped)
             _count_drops(running)
             if once and service.status.done:
                 break
@@ -195,8 +199,11 @@ def _read_inputs(running: RunningService, now_ns: int) -> Observation | None:
 
 
 def _serve_requests(running: RunningService, now_ns: int) -> None:
-    """Serve waiting requests, then advance the model swap, the load shedder and the reload."""
-    service = running.service
+    """Apply a stop; serve waiting requests; advance the model swap, load shedder and reload."""
+    service, reason = running.service, running.latch.reason
+    if reason != service.stopped:
+        with service.error_boundary.contain("stop", now_ns):
+            service.stop(reason, now_ns)
     for key, server in running.servers.items():
         service.error_boundary.call(key, now_ns, partial(server.serve, now_ns))
     service.end_pause(now_ns)

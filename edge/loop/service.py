@@ -96,6 +96,7 @@ class Service:
         load_shedder: Drops expensive work under load, in the order of
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
+        stopped: Why the robot is stopped; "" if it is not (see `stop`).
         blind_s: Time without an observation after which the robot must stand still.
         overruns: As in `Args`.
         inputs: As in `Args`.
@@ -138,6 +139,7 @@ class Service:
             self.event,
         )
         self.stamp_ns = 0
+        self.stopped = ""
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
@@ -437,6 +439,7 @@ class Service:
             "mission", translation=spec.translation, task=task_state(spec), id=id, now_ns=now_ns
         )
         self.mission, self._resume_ns = mission, None
+        mission.stopped = self.stopped
         self.behaviour.close()
         self.behaviour = self._make_behaviour(mission)
         self._reset_search()
@@ -520,6 +523,23 @@ class Service:
         """Resume the mission if its pause is over; called between ticks, as requests are."""
         if self._resume_ns is not None and now_ns >= self._resume_ns:
             self.pause(False, now_ns)
+
+    def stop(self, reason: str, now_ns: int) -> None:
+        """Stop the robot and withdraw its goal; missions wait, also later ones.
+
+        Args:
+            reason: Why; "" releases the robot.
+            now_ns: Loop time.
+        """
+        self._input_log.note("stop", reason=reason, now_ns=now_ns)
+        self.stopped = self.mission.stopped = reason
+        if reason:
+            # Send a goal to stand still in any case: a controller may have one of another service.
+            self.goals.client.driving = True
+            text = f"stopped: {reason}; no goal is sent until `edge release`"
+            self.event(text, now_ns, logging.WARNING)
+        else:
+            self.event("released: goals are sent again", now_ns)
 
     def cancel(self, reason: str, now_ns: int) -> None:
         """End the mission because a person says so; see `MissionRun.cancel`."""
@@ -642,5 +662,5 @@ class Service:
         """
         return self._publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.scores,
+            self.scores, self.stopped,
         )  # fmt: skip

@@ -191,6 +191,8 @@ def _problems(
         at_one_image_s: Time for which the detector has worked at one image.
     """
     service = running.service
+    if running.latch.reason:
+        yield f"stopped: {running.latch.reason}"
     if no_observation_s > service.blind_s:
         why = service.error_boundary.call(
             "inputs", running.now_ns, lambda: missing_inputs(service.inputs())

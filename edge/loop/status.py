@@ -57,6 +57,7 @@ def status_message(result: TickResult) -> dict[str, object]:
             "answer": "" if result.goal_status is None else result.goal_status.state,
         },
         "controller": "answers" if result.has_controller else "silent",
+        "stopped": result.stopped,
         "frontiers": len(result.frontiers()),
         "instances": [
             {

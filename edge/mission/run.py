@@ -52,6 +52,7 @@ class MissionRun:
         log: the mission log, oldest entry first, at most the last `MAX_EVENTS`.
         started: True after `start`.
         paused: while True, time and path do not count and no target is pursued.
+        stopped: why the robot is stopped (`edge.host.stop_latch`); as a pause, until it is "".
         retargets: number of times that a new target was set.
         changes: number of changes that a checkpoint should hold.
         config: the `mission` section; may be replaced to change the limits.
@@ -95,6 +96,7 @@ class MissionRun:
         self.failed: frozenset[str] = frozenset()
         self.started = False
         self.paused = False
+        self.stopped = ""
         self.retargets = 0
         self.changes = 0
         self.elapsed_s = 0.0
@@ -134,8 +136,8 @@ class MissionRun:
 
     @property
     def active(self) -> bool:
-        """True while a target is pursued: the mission has neither ended nor paused."""
-        return not (self.done or self.paused)
+        """True while a target is pursued: the mission has not ended, paused or been stopped."""
+        return not (self.done or self.paused or self.stopped)
 
     @property
     def observed(self) -> bool:
@@ -182,6 +184,8 @@ class MissionRun:
         """Return the status of the mission; `phase` applies while the mission is active."""
         if self._ended is not None:
             phase = self._ended
+        elif self.stopped:
+            phase = "stopped"
         elif self.paused:
             phase = "paused"
         return MissionStatus(
@@ -197,6 +201,8 @@ class MissionRun:
     def _shown_activity(self) -> str:
         """Return the robot's present activity for the status; "" for none."""
         repeat = self.spec.translation.repeat
+        if self.stopped:
+            return f"{self.stopped}; waits for `edge release`"
         if not self.active:
             return ""
         rounds = "" if repeat is None else repeat.shown_round(self.round, self.elapsed_s)

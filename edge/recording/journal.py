@@ -467,6 +467,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         **fields, "translation": _translation(fields["translation"])
     },
     "pause": _UNCHANGED,
+    "stop": _UNCHANGED,
     "cancel": _UNCHANGED,
     "fail": _UNCHANGED,
     "config": lambda fields: {"config": config_text(fields["config"])},

@@ -312,6 +312,7 @@ _HANDLERS: dict[str, Callable[..., None]] = {
     "mission": _ReplayedService._begin,
     "site": lambda run, _, site, now_ns: run.service.change_site(site, now_ns),
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
+    "stop": lambda run, _, reason, now_ns: run.service.stop(reason, now_ns),
     "cancel": lambda run, _, reason, now_ns: run.service.cancel(reason, now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
     "config": _ReplayedService._reconfigure,

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.bus.ros2.names import NO_HASH, dialect_of
-from edge.bus.ros2.requests import STRING
+from edge.bus.ros2.requests import BOOL, STRING
 from edge.bus.ros2.topics import LATCHED, NAVIGATE_TO_POSE, PUBLISHED, SUBSCRIBED, accepted_types
 from edge.bus.session import session_config
 from edge.config import Config, ConfigError, load
@@ -101,6 +101,7 @@ def make_plan(config: Config) -> dict[str, Any]:
     unused = {"goal"} if by_action else set()
     if not settings.keepout_filter:
         unused |= {"keepout_mask", "keepout_info"}
+    received.append(topic_plan("stop", BOOL, reliable=True))
     if settings.requests:
         received.append(topic_plan("request", STRING, reliable=True))
     else:

@@ -102,11 +102,13 @@ class NavigateToPoseClient:
         self._active: _ActiveGoal | None = None
         self._replaced: deque[bytes] = deque(maxlen=_RING_MESSAGES)  # goals replaced by newer ones
         self._cancel_replaced_s = math.inf  # when to cancel those that are still active
+        self._must_cancel_all = False
         self._malformed = 0
         self._waiting_logged = False
 
     def send(self, goal: Goal) -> None:
         """Drive to this goal, and no longer to the previous one."""
+        self._must_cancel_all = False
         if self._active is not None and self._active.stage != "waiting":
             self._replaced.append(self._active.goal_id)
             self._cancel_replaced_s = math.inf
@@ -128,8 +130,20 @@ class NavigateToPoseClient:
         else:
             self._active = None
 
+    def cancel_all(self) -> None:
+        """Cancel all goals of the action as soon as it is there, also those of others.
+
+        A service that was killed may have left one.
+        """
+        self.cancel()
+        self._must_cancel_all = True
+        self.update()
+
     def update(self) -> None:
         """Process what arrived; request again if no reply is pending."""
+        if self._must_cancel_all and self._cancel.has_server():
+            self._must_cancel_all = False
+            self._send_cancel(navigation.ALL_GOALS)
         for _, payload in self._feedback.take():
             self._run_step(self._on_feedback, payload.to_bytes())
         for _, payload in self._status.take():

@@ -72,7 +72,7 @@ class Ros2Sink:
                 )
         self._pending_goal: Goal | None = None
         self._driven_path = PathRing()
-        self._driving = False
+        self._driving = self._stopped = False
         self._trajectory: RefinedTrajectory | None = None
         self._limiter = RateLimiter(map=config.report.map_hz, drawings=DRAWN_HZ, zones=DRAWN_HZ)
         self._worker = Worker(
@@ -99,7 +99,12 @@ class Ros2Sink:
             self._worker.submit(("goal", goal), key="goal")
         if self._driving and result.goal is None:
             self._driving = False
-            self._worker.submit(("goal", None), key="goal")
+            if self._navigator is not None:  # else the goal to stand still must be sent
+                self._worker.submit(("goal", None), key="goal")
+        if bool(result.stopped) != self._stopped:
+            self._stopped = bool(result.stopped)
+            if self._stopped:
+                self._worker.submit(("stop", None), key="stop")
         now_ns = result.now_ns
         if result.pose is not None:
             self._driven_path.add(result.pose)
@@ -138,6 +143,10 @@ class Ros2Sink:
         name, item = message
         if name == "goal":
             self._drive(item)
+        elif name == "stop":
+            for client in (self._navigator, self._docker, self._undocker):
+                if client is not None:
+                    client.cancel_all()
         elif name == "map":
             stamp_ns, copy_map = item
             self._map.put(_encode_map(stamp_ns, copy_map, self._frame))

@@ -235,7 +235,7 @@ def test_the_service_gets_the_mission_of_the_command_line(
     """A formula leaves the configuration as it is: later orders are read by its translator."""
     opened = []
 
-    def open_service(config, sinks, asked, formula, task, stop, progress, problems, make_source):
+    def open_service(config, sinks, asked, formula, *_):
         assert config.mission.translator.kind == "auto"
         mission = config.mission
         opened.append((asked, formula, mission.target, mission.instruction, mission.reading))

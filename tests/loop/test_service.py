@@ -19,6 +19,7 @@ from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop, blank_observation
 from edge.lab.report.recorder import ReportRecorder
+from edge.loop.goal import _TrackedGoal
 from edge.loop.status import status_message
 from edge.perception.worker import DetectorWorker
 from edge.sinks.zenoh import ZenohSink
@@ -216,6 +217,69 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
         assert_stops(loop.notes.goals[-1], loop.service.pose)
     assert loop.notes.goals[-1].kind == "spin"
     assert loop.service.goal is None
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_stop_withdraws_the_goal_at_once_and_missions_wait_until_its_release(blind):
+    loop = driving(time_limit_s=60.0)
+    service, notes = loop.service, loop.notes
+
+    def step(n: int) -> None:
+        for _ in range(n):
+            if blind:
+                service.idle(loop.drive.motion.stamp_ns, service.pose)
+            else:
+                loop.step()
+
+    before = len(notes.goals)
+    service.stop("button", loop.drive.motion.stamp_ns)
+    step(1)
+    assert [goal.kind for goal in notes.goals[before:]] == ["spin"]
+    assert notes.goals[-1].pose.distance_to(service.pose.x_m, service.pose.y_m) < 0.05
+    service.pause(True, 0)
+    service.pause(False, 0)  # nothing but a release ends a stop
+    service.begin(service.mission.spec, loop.drive.motion.stamp_ns)
+    step(60)
+    assert len(notes.goals) == before + 1
+    assert (service.goal, service.status.phase) == (None, "stopped")
+    assert service.status.reason == "button; waits for `edge release`"
+    assert service.status.elapsed_s == 0.0
+    service.stop("", loop.drive.motion.stamp_ns)
+    loop.step()
+    loop.step()
+    assert notes.goals[-1].kind == "frontier"
+    assert service.status.phase == "searching"
+
+
+@pytest.mark.parametrize("kind", ["frontier", "instance", "spin", "trajectory", "place"])
+def test_no_goal_of_any_kind_is_sent_while_stopped(kind):
+    loop = driving()
+    service, before = loop.service, len(loop.notes.goals)
+    goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), kind, 1, (1.0, 0.0), 1.0, "surfboard")
+
+    def select(*_: object) -> Goal:  # a behaviour with a bug
+        service.goals._tracked = _TrackedGoal(goal)
+        return goal
+
+    service._select = select
+    service.stop("button", loop.drive.motion.stamp_ns)
+    for _ in range(20):
+        loop.step()
+    assert goal not in loop.notes.goals
+    assert [sent.kind for sent in loop.notes.goals[before:]] == ["spin"]
+
+
+def test_a_stop_without_a_mission_sends_one_goal_to_stand_still():
+    loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
+    loop.step()
+    loop.service.cancel("over", START_NS)
+    loop.step()
+    before = len(loop.notes.goals)
+    loop.service.stop("button", START_NS)
+    for _ in range(20):
+        loop.step()
+    assert [goal.kind for goal in loop.notes.goals[before:]] == ["spin"]
+    assert loop.service.result().stopped == "button"
 
 
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])

@@ -45,6 +45,7 @@ HASHES: dict[str, str] = {
     "action_msgs/msg/GoalStatusArray": (
         "6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e"
     ),
+    "std_msgs/msg/Bool": ("feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9"),
     "std_msgs/msg/String": ("df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
     "nav2_msgs/msg/CostmapFilterInfo": (
         "61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8"

@@ -1,9 +1,11 @@
 """Server of requests to the running service over two ROS 2 topics, for nodes without Zenoh.
 
 A request is a std_msgs/String with JSON: `{"to": "site", "do": "list", "ref": 7}`. `to` names the
-requests (`mission`, `models`, `site`, `memory`), `ref` is optional. The answer is a std_msgs/String
-on the other topic: the JSON of the answer, with the `to` and `ref` of its request. Every node of
-the graph may send requests and hears all answers.
+requests (`mission`, `models`, `site`, `memory`, `stop`, `release`), `ref` is optional. The answer
+is a std_msgs/String on the other topic: the JSON of the answer, with the `to` and `ref` of its
+request. Every node of the graph may send requests and hears all answers.
+
+A std_msgs/Bool on the topic `stop` stops the robot, without any setting: true is a pressed button.
 """
 
 from __future__ import annotations
@@ -20,14 +22,17 @@ import zenoh
 from edge.bus import topics
 from edge.bus.request_queue import MAX_BYTES, RequestQueue
 from edge.bus.ros2.node import Ros2Node, open_node
+from edge.bus.stop import StopRequests
 from edge.bus.verbs import error_payload, show
-from edge.bus.wire.cdr import CdrReader, CdrWriter, DecodeError
+from edge.bus.wire.cdr import HEADER, CdrReader, CdrWriter, DecodeError
 from edge.config import Config
 from edge.host.periodic import run_periodically
 
-STRING = "std_msgs/msg/String"
+STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
 POLL_S = 0.05
 """Period of polls."""
+STOP_POLL_S = 0.01
+"""Period of polls of the topic `stop`."""
 _RING_MESSAGES = 16
 _MAX_REF_CHARS = 100
 # Value of `to` -> key of its requests.
@@ -49,7 +54,7 @@ class Ros2RequestServer:
         node: Ros2Node,
         request_topic: str,
         answer_topic: str,
-        queues: Mapping[str, RequestQueue],
+        queues: Mapping[str, RequestQueue | StopRequests],
     ) -> None:
         self._node, self._queues = node, queues
         self._requests = node.subscription(request_topic, (STRING,), _RING_MESSAGES)
@@ -94,7 +99,7 @@ class Ros2RequestServer:
 
 @contextmanager
 def serve_ros2_requests(
-    config: Config, session: zenoh.Session, queues: Mapping[str, RequestQueue]
+    config: Config, session: zenoh.Session, queues: Mapping[str, RequestQueue | StopRequests]
 ) -> Iterator[None]:
     """Take requests from the ROS 2 graph until the block ends; see `Ros2RequestServer`."""
     node, settings = open_node(config, session, "requests"), config.ros2
@@ -102,6 +107,30 @@ def serve_ros2_requests(
         node, settings.topic("request"), settings.topic("answer"), queues
     )  # fmt: skip
     with closing(server), run_periodically("ros2-requests", POLL_S, server.poll):
+        yield
+
+
+@contextmanager
+def serve_ros2_stop(
+    config: Config, session: zenoh.Session, stop: Callable[[str], object]
+) -> Iterator[None]:
+    """Stop the robot at each true message on the topic `stop`, until the block ends.
+
+    Args:
+        config: the configuration.
+        session: an open session.
+        stop: called with the reason, on a thread.
+    """
+    node, topic = open_node(config, session, "stop"), config.ros2.topic("stop")
+    pressed = node.subscription(topic, (BOOL,), _RING_MESSAGES)
+
+    def poll() -> None:
+        node.update()
+        # The byte after the header is the value. A malformed message stops the robot, too.
+        if any(payload.to_bytes()[len(HEADER) :][:1] != b"\0" for _, payload in pressed.take()):
+            stop(f"a message on {topic}")
+
+    with closing(node), run_periodically("ros2-stop", STOP_POLL_S, poll):
         yield
 
 

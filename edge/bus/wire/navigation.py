@@ -27,6 +27,8 @@ _MAX_STAGING_S, _MAX_UNDOCKING_S = 1000.0, 30.0  # the defaults of DockRobot, Un
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6
 SETTLED = (SUCCEEDED, CANCELED, ABORTED)
 """Statuses of a goal that has ended."""
+ALL_GOALS = bytes(16)
+"""Goal id that cancels all goals of an action (action_msgs/CancelGoal)."""
 
 
 def encode_send_goal(

@@ -5,12 +5,17 @@ import { $, make, say } from "./dom.js";
 import { isDone } from "./panels.js";
 
 const CONFIRM_MS = 3000;
+let stopped = false; // the button releases a stopped robot
 let resumes = false; // the button resumes a paused mission, or ends a wait
 
 export function show({ controls, moment, service }) {
   $("controls").hidden = $("swap").hidden = $("ask").hidden = !controls;
   $("readonly").hidden = controls;
   const paused = moment?.paused ?? false;
+  if (moment && stopped !== Boolean(moment.stopped)) {
+    stopped = !stopped;
+    say("stop", stopped ? "Release" : "Stop");
+  }
   resumes = paused || moment?.phase === "waiting";
   say("pause", paused ? "Resume" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
@@ -38,14 +43,21 @@ const mission = (verb) => ask("mission/request", { do: verb });
 
 $("pause").addEventListener("click", () => mission(resumes ? "resume" : "pause"));
 
-// Needs two clicks, so that one by mistake does not end a mission.
+// Needs two clicks, so that one by mistake does not end a mission or a stop.
 let timer = 0;
-$("cancel").addEventListener("click", () => {
+function confirmed(button, name) {
   clearTimeout(timer);
-  const again = $("cancel").textContent !== "Cancel";
-  say("cancel", again ? "Cancel" : "Really cancel?");
-  if (again) mission("cancel");
-  else timer = setTimeout(() => say("cancel", "Cancel"), CONFIRM_MS);
+  const again = $(button).textContent !== name;
+  say(button, again ? name : `Really ${name.toLowerCase()}?`);
+  if (!again) timer = setTimeout(() => say(button, name), CONFIRM_MS);
+  return again;
+}
+$("cancel").addEventListener("click", () => confirmed("cancel", "Cancel") && mission("cancel"));
+
+// One click stops.
+$("stop").addEventListener("click", async () => {
+  if (!stopped) await ask("stop/request", { why: "button on the page" }, "Stopped until Release.");
+  else if (confirmed("stop", "Release")) await ask("release/request", {}, "Released.");
 });
 
 $("lock").addEventListener("click", () => {

@@ -22,7 +22,7 @@ export function header({ robot, moment, service }) {
   document.title = moment ? `${moment.phase}: ${robot}` : `${service.state}: ${robot}`;
   if (!moment) return badge("", service.state);
   const at = isDone(moment) ? moment.phase : (moment.task?.phase ?? moment.phase);
-  const phase = moment.paused && !isDone(moment) ? "paused" : at;
+  const phase = moment.stopped ? "stopped" : moment.paused && !isDone(moment) ? "paused" : at;
   badge(phase, phase);
   say("instruction", phase === "idle" ? "No mission yet" : moment.instruction);
   const now = isDone(moment) || !moment.target ? "" : `now: ${moment.target}`;
@@ -44,6 +44,7 @@ export function showState({ service, silent_s, moment }, fault) {
   if (fault) return faulty(fault, false);
   if (service.state === "stopping") return banner("warn", "The service is stopping.");
   if (silent_s !== null && silent_s > 3) return banner("bad", `The service hangs: its loop has not run for ${silent_s.toFixed(0)} s.`);
+  if (moment?.stopped) return banner("bad", `Stopped: ${moment.stopped}. No goal is sent until somebody releases the robot.`);
   if (!service.ready) return banner("warn", `Not ready: ${why}.`);
   if (moment?.paused && !isDone(moment)) return banner("info", "Paused: the robot holds its position until the mission is resumed.");
   if (moment && !moment.controlled && moment.goal) return banner("warn", "No motion controller answers: a goal counts as reached when the robot stops there.");

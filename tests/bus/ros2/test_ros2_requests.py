@@ -77,7 +77,10 @@ def ask(request, port) -> Iterator[Ask]:
     [
         ("", {"error": "the request is not JSON"}),
         ("[]", {"error": "the request is JSON, but not an object"}),
-        ("{}", {"error": "to: unknown None (choices: mission, models, site, memory)"}),
+        (
+            "{}",
+            {"error": "to: unknown None (choices: mission, models, site, memory, stop, release)"},
+        ),
         ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
         ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
         (

@@ -1,0 +1,130 @@
+"""A stop is on the disk before its answer, and only a release ends it."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from patience import PATIENCE_S
+
+from edge.errors import UserError
+from edge.host import files, stop_latch
+from edge.host.stop_latch import StopLatch, stop_file
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting_for_a_loop(monkeypatch):
+    monkeypatch.setattr(stop_latch, "WITHDRAWN_S", 0.0)
+
+
+def test_a_latch_without_a_file_is_not_stopped_and_keeps_nothing(tmp_path):
+    assert StopLatch(tmp_path / "none" / "stop.json").reason == ""
+    latch = StopLatch()
+    answer = latch.stop("")
+    assert (answer["stopped"], answer["kept"], answer["why"]) == (True, False, "by request")
+    assert "a restart would forget the stop" in answer["text"]
+    assert latch.release() == {"stopped": False, "text": "not stopped"}
+
+
+def test_a_stop_is_on_the_disk_before_its_answer_and_a_release_removes_it(tmp_path, monkeypatch):
+    path, synced = tmp_path / "state" / "stop.json", []
+    monkeypatch.setattr(files, "sync", lambda path: synced.append(path.name))
+    latch = StopLatch(path)
+    assert latch.stop("a person\nin the way")["kept"]
+    assert json.loads(path.read_text())["why"] == "a person in the way"
+    assert synced[-1] == "state"
+    assert synced[0].startswith(".stop.json.")
+    assert latch.stop("later")["why"] == "a person in the way"
+    assert StopLatch(path).reason == "a person in the way"  # as after a kill
+    latch.release()
+    assert not path.exists()
+    assert synced[-1] == "state"
+    assert StopLatch(path).reason == latch.reason == ""
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b"\xff" * 9000, None])
+def test_a_file_that_cannot_be_read_is_a_stop(tmp_path, content):
+    path = tmp_path / "stop.json"
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    latch = StopLatch(path)
+    assert str(path) in latch.reason
+    if content is None:
+        with pytest.raises(UserError, match="cannot be removed"):
+            latch.release()
+        assert latch.reason
+    else:
+        latch.release()
+        assert StopLatch(path).reason == ""
+
+
+def test_a_stop_that_cannot_be_written_holds_and_is_written_later(tmp_path, caplog):
+    path = tmp_path / "folder" / "stop.json"
+    latch = StopLatch(path)
+    path.parent.write_text("no folder")
+    answer = latch.stop("now")
+    assert (answer["stopped"], answer["kept"]) == (True, False)
+    assert "the stop ends with this process" in caplog.text
+    path.parent.unlink()
+    latch.keep()
+    assert latch.stop("")["kept"]
+    assert StopLatch(path).reason == "now"
+
+
+def test_a_stop_at_the_same_time_wins_over_a_release(tmp_path, monkeypatch):
+    latch = StopLatch(tmp_path / "stop.json")
+    latch.stop("first")
+    unlink = Path.unlink
+
+    def stop_meanwhile(path: Path, missing_ok: bool = False) -> None:
+        unlink(path, missing_ok=missing_ok)
+        monkeypatch.setattr(Path, "unlink", unlink)
+        pool.submit(latch.stop, "second")
+        while latch._stops < 2:
+            pass
+
+    with ThreadPoolExecutor(1) as pool:
+        monkeypatch.setattr(Path, "unlink", stop_meanwhile)
+        with pytest.raises(UserError, match="still stopped: another stop"):
+            latch.release()
+    assert latch.reason == StopLatch(latch.path).reason == "first"
+    assert latch.stop("")["kept"]
+
+
+def test_an_answer_says_if_the_loop_has_withdrawn_the_goal(monkeypatch):
+    latch = StopLatch()
+    assert not latch.stop("now")["withdrawn"]
+    latch.confirm("")
+    assert "has not withdrawn the goal yet" in latch.stop("")["text"]
+    latch.confirm("now")
+    assert latch.stop("")["withdrawn"]
+    latch.release()
+    monkeypatch.setattr(stop_latch, "WITHDRAWN_S", PATIENCE_S)
+    with ThreadPoolExecutor(1) as pool:  # the answer waits for the loop
+        answer = pool.submit(latch.stop, "again")
+        while not latch.reason:
+            pass
+        latch.confirm("now")
+        assert not answer.done()
+        latch.confirm("again")
+        assert answer.result(PATIENCE_S)["withdrawn"]
+
+
+@pytest.mark.parametrize(
+    ("prefix", "environ", "expected"),
+    [
+        ("edge", {"STATE_DIRECTORY": "/s:/t"}, "/s/stop-edge.json"),
+        ("robots/anna", {"XDG_STATE_HOME": "/x"}, "/x/edge-vln/stop-robots%anna.json"),
+        ("edge", {"HOME": "/h"}, "/h/.local/state/edge-vln/stop-edge.json"),
+    ],
+)
+def test_each_robot_has_its_file(monkeypatch, prefix, environ, expected):
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environ.items():
+        monkeypatch.setenv(name, value)
+    assert stop_file(prefix) == Path(expected)
