@@ -280,9 +280,13 @@ class GroundTruthLogger:
 
 
 def objects_meant_by(world: World, target: str) -> list[WorldObject]:
-    """Return the world's objects that a target means: those of its name, else of its noun."""
-    exact = [item for item in world.objects if names.same_name(item.label, target)]
-    return exact or [item for item in world.objects if names.same_name(item.label, _noun(target))]
+    """Return the world's objects that a target means: those of its name, else of its noun.
+
+    As for the service, narrower kinds count: an armchair is a chair, a desk is a table.
+    """
+    exact = [item for item in world.objects if names.is_kind_of(item.label, target)]
+    noun = _noun(target)
+    return exact or [item for item in world.objects if names.is_kind_of(item.label, noun)]
 
 
 def _noun(target: str) -> str:

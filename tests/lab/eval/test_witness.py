@@ -137,6 +137,22 @@ def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
     assert objects_meant_by(world, "unicorn") == []
 
 
+@pytest.mark.parametrize(
+    ("target", "labels"),
+    [
+        ("chair", ["chair", "armchair"]),
+        ("armchair", ["armchair"]),
+        ("table", ["desk", "dining table"]),
+        ("red table", ["desk", "dining table"]),
+        ("sofa", []),
+    ],
+)
+def test_narrower_kinds_count_as_for_the_service(target, labels):
+    things = [SimpleNamespace(label=name) for name in ("chair", "armchair", "desk", "dining table")]
+    world = SimpleNamespace(objects=things)
+    assert [thing.label for thing in objects_meant_by(world, target)] == labels
+
+
 @given(seed=st.integers(0, 2**32), range_m=st.floats(0.5, 9.0))
 def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     rng = np.random.default_rng(seed)
