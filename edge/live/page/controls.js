@@ -6,13 +6,15 @@ import { isDone } from "./panels.js";
 
 const CONFIRM_MS = 3000;
 let resumes = false; // the button resumes a paused mission, or ends a wait
+let asks = false; // the button confirms the object that the robot asks about
 
 export function show({ controls, moment, service }) {
   $("controls").hidden = $("swap").hidden = $("ask").hidden = !controls;
   $("readonly").hidden = controls;
   const paused = moment?.paused ?? false;
   resumes = paused || moment?.phase === "waiting";
-  say("pause", paused ? "Resume" : resumes ? "Go on" : "Pause");
+  asks = !paused && Boolean(moment?.question);
+  say("pause", paused ? "Resume" : asks ? "Confirm" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
   $("new").disabled = $("send").disabled = service.state === "starting" || service.state === "stopping";
 }
@@ -36,7 +38,7 @@ async function ask(key, request, done) {
 
 const mission = (verb) => ask("mission/request", { do: verb });
 
-$("pause").addEventListener("click", () => mission(resumes ? "resume" : "pause"));
+$("pause").addEventListener("click", () => mission(asks ? "confirm" : resumes ? "resume" : "pause"));
 
 // Needs two clicks, so that one by mistake does not end a mission.
 let timer = 0;
