@@ -33,6 +33,7 @@ _VERBS = {
     "new": "start a mission; it replaces the running one",
     "pause": "stop the robot, and keep the mission for `resume`",
     "resume": "continue the paused mission",
+    "confirm": "confirm that the object the robot asks about is the target",
     "cancel": "end the running mission",
     "status": "show the state of the mission",
 }

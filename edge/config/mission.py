@@ -147,6 +147,10 @@ class MissionConfig(Section):
         verify_s: an object that is not confirmed after this time nearby is rejected.
         stuck_s: a robot that does not move for this time, although it has a goal, is stuck.
         discard_s: a goal that failed is not chosen again for this time.
+        probable: what to do if a search ends without a confirmed object, but an object was rejected
+            only because the detector was not sure. `refuse`: the target fails. `ask`: the robot
+            goes back to it and waits 60 s for `edge mission confirm`. `accept`: it goes back, and
+            the target counts as reached, "probably".
     """
 
     target: Name = "chair"
@@ -175,3 +179,4 @@ class MissionConfig(Section):
     verify_s: Positive = 2.0
     stuck_s: Positive = 12.0
     discard_s: Positive = 45.0
+    probable: Literal["refuse", "ask", "accept"] = "refuse"

@@ -21,7 +21,14 @@ from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal_client import ARRIVED_M, GoalClient
-from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
+from edge.loop.search_state import (
+    LASTING_NS,
+    LEFT,
+    TURNS,
+    NextBestView,
+    ProbableObject,
+    SearchState,
+)
 from edge.loop.second_look import second_viewpoint
 from edge.loop.standstill import StandstillMonitor
 from edge.mapping.coverage import START_M, Viewpoint
@@ -175,6 +182,11 @@ class GoalTracker:
     def exhausted(self) -> bool:
         """True if no candidate and no viewpoint is left."""
         return self._search.exhausted and self._next_view.done
+
+    @property
+    def probable(self) -> ProbableObject | None:
+        """The best of the objects that were rejected because the detector was not sure."""
+        return self._search.probable
 
     @property
     def views(self) -> int:
@@ -609,6 +621,7 @@ class GoalTracker:
             return
         if verdict == "rejected":
             self._search.has_moved |= self._tracker.confirmed(instance)
+            self._note_probable(tracked.goal, instance)
             self._tracker.reject(instance.id)
             self.abandon()
         else:
@@ -630,6 +643,15 @@ class GoalTracker:
         goal = _free_goal(view, now_ns, mission.target)
         self._tracked = _TrackedGoal(goal, second_look=instance.id)
         self._event(f"second look: {instance.label} #{instance.id} from another side", now_ns)
+
+    def _note_probable(self, goal: Goal, instance: Instance) -> None:
+        """Remember an object before its rejection, if it is seen well but is not confirmed."""
+        before, score = self._search.probable, instance.score
+        is_best = score > (self._config.perception.tau_det if before is None else before.score)
+        if is_best and not self._tracker.confirmed(instance):
+            x_m, y_m, _ = instance.center_m.tolist()
+            stop_m = (goal.pose.x_m, goal.pose.y_m)
+            self._search.probable = ProbableObject(score, stop_m, (x_m, y_m))
 
     def _check_drive(self, tracked: _TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
         """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""

@@ -49,6 +49,7 @@ LIVE = (
     "mission.reach_m",
     "mission.verify_s",
     "mission.discard_s",
+    "mission.probable",
     "tasks",
 )
 """Keys that can change while the service runs, with all keys below them."""

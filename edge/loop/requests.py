@@ -84,7 +84,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         in_words: True if instructions are English, so that "stop" is an order to stop.
 
     The requests are `{"do": "new", "instruction" | "formula" | "task": …}` and `{"do": VERB}` with
-    pause, resume, cancel or status.
+    pause, resume, confirm, cancel or status.
 
     A new mission is prepared on the request thread, because a language model may take seconds to
     translate an instruction.
@@ -125,6 +125,7 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         ),
         "pause": Verb(("for_s",), _check_pause, stops_robot=True),
         "resume": Verb(),
+        "confirm": Verb(),
         "cancel": Verb(("id", "why"), _check_cancel, stops_robot=True),
         "status": Verb(read_only=True),
     }
@@ -258,6 +259,8 @@ def handle_mission(
             raise UserError(f"no mission {which}is running: {_last_mission_text(service)}")
     elif request.do == "cancel":
         service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
+    elif request.do == "confirm":
+        service.confirm(now_ns)
     elif request.do in ("pause", "resume"):
         service.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
     task = service.behaviour.facts()

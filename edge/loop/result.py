@@ -57,6 +57,7 @@ class MissionFacts:
         paused: True if the mission is paused.
         log: Mission log, oldest first.
         id: Id that the client gave to the mission; "" if none.
+        question: Text about an object that a person may confirm as the target; "" if none.
     """
 
     spec: MissionSpec
@@ -69,6 +70,7 @@ class MissionFacts:
     paused: bool
     log: tuple[MissionEvent, ...]
     id: str
+    question: str = ""
 
 
 def mission_facts(mission: MissionRun) -> MissionFacts:
@@ -76,6 +78,7 @@ def mission_facts(mission: MissionRun) -> MissionFacts:
     return MissionFacts(
         mission.spec, mission.state, mission.trace, mission.plan, mission.knowledge,
         mission.reached, mission.forbidden, mission.paused, mission.log, mission.id,
+        mission.question,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,20 @@ LEFT = 64  # largest number of remembered frontiers that were left
 _SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
+class ProbableObject(NamedTuple):
+    """An object that was rejected although the detector saw it: it was never sure.
+
+    Attributes:
+        score: Score of the object at its rejection.
+        stop_m: Place (x, y) of the robot's goal there.
+        xy_m: Place of the object.
+    """
+
+    score: float
+    stop_m: tuple[float, float]
+    xy_m: tuple[float, float]
+
+
 @dataclass(slots=True, eq=False)
 class SearchState:
     """The state of the search for one target.
@@ -51,11 +66,14 @@ class SearchState:
         left: Places of frontiers that were left before the robot arrived.
         has_moved: True if a confirmed object was not seen again at its place. A checkpoint does
             not save this.
+        probable: The rejected object with the best score; None if there is none. A checkpoint does
+            not save this.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     has_moved: bool = False
+    probable: ProbableObject | None = None
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
     _second_chance: bool = False  # True if discarded candidates had their second chance

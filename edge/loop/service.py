@@ -16,6 +16,7 @@ from time import perf_counter_ns
 import numpy as np
 
 from edge.config import Config
+from edge.errors import UserError
 from edge.geometry import SE2
 from edge.host.calibration import SpeedCalibration
 from edge.loop import stages
@@ -518,6 +519,19 @@ class Service:
             return
         self.mission.pause(paused)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
+
+    def confirm(self, now_ns: int) -> None:
+        """Count the target as reached: a person confirms the object that the robot asks about.
+
+        Raises:
+            UserError: The robot asks about nothing.
+        """
+        if not self.mission.active or not self.mission.question:
+            raise UserError(
+                "nothing to confirm: the robot does not ask about an object (mission.probable: ask)"
+            )
+        self._input_log.note("confirm", now_ns=now_ns)
+        self.mission.confirm(now_ns)
 
     def end_pause(self, now_ns: int) -> None:
         """Resume the mission if its pause is over; called between ticks, as requests are."""

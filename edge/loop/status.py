@@ -237,6 +237,7 @@ def reply_json(
         "reason": status.reason,
         "target": status.target,
         "paused": mission.paused,
+        "question": mission.question,
         "elapsed_s": round(status.elapsed_s, 2),
         "path_m": round(status.path_m, 2),
         "warnings": list(mission.spec.warnings),

@@ -21,6 +21,8 @@ from edge.mission.spec import MissionSpec
 from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
+PROBABLY = "probably"
+"""First word of the evidence in the mission log if the detector was not sure of an object."""
 MAX_EVENTS = 1000
 """Largest number of entries in the mission log."""
 _MOST_RESULTS = 20  # results that the reason of the end shows
@@ -64,6 +66,7 @@ class MissionRun:
         exempt_s: part of `elapsed_s` that does not count towards the limit: targets with a duration
             of their own, and in a mission that repeats, earlier rounds.
         exempt_m: the same for `path_m`.
+        question: text about an object that a person may confirm as the target now; "" if none.
         reason: reason of the end; "" before it.
         pursued_s: for each target, the time for which it was pursued, without pauses, since it was
             last reached, failed or seen again.
@@ -103,6 +106,7 @@ class MissionRun:
         self.path_m = 0.0
         self.exempt_s = self.exempt_m = 0.0
         self.activity = ""
+        self.question = ""
         self.reason = ""
         self.results: tuple[str, ...] = ()
         self.round = 1
@@ -399,6 +403,11 @@ class MissionRun:
         if self.waiting:
             self.on_reached("told to go on", now_ns)
 
+    def confirm(self, now_ns: int) -> None:
+        """Count the active target as reached, because a person says that `question` is right."""
+        if self.active and self.question:
+            self.on_reached("confirmed by a person", now_ns, self.question)
+
     def restore(
         self,
         trace: Iterable[str],
@@ -494,6 +503,8 @@ class MissionRun:
             retarget: True if the present target is settled, so that the planner does not favour it.
         """
         self.changes += 1
+        if retarget:
+            self.question = ""
         while not self.done:
             current = None if retarget else self.target
             self.plan = self._planner.plan(self.state, self.knowledge, current)
@@ -521,7 +532,7 @@ class MissionRun:
     def _finish(self, ended: Literal["reached", "failed"], reason: str, now_ns: int) -> None:
         if self.done:
             return
-        self._ended, self.reason = ended, reason
+        self._ended, self.reason, self.question = ended, reason, ""
         self._log_event(now_ns, "end", "", f"{ended}: {reason}")
 
     def _log_event(self, now_ns: int, kind: MissionEventKind, label: str, text: str) -> None:

@@ -469,6 +469,7 @@ _ENCODE: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "pause": _UNCHANGED,
     "stop": _UNCHANGED,
     "cancel": _UNCHANGED,
+    "confirm": _UNCHANGED,
     "fail": _UNCHANGED,
     "config": lambda fields: {"config": config_text(fields["config"])},
     "jump": _UNCHANGED,

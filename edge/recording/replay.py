@@ -314,6 +314,7 @@ _HANDLERS: dict[str, Callable[..., None]] = {
     "pause": lambda run, _, paused, now_ns: run.service.pause(paused, now_ns),
     "stop": lambda run, _, reason, now_ns: run.service.stop(reason, now_ns),
     "cancel": lambda run, _, reason, now_ns: run.service.cancel(reason, now_ns),
+    "confirm": lambda run, _, now_ns: run.service.confirm(now_ns),
     "fail": lambda run, _, reason, now_ns: run.service.fail(reason, now_ns),
     "config": _ReplayedService._reconfigure,
     "jump": lambda run, _, now_ns: run.service.on_pose_jump(now_ns),

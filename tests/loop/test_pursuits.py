@@ -21,12 +21,14 @@ from edge.types import Instance
 S = 1_000_000_000
 
 
-def loop_of(folder: Path, formula: str, **mission: object) -> ClosedLoop:
+def loop_of(
+    folder: Path, formula: str, perception: dict | None = None, **mission: object
+) -> ClosedLoop:
     section = {"instruction": formula, "translator": {"kind": "ltl"}, **mission}
     camera = {"width_px": 160, "height_px": 128}
     config = small_house(
         folder, loop={"lockstep": True}, sim={"lockstep": True, "step_s": 0.2},
-        sensors={"camera": camera}, mission=section,
+        sensors={"camera": camera}, mission=section, perception=perception or {},
     )  # fmt: skip
     return ClosedLoop(config, colour=False)
 
@@ -198,6 +200,41 @@ def test_it_patrols_for_some_time_and_tells_the_round(tmp_path):
     assert status.phase == "reached"
     assert re.fullmatch(r"[345] rounds done", status.reason)
     assert status.elapsed_s == pytest.approx(40.0, abs=0.5)
+
+
+NEVER_SURE = {"confirm_mean": 0.99}  # the bed is seen well, but never confirmed
+
+
+@pytest.mark.parametrize(
+    ("probable", "phase", "reason"),
+    [
+        ("refuse", "failed", "explored all reachable space"),
+        ("accept", "reached", r"probably, 0\.\d\d: bed$"),
+        ("ask", "failed", r"probably, 0\.\d\d: bed; nobody confirmed it within 60 s$"),
+    ],
+)
+def test_an_object_that_was_never_confirmed_is_probable(probable, phase, reason, tmp_path):
+    status = loop_of(tmp_path, "F bed", NEVER_SURE, probable=probable).run(250).service.status
+    assert status.phase == phase, status
+    assert re.match(reason, status.reason), status.reason
+
+
+def test_a_person_confirms_a_probable_object(tmp_path):
+    loop = loop_of(tmp_path, "F (bed & F start)", NEVER_SURE, probable="ask", time_limit_s=600)
+    with pytest.raises(UserError, match="nothing to confirm"):
+        ask(loop, "confirm")
+    while loop.service.status.phase != "waiting" and not loop.service.status.done:
+        loop.step()
+    reason = loop.service.status.reason
+    assert re.fullmatch(
+        r"probably, .*: bed; waiting for `edge mission confirm`, 1 min left", reason
+    ), reason
+    bed = next(item for item in loop.world.objects if item.label == "bed")
+    assert bed.distance_m(loop.drive.motion.pose.x_m, loop.drive.motion.pose.y_m) < 1.0
+    ask(loop, "confirm")
+    loop.step()
+    assert "reached: bed (confirmed by a person)" in loop.notes.events
+    assert (loop.service.mission.target, loop.service.mission.question) == ("start", "")
 
 
 @pytest.mark.parametrize(

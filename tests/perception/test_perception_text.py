@@ -185,3 +185,12 @@ def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
     assert text.synonyms("desk lamp") == []
     with pytest.raises(PromptError):
         text.synonyms("zebra")
+
+
+def test_a_thing_is_asked_for_under_narrower_words_that_are_no_class_of_their_own(tmp_path):
+    angles = {"table": 0.0, "kids table": 0.30, "pool table": 0.40, "dining table": 0.40}
+    angles |= {"board": 0.40, "far table": 0.50}  # cosine 0.92 at 0.40 rad, 0.88 at 0.50 rad
+    rows = [(np.cos(angle), np.sin(angle)) for angle in angles.values()]
+    np.savez(tmp_path / "v.npz", names=list(angles), emb=np.array(rows))
+    text = TextEmbeddings(str(tmp_path / "v.npz"))
+    assert text.synonyms("table") == ["kids table", "pool table"]

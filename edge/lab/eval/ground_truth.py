@@ -23,6 +23,7 @@ from edge.lab.sim.base import World, WorldObject
 from edge.loop.result import TickResult
 from edge.memory import Site
 from edge.mission.destinations import destination_of
+from edge.mission.run import PROBABLY
 from edge.types import Goal, Instance, MissionStatus, Observation
 
 TRAIL_M = 0.25  # least distance between two points of the saved trail
@@ -84,7 +85,9 @@ class GroundTruthLogger:
         goals: goals that the service sent.
         status: the newest status of the mission.
         first_sights: by target, the first time that it was seen; no entry if it never was.
-        stops: for each `reached` report, the label and the true distance [m].
+        stops: for each `reached` report, the label and the true distance [m]. Reports of which
+            the service was not sure are left out.
+        probable: True if there was such a report, or a person did not confirm one.
         confirmed: by target, the ids of instances that were confirmed correctly.
         false_confirmed: ids of instances that were confirmed but are not the target.
         revisited_m2: floor that a search saw again after an earlier leg (pursuit of one target) of
@@ -119,6 +122,7 @@ class GroundTruthLogger:
         self.status: MissionStatus | None = None
         self.first_sights: dict[str, FirstSight] = {}
         self.stops: list[tuple[str, float]] = []
+        self.probable = False
         self.confirmed: dict[str, set[int]] = {}
         self.false_confirmed: set[int] = set()
         self.revisited_m2: float | None = None
@@ -186,7 +190,12 @@ class GroundTruthLogger:
     def _judge_reports(self, result: TickResult, truth: GroundTruth) -> None:
         """Add to `stops` each object that the mission log newly reports as reached."""
         events = result.mission().log
-        reached = [e.label for e in events if e.kind == "reached" and self._is_judged(e.label)]
+        self.probable |= any(f"({PROBABLY}" in e.text for e in events)
+        reached = [
+            e.label
+            for e in events
+            if e.kind == "reached" and self._is_judged(e.label) and f"({PROBABLY}" not in e.text
+        ]
         for label in reached[len(self.stops) :]:
             self.stops.append((label, self.distance_to_target_m(label, truth.x_m, truth.y_m)))
 
@@ -254,6 +263,7 @@ class GroundTruthLogger:
         The first that holds:
 
         - `wrong thing`: a `reached` report was wrong.
+        - `probable`: the robot stopped at an object that it was not sure of (`mission.probable`).
         - `stuck`: the robot stayed in one place for the last minute.
         - `seen, not confirmed`: the target was in view but never confirmed.
         - `budget`: time or path ran out.
@@ -265,6 +275,8 @@ class GroundTruthLogger:
         """
         if self.wrong_stops:
             return "wrong thing"
+        if self.probable:
+            return "probable"
         if self.status is not None and self.status.phase == "reached":
             return None
         over_budget = (

@@ -19,7 +19,9 @@ MAX_BYTES = 1 << 30
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
-FAILURES = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
+FAILURES = (
+    "never seen", "seen, not confirmed", "probable", "wrong thing", "stuck", "budget", "crashed",
+)  # fmt: skip
 """Kinds of failure; see `edge.lab.eval.ground_truth.GroundTruthLogger.failure`."""
 
 

@@ -7,6 +7,7 @@ import { isDone } from "./panels.js";
 const CONFIRM_MS = 3000;
 let stopped = false; // the button releases a stopped robot
 let resumes = false; // the button resumes a paused mission, or ends a wait
+let asks = false; // the button confirms the object that the robot asks about
 
 export function show({ controls, moment, service }) {
   $("controls").hidden = $("swap").hidden = $("ask").hidden = !controls;
@@ -17,7 +18,8 @@ export function show({ controls, moment, service }) {
     say("stop", stopped ? "Release" : "Stop");
   }
   resumes = paused || moment?.phase === "waiting";
-  say("pause", paused ? "Resume" : resumes ? "Go on" : "Pause");
+  asks = !paused && Boolean(moment?.question);
+  say("pause", paused ? "Resume" : asks ? "Confirm" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
   $("new").disabled = $("send").disabled = service.state === "starting" || service.state === "stopping";
 }
@@ -41,7 +43,7 @@ async function ask(key, request, done) {
 
 const mission = (verb) => ask("mission/request", { do: verb });
 
-$("pause").addEventListener("click", () => mission(resumes ? "resume" : "pause"));
+$("pause").addEventListener("click", () => mission(asks ? "confirm" : resumes ? "resume" : "pause"));
 
 // Needs two clicks, so that one by mistake does not end a mission or a stop.
 let timer = 0;

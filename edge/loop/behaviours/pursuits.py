@@ -16,9 +16,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from edge import names
 from edge.config import PolicySearch
 from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goal import POINT_SNAP_M, SAME_POINT_M, GoalTracker
+from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import (
     RECOGNISED_KINDS,
@@ -38,7 +40,7 @@ from edge.mission.destinations import (
     room_target,
     shown_s,
 )
-from edge.mission.run import MissionRun
+from edge.mission.run import PROBABLY, MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
 from edge.policies.select import rank_candidates
@@ -53,6 +55,7 @@ _SURVEYS = 2  # surveys after the arrival that must agree that the robot is insi
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
+_ASK_S = 60.0  # time for a person to confirm a probable object
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
@@ -81,6 +84,9 @@ class Pursuit(Generic[DestinationType]):
             goals,
         )
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
+        self._probable: ProbableObject | None = None  # the object that the robot goes back to
+        self._has_path = True  # to this object
+        self._asked_at_s = 0.0  # `pursued_now_s` of the mission when the robot asked about it
 
     @property
     def _target_label(self) -> str:
@@ -102,11 +108,11 @@ class Pursuit(Generic[DestinationType]):
         self._goals.check_progress(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
-        if (
-            self._mission.retargets == retargets_before
-            and not self._mission.done
-            and self._goals.exhausted
-        ):
+        if self._mission.retargets != retargets_before or self._mission.done:
+            return
+        if self._probable is not None:
+            self._check_probable(self._probable, context)
+        elif self._goals.exhausted:
             self.finish(context.now_ns)
 
     def _is_reached(self, instance: Instance) -> bool:
@@ -118,14 +124,62 @@ class Pursuit(Generic[DestinationType]):
         return seen_again and self._map.tracker.confirmed(instance)
 
     def finish(self, now_ns: int) -> None:
-        """End the target: no candidate is left."""
-        self._mission.abandon_target(
-            self._goals.failure_reason(self._mission, self._map.grid), now_ns
-        )
+        """End the target, or go back to a probable object: no candidate is left."""
+        if self._mission.config.probable != "refuse":
+            self._probable = self._goals.probable
+        if self._probable is None:
+            self._mission.abandon_target(
+                self._goals.failure_reason(self._mission, self._map.grid), now_ns
+            )
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal of this tick; see `Behaviour.select`."""
-        return self._goals.choose(context, self._map.grid, scores, images)
+        grid, target = self._map.grid, self._mission.target
+        if self._probable is None:
+            return self._goals.choose(context, grid, scores, images)
+        if self._mission.question:
+            self._goals.idle()
+            return None
+        stop_m = np.array([self._probable.stop_m])
+        goal = self._goals.go_to_point(context, grid, stop_m, target, keep=True)
+        self._has_path = goal is not None
+        return goal
+
+    def _check_probable(self, probable: ProbableObject, context: PolicyInput) -> None:
+        """Accept the probable object when the robot is at it, or ask a person."""
+        mission, goals, now_ns = self._mission, self._goals, context.now_ns
+        if goals.probable is not probable or not self._has_path:  # another frame, or a closed path
+            mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
+            return
+        goal = goals.goal
+        arrived = goals.arrived and goal is not None and goal.kind == "place"
+        if not (mission.question or arrived):
+            mission.activity = f"going back to what may be the {mission.target}"
+            return
+        text = mission.question or self._describe(probable)
+        if mission.config.probable == "accept":
+            goals.abandon()
+            mission.on_reached(text, now_ns, text)
+            return
+        if not mission.question:
+            mission.question, self._asked_at_s = text, mission.pursued_now_s
+            mission.warn(mission.target, f"not sure: {text}", now_ns)
+        goals.phase = "waiting"
+        left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
+        mission.activity = f"{text}; waiting for `edge mission confirm`, {_time_left(left_s)}"
+        if left_s <= 0:
+            mission.abandon_target(f"{text}; nobody confirmed it within {_ASK_S:g} s", now_ns)
+
+    def _describe(self, probable: ProbableObject) -> str:
+        """Return the score of an object and its possible names: "probably, 0.31: sofa or bench"."""
+        shown, target = self._map.objects.read_only, self._mission.target
+        near_m = self._map.config.perception.merge_m
+        near = np.hypot(*(shown.xyz_m[: shown.n, :2] - probable.xy_m).T) <= near_m
+        rows = sorted(np.flatnonzero(near).tolist(), key=lambda at: -shown.confidence[at])
+        words = (shown.words[shown.word[at]] for at in rows)
+        other = next((word for word in words if not names.is_kind_of(word, target)), None)
+        is_it = target if other is None else f"{target} or {other}"
+        return one_line(f"{PROBABLY}, {probable.score:.2f}: {is_it}")
 
 
 class PlacePursuit(Pursuit[PlaceTarget]):
