@@ -61,6 +61,8 @@ class RunLog:
 class ClosedLoop:
     """A simulated robot that obeys a service. Each `step` is one tick with its consequences.
 
+    If the sensor's rate is below that of the steps, some steps only drive.
+
     The order is that of `edge sim` and `edge run` in lockstep over Zenoh: the service's tick; the
     map and the goal to the controller; its goal statuses to the service; its velocity command to
     the robot. If `loop.lockstep` is set, scorers and planners answer within the tick. A policy
@@ -124,6 +126,8 @@ class ClosedLoop:
         )  # fmt: skip
         self.controller = Controller(config)
         self._seq = 0
+        # The service gets no more frames than a robot's: `observed_hz`.
+        self._frame_due_ns, self._frame_period_ns = START_NS, int(1e9 / config.observed_hz)
         self._map_due_ns = 0
         self._map_period_ns = int(1e9 / config.report.map_hz)
 
@@ -146,14 +150,13 @@ class ClosedLoop:
         )  # fmt: skip
 
     def step(self) -> None:
-        """Observe, run one tick, and drive for `sim.step_s`."""
+        """Observe and run one tick if the sensor has a new frame; drive for `sim.step_s`."""
         motion, now_ns = self.drive.motion, self.drive.motion.stamp_ns
-        n_goals, observation = len(self.notes.goals), self.observe()
-        self.service.latency.begin_tick(perf_counter_ns())
-        self.service.tick(observation, now_ns)
-        if self.service.refused:
-            self.service.idle(now_ns, motion.odometry, observation)
-        self.service.latency.end_tick(perf_counter_ns())
+        n_goals, step_ns = len(self.notes.goals), int(1e9 * self.config.sim.step_s)
+        if now_ns + step_ns // 2 >= self._frame_due_ns:
+            self._tick(now_ns)
+            # Frames that are late already are skipped.
+            self._frame_due_ns = max(self._frame_due_ns, now_ns - step_ns) + self._frame_period_ns
         if now_ns >= self._map_due_ns:
             self._map_due_ns = now_ns + self._map_period_ns
             self.controller.on_map(self.service.map.grid.snapshot())
@@ -166,6 +169,15 @@ class ClosedLoop:
         for answer in answers + later_answers:
             self.service.on_goal_status(answer)
         self.drive.step(self.config.sim.step_s, command.v_mps, command.w_radps)
+
+    def _tick(self, now_ns: int) -> None:
+        """Observe, and run one tick of the service."""
+        observation = self.observe()
+        self.service.latency.begin_tick(perf_counter_ns())
+        self.service.tick(observation, now_ns)
+        if self.service.refused:
+            self.service.idle(now_ns, self.drive.motion.odometry, observation)
+        self.service.latency.end_tick(perf_counter_ns())
 
     @property
     def seconds(self) -> float:

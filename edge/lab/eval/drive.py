@@ -288,6 +288,8 @@ def outcome_of(
         first_sight_s=None if sight is None else sight.seconds,
         first_sight_path_m=None if sight is None else sight.path_m,
         wrong_stops=len(logger.wrong_stops),
+        views=logger.recall.views,
+        detected=logger.recall.detected,
         false_confirmations=len(logger.false_confirmed),
         revisited_m2=logger.revisited_m2,
         goals=len(logger.goals),

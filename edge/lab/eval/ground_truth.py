@@ -16,6 +16,7 @@ from edge import names
 from edge.config import Config
 from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
+from edge.lab.eval.recall import RecallCounter
 from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.true_rooms import distance_to_room_m
 from edge.lab.eval.zone_entries import ZoneEntryCounter
@@ -93,6 +94,7 @@ class GroundTruthLogger:
         revisited_m2: floor that a search saw again after an earlier leg (pursuit of one target) of
             the mission; None for a single target.
         answers: see `EpisodeOutcome`; the caller sets them.
+        recall: counts the views of targets that the detector found.
     """
 
     def __init__(
@@ -127,6 +129,7 @@ class GroundTruthLogger:
         self.false_confirmed: set[int] = set()
         self.revisited_m2: float | None = None
         self.answers: dict[str, str] = {}
+        self.recall = RecallCounter(config.perception.tau_det, self._range_m)
         self._revisits = RevisitCounter(config, world, self._range_m)
         radius_m = config.robot.radius_m
         self._zones = ZoneEntryCounter(keep_out_m, radius_m) if len(keep_out_m) else None
@@ -154,6 +157,9 @@ class GroundTruthLogger:
         if self._zones is not None:
             self._zones.update(truth.x_m, truth.y_m)
         self._record_sights(truth, observation.depth_m)
+        found, depth_m = result.detections, observation.depth_m
+        if found is not None and found.observation is observation and depth_m is not None:
+            self.recall.update(found, truth.ids, depth_m, self._target_masks)
         if result.events:
             self._judge_reports(result, truth)
         instances = result.instances()

@@ -65,6 +65,8 @@ class EpisodeOutcome:
         ways: see `Episode.ways`.
         zone_entries: number of times that the robot's footprint entered a keep-out zone; None
             without zones.
+        views: number of views of a target: one object in one image (`edge.lab.eval.recall`).
+        detected: number of these views in which the detector found it.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 
@@ -100,6 +102,8 @@ class EpisodeOutcome:
     ways: str = ""
     zone_entries: int | None = None
     answers: dict[str, str] = field(default_factory=dict)
+    views: int = 0
+    detected: int = 0
 
     @property
     def key(self) -> tuple[str, str]:

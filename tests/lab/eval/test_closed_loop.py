@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from small_house import small_house
 
@@ -38,6 +40,18 @@ def test_it_replays_the_same_and_gets_there(tmp_path, sections):
     assert one == other
     assert loops[0].service.status.phase == "reached"
     assert loops[0].distance_m("bed") <= 1.0
+
+
+@pytest.mark.parametrize(("rate_hz", "ticks"), [(30.0, 20), (10.0, 20), (7.0, 14), (5.0, 10)])
+def test_the_service_gets_no_more_frames_than_the_sensor_has(tmp_path, rate_hz, ticks):
+    camera = {"width_px": 32, "height_px": 24, "rate_hz": rate_hz}
+    results: list[object] = []
+    sink = SimpleNamespace(tick=results.append, close=lambda: None)
+    loop = ClosedLoop(small_house(tmp_path, sensors={"camera": camera}), sinks=[sink])
+    for _ in range(20):  # 2 s in steps of 0.1 s
+        loop.step()
+    assert len(results) == ticks
+    assert loop.seconds == pytest.approx(2.0)
 
 
 def test_a_world_can_be_shared_and_a_start_is_the_loops_own(tmp_path):

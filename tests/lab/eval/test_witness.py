@@ -52,6 +52,7 @@ class Stage:
                 goals=(Goal(0, None, "frontier", 0, (0.0, 0.0), 0.0, "bed"),),
                 status=MissionStatus(target, phase, reason),
                 observation=seen,
+                detections=None,
                 events=() if reached is None else ("reached",),
                 mission=lambda: SimpleNamespace(log=tuple(self._log)),
                 instances=lambda: list(instances),

@@ -52,6 +52,8 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "tick_p95_ms": lambda r: _p95(r, "tick_ms"),
     "score_p95_ms": lambda r: _p95(r, "score_ms"),
     "revisited_m2": lambda r: r.get("revisited_m2"),
+    "views": lambda r: r.get("views"),
+    "detected": lambda r: r.get("detected"),
     "zone_entries": lambda r: r.get("zone_entries"),
     "answers_right": lambda r: _share_right(r.get("answers") or {}),
 }

@@ -66,6 +66,7 @@ def tables(comparison: Comparison) -> list[ReportTable]:
         failures(comparison),
         losses(comparison),
         *(group(comparison, by) for by in comparison.groups),
+        by_word(comparison),
         summary(comparison, "cost"),
     ]
     return [table for table in found if table.rows]
@@ -170,6 +171,34 @@ def group(comparison: Comparison, by: str) -> ReportTable:
         rows.append([one_line(label), str(n), *cells])
     note = "SPL with its interval, and SR in %."
     return ReportTable(f"by {by}", f"By {by}", (by, "n", *map(one_line, arms)), rows, note)
+
+
+def by_word(comparison: Comparison) -> ReportTable:
+    """Return a table of what became of the episodes of each target, with the detector's recall."""
+    outcomes, kinds = comparison.outcomes, (*FAILURES, OTHER)
+    rows = []
+    for word in sorted(set(outcomes.target.tolist()) - {""}):
+        for a, arm in enumerate(outcomes.arms):
+            inside = outcomes.ran[a] & (outcomes.target == word)
+            if not inside.any():
+                continue
+            views, found = (np.nansum(outcomes[key][a, inside]) for key in ("views", "detected"))
+            ends = outcomes.failure[a, inside]
+            rows.append([
+                one_line(word), one_line(arm), str(int(inside.sum())),
+                f"{found / views:.2f}" if views else DASH, str(int((ends == "").sum())),
+                *(str(int((ends == kind).sum())) for kind in kinds),
+            ])  # fmt: skip
+    # Kinds of failures that are nowhere have no column.
+    used = [k for k in range(len(kinds)) if any(row[5 + k] != "0" for row in rows)]
+    head = ("target", "arm", "n", "recall", "reached", *(kinds[k] for k in used))
+    note = (
+        "Recall: share of the views of a target (one object in one image, within range) in which "
+        "the detector found it, with an IoU of 0.5 and the score of an instance. Then the "
+        "number of episodes by their end."
+    )
+    rows = [row[:5] + [row[5 + k] for k in used] for row in rows]
+    return ReportTable("words", "By word", head, rows, note)
 
 
 def _spl_sr(figures: dict[str, Estimate]) -> str:

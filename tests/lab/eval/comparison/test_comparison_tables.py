@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from made_outcomes import many, record
+from made_outcomes import failure, many, record
 
 from edge.lab.eval.comparison import tables
 from edge.lab.eval.comparison.outcomes import gather, with_rooms
@@ -49,6 +49,28 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
 )
 def test_what_was_resampled_is_told(worlds, words):
     assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
+
+
+def test_each_word_has_its_recall_and_its_ends():
+    records = [
+        record("1", "a", target="sofa", views=30, detected=12),
+        failure("2", "a", target="sofa", views=10, detected=0, failure="wrong thing"),
+        failure("3", "a", target="bed"),
+        record("3", "b", target="bed", views=4, detected=4),
+        record("4", "a", target=None),
+    ]
+    table = named(comparison_of(records), "words")
+    assert table.head == ("target", "arm", "n", "recall", "reached", "never seen", "wrong thing")
+    assert table.rows == [
+        ["bed", "a", "1", tables.DASH, "0", "1", "0"],
+        ["bed", "b", "1", "1.00", "1", "0", "0"],
+        ["sofa", "a", "2", "0.30", "1", "0", "1"],
+    ]
+
+
+def test_without_words_there_is_no_such_table():
+    shown = {table.name for table in tables.tables(comparison_of([record("1", target=None)]))}
+    assert "words" not in shown
 
 
 def test_text_stays_text():
