@@ -177,13 +177,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if folders & set(item.path.parents) and item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(LIVE_LIMIT_S))
+    # First the longest: at the end, the other workers would wait for them.
+    items.sort(key=lambda item: _limit_s(item) <= LIVE_LIMIT_S)
+
+
+def _limit_s(item: pytest.Item) -> float:
+    marker = item.get_closest_marker("timeout")
+    return marker.args[0] if marker is not None else float(item.config.getini("timeout"))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    marker = item.get_closest_marker("timeout")
-    limit_s = marker.args[0] if marker is not None else float(item.config.getini("timeout"))
-    _end_after(limit_s + HARD_EXTRA_S)
+    _end_after(_limit_s(item) + HARD_EXTRA_S)
     try:
         return (yield)
     finally:

@@ -29,7 +29,6 @@ MOST_TOKENS = 200
 LIMIT_S = 120.0
 TASKS = [
     ("small", "go past the left of the van, then stop at the gate"),
-    ("street", "go to the red car"),
     ("street", "throw the rubbish away"),
 ]
 
