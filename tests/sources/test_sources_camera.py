@@ -110,7 +110,7 @@ def test_wrong_options_are_one_line(options, message):
     assert "\n" not in str(raised.value)
 
 
-def test_a_file_becomes_observations_again_and_again(tmp_path):
+def test_a_file_becomes_observations_again_and_again(tmp_path, caplog):
     config = configured(str(write_video(tmp_path / "a.avi")), latency_s=0.05)
     with source_of(config) as source:
         before_ns = time.time_ns()
@@ -123,6 +123,7 @@ def test_a_file_becomes_observations_again_and_again(tmp_path):
         assert seen.depth_m[0, 0] == 2.0
         seen.release()
         eventually(lambda: source.poll() is None and source._reader.n_images > 3, "played once")
+    assert not [record for record in caplog.records if "camera" in record.name]
 
 
 def test_a_camera_that_is_not_there_is_told_and_opened_when_it_comes(tmp_path, caplog, monkeypatch):
