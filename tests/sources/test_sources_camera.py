@@ -172,7 +172,7 @@ def test_a_stream_that_ends_or_stalls_is_told_and_opened_again(then, caplog, mon
         stopping = Event()
 
     Here.then = then
-    with running(Here, Here.stopping) as url, reading(f"{url}/?secret=42") as reader:
+    with running(Here, Here.stopping) as url, reading(f"{url}/?secret=swordfish") as reader:
 
         def told() -> bool:
             reader.take()
@@ -185,7 +185,7 @@ def test_a_stream_that_ends_or_stalls_is_told_and_opened_again(then, caplog, mon
         eventually(lambda: "sends images again" in caplog.text)
         image = eventually(reader.take)[1]
         assert image.shape == (*HW, 3)
-    assert "42" not in caplog.text
+    assert "swordfish" not in caplog.text
 
 
 def test_a_recording_has_the_images_and_their_camera(tmp_path):
