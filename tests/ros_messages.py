@@ -53,6 +53,27 @@ _FILTER = {
         "float32 multiplier"
     ),
 }
+# Of the branch `ros2`, as in Humble and later.
+_VISION = {
+    "ObjectHypothesis": "string class_id\nfloat64 score",
+    "ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"
+    ),
+    "Point2D": "float64 x\nfloat64 y",
+    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
+    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "Detection2D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+        "vision_msgs/BoundingBox2D bbox\nstring id"
+    ),
+    "Detection3D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+        "vision_msgs/BoundingBox3D bbox\nstring id"
+    ),
+    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
+    "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
+}
 _CANCEL = {
     "CancelGoal_Request": "action_msgs/GoalInfo goal_info",
     "CancelGoal_Response": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
@@ -61,7 +82,10 @@ _CANCEL = {
 
 def _store():
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for package, texts in (("nav2_msgs", {**_ACTION, **_FILTER}), ("action_msgs", _CANCEL)):
+    packages = {
+        "nav2_msgs": {**_ACTION, **_FILTER}, "action_msgs": _CANCEL, "vision_msgs": _VISION,
+    }  # fmt: skip
+    for package, texts in packages.items():
         for name, text in texts.items():
             store.register(get_types_from_msg(text, f"{package}/msg/{name}"))
     return store

@@ -15,8 +15,8 @@ DockId = Annotated[str, Field(min_length=1, max_length=100)]
 RosTopic = Literal[
     "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
     "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
-    "map", "path", "trajectory", "markers", "keepout_mask", "keepout_info", "request", "answer",
-    "stop",
+    "map", "path", "trajectory", "markers", "detections", "objects", "keepout_mask", "keepout_info",
+    "request", "answer", "stop",
 ]  # fmt: skip
 
 # Our name of a topic or action → its default name in ROS.
@@ -38,6 +38,8 @@ DEFAULT_TOPICS: dict[str, str] = {
     "path": "/edge/path",
     "trajectory": "/edge/task_path",
     "markers": "/edge/markers",
+    "detections": "/edge/detections",
+    "objects": "/edge/objects",
     "keepout_mask": "/edge/keepout_mask",
     "keepout_info": "/edge/keepout_info",
     "request": "/edge/request",
@@ -78,6 +80,8 @@ class Ros2Config(Section):
             stops there.
         keepout_filter: publish the zones for Nav2's KeepoutFilter, as `keepout_info` and
             `keepout_mask`; nav2_msgs must be installed.
+        detections_frame: tf frame of the images. If set, boxes and objects are published as
+            `detections` and `objects`; vision_msgs must be installed.
         requests: take requests from the topic `request`, and answer on `answer`. Every node of the
             graph may then give orders.
         docks: names of places and the ids of their docks in Nav2's docking server: `{dock: bay_1}`.
@@ -95,6 +99,7 @@ class Ros2Config(Section):
     mounts: Literal["tf", "config"] = "tf"
     goals: Literal["navigate_to_pose", "topic"] = "navigate_to_pose"
     keepout_filter: bool = False
+    detections_frame: Frame | None = None
     requests: bool = False
     docks: dict[str, DockId] = Field(default_factory=dict, max_length=100)
     topics: dict[RosTopic, RosName] = Field(default_factory=dict)

@@ -101,6 +101,8 @@ def make_plan(config: Config) -> dict[str, Any]:
     unused = {"goal"} if by_action else set()
     if not settings.keepout_filter:
         unused |= {"keepout_mask", "keepout_info"}
+    if settings.detections_frame is None:
+        unused |= {"detections", "objects"}
     received.append(topic_plan("stop", BOOL, reliable=True))
     if settings.requests:
         received.append(topic_plan("request", STRING, reliable=True))

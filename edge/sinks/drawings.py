@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from edge.bus.wire import markers
+from edge.bus.wire.detections import Box3D
 from edge.bus.wire.markers import Marker
 from edge.geometry import SE2
 from edge.loop.result import TickResult
@@ -137,6 +138,28 @@ def markers_of(drawing: Drawing) -> list[Marker]:
         pose = drawing.goal.pose
         drawn.append(Marker("goal", 0, markers.ARROW, (0.5, 0.08, 0.08), _GOAL, pose, 0.1))
     return drawn
+
+
+def boxes_of(drawing: Drawing) -> list[Box3D]:
+    """Return the objects of the mission that are not rejected, and the remembered ones.
+
+    The boxes of the mission's objects are those of their points; the size of others is not known.
+    """
+    boxes = []
+    for found in drawing.instances:
+        if found.state != "rejected":
+            points = found.points_m if len(found.points_m) else found.center_m[None]
+            low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+            center = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
+            size = tuple(b - a for a, b in zip(low, high, strict=True))
+            boxes.append(Box3D(found.id, found.label, float(found.score), center, size))
+    named = {found.label for found in drawing.instances}
+    boxes += [
+        Box3D(known.id, known.name, known.confidence, known.xyz_m, (0.0, 0.0, 0.0))
+        for known in drawing.objects
+        if known.name not in named
+    ]
+    return boxes
 
 
 def _line(

@@ -16,13 +16,13 @@ from edge.bus import topics
 from edge.bus.ros2.node import Ros2Publisher, open_node
 from edge.bus.ros2.topics import LATCHED, PUBLISHED
 from edge.bus.session import declare_publisher
-from edge.bus.wire import markers, messages, navigation, transforms
+from edge.bus.wire import detections, markers, messages, navigation, transforms
 from edge.config import Config
 from edge.geometry import Grid
 from edge.host.worker import Worker
 from edge.loop.result import TickResult
 from edge.mapping.zones import ZonePolygons
-from edge.sinks.drawings import PathRing, drawing_of, markers_of
+from edge.sinks.drawings import PathRing, boxes_of, drawing_of, markers_of
 from edge.sinks.keepout import KeepoutPublisher
 from edge.sinks.navigate import DockRobotClient, NavigateToPoseClient, UndockRobotClient
 from edge.sinks.rate_limiter import RateLimiter
@@ -44,6 +44,10 @@ class Ros2Sink:
         self._node = open_node(config, session, "sink")
         self._map, self._path, self._planned, self._markers = map(
             self._publisher, ("map", "path", "trajectory", "markers")
+        )
+        self._detections, self._objects = (
+            None if settings.detections_frame is None else self._publisher(name)
+            for name in ("detections", "objects")
         )
         self._keepout = self._keepout_publisher(config) if settings.keepout_filter else None
         self._zones: ZonePolygons | None = None
@@ -113,6 +117,10 @@ class Ros2Sink:
         if refined is not self._trajectory:
             self._trajectory = refined
             self._worker.submit(("trajectory", (now_ns, refined)), key="trajectory")
+        if self._detections is not None and (found := result.detections) is not None:
+            names = [found.prompts[i] for i in found.class_id]
+            boxes = found.observation.stamp_ns, names, found.score, found.xyxy_px
+            self._worker.submit(("detections", boxes), key="detections")
         if self._keepout is not None:
             is_due = self._limiter.take_turn("zones", now_ns)  # the robot may have entered one
             if is_due or result.zones is not self._zones:
@@ -152,6 +160,10 @@ class Ros2Sink:
             self._map.put(_encode_map(stamp_ns, copy_map, self._frame))
         elif name == "zones" and self._keepout is not None:
             self._keepout.update(*item)
+        elif name == "detections" and self._detections is not None:
+            stamp_ns, *boxes = item
+            frame = self._settings.detections_frame
+            self._detections.put(detections.encode_detections(stamp_ns, frame, *boxes))
         elif name == "trajectory":
             stamp_ns, refined = item
             self._planned.put(path_message(refined, stamp_ns, self._frame))
@@ -160,6 +172,9 @@ class Ros2Sink:
             self._path.put(transforms.encode_path(stamp_ns, self._frame, driven))
             payload = markers.encode_markers(stamp_ns, self._frame, markers_of(drawing))
             self._markers.put(payload)
+            if self._objects is not None:
+                boxes = boxes_of(drawing)
+                self._objects.put(detections.encode_boxes(stamp_ns, self._frame, boxes))
 
     def _drive(self, goal: Goal | None) -> None:
         """Send a goal to the client that must act first, and cancel the others.

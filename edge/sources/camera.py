@@ -88,7 +88,8 @@ class CameraReader:
             self._closing.wait(pause_s)
 
     def _read_until_fault(self) -> str:
-        """Open the camera and read it; return why that ended."""
+        """Open the camera and read it; return why that ended, "" if a file was read to its end."""
+        before = self.n_images
         is_device = self._address.startswith("/dev/")
         if (is_device or "://" not in self._address) and not os.path.exists(self._address):
             return "cannot be opened: no such file or device"
@@ -105,8 +106,10 @@ class CameraReader:
             due_s = time.monotonic()
             while not self._closing.is_set():
                 ok, image = capture.read()
+                if not ok and hz and self.n_images > before:
+                    return ""  # the end of the file
                 if not ok:
-                    return "ended" if hz else "sends no more images"
+                    return "sends no more images"
                 self._keep(image)
                 if hz > 0:  # a file, at its own rate
                     due_s += 1.0 / hz

@@ -97,6 +97,16 @@ NAMED = [
         "perception.choice: not the URL of a chat server: 'ftp://h'",
     ),
     (
+        perception(detector={**ONNX, "fallback": "nobody"}),
+        "mine.yaml: perception.detector.fallback: model 'nobody': no such card",
+    ),
+    (
+        perception(choice={
+            "kind": "openai", "url": "http://h/v1", "model": "m", "fallback": "nobody",
+        }),
+        "mine.yaml: perception.choice.fallback: model 'nobody': no such card",
+    ),
+    (
         perception(segmenter={"kind": "onnx", "model": "nobody"}),
         "mine.yaml: perception.segmenter.model: model 'nobody': no such card",
     ),

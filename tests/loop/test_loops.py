@@ -25,7 +25,8 @@ from edge.loop import runner
 from edge.loop.error_boundary import DEGRADED_AFTER
 from edge.loop.runner import RunningService, loop
 from edge.loop.stages import STAGES
-from edge.loop.status import status_message
+from edge.loop.status import HealthWatch, status_message
+from edge.perception.runtime.health import Health
 from edge.perception.worker import DetectorWorker
 from edge.types import GoalStatus, Observation
 
@@ -257,6 +258,25 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
     told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
     assert told == [f"degraded: {ill[1]}", "works again"]
     assert status_message(service.result())["loop"]["state"] == "ok"
+
+
+def test_who_detects_is_told_once_at_each_change():
+    """A detector on a server is replaced by one here, fails altogether, and works again."""
+    far, near = Health(), Health("ok", "near answers until far does again: no connection")
+    loads, ill = Health("building engine", "5 s"), Health("degraded", "near: it ended")
+    now = SimpleNamespace(health=far)
+    detector = SimpleNamespace(name="far", health=lambda: now.health)
+    worker = SimpleNamespace(detector=detector, stats=SimpleNamespace(in_a_row=0))
+    told: list[str] = []
+    watch = HealthWatch(
+        worker, None, None, None, None, dict, lambda: None, lambda text, now_ns: told.append(text)
+    )
+    for now.health in (loads, far, far, near, near, ill, ill, near, far, near, far, far):
+        watch.check(0)
+    assert [text.removeprefix("detector far: ") for text in told] == [
+        near.detail, f"degraded: {ill.detail}", near.detail, "works again", near.detail,
+        "works again",
+    ]  # fmt: skip
 
 
 class Sink:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -218,6 +219,20 @@ def test_a_choice_goes_on_while_its_server_is_away(view, kind, monkeypatch):
         eventually(lambda: scorer.answer(scorer.prepare(view)) and not scorer.detail)
         assert scorer.answer(scorer.prepare(view)).p[0] > 0.9
         scorer.close()
+
+
+def test_a_model_that_needs_an_image_does_not_keep_one_that_needs_none_from_answering(view):
+    blind = replace(view, observation=replace(view.observation, rgb=None))
+    with chatting(lambda handler: send(handler, likeliest({"A": -0.1, "Yes": -0.1}))) as server:
+        choice = ChoiceText(url=server.url, model="m", fallback=CHOICE, time_limit_s=PATIENCE_S)
+        scorer = make_view_scorer(choice, perception())
+        assert scorer.answer(scorer.prepare(blind)).p[0] > 0.5
+        scorer.close()
+    scorer = make_view_scorer(choice, perception())
+    prepared = scorer.prepare(blind)
+    with pytest.raises(ModelError):  # the server is gone
+        scorer.answer(prepared)
+    scorer.close()
 
 
 def test_a_fallback_without_a_card_is_refused():

@@ -89,6 +89,9 @@ def test_goals_go_to_the_action_or_to_a_topic():
     with_zones = process.make_plan(adapted(keepout_filter=True))
     info = passed(with_zones, "/edge/keepout_info")
     assert (info["type"], info["latched"]) == ("nav2_msgs/msg/CostmapFilterInfo", True)
+    assert "/edge/objects" not in {one["ros"] for one in by_action["said"]}
+    with_boxes = process.make_plan(adapted(detections_frame="camera"))
+    assert passed(with_boxes, "/edge/objects")["type"] == "vision_msgs/msg/Detection3DArray"
     by_topic = process.make_plan(adapted(goals="topic"))
     assert by_topic["action"] is None
     assert passed(by_topic, "/goal_pose")["key"] == "edge/ros2/goal_pose"

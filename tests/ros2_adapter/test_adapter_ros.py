@@ -34,7 +34,7 @@ from edge.types import Goal, GoalStatus
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
 # All that can be sent but "goal", which the action replaces, and what is off by default.
-_OFF = {"goal", "keepout_mask", "keepout_info", "answer"}
+_OFF = {"goal", "detections", "objects", "keepout_mask", "keepout_info", "answer"}
 READY = (
     f"passing up to {len(SUBSCRIBED)} topics from ROS 2 to edge, "
     f"and {len(PUBLISHED.keys() - _OFF)} from edge to ROS 2"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from edge.bus.ros2.node import Ros2Node
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.zones import ZonePolygons
+from edge.memory import KnownObject
 from edge.sinks import navigate
 from edge.sinks.ros2 import PathRing, Ros2Sink
 from edge.sources.goal_status import GoalStatusInbox
-from edge.types import Goal, GoalStatus
+from edge.types import Detections, Goal, GoalStatus, Instance, Observation
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -374,6 +376,36 @@ def test_map_and_drawings(make, theirs):
     type_name, payload = eventually(lambda: heard(drawn))[0]
     _, frontiers = from_ros(payload.to_bytes(), type_name).markers
     assert len(frontiers.points) == 2
+    node.close()
+
+
+def test_boxes_and_objects_for_who_asks_for_them(make, theirs):
+    sink = make(map_frame="world", detections_frame="camera_optical")
+    node = Ros2Node(theirs, 0, "tracker")
+    boxes = node.subscription("/edge/detections", ("vision_msgs/msg/Detection2DArray",), 8)
+    objects = node.subscription("/edge/objects", ("vision_msgs/msg/Detection3DArray",), 8)
+    seen = Observation(seq=0, stamp_ns=77, T_map_base=np.eye(4))
+    two, one = np.array([[0, 0, 20, 10], [5, 5, 9, 9]], np.float32), np.ones(2, np.float32)
+    found = Detections(seen, two, one, np.array([1, 0], np.int32), ("chair", "bed"))
+    points = np.array([[1, 2, 0], [2, 2, 1]], np.float32)
+    of = partial(Instance, points_m=points, score=0.5, hits=3, first_seen_ns=0, last_seen_ns=0)
+    bed, rejected = of(4, "bed", points[0]), of(5, "bed", points[0], state="rejected")
+    mug = KnownObject(9, "mug", (3.0, 3.0, 1.0), 0.75, 2, 1.0)
+    ticks = iter(range(1, 10**6))
+
+    def heard(subscription):
+        sink.tick(result(next(ticks) * 10**9, detections=found,
+                         instances=lambda: [bed, rejected], objects=lambda: [mug]))  # fmt: skip
+        return subscription.take()
+
+    type_name, payload = eventually(lambda: heard(boxes))[0]
+    message = from_ros(payload.to_bytes(), type_name)
+    assert (message.header.frame_id, message.header.stamp.nanosec) == ("camera_optical", 77)
+    assert [box.results[0].hypothesis.class_id for box in message.detections] == ["bed", "chair"]
+    type_name, payload = eventually(lambda: heard(objects))[0]
+    message = from_ros(payload.to_bytes(), type_name)
+    told = [(o.id, o.results[0].hypothesis.class_id, o.bbox.size.x) for o in message.detections]
+    assert (message.header.frame_id, told) == ("world", [("4", "bed", 1.0), ("9", "mug", 0.0)])
     node.close()
 
 

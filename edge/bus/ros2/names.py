@@ -38,6 +38,12 @@ HASHES: dict[str, str] = {
         "8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7"
     ),
     "nav_msgs/msg/Path": ("1957a5bb3cee5da65c4e52e52b65a93df227efce4c20f8458b36e73066ca334b"),
+    "vision_msgs/msg/Detection2DArray": (
+        "214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968"
+    ),
+    "vision_msgs/msg/Detection3DArray": (
+        "793f5eab9595ac1c0da07873cc859db42eae51f0ee76056db8562515d830e018"
+    ),
     "visualization_msgs/msg/MarkerArray": (
         "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"
     ),

@@ -24,6 +24,8 @@ PUBLISHED: dict[str, str] = {
     "path": "nav_msgs/msg/Path",
     "trajectory": "nav_msgs/msg/Path",
     "markers": "visualization_msgs/msg/MarkerArray",
+    "detections": "vision_msgs/msg/Detection2DArray",
+    "objects": "vision_msgs/msg/Detection3DArray",
     "keepout_mask": "nav_msgs/msg/OccupancyGrid",
     "keepout_info": "nav2_msgs/msg/CostmapFilterInfo",
     "answer": "std_msgs/msg/String",

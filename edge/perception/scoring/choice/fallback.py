@@ -30,13 +30,26 @@ class FallbackScorer:
         return self._models.detail
 
     def prepare(self, view: MarkedView) -> tuple[Any, Any]:
-        """Prepare the input of both, since the view is gone when the server has failed."""
-        return self._remote.prepare(view), self._local.prepare(view)
+        """Prepare the input of both, since the view is gone when the server has failed.
+
+        An error of the local scorer, such as for a view without an image, is kept for `answer`.
+        """
+        remote = self._remote.prepare(view)
+        try:
+            return remote, self._local.prepare(view)
+        except Exception as error:
+            return remote, error
 
     def answer(self, prepared: tuple[Any, Any]) -> FrontierChoice | None:
         """See `ViewScorer.answer`."""
         remote, local = prepared
-        return self._models.ask(remote, lambda: self._local.answer(local))
+
+        def ask_local() -> FrontierChoice | None:
+            if isinstance(local, Exception):
+                raise local
+            return self._local.answer(local)
+
+        return self._models.ask(remote, ask_local)
 
     def close(self) -> None:
         """Abort the current answers; may be called from another thread."""
