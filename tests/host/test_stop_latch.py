@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -31,11 +32,13 @@ def test_a_latch_without_a_file_is_not_stopped_and_keeps_nothing(tmp_path):
 def test_a_stop_is_on_the_disk_before_its_answer_and_a_release_removes_it(tmp_path, monkeypatch):
     path, synced = tmp_path / "state" / "stop.json", []
     monkeypatch.setattr(files, "sync", lambda path: synced.append(path.name))
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: synced.append(os.readlink(f"/proc/self/fd/{handle}"))
+    )
     latch = StopLatch(path)
     assert latch.stop("a person\nin the way")["kept"]
     assert json.loads(path.read_text())["why"] == "a person in the way"
-    assert synced[-1] == "state"
-    assert synced[0].startswith(".stop.json.")
+    assert synced == [str(path), "state"]
     assert latch.stop("later")["why"] == "a person in the way"
     assert StopLatch(path).reason == "a person in the way"  # as after a kill
     latch.release()
