@@ -45,6 +45,7 @@ def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
         "target": status.target,
         "paused": snapshot.mission.paused,
         "stopped": result.stopped,
+        "proposals": snapshot.proposals,
         "task": None if snapshot.task is None else _task(snapshot.task, snapshot.n_tasks),
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),
