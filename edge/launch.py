@@ -32,7 +32,9 @@ from edge.host.memory import trim_memory_periodically
 from edge.host.periodic import run_periodically
 from edge.host.ports import free_port
 from edge.host.stop_latch import RETRY_S, StopLatch
+from edge.live.agent_view import AgentView
 from edge.loop import requests
+from edge.loop.agent_requests import make_agent_handlers
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import Sink
 from edge.loop.runner import RunningService
@@ -163,8 +165,11 @@ def open_service(
         if "ros2" in (config.source.kind, *(sink.kind for sink in config.sinks)):
             stack.enter_context(serve_ros2_stop(config, session, latch.stop))
         policy = run_unless_stopped(make_policy, stop)
+        view = AgentView()
         # Sinks are made before the slow steps: a port may be in use, and a plugin may fail.
         all_sinks = [*(make(config=config, session=session) for make in make_sinks), *sinks]
+        if config.mcp is not None:
+            all_sinks.append(view)
         for sink in all_sinks:
             stack.callback(sink.close)
         source = make_source(config=config, session=session)
@@ -203,6 +208,9 @@ def open_service(
             return prepare_mission(config, site=site.known, **request)
 
         handlers = requests.request_handlers(service, prepare, problems)
+        if config.mcp is not None:
+            prepare_new = requests.mission_verbs(prepare)["new"].prepare
+            handlers |= make_agent_handlers(service, config.mcp, prepare_new, view.picture)
         for key, (verbs, handle) in handlers.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

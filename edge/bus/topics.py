@@ -68,8 +68,12 @@ MEMORY_REQUEST = "memory/request"
 # everybody stop and few release.
 STOP_REQUEST = "stop/request"
 RELEASE_REQUEST = "release/request"
+# Requests of agents, and of the people who confirm them (see `edge.loop.agent_requests`).
+AGENT_REQUEST = "agent/request"
+CONFIRM_REQUEST = "confirm/request"
 REQUESTS = (
     MISSION_REQUEST, MODELS_REQUEST, SITE_REQUEST, MEMORY_REQUEST, STOP_REQUEST, RELEASE_REQUEST,
+    AGENT_REQUEST, CONFIRM_REQUEST,
 )  # fmt: skip
 
 # Not a topic: the service's liveliness token is below this key (see `edge.bus.presence`).

@@ -56,6 +56,7 @@ def make_parser() -> argparse.ArgumentParser:
         _add_record,
         _add_replay,
         _add_ros2_adapter,
+        _add_mcp,
         lab_parsers.add_trajectory,
         lab_parsers.add_worlds,
         lab_parsers.add_bench,
@@ -349,6 +350,18 @@ def _add_ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
         help="print the path of a launch file for `ros2 launch`; run nothing",
     )
     adapter.set_defaults(handler=lazy_handler("edge.ros2_adapter.process", "run"))
+
+
+def _add_mcp(commands) -> None:  # type: ignore[no-untyped-def]
+    mcp = commands.add_parser(
+        "mcp", help="serve an agent on standard input and output (Model Context Protocol)"
+    )
+    mcp.add_argument("config", help=CONFIG)
+    mcp.add_argument("--audit", type=Path, metavar="FILE", help="log of all calls, JSON lines "
+                     "(default: mcp-PREFIX.jsonl in the folder of the user's state)")  # fmt: skip
+    mcp.add_argument("--timeout", type=positive, default=30.0, metavar="S", help="how long to wait "
+                     "for each answer of the service, in s (default: %(default)g)")  # fmt: skip
+    mcp.set_defaults(handler=lazy_handler("edge.mcp_server.run", "run"))
 
 
 def _add_doctor(commands) -> None:  # type: ignore[no-untyped-def]

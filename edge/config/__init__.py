@@ -12,6 +12,7 @@ Example:
 
 from edge.config.loop import HttpConfig, LoopConfig, ReportConfig, SourceConfig, ZenohConfig
 from edge.config.mapping import MAX_RADIUS_CELLS, MappingConfig
+from edge.config.mcp import McpConfig
 from edge.config.mission import (
     MissionConfig,
     PlannerInOrder,
@@ -90,6 +91,7 @@ __all__ = [
     "LoadSheddingConfig",
     "LoopConfig",
     "MappingConfig",
+    "McpConfig",
     "MissionConfig",
     "ModelProcessConfig",
     "MotionConfig",

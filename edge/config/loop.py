@@ -19,7 +19,7 @@ TopicName = Literal[
     "sim/ground_truth", "sim/segmentation", "sim/labels",
     "goal", "map", "status", "latency", "mission", "trajectory", "tick", "cmd_vel",
     "goal_status", "mission/request", "models/request", "site/request", "memory/request",
-    "stop/request", "release/request",
+    "stop/request", "release/request", "agent/request", "confirm/request",
 ]  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from edge.config.loop import (
     ZenohConfig,
 )
 from edge.config.mapping import MAX_RADIUS_CELLS, MappingConfig
+from edge.config.mcp import McpConfig
 from edge.config.mission import MissionConfig
 from edge.config.perception import PerceptionConfig
 from edge.config.policy import (
@@ -77,6 +78,7 @@ class Config(Section):
         sim: simulator.
         report: publishing rates.
         http: web pages.
+        mcp: rights of agents; null: agents have none.
         sinks: receivers of results.
     """
 
@@ -96,6 +98,7 @@ class Config(Section):
     sim: SimConfig = SimConfig()
     report: ReportConfig = ReportConfig()
     http: HttpConfig = HttpConfig()
+    mcp: McpConfig | None = None
     sinks: Sinks = (SinkConfig(kind="zenoh"),)
     _origins: KeyOrigins = PrivateAttr(default_factory=KeyOrigins)
 

@@ -46,6 +46,7 @@ def snapshot_json(snapshot: LiveSnapshot) -> dict[str, Any]:
         "paused": snapshot.mission.paused,
         "stopped": result.stopped,
         "question": snapshot.mission.question,
+        "proposals": snapshot.proposals,
         "task": None if snapshot.task is None else _task(snapshot.task, snapshot.n_tasks),
         "elapsed_s": round(status.elapsed_s, 1),
         "path_m": round(status.path_m, 2),

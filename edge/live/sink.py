@@ -61,6 +61,7 @@ class LiveSnapshot:
         mark_letters: candidate id → letter of its mark, and its probability by the model.
         trail: (n, 3) float64 poses of the driven path: x and y in metres, yaw in radians.
         beat_hz: ticks with an observation per second.
+        proposals: proposals of agents that wait for a person.
         events: the newest events.
         n_events: number of events since the start.
     """
@@ -82,6 +83,7 @@ class LiveSnapshot:
     mark_letters: dict[int, tuple[str, float]]
     trail: np.ndarray
     beat_hz: float
+    proposals: list[dict[str, object]]
     events: tuple[Event, ...]
     n_events: int
 
@@ -210,6 +212,7 @@ class LiveSink:
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
             beat_hz=self._beat_hz,
+            proposals=result.proposals(),
             events=self._events,
             n_events=self._n_events,
         )

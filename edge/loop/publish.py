@@ -102,6 +102,7 @@ class ResultPublisher:
         task: Callable[[], TaskStatus | None],
         scores: np.ndarray,
         stopped: str,
+        proposals: Callable[[int], list[dict[str, object]]],
     ) -> TickResult:
         """Return the current state, and all events since the last published result.
 
@@ -114,6 +115,7 @@ class ResultPublisher:
             task: Returns the facts of a task; see `TickResult.task`.
             scores: The policy's scores of the candidates.
             stopped: Why the robot is stopped; "" if it is not.
+            proposals: Returns the proposals of agents at a loop time.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
         targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
@@ -126,6 +128,7 @@ class ResultPublisher:
             goal_status=goals.goal_status,
             has_controller=goals.client.has_controller,
             stopped=stopped,
+            proposals=partial(proposals, now_ns),
             targets=targets,
             goals=tuple(self.goals),
             goal_statuses=tuple(self.goal_statuses),

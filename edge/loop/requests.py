@@ -145,7 +145,7 @@ def _check_new(fields: dict) -> dict:
         **texts,
         **_check_reading(fields),
         **_check_caller(fields),
-        **_check_repetition(fields),
+        **check_repetition(fields),
         **_check_id(fields),
         **if_free,
     }
@@ -190,7 +190,7 @@ def _check_reading(fields: dict) -> dict:
     return {"reading": reading}
 
 
-def _check_repetition(fields: dict) -> dict:
+def check_repetition(fields: dict) -> dict:
     """Return the fields `rounds` and `for_s` as a `Repetition`, if present."""
     rounds, for_s = fields.get("rounds"), fields.get("for_s")
     if rounds is None and for_s is None:

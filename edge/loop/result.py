@@ -129,6 +129,7 @@ class TickResult:
         goal_status: Newest status of this goal from the controller; None before the first.
         has_controller: True if a controller answers, or if no answers are expected.
         stopped: Why the robot is stopped; "" if it is not.
+        proposals: Returns the proposals of agents that wait for a person, JSON-ready.
         targets: Targets of the mission.
         goals: Goals that were sent since the last result.
         goal_statuses: Goal statuses that were received since the last result.
@@ -168,6 +169,7 @@ class TickResult:
     goal_status: GoalStatus | None
     has_controller: bool
     stopped: str
+    proposals: Callable[[], list[dict[str, object]]]
     targets: tuple[str, ...]
     goals: tuple[Goal, ...]
     goal_statuses: tuple[GoalStatus, ...]

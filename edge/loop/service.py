@@ -98,6 +98,7 @@ class Service:
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
         stopped: Why the robot is stopped; "" if it is not (see `stop`).
+        proposals: Returns the proposals of agents that wait for a person, at a loop time.
         blind_s: Time without an observation after which the robot must stand still.
         overruns: As in `Args`.
         inputs: As in `Args`.
@@ -141,6 +142,8 @@ class Service:
         )
         self.stamp_ns = 0
         self.stopped = ""
+        # Returns the proposals of agents that wait for a person (`edge.loop.agent_requests`).
+        self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
@@ -676,5 +679,5 @@ class Service:
         """
         return self._publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.scores, self.stopped,
+            self.scores, self.stopped, self.proposals,
         )  # fmt: skip

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import threading
 from collections.abc import Iterator
 
 import pytest
-from patience import PATIENCE_S
+from patience import PATIENCE_S, eventually
 
 from edge.bus import topics
 from edge.bus.client import RefusedError, send_request
@@ -54,7 +56,10 @@ def test_any_request_to_stop_stops(latch, settings, payload):
     assert latch.reason == "by request"
 
 
-def test_a_stop_passes_a_full_queue_that_nobody_serves(latch, settings):
+def test_a_stop_passes_a_full_queue_that_nobody_serves(latch, settings, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, "broken disk")
+
     mission = settings.key(topics.MISSION_REQUEST)
     with open_session(settings, "connect") as session:
         answers = [
@@ -64,12 +69,11 @@ def test_a_stop_passes_a_full_queue_that_nobody_serves(latch, settings):
         ]
         key = settings.key(topics.STOP_REQUEST)
         assert send_request(session, key, {"why": "button"}, PATIENCE_S, "stop")["kept"]
-        assert isinstance(latch.others.poll(), Request)  # the others still wait
+        assert isinstance(eventually(latch.others.poll), Request)  # the others still wait
         key = settings.key(topics.RELEASE_REQUEST)
         assert not send_request(session, key, {}, PATIENCE_S, "release")["stopped"]
-        latch.path = latch.path.parent / "folder"
-        (latch.path / "full").mkdir(parents=True)
         latch.stop("again")
+        monkeypatch.setattr(os, "pwrite", fail)
         with pytest.raises(RefusedError, match="still stopped"):
             send_request(session, key, {}, PATIENCE_S, "release")
         del answers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -28,23 +29,37 @@ def test_a_latch_without_a_file_is_not_stopped_and_keeps_nothing(tmp_path):
     assert latch.release() == {"stopped": False, "text": "not stopped"}
 
 
-def test_a_stop_is_on_the_disk_before_its_answer_and_a_release_removes_it(tmp_path, monkeypatch):
-    path, synced = tmp_path / "state" / "stop.json", []
+def test_a_stop_is_on_the_disk_before_its_answer_until_its_release(tmp_path, monkeypatch):
+    path, written, synced = tmp_path / "state" / "stop.json", [], []
     monkeypatch.setattr(files, "sync", lambda path: synced.append(path.name))
-    latch = StopLatch(path)
+    latch, pwrite = StopLatch(path), os.pwrite
+    assert synced == ["state"]
+
+    def record(handle: int, content: bytes, offset: int) -> None:
+        flags = Path(f"/proc/self/fdinfo/{handle}").read_text().split("flags:")[1].split()[0]
+        assert int(flags, 8) & os.O_DSYNC
+        written.append(content.strip())
+        pwrite(handle, content, offset)
+
+    monkeypatch.setattr(os, "pwrite", record)
     assert latch.stop("a person\nin the way")["kept"]
-    assert json.loads(path.read_text())["why"] == "a person in the way"
-    assert synced[-1] == "state"
-    assert synced[0].startswith(".stop.json.")
+    assert [json.loads(content)["why"] for content in written] == ["a person in the way"]
     assert latch.stop("later")["why"] == "a person in the way"
     assert StopLatch(path).reason == "a person in the way"  # as after a kill
+    assert len(written) == 1
     latch.release()
-    assert not path.exists()
-    assert synced[-1] == "state"
+    assert written[1:] == [b""]
     assert StopLatch(path).reason == latch.reason == ""
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b"\xff" * 9000, None])
+@pytest.mark.parametrize("why", ["é" * 300, "\x00" * 300, '"\\' * 150, "😀" * 300])
+def test_a_reason_of_any_text_fits(tmp_path, why):
+    latch = StopLatch(tmp_path / "stop.json")
+    latch.stop(why)
+    assert StopLatch(latch.path).reason == latch.reason
+
+
+@pytest.mark.parametrize("content", [b"{", b"[]", b"{}", b"\xff" * 9000, None])
 def test_a_file_that_cannot_be_read_is_a_stop(tmp_path, content):
     path = tmp_path / "stop.json"
     if content is None:
@@ -54,7 +69,7 @@ def test_a_file_that_cannot_be_read_is_a_stop(tmp_path, content):
     latch = StopLatch(path)
     assert str(path) in latch.reason
     if content is None:
-        with pytest.raises(UserError, match="cannot be removed"):
+        with pytest.raises(UserError, match="still stopped: "):
             latch.release()
         assert latch.reason
     else:
@@ -62,37 +77,40 @@ def test_a_file_that_cannot_be_read_is_a_stop(tmp_path, content):
         assert StopLatch(path).reason == ""
 
 
-def test_a_stop_that_cannot_be_written_holds_and_is_written_later(tmp_path, caplog):
+def test_a_stop_that_cannot_be_written_holds_and_is_written_later(tmp_path, caplog, monkeypatch):
     path = tmp_path / "folder" / "stop.json"
-    latch = StopLatch(path)
     path.parent.write_text("no folder")
+    monkeypatch.setattr(stop_latch, "read_stop", lambda path: "")
+    latch = StopLatch(path)
+    monkeypatch.undo()
     answer = latch.stop("now")
     assert (answer["stopped"], answer["kept"]) == (True, False)
-    assert "the stop ends with this process" in caplog.text
+    assert "a stop would end with this process" in caplog.text
     path.parent.unlink()
     latch.keep()
     assert latch.stop("")["kept"]
     assert StopLatch(path).reason == "now"
+    path.unlink()
+    latch.keep()
+    assert StopLatch(path).reason == "now"
 
 
 def test_a_stop_at_the_same_time_wins_over_a_release(tmp_path, monkeypatch):
-    latch = StopLatch(tmp_path / "stop.json")
+    latch, pwrite = StopLatch(tmp_path / "stop.json"), os.pwrite
     latch.stop("first")
-    unlink = Path.unlink
 
-    def stop_meanwhile(path: Path, missing_ok: bool = False) -> None:
-        unlink(path, missing_ok=missing_ok)
-        monkeypatch.setattr(Path, "unlink", unlink)
+    def stop_meanwhile(handle: int, content: bytes, offset: int) -> None:
+        pwrite(handle, content, offset)
+        monkeypatch.setattr(os, "pwrite", pwrite)
         pool.submit(latch.stop, "second")
         while latch._stops < 2:
             pass
 
     with ThreadPoolExecutor(1) as pool:
-        monkeypatch.setattr(Path, "unlink", stop_meanwhile)
+        monkeypatch.setattr(os, "pwrite", stop_meanwhile)
         with pytest.raises(UserError, match="still stopped: another stop"):
             latch.release()
     assert latch.reason == StopLatch(latch.path).reason == "first"
-    assert latch.stop("")["kept"]
 
 
 def test_an_answer_says_if_the_loop_has_withdrawn_the_goal(monkeypatch):

@@ -89,8 +89,9 @@ class Ros2RequestServer:
 
     def _accept_of(self, to: object) -> Callable[..., None]:
         """Return the method that accepts requests to this destination."""
-        if not isinstance(to, str) or to not in _KEYS:
-            raise ValueError(f"to: unknown {show(to)} (choices: {', '.join(_KEYS)})")
+        served = [name for name, key in _KEYS.items() if key in self._queues]
+        if not isinstance(to, str) or to not in served:
+            raise ValueError(f"to: unknown {show(to)} (choices: {', '.join(served)})")
         return self._queues[_KEYS[to]].accept
 
     def _reply(self, label: dict[str, Any], reply: bytes, is_error: bool) -> None:

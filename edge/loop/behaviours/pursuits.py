@@ -511,7 +511,10 @@ class RoomPursuit(Pursuit[RoomTarget]):
         share = 1.0 - (high - votes) / max(high - low, 1e-9)
         good = share >= _GOOD_SHARE
         if (goal := self._goals.goal) is not None and goal.kind == "place":
-            near = np.hypot(*(room.points_m - np.float32(goal.candidate_xy_m)).T) <= SAME_POINT_M
+            near = (
+                np.hypot(*(room.points_m - np.array(goal.candidate_xy_m, np.float32)).T)
+                <= SAME_POINT_M
+            )
             good |= near & (share >= _KEPT_SHARE)
         return room.points_m[reachable & good]
 

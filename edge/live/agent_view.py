@@ -1,0 +1,37 @@
+"""Pictures of the map and of the camera for agents."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from edge.errors import UserError
+from edge.live.pictures import grid_json, shot_json
+from edge.live.sink import LiveSink
+
+_WAIT_S = 2.0  # longest wait for the loop to make a picture
+_POLL_S = 0.05
+
+
+class AgentView(LiveSink):
+    """A sink that keeps map and camera image while an agent asks for pictures."""
+
+    def picture(self, of: str) -> dict[str, Any]:
+        """Return the picture as JSON with base64; waits, so not for the loop's thread.
+
+        Args:
+            of: `map` or `camera`.
+
+        Raises:
+            UserError: there is no picture yet.
+        """
+        until_s = time.monotonic() + _WAIT_S
+        while time.monotonic() < until_s:
+            self.mark_watched()
+            snapshot, shot = self.snapshot, self.shot
+            if of == "camera" and shot is not None:
+                return shot_json(shot)
+            if of == "map" and snapshot is not None:
+                return grid_json(snapshot.result.snapshot())
+            time.sleep(_POLL_S)
+        raise UserError(f"no {of} picture within {_WAIT_S:g} s: has the robot sensors?")
