@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
+from edge.lab.eval.json_data import json_data
 from edge.lab.eval.json_lines_file import JsonLinesFile
 from edge.text import one_line
 
@@ -148,18 +148,7 @@ def crashed_outcome(
 
 def to_json_line(outcome: EpisodeOutcome) -> bytes:
     """Encode an outcome as one line of JSON. A number that is not finite becomes null."""
-    return json.dumps(_finite(asdict(outcome)), separators=(",", ":")).encode() + b"\n"
-
-
-def _finite(value: Any) -> Any:
-    """Return JSON data with floats rounded to 4 digits, and null in place of inf and NaN."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return round(value, 4) if math.isfinite(value) else None
-    return value
+    return json.dumps(json_data(asdict(outcome), digits=4), separators=(",", ":")).encode() + b"\n"
 
 
 class OutcomeFile:

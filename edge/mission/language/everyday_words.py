@@ -192,8 +192,6 @@ _ROWS: dict[str, str] = {
     """,
 }  # fmt: skip
 
-UNITS_S = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600}
-"""Unit of time → its length [s]."""
 # Regular expression for an article or another determiner.
 ARTICLE = r"(?:the|an?|my|our|your|his|her|their|this|that|those|these|some|any)"
 

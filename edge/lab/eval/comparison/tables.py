@@ -8,9 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from html import escape
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from edge.lab.eval.comparison.outcomes import OTHER
 from edge.lab.eval.comparison.statistics import (
@@ -21,6 +19,7 @@ from edge.lab.eval.comparison.statistics import (
     PairedDifference,
 )
 from edge.lab.eval.intervals import Interval
+from edge.lab.eval.json_data import json_data
 from edge.lab.eval.outcome import FAILURES
 from edge.text import format_table, one_line
 
@@ -300,16 +299,4 @@ def to_json(comparison: Comparison) -> bytes:
         "losses": comparison.losses,
         "groups": comparison.groups,
     }
-    return json.dumps(_jsonable(data), indent=1, allow_nan=False, ensure_ascii=False).encode()
-
-
-def _jsonable(data: Any) -> Any:
-    if isinstance(data, tuple) and hasattr(data, "_asdict"):
-        data = data._asdict()
-    if isinstance(data, dict):
-        return {str(key): _jsonable(value) for key, value in data.items()}
-    if isinstance(data, (list, tuple)):
-        return [_jsonable(value) for value in data]
-    if isinstance(data, (float, np.floating)):
-        return float(data) if math.isfinite(data) else None
-    return data
+    return json.dumps(json_data(data), indent=1, allow_nan=False, ensure_ascii=False).encode()

@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from edge.lab.eval.intervals import Interval, ratio, wilson
+from edge.lab.eval.json_data import json_data
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import OUTCOMES
 from edge.lab.eval.planning.planners import PLANNERS
@@ -187,14 +188,6 @@ def to_json(
         "seed": settings.seed,
         "episodes": settings.episodes,
         "seconds": round(seconds, 1),
-        "rows": [_jsonable(asdict(row)) for row in rows],
+        "rows": [json_data(asdict(row)) for row in rows],
     }
     return json.dumps(data, indent=1, allow_nan=False).encode()
-
-
-def _jsonable(data):  # type: ignore[no-untyped-def]
-    if isinstance(data, dict):
-        return {key: _jsonable(value) for key, value in data.items()}
-    if isinstance(data, Interval):
-        return {key: _jsonable(value) for key, value in data._asdict().items()}
-    return None if isinstance(data, float) and math.isnan(data) else data
