@@ -151,7 +151,7 @@ def test_edge_run_loads_no_lab():
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {*ran.stdout.split()}
     assert "edge.loop.service" in loaded
-    heavy = ("edge.lab", *LAB_PACKAGES, "pandas")
+    heavy = ("edge.lab", *LAB_PACKAGES, "pandas", "mcp", "edge.mcp_server")
     assert not [name for name in loaded if name.startswith(heavy)]
 
 
