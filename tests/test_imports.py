@@ -33,6 +33,7 @@ LAYERS = (
     ("launch",),
     ("models",),
     ("cli",),
+    ("mcp_server",),
     ("lab",),
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}

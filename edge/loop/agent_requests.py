@@ -60,7 +60,7 @@ class Proposal:
 
     @property
     def understood(self) -> str:
-        """What would be done."""
+        """The effect, in words."""
         if isinstance(self.prepared, MissionSpec):
             return one_line(self.prepared.translation.understood)
         return one_line(f"{self.prepared.do}: {self.prepared.name}")

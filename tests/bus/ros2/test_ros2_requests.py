@@ -19,6 +19,7 @@ from edge.bus.ros2.node import Ros2Node
 from edge.bus.ros2.requests import STRING, serve_ros2_requests
 from edge.bus.verbs import Verb
 
+KEYS = [key.removesuffix("/request") for key in topics.REQUESTS]
 Ask = Callable[[bytes], dict[str, Any]]
 
 
@@ -79,7 +80,7 @@ def ask(request, port) -> Iterator[Ask]:
         ("[]", {"error": "the request is JSON, but not an object"}),
         (
             "{}",
-            {"error": "to: unknown None (choices: mission, models, site, memory, stop, release)"},
+            {"error": f"to: unknown None (choices: {', '.join(KEYS)})"},
         ),
         ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
         ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
