@@ -34,7 +34,7 @@ from edge.host.ports import free_port
 from edge.host.stop_latch import RETRY_S, StopLatch
 from edge.live.agent_view import AgentView
 from edge.loop import requests
-from edge.loop.agent_requests import make_agent_handlers
+from edge.loop.agent_requests import agent_handlers
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.result import Sink
 from edge.loop.runner import RunningService
@@ -210,7 +210,7 @@ def open_service(
         handlers = requests.request_handlers(service, prepare, problems)
         if config.mcp is not None:
             prepare_new = requests.mission_verbs(prepare)["new"].prepare
-            handlers |= make_agent_handlers(service, config.mcp, prepare_new, view.picture)
+            handlers |= agent_handlers(service, config.mcp, prepare_new, view.picture)
         for key, (verbs, handle) in handlers.items():
             servers[key] = RequestServer(session, config.zenoh.key(key), verbs, handle)
             stack.callback(servers[key].close)

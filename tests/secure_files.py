@@ -16,7 +16,10 @@ from edge.config import ZenohConfig
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/security.md").read_text(encoding="utf-8")
-USERS = {w: f"pw-of-{w}" for w in ("robot", "controller", "adapter", "operator", "recorder")}
+USERS = {
+    who: f"pw-of-{who}"
+    for who in ("robot", "controller", "adapter", "operator", "recorder", "agent")
+}
 
 # A certificate that is out of date on the day that it is made, of the authority in this folder.
 OUT_OF_DATE = """

@@ -33,6 +33,7 @@ LAYERS = (
     ("launch",),
     ("models",),
     ("cli",),
+    ("mcp_server",),
     ("lab",),
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
@@ -151,7 +152,7 @@ def test_edge_run_loads_no_lab():
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {*ran.stdout.split()}
     assert "edge.loop.service" in loaded
-    heavy = ("edge.lab", *LAB_PACKAGES, "pandas")
+    heavy = ("edge.lab", *LAB_PACKAGES, "pandas", "mcp", "edge.mcp_server")
     assert not [name for name in loaded if name.startswith(heavy)]
 
 

@@ -60,7 +60,7 @@ class Proposal:
 
     @property
     def understood(self) -> str:
-        """What would be done."""
+        """The effect, in words."""
         if isinstance(self.prepared, MissionSpec):
             return one_line(self.prepared.translation.understood)
         return one_line(f"{self.prepared.do}: {self.prepared.name}")
@@ -208,15 +208,21 @@ def _check_picture(fields: dict) -> dict:
 
 
 def agent_handlers(
-    desk: AgentDesk, prepare: Callable[[dict], object], pictures: Pictures
+    service: Service,
+    settings: McpConfig,
+    prepare: Callable[[dict], object],
+    pictures: Pictures,
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
     """Return verbs and handlers of the two keys; see `edge.loop.requests.request_handlers`.
 
     Args:
-        desk: the proposals.
+        service: the running service. Its results list the waiting proposals from now on.
+        settings: `mcp` of the configuration.
         prepare: prepares the fields of a new mission; called on a request's thread.
         pictures: see `Pictures`.
     """
+    desk = AgentDesk(service, settings)
+    service.proposals = desk.waiting
 
     def prepare_new(fields: dict) -> object:
         return prepare({name: fields[name] for name in ("instruction", "repeat") if name in fields})
@@ -235,15 +241,3 @@ def agent_handlers(
         topics.AGENT_REQUEST: (agent, desk.handle_agent),
         topics.CONFIRM_REQUEST: (confirm, desk.handle_confirm),
     }
-
-
-def make_agent_handlers(
-    service: Service,
-    settings: McpConfig,
-    prepare: Callable[[dict], object],
-    pictures: Pictures,
-) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
-    """Return the handlers of agents for a service; its results list the waiting proposals."""
-    desk = AgentDesk(service, settings)
-    service.proposals = desk.waiting
-    return agent_handlers(desk, prepare, pictures)

@@ -56,14 +56,19 @@ MAY_PUT = {
     "adapter": set(ROS),
     "operator": set(),
     "recorder": set(),
+    "agent": set(),
 }
-MAY_ASK = {who: REQUESTS if who == "operator" else set() for who in MAY_PUT}
+MAY_ASK = {who: {topics.STOP_REQUEST} for who in MAY_PUT} | {
+    "operator": REQUESTS,
+    "agent": {topics.STOP_REQUEST, topics.AGENT_REQUEST},
+}
 MAY_HEAR = {
     "robot": BY_SERVICE | {"cmd_vel"},
     "controller": BY_SERVICE | {"odom"},
     "adapter": BY_SERVICE | set(ROS),
     "operator": BY_SERVICE,
     "recorder": EVERY,
+    "agent": BY_SERVICE,
 }
 
 

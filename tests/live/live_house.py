@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from simulated import simulated
 
 from edge.bus.request_queue import RequestQueue
+from edge.bus.stop import stop_requests
 from edge.geometry import SE2
 from edge.host.credentials import BearerToken
 from edge.host.service_manager import SystemdNotifier
@@ -22,6 +23,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.live.sink import LiveSink
 from edge.live.view import PUBLIC, LiveView
 from edge.loop import requests
+from edge.loop.agent_requests import agent_handlers
 from edge.loop.result import TickResult
 from edge.loop.runner import RunningService, loop
 from edge.loop.service_health import PROBES, ServiceHealth
@@ -134,12 +136,12 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
     closed = ClosedLoop(config, sinks=(tasked, brittle))
     if config.mission.on_request:
         closed.service.mission.set_idle()
-    queues = {
-        key: RequestQueue(key, verbs, handle)
-        for key, (verbs, handle) in requests.request_handlers(
-            closed.service, partial(prepare_mission, config)
-        ).items()
-    }
+    prepare = partial(prepare_mission, config)
+    handlers = requests.request_handlers(closed.service, prepare)
+    if config.mcp is not None:
+        prepare_new = requests.mission_verbs(prepare)["new"].prepare
+        handlers |= agent_handlers(closed.service, config.mcp, prepare_new, lambda of: {})
+    queues = {key: RequestQueue(key, verbs, handle) for key, (verbs, handle) in handlers.items()}
     known = None if token is None else BearerToken(token.encode())
     pages, stop = {**vitals.pages(), **view.pages()}, threading.Event()
     with serve(pages, HERE, 0, known, PROBES, view.forms(), PUBLIC) as port:
@@ -150,7 +152,7 @@ def open_house(token: str | None = TOKEN, **sections: dict) -> Iterator[House]:
         )
         vitals.ready()
         thread.start()
-        view.open(queues)
+        view.open({**queues, **stop_requests(running.latch)})
         try:
             yield house
         finally:

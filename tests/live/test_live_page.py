@@ -312,6 +312,37 @@ def test_cancelling_takes_two_clicks(page, house):
     assert house.service.mission.done
 
 
+def test_one_click_stops_and_a_release_takes_two(page, house):
+    page.click("#stop")
+    page.says("#phase", "STOPPED")
+    page.says("#banner", "Stopped: button on the page")
+    assert house.service.stopped
+    page.says("#stop", "Release")
+    page.click("#stop")
+    page.says("#stop", "Really release?")
+    assert house.service.stopped
+    page.click("#stop")
+    page.says("#stop", "Stop")
+    eventually(lambda: not house.service.stopped)
+
+
+@pytest.mark.parametrize("button", ["Allow", "Deny"])
+def test_a_person_decides_on_what_an_agent_asks_for(tab, button):
+    text = "go to the <b>sofa</b>"
+    with open_house(mission={"target": "bed", "on_request": True}, mcp={"motion": "ask"}) as house:
+        tab.open(house.url)
+        tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
+        tab.open(house.url)
+        tab.says("#phase", "IDLE")
+        instruction = json.dumps({"do": "propose", "instruction": "go to the sofa", "by": text})
+        house.view._queues["agent/request"].accept(instruction.encode(), lambda *_: None)
+        tab.says("#proposals", f"Agent {text} asks within")
+        number = ("Allow", "Deny").index(button) + 1
+        tab.click(f"#proposals button:nth-of-type({number})")
+        tab.until("document.querySelectorAll('#proposals li').length === 0")
+        assert house.service.mission.idle == (button == "Deny")
+
+
 def test_what_is_seen_is_approached_and_reached(tab):
     nearby = {"start": [3.2, 2.3, 2.0]}
     with open_house(token=None, mission={"target": "sofa"}, sim=nearby) as house:

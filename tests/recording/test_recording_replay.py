@@ -115,6 +115,9 @@ def test_all_that_can_come_into_the_loop(tmp_path):
     recording.steps(2)
     service.idle(now_ns + 1, SE2(0.0, 0.0, 0.0))
     service.pause(False, now_ns)
+    service.stop("button", now_ns)
+    recording.steps(2)
+    service.stop("", now_ns)
     recording.steps(3)
     service.on_goal_status(GoalStatus(service.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
     recording.steps(3)
@@ -149,12 +152,13 @@ def test_all_that_can_come_into_the_loop(tmp_path):
         "goal_status",
         "mission",
         "pause",
+        "stop",
         "fail",
         "config",
         "jump",
         "site",
     }
-    same(files_of(tmp_path)[0], 35)
+    same(files_of(tmp_path)[0], 37)
 
 
 @pytest.mark.parametrize("field", ["rgb", "depth_m"])

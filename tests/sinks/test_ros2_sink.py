@@ -273,6 +273,20 @@ def test_nowhere_to_go_cancels_and_is_not_answered(make, nav2, answers):
     assert [(a.stamp_ns, a.state) for a in answers(2)] == [(1, "accepted"), (2, "accepted")]
 
 
+def test_a_stop_cancels_its_goal_and_all_of_others_once(make, nav2):
+    sink = make()
+    sink.tick(driving(1))
+    goal_id = first_goal(nav2)
+    for _ in range(3):
+        sink.tick(result(stopped="button"))
+    assert eventually(lambda: len(nav2.cancelled) >= 2 and nav2.cancelled) == [goal_id, bytes(16)]
+
+
+def test_a_service_that_starts_stopped_cancels_what_a_killed_one_left(make, nav2):
+    make().tick(result(stopped="button"))
+    assert eventually(lambda: nav2.cancelled) == [bytes(16)]
+
+
 def test_closing_takes_the_goal_back(make, nav2):
     make().tick(driving(1))
     goal_id = first_goal(nav2)

@@ -17,11 +17,29 @@ export function show({ controls, moment, service }) {
     stopped = !stopped;
     say("stop", stopped ? "Release" : "Stop");
   }
+  proposals(controls ? (moment?.proposals ?? []) : []);
   resumes = paused || moment?.phase === "waiting";
   asks = !paused && Boolean(moment?.question);
   say("pause", paused ? "Resume" : asks ? "Confirm" : resumes ? "Go on" : "Pause");
   $("pause").disabled = $("cancel").disabled = isDone(moment);
   $("new").disabled = $("send").disabled = service.state === "starting" || service.state === "stopping";
+}
+
+// What agents ask for; a button decides on one. The texts are an agent's: only ever shown as text.
+let shown = "";
+function proposals(waiting) {
+  const ids = waiting.map((one) => one.id).join();
+  if (ids === shown) return;
+  shown = ids;
+  $("proposals").replaceChildren(...waiting.map((one) => {
+    const row = make("li", { text: `Agent ${one.by} asks within ${Math.round(one.left_s)} s: ${one.text} (${one.understood}) ` });
+    for (const [verb, name] of [["allow", "Allow"], ["deny", "Deny"]]) {
+      const button = make("button", { text: name, type: "button" });
+      button.addEventListener("click", () => ask("confirm/request", { do: verb, id: one.id }, `${name}: ${one.text}`));
+      row.append(button);
+    }
+    return row;
+  }));
 }
 
 let hide = 0;

@@ -16,9 +16,10 @@ from edge.bus import topics
 from edge.bus.request_queue import MAX_BYTES, RequestQueue
 from edge.bus.ros2.names import dialect_of
 from edge.bus.ros2.node import Ros2Node
-from edge.bus.ros2.requests import STRING, serve_ros2_requests
+from edge.bus.ros2.requests import BOOL, STRING, serve_ros2_requests, serve_ros2_stop
 from edge.bus.verbs import Verb
 
+KEYS = [key.removesuffix("/request") for key in topics.REQUESTS]
 Ask = Callable[[bytes], dict[str, Any]]
 
 
@@ -79,7 +80,7 @@ def ask(request, port) -> Iterator[Ask]:
         ("[]", {"error": "the request is JSON, but not an object"}),
         (
             "{}",
-            {"error": "to: unknown None (choices: mission, models, site, memory, stop, release)"},
+            {"error": f"to: unknown None (choices: {', '.join(KEYS)})"},
         ),
         ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
         ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
@@ -103,3 +104,25 @@ def test_each_request_is_answered_with_its_label(ask, text, answer):
 )
 def test_what_is_no_request_is_answered_too(ask, payload, error):
     assert error in ask(payload)["error"]
+
+
+@pytest.mark.parametrize("via", ["rmw_zenoh", "bridge", "adapter"])
+def test_a_pressed_button_stops_and_one_that_is_not_pressed_does_not(port, via):
+    config = simulated({"ros2": {"via": via}})
+    config = config.model_copy(update={"zenoh": zenoh_settings(port)})
+    reasons: list[str] = []
+    with (
+        ours(port) as theirs,
+        ours(port) as session,
+        serve_ros2_stop(config, session, reasons.append),
+    ):
+        node = Ros2Node(theirs, 0, "button", dialect_of(via, config.zenoh.prefix))
+        button = node.publisher("/edge/stop", BOOL)
+        eventually(lambda: node.update() or button.has_subscribers())
+        for payload, presses in ((to_ros(STORE.types[BOOL](False)), 0), (b"junk", 1),
+                                 (to_ros(STORE.types[BOOL](True)), 2)):  # fmt: skip
+            button.put(payload)
+            eventually(lambda presses=presses: len(reasons) >= presses)
+            assert len(reasons) == presses
+        node.close()
+    assert set(reasons) == {"a message on /edge/stop"}

@@ -1,0 +1,79 @@
+"""`edge mcp` over standard input and output, against a running service."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from typing import Any
+
+import pytest
+from edge_processes import write_config
+from live_patience import PATIENCE_S, eventually
+
+from edge.bus.client import send_request
+from edge.bus.session import open_session
+from edge.config import ZenohConfig
+
+pytest.importorskip("mcp", reason="the extra [mcp] is not installed")
+
+from mcp import Client, StdioServerParameters
+
+pytestmark = pytest.mark.slow
+
+
+def data(result: Any) -> dict[str, Any]:
+    assert not result.is_error, result.content
+    return json.loads(result.content[0].text)["data"]
+
+
+def test_an_agent_proposes_a_person_allows_and_the_robot_drives(edge, endpoint, tmp_path):
+    config = write_config(
+        tmp_path, zenoh={"endpoint": endpoint}, mission={"on_request": True}, mcp={"motion": "ask"}
+    )
+    service = edge("run", config).says("ready:")
+    edge("sim", config)
+    goals: set[bytes] = set()
+    command = StdioServerParameters(
+        command=sys.executable, args=["-m", "edge.cli", "mcp", str(config)], cwd=str(tmp_path),
+        env={**os.environ, "XDG_STATE_HOME": str(tmp_path)},
+    )  # fmt: skip
+    with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
+        session.declare_subscriber("edge/goal", lambda sample: goals.add(sample.payload.to_bytes()))
+
+        def pose() -> object:
+            status = send_request(
+                session, "edge/agent/request", {"do": "status"}, PATIENCE_S, "status"
+            )
+            return status["pose"]
+
+        eventually(pose)
+
+        async def drive() -> None:
+            async with Client(command, read_timeout_seconds=PATIENCE_S) as agent:
+                assert data(await agent.call_tool("status", {}))["phase"] == "idle"
+                (picture,) = (await agent.read_resource("edge://camera")).contents
+                assert picture.mime_type == "image/jpeg"
+                (picture,) = (await agent.read_resource("edge://map")).contents
+                assert picture.blob.startswith("iVBOR")  # PNG
+                image = (await agent.call_tool("snapshot", {})).content[1]
+                assert image.mime_type == "image/jpeg"
+                proposed = data(await agent.call_tool("go", {"to": "toilet"}))
+                assert proposed["state"] == "waiting"
+                assert len(goals) <= 1  # the goal to stand still of the start
+                service.says("asks for: go to the toilet")
+                answer = send_request(
+                    session, "edge/confirm/request", {"do": "allow", "id": proposed["id"]},
+                    PATIENCE_S, "confirm",
+                )  # fmt: skip
+                assert answer == {"proposals": []}
+                eventually(lambda: len(goals) > 1)
+                assert data(await agent.call_tool("stop", {"why": "enough"}))["stopped"]
+                assert data(await agent.call_tool("status", {}))["stopped"] == "an agent: enough"
+
+        asyncio.run(drive())
+    lines = (tmp_path / "edge-vln" / "mcp-edge.jsonl").read_text().splitlines()
+    assert [json.loads(line).get("tool") for line in lines[::2]] == [
+        "status", "read", "read", "snapshot", "go", "stop", "status",
+    ]  # fmt: skip
