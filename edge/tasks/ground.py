@@ -135,7 +135,8 @@ class ReachableGround:
             (x_m, y_m), or None if there is no point within `REACH_M`; and the distance to the
             object, inf if no point is reachable.
         """
-        regions = self.scene.regions_grid.cells > 0
+        # Short bridges over unseen ground are as good as what they join.
+        regions = (self.scene.regions_grid.cells > 0) | (self.scene.occupancy.cells < 0)
         on_region = self._stopping_point_on(obj, from_m, self.reachable & regions)
         return on_region if on_region[0] else self._stopping_point_on(obj, from_m, self.reachable)
 

@@ -147,9 +147,12 @@ def refine_legs(
             "not smoothed: every spline came too close to an obstacle, or left the chosen ground"
         )
     cost_m = smoothing.polyline_cost_m(costmap, points)
-    off_m = _length_at_m(costmap, points, HIGH)
-    if off_m > 0.0:
-        notes.append(f"{off_m:.1f} m of the path are over ground that was not chosen")
+    off_m = _length_m(costmap, points, costmap.weight == HIGH)
+    unseen = (scene.occupancy.cells < 0) & (scene.regions_grid.cells == 0)
+    unseen_m = _length_m(costmap, points, np.pad(unseen, 1))
+    for length_m, kind in ((unseen_m, "seen"), (off_m - unseen_m, "chosen")):
+        if length_m > 1e-6:
+            notes.append(f"{length_m:.1f} m of the path are over ground that was not {kind}")
     if escaped_m > 0.0:
         points, leg = np.concatenate([[(pose.x_m, pose.y_m)], points]), np.append(leg[:1], leg)
     heights_m = _heights_m(points, leg, kept_legs)
@@ -288,7 +291,7 @@ def _fit_spline(
     """
     polyline, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
     max_cost_m = MAX_COST_RATIO * smoothing.polyline_cost_m(costmap, polyline)
-    max_off_m = _length_at_m(costmap, polyline, HIGH)
+    max_off_m = _length_m(costmap, polyline, costmap.weight == HIGH)
     for control_m in CONTROL_M:
         control, control_leg = _repeat_at_ends(
             *_joined([smoothing.smooth(costmap, path, control_m) for path in paths]), legs
@@ -296,7 +299,7 @@ def _fit_spline(
         curve, at = b_spline(control, SPACING_M)
         if len(curve) < 2 or (
             smoothing.polyline_cost_m(costmap, curve) <= max_cost_m
-            and _length_at_m(costmap, curve, HIGH) <= max_off_m
+            and _length_m(costmap, curve, costmap.weight == HIGH) <= max_off_m
         ):
             # A leg begins after the point where the previous leg ends.
             return curve, control_leg[np.minimum(at + 1, len(control) - 1)], control_m
@@ -340,11 +343,14 @@ def _repeat_at_ends(
     return np.repeat(control_m, repeats, axis=0), control_leg
 
 
-def _length_at_m(costmap: CostMap, points_m: np.ndarray, weight: int) -> float:
-    """Return the length in metres of the parts of a polyline in cells of a weight."""
-    cells = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
+def _length_m(costmap: CostMap, points_m: np.ndarray, cells: np.ndarray) -> float:
+    """Return the length in metres of the parts of a polyline in some cells.
+
+    `cells` is bool, as `costmap.weight`.
+    """
+    at = costmap.grid_of(0.5 * (points_m[:-1] + points_m[1:])).astype(np.int64)
     legs = np.hypot(*np.diff(points_m, axis=0).T)
-    return float(legs[costmap.weight[cells[:, 1], cells[:, 0]] == weight].sum())
+    return float(legs[cells[at[:, 1], at[:, 0]]].sum())
 
 
 def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np.ndarray:

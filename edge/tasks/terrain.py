@@ -27,8 +27,6 @@ FILL_M, FILL_SHARE = 1.5, 0.06
 The distance is `FILL_M` plus `FILL_SHARE` times the distance from the robot, because scan lines are
 farther apart far away.
 """
-BRIDGE_M = 0.65
-"""Unseen ground this near to seen ground may be driven over, as in a low bush's shadow."""
 BLIND_M = 4.5
 """Distance within which the robot's own body may hide the ground.
 
@@ -169,22 +167,7 @@ def classify_ground(
     # Under the robot: the kind that is most frequent near by.
     near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
     under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
-    out = np.where(under, np.argmax(near), np.where(gap, nearest, out)).astype(np.uint8)
-    return with_bridges(out, grid)
-
-
-def with_bridges(kind: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the kinds of ground with those of unseen cells that are next to seen ground.
-
-    Args:
-        kind: (h, w) uint8; 0: not drivable, or unknown.
-        grid: map with these cells; unseen cells within `BRIDGE_M` of a kind get the nearest one.
-    """
-    if not kind.any():
-        return kind
-    away, nearest = _nearest_kind(kind)
-    near = (grid.cells < 0) & (away * grid.resolution_m <= BRIDGE_M)
-    return np.where((kind == 0) & near, nearest, kind)
+    return np.where(under, np.argmax(near), np.where(gap, nearest, out)).astype(np.uint8)
 
 
 def _nearest_kind(kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,8 @@ its chord. So DRIVABLE must be so much larger than TUBE that A* does not take th
 """
 CLOSED = 0
 """Weight of a cell that no path may enter."""
+BRIDGE_M = 0.45
+"""Unseen ground within this distance of seen ground is open, as in the shadow of a low bush."""
 _SUB_PX = 4  # fractional bits of points for OpenCV: 1/16 cell
 
 
@@ -52,7 +54,7 @@ def value_map(
     | drivable: of a chosen region | DRIVABLE, slightly higher |
     | other ground | HIGH |
     | occupied | HIGH in the paper, closed here |
-    | too near to an occupied cell, or never seen | closed |
+    | too near to an occupied cell, or too far from seen ground (`BRIDGE_M`) | closed |
 
     In the paper only the cost keeps A* out of occupied cells, and Table II counts 2 collisions in
     30. Here no path enters them. Closed cells are also closed for the writer of the trajectory
@@ -111,12 +113,17 @@ def closed_cells(grid: Grid, clearance_m: float) -> np.ndarray:
 def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray:
     """Return the cells that the robot's centre may enter, (h, w) bool.
 
-    A cell is open if it is not closed, and was seen to be free or is part of a region. A region
-    also covers cells that no ray hit, as between the rings of a LiDAR. `regions` has the same
-    cells, 0 = none.
+    A cell is open if it is not closed, and was seen to be free or is part of a region, or is within
+    `BRIDGE_M` of such a cell. A region also covers cells that no ray hit, as between the rings of a
+    LiDAR. `regions` has the same cells, 0 = none.
     """
-    known = (occupancy.cells >= 0) | (regions.cells > 0)
-    return known & ~closed_cells(occupancy, clearance_m)
+    seen = (occupancy.cells == 0) | (regions.cells > 0)
+    reach = int(BRIDGE_M / occupancy.resolution_m)
+    offset = np.arange(-reach, reach + 1)
+    disc = (offset**2 + offset[:, None] ** 2 <= reach**2).astype(np.uint8)
+    if seen.size:
+        seen = cv2.dilate(seen.astype(np.uint8), disc).view(bool)
+    return seen & ~closed_cells(occupancy, clearance_m)
 
 
 def _tube(grid: Grid, coarse_m: np.ndarray, radius_m: float) -> np.ndarray:

@@ -75,6 +75,17 @@ def test_a_circle_is_driven_around():
     assert got.legs[got.leg[-1]].ends_segment
 
 
+def test_a_short_bridge_over_unseen_ground_is_driven_and_said():
+    where = scene()
+    for grid, value in ((where.occupancy, -1), (where.regions_grid, 0)):
+        fill(grid, (0.0, -10.0, 0.6, 10.0), value)
+    assert "0.6 m of the path are over ground that was not seen" in refined(where).notes
+    for grid, value in ((where.occupancy, -1), (where.regions_grid, 0)):
+        fill(grid, (0.0, -10.0, 1.6, 10.0), value)
+    with pytest.raises(RefineError, match="no place within"):
+        refined(where)
+
+
 def test_it_keeps_to_the_regions_chosen():
     """A corridor in the north; the straight line lies on the lawn."""
     where = scene(road=(-9.0, -1.0, -6.0, 4.0))

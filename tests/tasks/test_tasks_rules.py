@@ -386,14 +386,14 @@ def test_what_comes_next_is_not_known_before_the_robot_is_past():
 def test_ground_that_nobody_has_seen_is_not_called_full():
     scene = street(VAN)
     centres_m = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))
-    hidden = (centres_m[..., 1] > 0.9) & (centres_m[..., 0] > 3.0)
+    hidden = (centres_m[..., 1] > 0.3) & (centres_m[..., 0] > 3.0) & (scene.occupancy.cells == 0)
     scene.occupancy.cells[hidden], scene.regions_grid.cells[hidden] = -1, 0
     for words in ("stop left of the van", "go past the left of the van"):
         with pytest.raises(TrajectoryError, match="not seen yet if there is room"):
             driven(words, scene)
     scene.occupancy.cells[:, 120:] = -1
     scene.regions_grid.cells[:, 120:] = 0
-    with pytest.raises(TrajectoryError, match=r"was seen only up to 4\.0 m"):
+    with pytest.raises(TrajectoryError, match=r"was seen only up to 5\.0 m"):
         driven("go straight for 5 metres", scene)
 
 

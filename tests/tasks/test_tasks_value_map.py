@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
-from edge.tasks.value_map import CLOSED, DRIVABLE, HIGH, TUBE, PathMargins, value_map
+from edge.tasks.value_map import BRIDGE_M, CLOSED, DRIVABLE, HIGH, TUBE, PathMargins, value_map
 
 LINE = np.array([[0.5, 1.2], [3.0, 1.2]])
 BODY = PathMargins(clearance_m=0.25, tube_m=0.4)
@@ -35,7 +35,7 @@ def twin(
 ) -> np.ndarray:
     """Cell by cell; NaN where a cell's middle is within half a cell of the tube's rim."""
     cells, out = occupancy.cells, np.full(occupancy.cells.shape, float(HIGH))
-    closed = np.argwhere(cells >= 50)
+    closed, seen = np.argwhere(cells >= 50), np.argwhere((cells == 0) | (regions.cells > 0))
     for r, c in np.ndindex(cells.shape):
         x_m, y_m = occupancy.centres_m(np.array(r), np.array(c))
         if regions.cells[r, c] in drivable:
@@ -46,7 +46,7 @@ def twin(
                 out[r, c] = math.nan
         gap_m = np.maximum(np.abs(closed - (r, c)) - 0.5, 0.0) * occupancy.resolution_m
         near_m = np.hypot(*gap_m.T).min() if len(closed) else math.inf
-        unseen = cells[r, c] < 0 and not regions.cells[r, c]
+        unseen = not (np.hypot(*(seen - (r, c)).T) <= int(BRIDGE_M / occupancy.resolution_m)).any()
         if unseen or cells[r, c] >= 50 or near_m < body.clearance_m:
             out[r, c] = CLOSED
     return out
@@ -95,13 +95,14 @@ def test_costs_of_free_ground(change, cell, expected):
         # Between the rings of a LiDAR, and where no region is.
         (-1, (5, 20), DRIVABLE),
         (-1, (20, 20), CLOSED),
+        (-1, (16, 20), HIGH),
     ],
 )
 def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
     occupancy, regions = grids()
     occupancy.cells[5, 20] = value
     if value < 0:
-        occupancy.cells[20, 20], regions.cells[20, 20] = value, 0
+        occupancy.cells[16:25, 16:25], regions.cells[16:25, 16:25] = value, 0
     assert weights(occupancy, regions)[cell] == expected
 
 
@@ -122,6 +123,7 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
     cells[rng.random(cells.shape) < share] = 100
     occupancy = Grid(cells, (-1.0, 0.5), 0.1)
     regions = replace(occupancy, cells=rng.integers(0, 4, cells.shape).astype(np.uint8))
+    occupancy.cells[4:, 9:], regions.cells[4:, 9:] = -1, 0  # wider than a bridge
     coarse_m = rng.uniform([-1.2, 0.3], [1.4, 2.6], (4, 2))
     body = PathMargins(clearance_m, tube_m)
     wanted = twin(occupancy, regions, {1, 3}, coarse_m, body)
