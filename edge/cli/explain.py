@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from edge.host import resources
 from edge.text import one_line
 
 if TYPE_CHECKING:
+    from edge.config import DetectorOnnx, DetectorSim
     from edge.mission.logic.automaton import Automaton
 
 _DRAWINGS = (".svg", ".png", ".dot")
@@ -36,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--draw: {drawing}: the name must end in one of {', '.join(_DRAWINGS)}")
     if drawing is not None and drawing.suffix != ".dot":
         require_lab()
-    mission = load(args.config).mission
+    config = load(args.config)
+    mission = config.mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
     try:
         spec = prepare(mission, text, formula, args.reading)
@@ -62,12 +64,35 @@ def run(args: argparse.Namespace) -> int:
     print(f"automaton:   {spec.automaton.n_states} states")
     steps = ", then ".join(step or "nothing" for step in plan.steps)
     print(f"first plan:  {one_line(steps, _LIST_CHARS)}")
-    for warning in spec.warnings:
-        print(f"warning:     {warning}")
+    for warning in (*spec.warnings, *_unknown_words(config.perception.detector, spec.prompts)):
+        print(f"warning:     {one_line(warning, _LIST_CHARS)}")
     if drawing is not None:
         _draw(drawing, spec.automaton, plan.steps)
         print(drawing)
     return 0
+
+
+def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each prompt that the detector's vocabulary lacks.
+
+    The encoder itself logs each phrase that it reads as its noun. Without an encoder there are no
+    lines: `edge doctor` reports that.
+    """
+    from edge.perception.embedding.encoders import make_text_encoder
+    from edge.perception.embedding.text import PromptError
+    from edge.perception.runtime.cards import ModelError, load_detector_card
+
+    if detector.kind != "onnx":
+        return
+    try:
+        encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+    except (ModelError, PromptError):
+        return
+    for prompt in prompts:
+        try:
+            encoder.resolve(prompt)
+        except PromptError as error:
+            yield f"the detector cannot look for it: {error}"
 
 
 def _print_readings(readings: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -165,3 +166,17 @@ def test_what_is_asked_too_much_of_says_which_key_to_raise():
     few = MissionConfig(translator=TranslatorLtl(), instruction="F a & F b", max_states=2)
     with pytest.raises(limits.CompileError, match=r"more than 2 states.*mission\.max_states"):
         prepare(few)
+
+
+def test_words_that_the_detector_lacks_are_told(tmp_path, capsys):
+    np.savez(tmp_path / "words.npz", names=["chair"], emb=np.eye(1, 512))
+    detector = f"kind: onnx, vocabulary: {tmp_path / 'words.npz'}"
+    (tmp_path / "robot.yaml").write_text(f"perception: {{detector: {{{detector}}}}}\n")
+    args = argparse.Namespace(
+        text="F chair & F zebra", formula=True, reading=None, draw=None,
+        config=str(tmp_path / "robot.yaml"),
+    )  # fmt: skip
+    assert explain.run(args) == 0
+    warnings = [row for row in capsys.readouterr().out.split("\n") if row.startswith("warning")]
+    assert len(warnings) == 1
+    assert "cannot look for it: prompt 'zebra': not in the vocabulary words.npz" in warnings[0]

@@ -231,6 +231,11 @@ def test_a_person_confirms_a_probable_object(tmp_path):
     ), reason
     bed = next(item for item in loop.world.objects if item.label == "bed")
     assert bed.distance_m(loop.drive.motion.pose.x_m, loop.drive.motion.pose.y_m) < 1.0
+    loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
+    loop.step()
+    assert loop.service.status.phase == "searching"
+    while loop.service.status.phase != "waiting" and not loop.service.status.done:
+        loop.step()
     ask(loop, "confirm")
     loop.step()
     assert "reached: bed (confirmed by a person)" in loop.notes.events

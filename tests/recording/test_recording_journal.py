@@ -72,6 +72,7 @@ START = LoopInput(3, "start", {
         ("goal_status", {"goal_status": GoalStatus(1, "failed", "stuck\n", (0.1, 0.2))}),
         ("goal_status", {"goal_status": GoalStatus(1, "reached")}),
         ("pause", {"paused": True, "now_ns": 1}),
+        ("confirm", {"now_ns": 1}),
         ("fail", {"reason": "because", "now_ns": 1}),
         ("jump", {"now_ns": 1}),
         ("site", {"site": SITE, "now_ns": 1}),

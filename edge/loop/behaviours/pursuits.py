@@ -148,7 +148,10 @@ class Pursuit(Generic[DestinationType]):
     def _check_probable(self, probable: ProbableObject, context: PolicyInput) -> None:
         """Accept the probable object when the robot is at it, or ask a person."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
-        if goals.probable is not probable or not self._has_path:  # another frame, or a closed path
+        if goals.probable is not probable:  # the frame has changed: search again
+            self._probable, mission.question = None, ""
+            return
+        if not self._has_path:
             mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
             return
         goal = goals.goal

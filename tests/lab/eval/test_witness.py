@@ -36,7 +36,7 @@ class Stage:
 
     def tick(
         self, at_s, xy=(1.0, 2.0), *, shown=(), near_m=2.0, phase="searching", reason="",
-        reached=None, instances=(), target="bed",
+        reached=None, instances=(), target="bed", text="",
     ):  # fmt: skip
         """One tick; `shown` are the labels in the picture, `near_m` away."""
         ids = np.zeros((20, 20), np.uint16)
@@ -44,7 +44,7 @@ class Stage:
             ids[10 * k : 10 * k + 10] = next(o.id for o in self.world.objects if o.label == label)
         self._truth = GroundTruth(*xy, 0.0, at_s, 0, ids)
         if reached is not None:
-            self._log.append(MissionEvent(0, "reached", reached, 0, ""))
+            self._log.append(MissionEvent(0, "reached", reached, 0, text))
         seen = Observation(0, int(at_s * SECOND_NS), np.eye(4), depth_m=np.full((20, 20), near_m))
         self.logger.tick(
             SimpleNamespace(
@@ -85,6 +85,20 @@ def test_a_stop_far_from_it_is_the_wrong_thing(stage):
     stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
     assert stage.failure() == "wrong thing"
     assert [label for label, _ in stage.logger.wrong_stops] == ["bed"]
+
+
+@pytest.mark.parametrize("xy", [(5.2, 2.0), (2.0, 2.0)])  # at the bed, and far from it
+def test_a_probable_object_is_neither_right_nor_wrong(stage, xy):
+    text = "reached: bed (probably, 0.62: bed or sofa)"
+    stage.tick(9.0, xy, phase="reached", reached="bed", text=text)
+    assert stage.failure() == "probable"
+    assert stage.logger.wrong_stops == []
+
+
+def test_an_object_that_a_person_confirmed_is_judged(stage):
+    text = "reached: bed (confirmed by a person)"
+    stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed", text=text)
+    assert stage.failure() == "wrong thing"
 
 
 def test_what_never_came_into_view_was_never_seen(stage):
