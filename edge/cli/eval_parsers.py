@@ -22,18 +22,21 @@ def add_eval(commands) -> None:  # type: ignore[no-untyped-def]
         "eval", help="measure the quality of policies, planners, translators and trajectories"
     )
     kinds = evaluate.add_subparsers(title="kinds", required=True, metavar="KIND")
-    _add_episodes(kinds)
+    episodes = "compare policies or settings in simulated searches for objects"
+    _add_episodes(kinds, "episodes", episodes, "demo")
+    textured = "the same in 125 held-out houses with textured furniture: 500 searches"
+    _add_episodes(kinds, "textured", textured, "textured", workers=cores(), starts=1)
     _add_planning(kinds)
     _add_translate(kinds)
     _add_trajectories(kinds)
     _add_rooms(kinds)
 
 
-def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
-    episodes = kinds.add_parser(
-        "episodes", help="compare policies or settings in simulated searches for objects"
-    )
-    episodes.add_argument("config", nargs="?", default="demo", help=f"{CONFIG} (default: demo)")
+def _add_episodes(  # type: ignore[no-untyped-def]
+    kinds, name: str, text: str, config: str, workers: int = 1, starts: int = 4
+) -> None:
+    episodes = kinds.add_parser(name, help=text)
+    episodes.add_argument("config", nargs="?", default=config, help=f"{CONFIG} (default: {config})")
     group = episodes.add_argument_group("episodes to run")
     option, exclusive = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option(
@@ -62,7 +65,7 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--starts",
         type=count,
-        default=4,
+        default=starts,
         help="number of start poses for each target in each world (default: %(default)s)",
     )
     option(
@@ -125,8 +128,8 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         help="like --out; also write a web page with pictures for each episode to this folder",
     )  # fmt: skip
     option(
-        "--workers", "--jobs", type=count, default=1, metavar="N",
-        help="run in N processes of one thread each (default: in this process)",
+        "--workers", "--jobs", type=count, default=workers, metavar="N",
+        help="run in N processes of one thread each; 1: in this process (default: %(default)s)",
     )  # fmt: skip
     option(
         "--processes", action="store_true",
@@ -144,7 +147,7 @@ def _add_episodes(kinds) -> None:  # type: ignore[no-untyped-def]
         "first)",
     )  # fmt: skip
     compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
-    runs = lazy_handler("edge.lab.eval.runs", "run", lab=True)
+    runs = lazy_handler("edge.lab.eval.runs", "run" if name == "episodes" else name, lab=True)
     only_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
     dispatch_on_option(
         episodes, "--compare", on=compare, on_only=("--baseline",), off=runs, off_only=only_runs

@@ -28,6 +28,7 @@ from edge.names import canonical
 from edge.perception.embedding.text import find_vocabulary, load_vocabulary
 
 EPISODES_NAME = "episodes.jsonl"
+TEXTURED_WORLDS, TEXTURED_PER_WORLD = "furnished[1000:1125]", 4  # of `edge eval textured`
 DEFAULT_TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
 
 OnOutcome = Callable[[int, int, EpisodeOutcome], None]
@@ -148,6 +149,17 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     print(f"\n{summary_text(outcomes)}")
     return 0
+
+
+def textured(args: argparse.Namespace) -> int:
+    """Handle `edge eval textured`: `run` with other defaults."""
+    if args.worlds is None and args.episodes is None:
+        args.worlds = [TEXTURED_WORLDS]
+        args.per_world = args.per_world or TEXTURED_PER_WORLD
+        args.targets = args.targets or "vocabulary"
+    if args.plan is None:
+        args.out = args.out or args.report or Path("textured")
+    return run(args)
 
 
 def _arm_settings(args: argparse.Namespace) -> dict[str, experiment_arms.Data]:

@@ -25,6 +25,7 @@ from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
 from edge.lab.eval.sessions import run_session
+from edge.lab.eval.world_list import WorldSection
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -78,15 +79,16 @@ def run_in_process(jobs: Iterable[EpisodeJob], stop: threading.Event) -> Iterato
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process and its current job."""
+    """A worker process, its current job, and the world that it loaded last."""
 
     process: Any
     pipe: connection.Connection
     job: EpisodeJob | None = None
+    world: WorldSection | None = None
 
     def give(self, job: EpisodeJob) -> None:
         """Send a job to the process."""
-        self.job = job
+        self.job, self.world = job, job.episode.world
         self.pipe.send(job)
 
     def take(self) -> list[EpisodeOutcome]:
@@ -120,7 +122,8 @@ def run_in_workers(
                 workers.append(_start())
             for worker in workers:
                 if worker.job is None and waiting:
-                    worker.give(waiting.popleft())
+                    others = [other.world for other in workers if other is not worker]
+                    worker.give(take_job(waiting, worker.world, others))
             busy = {worker.pipe: worker for worker in workers if worker.job is not None}
             ready = connection.wait(list(busy), _STOP_CHECK_S)
             if stop.is_set():
@@ -132,6 +135,25 @@ def run_in_workers(
             worker.process.terminate()
         for worker in workers:
             worker.process.join(_END_S)
+
+
+def take_job(
+    waiting: deque[EpisodeJob], loaded: WorldSection | None, others: Sequence[WorldSection | None]
+) -> EpisodeJob:
+    """Take the next job of a worker: loading a world takes seconds, so each loads its own.
+
+    Args:
+        waiting: the jobs; the one that is returned is removed.
+        loaded: the world that the worker has.
+        others: the worlds of the other workers.
+    """
+    index = next((k for k, job in enumerate(waiting) if job.episode.world == loaded), None)
+    if index is None:
+        free = (k for k, job in enumerate(waiting) if job.episode.world not in others)
+        index = next(free, 0)
+    job = waiting[index]
+    del waiting[index]
+    return job
 
 
 def _start() -> _Worker:

@@ -5,19 +5,20 @@ from __future__ import annotations
 import dataclasses
 import os
 import threading
+from collections import deque
 from typing import Any
 
 import pytest
 from small_house import small_house
 
 from edge.cli.main import main
-from edge.lab.eval import drive, workers
+from edge.lab.eval import drive, runs, workers
 from edge.lab.eval.arms import make_arms
 from edge.lab.eval.drive import in_process, run_episode
-from edge.lab.eval.episodes import plan, read, write
+from edge.lab.eval.episodes import Episode, plan, read, write
 from edge.lab.eval.outcome import TIMINGS, EpisodeOutcome, OutcomeFile
 from edge.lab.eval.runs import count_outdated, run_all
-from edge.lab.eval.workers import EpisodeJob, run_in_process, run_in_workers
+from edge.lab.eval.workers import EpisodeJob, run_in_process, run_in_workers, take_job
 
 ARMS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 
@@ -227,6 +228,44 @@ def test_a_plan_is_written_and_run_in_columns(yaml_path, tmp_path, capsys):
     assert main([*run, "--arm", "hvl", "policy.w_dist=1.5"]) == 0
     printed = capsys.readouterr().out
     assert "arm hvl: its settings have changed, so 1 earlier outcomes are not used" in printed
+
+
+def test_the_textured_benchmark_has_its_own_defaults(yaml_path, tmp_path, monkeypatch):
+    asked: list[Any] = []
+
+    def planned(config, worlds, targets, starts, seed, distance, per_world, size):
+        asked.append((len(worlds), worlds[0]["seed"], targets, starts, per_world))
+        return [Episode("id", worlds[0], (0.0, 0.0, 0.0), "bed", None, 5.0, {})]
+
+    monkeypatch.setattr(runs.eps, "plan", planned)
+    command = ["eval", "textured", yaml_path, "--plan", str(tmp_path / "plan"), "--targets", "bed"]
+    assert main(command) == 0
+    assert main([*command, "--worlds", "furnished[3:5]", "--starts", "2"]) == 0
+    assert asked == [(125, 1000, ["bed"], 1, 4), (2, 3, ["bed"], 2, None)]
+
+
+WORLDS = {"a": {"kind": "generated", "seed": 1}, "b": {"kind": "generated", "seed": 2}}
+
+
+@pytest.mark.parametrize(
+    ("waiting", "loaded", "others", "taken"),
+    [
+        ("aabb", None, "", 0),
+        ("aabb", "b", "", 2),
+        ("aabb", None, "a", 2),
+        ("aabb", "b", "ab", 2),
+        ("aa", "b", "a", 0),
+        ("abab", "a", "b", 0),
+    ],
+)
+def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
+    jobs = deque(
+        EpisodeJob(None, Episode(str(k), WORLDS[w], (0.0, 0.0, 0.0), "bed", None, 5.0, {}))
+        for k, w in enumerate(waiting)
+    )
+    job = take_job(jobs, WORLDS.get(loaded), [WORLDS[w] for w in others])
+    assert job.episode.id == str(taken)
+    assert [j.episode.id for j in jobs] == [str(k) for k in range(len(waiting)) if k != taken]
 
 
 @pytest.mark.parametrize(
