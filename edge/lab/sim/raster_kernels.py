@@ -79,7 +79,7 @@ def _is_hidden(window, inverse):
 @jit(error_model="numpy")
 def _narrow(first, last, base, per_slope):
     """Return the columns in which `base + column / per_slope` is not negative, and a bit more."""
-    zero = -base * per_slope
+    zero = max(-1e6, min(1e6, -base * per_slope))  # far outside, but small enough to round
     if per_slope > 0.0:
         return max(first, math.ceil(zero - _SLACK_PX)), last
     return first, min(last, math.floor(zero + _SLACK_PX))
@@ -121,11 +121,12 @@ def _draw(triangles, f, T, fx, fy, cx, cy, p, n, inverse, face, weights):
         n[k, 1] = p[a, 2] * p[b, 0] - p[a, 0] * p[b, 2]
         n[k, 2] = p[a, 0] * p[b, 1] - p[a, 1] * p[b, 0]
     volume = n[0, 0] * p[0, 0] + n[0, 1] * p[0, 1] + n[0, 2] * p[0, 2]
-    if volume == 0.0:
+    if abs(volume) < 1e-18:
         return  # seen from its edge
     scale = 1.0 / volume
     ax, bx, cx_ = scale * n[0, 0] / fx, scale * n[1, 0] / fx, scale * n[2, 0] / fx
-    is_wide = right - left > _NARROW_PX and ax != 0.0 and bx != 0.0 and cx_ != 0.0
+    # A slope of rounding errors gives no column.
+    is_wide = right - left > _NARROW_PX and min(abs(ax), abs(bx), abs(cx_)) > 1e-12
     per_ax, per_bx, per_cx = 1.0 / ax, 1.0 / bx, 1.0 / cx_
     for v in range(int(top), int(bottom) + 1):
         y = (v - cy) / fy

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.geometry import CameraModel, se3, to_optical
+from edge.geometry import SE2, CameraModel, se3, to_optical
 from edge.lab.sim import raster_kernels
 
 CAMERA = CameraModel.from_hfov(32, 24, math.radians(75.0))
@@ -82,6 +82,18 @@ def test_there_is_no_gap_between_neighbours():
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.float32)
     face, _, _ = rasterised(triangles, to_optical(se3(0.0, 0.0, 0.0)), 16)
     assert (face >= 0).all()
+
+
+def test_a_face_along_the_axes_of_the_image():
+    """Its borders are rows and columns, but for rounding errors."""
+    corners = [[-2.38149, 5.48027, 2.115804], [-2.38149, 3.294744, 0.583677],
+               [-2.38149, 5.48027, 0.583677]]  # fmt: skip
+    triangle = np.array([corners], np.float32)
+    T_map_camera = SE2(3.8605, 4.5, math.pi).matrix() @ to_optical(se3(z_m=0.6))
+    face, _, depth = rasterised(triangle, T_map_camera)
+    nearest = plain(triangle, T_map_camera).min(axis=-1)
+    assert (face >= 0).any()
+    np.testing.assert_allclose(depth, nearest, rtol=1e-5)
 
 
 @pytest.mark.parametrize("x_m", [-2.0, -0.5])
