@@ -145,7 +145,8 @@ class MissionConfig(Section):
             the detector confirms it.
         verify_s: an object that is not confirmed after this time nearby is rejected.
         stuck_s: a robot that does not move for this time, although it has a goal, is stuck.
-        discard_s: a goal that failed is not chosen again for this time.
+        discard_s: a goal that failed is not chosen again for this time. For an object it doubles
+            with each failure.
     """
 
     target: Name = "chair"
