@@ -57,6 +57,8 @@ SAME_POINT_M = 0.6
 _SEEN_HERE = 2
 """Number of images from where the robot stands that must show an object before it is reached. One
 may have been taken while the robot was still driving."""
+_NEAR_M = 5.0
+"""Distance around an object that cannot be reached in which the nearest free cell is looked for."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
 
@@ -204,7 +206,18 @@ class GoalTracker:
         explored = "explored all reachable space"
         if n_left:
             explored = f"no path to the {n_left} remaining frontier{'s' * (n_left > 1)}"
-        return f"{explored}{looked_again}, {found} {target}{blocked}"
+        place = self._unreached_text(target, grid)
+        return f"{explored}{looked_again}, {found} {target}{place}{blocked}"
+
+    def _unreached_text(self, target: str, grid: RollingMap) -> str:
+        """Return the place of the best object that the robot cannot get at; "" if there is none."""
+        for instance in self._tracker.of(target)[:1]:
+            x_m, y_m, _ = instance.center_m.tolist()
+            cell = grid.travel_cost.nearest(x_m, y_m, _NEAR_M)
+            away_m = _NEAR_M if cell is None else instance.distance_m(cell[0], cell[1])
+            if away_m > self._config.mission.reach_m:
+                return f": seen at ({x_m:.1f}, {y_m:.1f}), no way nearer than {away_m:.1f} m"
+        return ""
 
     # -- choosing ---------------------------------------------------------------------------
 
@@ -586,7 +599,7 @@ class GoalTracker:
         seen_again = (
             instance.hits - here.hits >= _SEEN_HERE
             or self._second_looks.get(instance.id, False)
-            or (n_images >= _SEEN_HERE and not self._tracker.is_well_in_view(instance.id))
+            or (n_images >= _SEEN_HERE and not self._tracker.is_in_view(instance.id))
         )
         if seen_again and is_reached(instance):
             return "reached"
@@ -798,7 +811,10 @@ class GoalTracker:
         self._standstill.reset()
 
     def _discard(self, now_ns: int) -> None:
-        """Abandon the current goal and ignore its candidate for `mission.discard_s`."""
+        """Abandon the current goal and ignore its candidate for `mission.discard_s`.
+
+        With each failure of the same object the time doubles, up to 64-fold.
+        """
         tracked = self._tracked
         if tracked is not None and tracked.view is not None:
             self._next_view.mark_unreachable()
@@ -813,8 +829,10 @@ class GoalTracker:
             self._place_failures += 1
         elif tracked is not None and tracked.goal.kind != "trajectory":
             goal = tracked.goal
-            kind = INSTANCE if goal.kind == "instance" else FRONTIER
-            until_ns = now_ns + int(self._config.mission.discard_s * 1e9)
+            kind, times = FRONTIER, 0
+            if goal.kind == "instance":
+                kind, times = INSTANCE, self._search.count_failure(goal.candidate_id)
+            until_ns = now_ns + int(2**times * self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.abandon()
 

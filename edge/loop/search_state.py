@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -79,6 +79,7 @@ class SearchState:
     _second_chance: bool = False  # True if discarded candidates had their second chance
     # The last instance that was out of reach: its id, and the place (x, y) of the robot.
     _out_of_reach: tuple[int, tuple[float, float]] | None = None
+    _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _next_retry_ns: int = 0
@@ -121,6 +122,11 @@ class SearchState:
             and before[0] == instance_id
             and math.dist(before[1], at_m) <= _SAME_PLACE_M
         )
+
+    def count_failure(self, instance_id: int) -> int:
+        """Count a failed goal at an instance; return the number of failures before, at most 6."""
+        self._failures[instance_id] += 1
+        return min(self._failures[instance_id] - 1, 6)
 
     def on_candidate(self) -> None:
         """Record that there is a candidate."""

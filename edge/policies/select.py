@@ -21,6 +21,9 @@ _SUCCESSOR_M = 1.0
 STOP_M = (0.7, 0.85)
 """Stopping distances from the surface of an instance in metres, in order of preference. The second
 one is for an object far back on a table, which the robot cannot get nearer to."""
+_DETOUR = 1.3
+"""The way to an object that is not mapped yet stays while it is at most this many times as long as
+the shortest one. Straight lines go through walls, so the shortest one often changes."""
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
@@ -109,7 +112,8 @@ def choose(
     current = -1 if held is None else _index_of(held.goal, context.candidates)
     current_is_ranked = current in order
     for index in map(int, order):
-        cell = _goal_cell(context, index, instance_of, stop_m)
+        goal_m = None if held is None or index != current else held.goal.pose
+        cell = _goal_cell(context, index, instance_of, stop_m, goal_m)
         if cell is None:
             continue
         if (
@@ -118,7 +122,7 @@ def choose(
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):
-            kept = _goal_cell(context, current, instance_of, stop_m)
+            kept = _goal_cell(context, current, instance_of, stop_m, held.goal.pose)
             if kept is not None:
                 index, cell = current, kept
         value = float(score[index])
@@ -180,12 +184,13 @@ def _is_still_valid(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
 
 
 def _goal_cell(
-    context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float
+    context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float, held: SE2 | None
 ) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none.
 
     If no free cell is near enough to an instance, the cell is at the frontier on the shortest way
-    to it, or, without such a frontier, next to the nearest point of its surface.
+    to it, or, without such a frontier, next to the nearest point of its surface. `held` is the
+    current goal, if it is for this candidate.
     """
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
@@ -205,20 +210,27 @@ def _goal_cell(
         surface_m = instance.points_m[:, :2]
         away_m = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
         xy_m = surface_m[int(np.argmin(away_m))]
-        frontier = _frontier_towards(candidates, xy_m)
+        frontier = _frontier_towards(candidates, xy_m, held)
         if frontier >= 0:
             xy_m, kind = candidates.xy_m[frontier], FRONTIER
     found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), float(SNAP_M[kind]))
     return None if found is None else (found[0], found[1])
 
 
-def _frontier_towards(candidates: Candidates, xy_m: np.ndarray) -> int:
-    """Return the index of the frontier on the shortest path to an unmapped position; -1 if none."""
+def _frontier_towards(candidates: Candidates, xy_m: np.ndarray, held: SE2 | None) -> int:
+    """Return the index of the frontier on the shortest path to an unmapped position; -1 if none.
+
+    The frontier of the goal `held` stays while the path over it is not much longer.
+    """
     n = candidates.n
     rest_m = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
     total_m = candidates.path_m[:n] + rest_m
     total_m[(candidates.kind[:n] != FRONTIER) | candidates.blocked[:n]] = np.inf
     best = int(total_m.argmin()) if n else -1
+    if held is not None:
+        kept = candidates.nearest(FRONTIER, (held.x_m, held.y_m), _SUCCESSOR_M)
+        if kept >= 0 and total_m[kept] <= _DETOUR * total_m[best]:
+            best = kept
     return best if best >= 0 and np.isfinite(total_m[best]) else -1
 
 

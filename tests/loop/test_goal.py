@@ -34,7 +34,7 @@ class Map:
     def __init__(self) -> None:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
-        self.generation, self.closed_m = 7, []
+        self.generation, self.closed_m, self.known_m = 7, [], []
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.view_m2, self.resolution_m = 0.0, 0.1
         self.travel_cost = self.coverage = self.bumps = self
@@ -94,8 +94,11 @@ class Things(dict):
     def needs_other_view(self, instance_id: int) -> bool:
         return instance_id in self.one_sided
 
-    def is_well_in_view(self, instance_id: int) -> bool:
+    def is_in_view(self, instance_id: int) -> bool:
         return instance_id not in self.out_of_view
+
+    def of(self, label: str) -> list[Instance]:
+        return list(self.values())
 
     def reason_for(self, label: str, instance: Instance) -> str:
         return ""
@@ -113,7 +116,7 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, retargets, forbidden, done = "chair", 1, (), False
+    target, retargets, forbidden, done, detected = "chair", 1, (), False, {"chair"}
     spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
@@ -276,6 +279,50 @@ def test_when_the_goal_changes(before, after, expected):
     case = Case()
     assert case.choose(*before) is not None
     assert who(case.choose(*after)) == expected
+
+
+@pytest.mark.parametrize(
+    ("paths_m", "at_y_m"),
+    [((2.0, 2.1), 1.0), ((2.3, 2.0), 1.0), ((4.0, 2.0), -1.0), ((math.inf, 2.0), -1.0)],
+)
+def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
+    case = Case()
+    case.map.least_m = 9.0  # no free cell is near the chair
+    things = frontier(1, 2, 0.5, y=1.0), frontier(2, 2, 0.5, y=-1.0), chair(9, 4, 0.8)
+    path_m = case.pool.candidates.path_m
+    path_m[:2] = 2.0, 2.1
+    first = case.choose(*things)
+    assert who(first) == ("instance", 9)
+    path_m[:2] = paths_m
+    goal = case.choose(*things)
+    assert (goal.pose.y_m, goal is first) == (at_y_m, at_y_m > 0)
+
+
+@pytest.mark.parametrize(
+    ("nearest_m", "place"),
+    [
+        (0.7, ""),
+        (1.5, ": seen at (3.0, 0.0), no way nearer than 1.5 m"),
+        (None, ": seen at (3.0, 0.0), no way nearer than 5.0 m"),
+    ],
+)
+def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
+    case = Case()
+    case.choose(chair(9, 3.0, 0.8))
+    cell = None if nearest_m is None else (3.0 - nearest_m, 0.0, 2.0)
+    case.map.nearest = lambda x, y, within_m: cell
+    reason = case.goals.failure_reason(case.mission, case.map)
+    assert reason == f"explored all reachable space, found no path to chair{place}"
+
+
+def test_a_thing_that_fails_again_is_left_alone_twice_as_long():
+    case, times_ns = Case(), []
+    case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
+    for _ in range(3):
+        case.choose(chair(9, 3.0, 0.8))
+        case.answer("failed")
+        case.judge()
+    assert times_ns == [45 * S, 90 * S, 180 * S]
 
 
 def test_what_cannot_be_reached_is_passed_over():

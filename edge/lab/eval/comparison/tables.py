@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
+import numpy as np
+
 from edge.lab.eval.comparison.outcomes import OTHER
 from edge.lab.eval.comparison.statistics import (
     METRICS,
