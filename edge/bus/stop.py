@@ -76,8 +76,7 @@ class StopServer:
         self._queryables = []
         for name, accepted in requests.items():
             key = settings.key(name)  # type: ignore[arg-type]
-            ring = zenoh.handlers.RingChannel(_RING_QUERIES)
-            queryable = session.declare_queryable(key, ring)
+            queryable = session.declare_queryable(key, zenoh.handlers.RingChannel(_RING_QUERIES))
             self._queryables.append(queryable)
             threading.Thread(
                 target=_serve, args=(queryable, key, accepted), name=key, daemon=True
