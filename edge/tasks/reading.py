@@ -262,8 +262,8 @@ def _read_step(
             return _read_passing(reader, scene, before, relation.kind)
         case "between":
             return InstructionStep("between", _read_two_objects(reader, scene, before))
-        case "straight" if reader.is_at("to"):
-            reader.refuse("'straight to' is not understood; say 'to'", relation)
+        case "straight" if reader.take("to"):  # "straight to the van"
+            return _read_destination(reader, scene, before)
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
             return InstructionStep("straight", distance_m=_read_distance_m(reader))

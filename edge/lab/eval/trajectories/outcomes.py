@@ -52,6 +52,7 @@ class EpisodeFacts:
         reference: the reference trajectory.
         things: outlines of the objects that the instruction names.
         occupied: outlines of the obstacles near the reference.
+        label: class of the object at the end; "" in files of older versions.
     """
 
     id: str
@@ -64,6 +65,7 @@ class EpisodeFacts:
     reference: Polyline
     things: list[Polyline]
     occupied: list[Polyline]
+    label: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,7 @@ def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
         episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,
         episode.robot_m, _plain(resample_evenly(task.reference_m, _DRAWN_M)), [*map(_plain, hulls)],
         [*map(_plain, _outlines(episode.truth, task.reference_m))],
+        landmarks[task.landmarks[-1]].label,
     )  # fmt: skip
 
 

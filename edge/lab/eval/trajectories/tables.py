@@ -49,7 +49,13 @@ PAPER_SHAPES = {
 
 def tables(results: TrajectoryResults) -> list[ReportTable]:
     """Return every table that has rows."""
-    found = [by_task(results), shapes(results), paired(results), refusals(results)]
+    found = [
+        by_task(results),
+        by_thing(results),
+        shapes(results),
+        paired(results),
+        refusals(results),
+    ]
     return [table for table in found if table.rows]
 
 
@@ -79,6 +85,21 @@ def by_task(results: TrajectoryResults) -> ReportTable:
     return ReportTable(
         "tasks", "By kind of task (OpenNav table I)", head, rows, _unit_words(results)
     )
+
+
+def by_thing(results: TrajectoryResults) -> ReportTable:
+    """Return a table of success by the class of the object at the end, the most frequent first."""
+    labels = np.array([facts.label for facts in results.facts], str)
+    wanted = [m for m, name in enumerate(results.method_names) if METHODS[name].ends]
+    head = ["to", "n", *(f"{one_line(results.methods[m])}: SR, %" for m in wanted)]
+    rows = []
+    for label in sorted(filter(None, set(labels)), key=lambda one: (-(labels == one).sum(), one)):
+        rows.append([one_line(label), str(int((labels == label).sum()))])
+        for m in wanted:
+            kept = (labels == label) & results.ran[m]
+            reached = int(results.numbers["success"][m, kept].sum())
+            rows[-1].append(bounded(wilson(reached, int(kept.sum())), 0, 100.0))
+    return ReportTable("things", "By kind of thing", head, rows, _unit_words(results))
 
 
 def shapes(results: TrajectoryResults) -> ReportTable:

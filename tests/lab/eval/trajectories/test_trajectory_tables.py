@@ -38,6 +38,14 @@ def test_a_task_a_row_next_to_the_paper():
     assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
 
 
+def test_a_thing_a_row_with_the_most_frequent_first():
+    of = [replace(one, label="van" if k < 8 else "fence") for k, one in enumerate(FACTS)]
+    assert table("things", OURS) is None, "files of older versions name none"
+    rows = [list(row.values()) for row in table("things", OURS, of)]
+    assert [row[:2] for row in rows] == [["van", "8"], ["fence", "4"]]
+    assert rows[0][2].startswith("25 [")
+
+
 def test_pairs_are_of_the_episodes_that_both_ran():
     (row,) = table("paired", OURS + A_STAR[:5])
     assert row[1] == "5"
