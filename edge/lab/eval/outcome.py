@@ -63,6 +63,10 @@ class EpisodeOutcome:
         ways: see `Episode.ways`.
         zone_entries: number of times that the robot's footprint entered a keep-out zone; None
             without zones.
+        person_contacts: number of the collisions that were with a person. All are the robot's
+            fault: nobody walks into it. None without people.
+        ghost_s: longest time that a cell which a person left stayed occupied in view; None without
+            people, and in separate processes.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 
@@ -97,6 +101,8 @@ class EpisodeOutcome:
     goal: int | None = None
     ways: str = ""
     zone_entries: int | None = None
+    person_contacts: int | None = None
+    ghost_s: float | None = None
     answers: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -53,6 +53,8 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "score_p95_ms": lambda r: _p95(r, "score_ms"),
     "revisited_m2": lambda r: r.get("revisited_m2"),
     "zone_entries": lambda r: r.get("zone_entries"),
+    "person_contacts": lambda r: r.get("person_contacts"),
+    "ghost_s": lambda r: r.get("ghost_s"),
     "answers_right": lambda r: _share_right(r.get("answers") or {}),
 }
 
