@@ -246,9 +246,11 @@ class GroundTruthReader:
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
         self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
-        return GroundTruth(*data["pose"], data["path_m"], data["collisions"], picture.ids)._replace(
-            person_contacts=data["person_contacts"]
-        )
+        x_m, y_m, yaw_rad = data["pose"]
+        return GroundTruth(
+            x_m, y_m, yaw_rad, data["path_m"], data["collisions"], picture.ids,
+            person_contacts=data["person_contacts"],
+        )  # fmt: skip
 
 
 # -- the outcome ----------------------------------------------------------------------------------
