@@ -100,6 +100,7 @@ class SimConfig(Section):
         drift_m_per_m: standard deviation of the odometry's scale error of distance (0.01: 1 cm
             per m).
         drift_rad_per_rad: standard deviation of the odometry's scale error of turns.
+        people: number of people who walk or stand in the world; their walks depend on `seed`.
     """
 
     world: Annotated[
@@ -113,3 +114,4 @@ class SimConfig(Section):
     depth_noise: NonNegative = 0.0
     drift_m_per_m: NonNegative = 0.0
     drift_rad_per_rad: NonNegative = 0.0
+    people: Annotated[int, Field(ge=0, le=50)] = 0

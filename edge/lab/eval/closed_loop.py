@@ -13,8 +13,10 @@ import numpy as np
 
 from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2
+from edge.lab.eval.ghosts import GhostClock
 from edge.lab.motion.controller import Controller
 from edge.lab.sim.base import World
+from edge.lab.sim.people import PeopledWorld, with_people
 from edge.lab.sim.robot import DriveTrain
 from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.worlds import load_world
@@ -79,6 +81,7 @@ class ClosedLoop:
         site: places and zones at the start.
         service: the service.
         controller: the motion controller.
+        ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.
         rig: the robot's camera.
         lidar: the robot's LiDAR; None: it has none.
@@ -108,6 +111,8 @@ class ClosedLoop:
         config = self.config
         self.world = world = self.world or load_world(config)
         start = world.start if config.sim.start is None else SE2(*config.sim.start)
+        self.world = world = with_people(world, config, start)
+        self.ghosts = GhostClock(world) if isinstance(world, PeopledWorld) else None
         self.drive = DriveTrain(config.robot, config.sim, world, start, START_NS)
         self.rig = CameraRig(config, world, self.colour)
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
@@ -178,6 +183,12 @@ class ClosedLoop:
         if self.service.refused:
             self.service.idle(now_ns, self.drive.motion.odometry, observation)
         self.service.latency.end_tick(perf_counter_ns())
+        if self.ghosts is not None:
+            T_map_camera = self.drive.motion.pose.matrix() @ self.rig.T_base_camera
+            self.ghosts.observe(
+                self.service.map.grid, self.rig.model, T_map_camera, self.rig.depth_m,
+                max(self.config.sim.step_s, 1e-9 * self._frame_period_ns),
+            )  # fmt: skip
 
     @property
     def seconds(self) -> float:

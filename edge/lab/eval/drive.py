@@ -169,7 +169,11 @@ def truth_of(loop: ClosedLoop) -> GroundTruth:
     """Return the ground truth of this instant."""
     motion = loop.drive.motion
     where = motion.pose.x_m, motion.pose.y_m, motion.pose.yaw_rad
-    return GroundTruth(*where, motion.path_m, motion.collisions, loop.rig.ids)
+    ghost_s = None if loop.ghosts is None else loop.ghosts.longest_s
+    return GroundTruth(
+        *where, motion.path_m, motion.collisions, loop.rig.ids,
+        person_contacts=motion.person_contacts, ghost_s=ghost_s,
+    )  # fmt: skip
 
 
 # -- over Zenoh -----------------------------------------------------------------------------------
@@ -243,7 +247,11 @@ class GroundTruthReader:
             time.sleep(_POLL_S)
         data = self._heard[stamp_ns]
         self._heard = {t: heard for t, heard in self._heard.items() if t >= stamp_ns}
-        return GroundTruth(*data["pose"], data["path_m"], data["collisions"], picture.ids)
+        x_m, y_m, yaw_rad = data["pose"]
+        return GroundTruth(
+            x_m, y_m, yaw_rad, data["path_m"], data["collisions"], picture.ids,
+            person_contacts=data["person_contacts"],
+        )  # fmt: skip
 
 
 # -- the outcome ----------------------------------------------------------------------------------
@@ -285,6 +293,8 @@ def outcome_of(
         distance_m=away_m,
         left_m=left_m,
         collisions=now.collisions,
+        person_contacts=now.person_contacts if config.sim.people else None,
+        ghost_s=now.ghost_s,
         first_sight_s=None if sight is None else sight.seconds,
         first_sight_path_m=None if sight is None else sight.path_m,
         wrong_stops=len(logger.wrong_stops),

@@ -45,6 +45,9 @@ class GroundTruth(NamedTuple):
         path_m: length of the path driven so far.
         collisions: number of collisions so far.
         ids: (h, w) uint16 object ids of the picture, 0 = none.
+        person_contacts: number of the collisions that were with a person.
+        ghost_s: longest time that a cell stayed occupied in view after a person left it; None if
+            it is not measured.
     """
 
     x_m: float
@@ -53,6 +56,8 @@ class GroundTruth(NamedTuple):
     path_m: float
     collisions: int
     ids: np.ndarray
+    person_contacts: int = 0
+    ghost_s: float | None = None
 
 
 @dataclass
@@ -105,6 +110,7 @@ class GroundTruthLogger:
         keep_out_m: Sequence[np.ndarray] = (),
     ) -> None:
         self._world, self._truth = world, truth
+        self._people = config.sim.people  # their ids follow those of the objects
         # Compile now, not in a timed tick.
         count_visible_px(
             np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), np.zeros(1, bool), 0.0
@@ -169,7 +175,7 @@ class GroundTruthLogger:
 
     def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
         self.objects = {target: objects_meant_by(self._world, target) for target in targets}
-        max_id = max((item.id for item in self._world.objects), default=0)
+        max_id = max((item.id for item in self._world.objects), default=0) + self._people
         self._target_masks = {
             target: object_mask(objects, max_id) for target, objects in self.objects.items()
         }

@@ -67,6 +67,10 @@ class EpisodeOutcome:
             without zones.
         views: number of views of a target: one object in one image (`edge.lab.eval.recall`).
         detected: number of these views in which the detector found it.
+        person_contacts: number of the collisions that were with a person. All are the robot's
+            fault: nobody walks into it. None without people.
+        ghost_s: longest time that a cell which a person left stayed occupied in view; None without
+            people, and in separate processes.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
     """
 
@@ -101,6 +105,8 @@ class EpisodeOutcome:
     goal: int | None = None
     ways: str = ""
     zone_entries: int | None = None
+    person_contacts: int | None = None
+    ghost_s: float | None = None
     answers: dict[str, str] = field(default_factory=dict)
     views: int = 0
     detected: int = 0

@@ -243,7 +243,9 @@ class _Session:
 
 
 def _since(base: GroundTruth, truth: GroundTruth) -> GroundTruth:
-    """Return the ground truth with path and collisions counted from an earlier one."""
+    """Return the ground truth with path and contacts counted from an earlier one."""
     return truth._replace(
-        path_m=truth.path_m - base.path_m, collisions=truth.collisions - base.collisions
+        path_m=truth.path_m - base.path_m,
+        collisions=truth.collisions - base.collisions,
+        person_contacts=truth.person_contacts - base.person_contacts,
     )

@@ -21,6 +21,7 @@ from edge.bus.session import Ring, declare_publisher, zenoh_session
 from edge.bus.wire import messages
 from edge.config import Config
 from edge.lab.sim.base import World
+from edge.lab.sim.people import with_people
 from edge.lab.sim.robot import DriveTrain, MotionState
 from edge.lab.sim.sensors import Message, Rig, make_rigs, odometry_message, truth_message
 from edge.lab.sim.worlds import load_world
@@ -44,6 +45,7 @@ def main(config: Config, stop: threading.Event) -> int:
     """
     world = load_world(config)
     first_ns = FIRST_STAMP_NS if config.sim.lockstep else time.time_ns()
+    world = with_people(world, config, world.start)
     drive = DriveTrain(config.robot, config.sim, world, world.start, first_ns)
     with zenoh_session(
         config.zenoh, "connect", stop, keep_zenoh_timeout=config.sim.lockstep

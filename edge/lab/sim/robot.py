@@ -10,6 +10,7 @@ import numpy as np
 from edge.config import RobotConfig, SimConfig
 from edge.geometry import SE2, wrap_angle
 from edge.lab.sim.base import World, WorldError
+from edge.lab.sim.people import PeopledWorld, person_clearance_m
 
 SUBSTEP_S = 0.02  # longest time between two collision checks
 # After a collision, further contact is part of it until the robot has moved this far away.
@@ -29,6 +30,8 @@ class MotionState:
         collisions: number of collisions so far.
         bumped: True while the robot stands where it collided.
         path_m: distance truly driven.
+        person_contacts: number of the collisions that were with a person. All are the robot's
+            fault: nobody walks into it.
     """
 
     stamp_ns: int
@@ -39,6 +42,7 @@ class MotionState:
     collisions: int
     bumped: bool
     path_m: float
+    person_contacts: int = 0
 
 
 class DriveTrain:
@@ -77,6 +81,8 @@ class DriveTrain:
             now = self._substep(now, dt_s / count, v_cmd_mps, w_cmd_radps)
         # In one assignment: other threads read pose and stamp, which belong together.
         self.motion = replace(now, stamp_ns=now.stamp_ns + round(dt_s * 1e9))
+        if isinstance(self._world, PeopledWorld):
+            self._world.advance(dt_s, now.pose)
         return self.motion
 
     def _substep(self, now: MotionState, dt_s: float, v_cmd: float, w_cmd: float) -> MotionState:
@@ -95,16 +101,25 @@ class DriveTrain:
             pose = _advance(now.pose, 0.0, w * dt_s)
         elif bumped and pose.distance_to(self._bumped_at.x_m, self._bumped_at.y_m) > AWAY_M:
             bumped = False
+        touched = bumped and not now.bumped
         return MotionState(
             stamp_ns=now.stamp_ns,
             pose=pose,
             odometry=_advance(now.odometry, v * dt_s * self._scale, w * dt_s * self._turn_scale),
             v_mps=v,
             w_radps=w,
-            collisions=now.collisions + (bumped and not now.bumped),
+            collisions=now.collisions + touched,
             bumped=bumped,
             path_m=now.path_m + abs(v) * dt_s,
+            person_contacts=now.person_contacts + (touched and self._is_at_person(pose)),
         )
+
+    def _is_at_person(self, pose: SE2) -> bool:
+        """Return True if a person is so near that a collision at this pose is with them."""
+        if not isinstance(self._world, PeopledWorld):
+            return False
+        away_m = person_clearance_m(self._world.people, pose.x_m, pose.y_m)
+        return away_m < self._robot.radius_m + AWAY_M
 
 
 def _towards(now: float, wanted: float, limit: float, change: float) -> float:

@@ -173,5 +173,6 @@ def truth_message(motion: MotionState) -> Message:
         "collisions": motion.collisions,
         "bumped": motion.bumped,
         "path_m": motion.path_m,
+        "person_contacts": motion.person_contacts,
     }
     return topics.GROUND_TRUTH, json.dumps(truth).encode()

@@ -55,6 +55,8 @@ NUMERIC_FIELDS: dict[str, Callable[[Record], Any]] = {
     "views": lambda r: r.get("views"),
     "detected": lambda r: r.get("detected"),
     "zone_entries": lambda r: r.get("zone_entries"),
+    "person_contacts": lambda r: r.get("person_contacts"),
+    "ghost_s": lambda r: r.get("ghost_s"),
     "answers_right": lambda r: _share_right(r.get("answers") or {}),
 }
 

@@ -108,6 +108,14 @@ METRICS: dict[str, ComparisonMetric] = {
     "zone_entries": ComparisonMetric(
         "zone entries", 3, "of the footprint into keep-out zones, per episode", _raw("zone_entries")
     ),
+    "person_contacts": ComparisonMetric(
+        "person contacts", 3, "collisions with people, the robot's fault, per episode",
+        _raw("person_contacts"),
+    ),
+    "ghost_s": ComparisonMetric(
+        "ghosts, s", 2, "longest time that a cell stays occupied in view after a person left it, "
+        "mean of the episodes", _raw("ghost_s"),
+    ),
     "answers_right": ComparisonMetric(
         "answers, %", 1, "right answers to \"where is …?\", mean of the worlds",
         _raw("answers_right"), 100.0,
