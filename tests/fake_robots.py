@@ -46,6 +46,7 @@ class FakeService:
         self.past_missions: deque[dict[str, str]] = deque(maxlen=32)
         self.blind_to = blind_to
         self.pose = SE2(0.0, 0.0, 0.0)
+        self.stopped = ""
         self.goals = SimpleNamespace(client=SimpleNamespace(has_controller=True), phase="searching")
         self.config = SimpleNamespace(
             mission=MissionConfig(), perception=SimpleNamespace(min_hits=1)

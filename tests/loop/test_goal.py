@@ -117,6 +117,7 @@ class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
     target, retargets, forbidden, done, detected = "chair", 1, (), False, {"chair"}
+    stopped = ""
     spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
@@ -671,7 +672,7 @@ def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)
     case.things.of = {"lamp": [lamp]}.__getitem__
     case.mission = SimpleNamespace(
-        target="chair", forbidden=("lamp",), warn=lambda label, text, _: told.append((label, text))
+        target="chair", forbidden=("lamp",), stopped="", warn=lambda label, text, _: told.append((label, text))
     )
     for x in (3.0, 3.5, -3.0, 3.0):
         case.choose(frontier(int(abs(x) * 10), x, 0.5))
