@@ -672,7 +672,10 @@ def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)
     case.things.of = {"lamp": [lamp]}.__getitem__
     case.mission = SimpleNamespace(
-        target="chair", forbidden=("lamp",), stopped="", warn=lambda label, text, _: told.append((label, text))
+        target="chair",
+        forbidden=("lamp",),
+        stopped="",
+        warn=lambda label, text, _: told.append((label, text)),
     )
     for x in (3.0, 3.5, -3.0, 3.0):
         case.choose(frontier(int(abs(x) * 10), x, 0.5))
