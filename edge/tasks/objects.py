@@ -124,20 +124,24 @@ def _best_turn(xy: np.ndarray, turns: np.ndarray) -> float:
     return float(turns[np.argmax((1.0 / (off + _CLOSE_M)).sum(axis=0))])
 
 
-def main_clusters(points_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
+def main_clusters(points_m: np.ndarray, sensor_m: np.ndarray, by_mask: bool) -> np.ndarray:
     """Return the indices of the largest clusters of points, as seen from above.
 
-    A house behind trees has several. Small ones are errors of the mask (`PART_SHARE`).
+    A house behind trees has several. Small ones are errors of the mask (`PART_SHARE`). A box also
+    shows what stands behind the object, so of its points only the largest cluster counts.
 
     Args:
         points_m: (n, 3) in `map`.
         sensor_m: (3,) position of the sensor.
+        by_mask: True if a mask of the object chose the points; False if only its box did.
     """
     if not len(points_m):
         return np.zeros(0, np.intp)
     away_m = float(np.median(np.linalg.norm(points_m - sensor_m, axis=1)))
     part = _parts(points_m[:, :2], GAP_M + GAP_SHARE * away_m)
     count = np.bincount(part)
+    if not by_mask:
+        return np.flatnonzero(part == np.argmax(count))
     return np.flatnonzero(count[part] >= PART_SHARE * count.max())
 
 

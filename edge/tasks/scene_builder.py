@@ -125,7 +125,7 @@ class SceneBuilder:
         self._newest, self._contours = observation, {}
         for i, (indices, _) in enumerate(in_boxes):
             points = points_m[indices]
-            points = points[main_clusters(points, T_map_cloud[:3, 3])]
+            points = points[main_clusters(points, T_map_cloud[:3, 3], _has_mask(result.found, i))]
             obj = self.objects.add(
                 result.found.prompts[result.found.class_id[i]], points, result.caption[i],
                 float(result.found.score[i]),
@@ -198,12 +198,16 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
     for i, (indices, area_px2) in enumerate(_in_boxes(found, cloud_m, T_base_cloud, keep)):
         label, is_own = found.prompts[found.class_id[i]], smallest_px2[indices] >= area_px2
         points = points_m[indices[is_own]]
-        points = points[main_clusters(points, sensor_m)]
+        points = points[main_clusters(points, sensor_m, _has_mask(found, i))]
         obj = objects.add(label, points, score=float(found.score[i]), picture=observation.seq)
         objects.vote(label, points, 1)
         objects.vote(label, points_m[indices[~is_own]], -1)
         if obj is not None:
             objects.vote_against(obj, points_m[_outside_boxes(found, label, cloud_m, T_base_cloud)])
+
+
+def _has_mask(found: Detections, i: int) -> bool:
+    return found.mask is not None and bool(found.mask[i].any())
 
 
 def scene_of_map(

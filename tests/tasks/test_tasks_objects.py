@@ -67,14 +67,20 @@ def test_two_sides_tell_how_a_thing_stands(heading):
 
 
 def test_nothing_hangs_together_of_nothing():
-    assert len(main_clusters(NONE, np.zeros(3))) == 0
+    assert len(main_clusters(NONE, np.zeros(3), True)) == 0
     assert clusters(NONE, 1.0) == []
     assert downsample(NONE).shape == (0, 3)
 
 
+@pytest.mark.parametrize(("by_mask", "count"), [(True, 500), (False, 400)])
+def test_only_a_mask_has_other_parts(by_mask, count):
+    points = np.vstack((block(10.0), block(10.0, 5.0, n=100)))
+    assert len(main_clusters(points, np.zeros(3), by_mask)) == count
+
+
 def test_strays_are_left_out():
     points = np.vstack((block(10.0), block(10.0, 5.0, n=10)))
-    assert (main_clusters(points, np.zeros(3)) < 400).all()
+    assert (main_clusters(points, np.zeros(3), True) < 400).all()
     assert [len(group) for group in clusters(points, 1.0)] == [400, 10]
 
 

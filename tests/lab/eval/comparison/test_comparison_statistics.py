@@ -53,6 +53,8 @@ def test_every_metric_by_hand():
         "false_confirmations": pytest.approx(2 / 4),
         "revisited_m2": pytest.approx(math.nan, nan_ok=True),
         "zone_entries": pytest.approx(math.nan, nan_ok=True),
+        "person_contacts": pytest.approx(math.nan, nan_ok=True),
+        "ghost_s": pytest.approx(math.nan, nan_ok=True),
         "answers_right": pytest.approx(math.nan, nan_ok=True),
         "tick_p95_ms": pytest.approx(3.5),
         "score_p95_ms": pytest.approx(0.5),
