@@ -36,7 +36,7 @@ PEER = HERE / "ros_peer.py"
 # All that can be sent but "goal", which the action replaces, and what is off by default.
 _OFF = {"goal", "detections", "objects", "keepout_mask", "keepout_info", "answer"}
 READY = (
-    f"passing up to {len(SUBSCRIBED)} topics from ROS 2 to edge, "
+    f"passing up to {len(SUBSCRIBED) + 1} topics from ROS 2 to edge, "  # and the stop button
     f"and {len(PUBLISHED.keys() - _OFF)} from edge to ROS 2"
 )
 
