@@ -599,7 +599,7 @@ class GoalTracker:
         seen_again = (
             instance.hits - here.hits >= _SEEN_HERE
             or self._second_looks.get(instance.id, False)
-            or (n_images >= _SEEN_HERE and not self._tracker.is_in_view(instance.id))
+            or (n_images >= _SEEN_HERE and not self._tracker.is_well_in_view(instance.id))
         )
         if seen_again and is_reached(instance):
             return "reached"

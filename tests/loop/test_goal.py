@@ -94,7 +94,7 @@ class Things(dict):
     def needs_other_view(self, instance_id: int) -> bool:
         return instance_id in self.one_sided
 
-    def is_in_view(self, instance_id: int) -> bool:
+    def is_well_in_view(self, instance_id: int) -> bool:
         return instance_id not in self.out_of_view
 
     def of(self, label: str) -> list[Instance]:

@@ -144,17 +144,6 @@ def test_one_viewpoint_confirms_nothing(scene, places, state):
     assert s.tracker.needs_other_view(chair.id) is (state == "tentative")
 
 
-@pytest.mark.parametrize(
-    ("x_m", "depth_m", "is_in_view"), [(0, 6, True), (0, 1, False), (4, 6, False)]
-)
-def test_an_instance_behind_the_robot_or_a_wall_is_not_in_view(scene, x_m, depth_m, is_in_view):
-    s = scene()
-    assert not s.tracker.is_in_view(1)
-    s.see(("chair", 2, 0, 0.6))
-    s.expire(s.frame(x_m, 0, depth_m))
-    assert s.tracker.is_in_view(1) is is_in_view
-
-
 def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
     s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
     for _ in range(3):

@@ -28,6 +28,7 @@ from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import (
     AT_EDGE,
     HIDDEN,
+    IN_PART,
     NO_DEPTH,
     WHOLE,
     view_of,
@@ -318,10 +319,10 @@ class InstanceTracker:
         """Return True if the instance is confirmed as the target, or was reached."""
         return instance.state in ("confirmed", "reached")
 
-    def is_in_view(self, instance_id: int) -> bool:
-        """Return True if the centre of an instance is in the newest image, not hidden."""
+    def is_well_in_view(self, instance_id: int) -> bool:
+        """Return True if the newest image should show an instance, at least in part."""
         track = self._tracks.get(instance_id)
-        return track is not None and track.shown != HIDDEN
+        return track is not None and track.shown >= IN_PART
 
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.
