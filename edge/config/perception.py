@@ -280,13 +280,9 @@ class PerceptionConfig(Section):
         confirm_range_m: detections from farther away do not confirm an object. A place that
             was closer than this in `confirm_hits` images was seen well. Before a target is declared
             not found, the robot looks again only at the other places.
-        confirm_hits: number of images that confirm an object. At most half of them, rounded up,
-            count from one viewpoint: another viewpoint is 0.5 m away, or 20° apart as seen from
-            the object.
-        confirm_mean: lowest mean score of a confirmed object over all images from nearby that
-            should show it; an image without a detection has score 0.
-        confirm_lead: before an object is confirmed, its summed score must be this many times that
-            of any other name at its boxes; afterwards it must be as high.
+        confirm_hits: number of images that confirm an object.
+        confirm_mean: lowest mean score over all views from nearby for a confirmed object.
+        confirm_lead: the summed score must be this many times that of any other name.
         reject_radius_m: an object of the same name within this distance of a rejected one is
             rejected, too.
     """

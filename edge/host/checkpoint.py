@@ -36,14 +36,14 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION, OLDEST_VERSION = 6, 4  # of the format: written, and oldest that can be read
+VERSION, OLDEST_VERSION = 5, 4  # of the format: written, and oldest that can be read
 MAX_STATE_BYTES = 8 << 20  # of the line of JSON
 _MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
 _ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
 _ZIP64 = b"PK\x06\x07"  # begins a record of 20 bytes that only archives over 4 GB need
 _TAIL_BYTES = 20 + _ZIP_END_BYTES
 # The line of JSON behind `CheckpointFormat.begins`, in two parts. The head ends with the hash:
-# `"version":6,"sha256":"<64 digits>",`. The rest is hashed:
+# `"version":5,"sha256":"<64 digits>",`. The rest is hashed:
 # `"config":"<fingerprint>","written_ns":1700000000000000000,"state":{…}}` and a line break.
 _HEAD_PATTERN = rb'"version":([0-9]{1,9}),"sha256":"([0-9a-f]{64})",'
 _REST_PATTERN = rb'"config":"([0-9a-f]{0,64})","written_ns":([0-9]{1,19}),"state":([^\n]*)\}\n'
@@ -97,7 +97,6 @@ class CheckpointFormat(Generic[State]):
         max_bytes: largest file.
         check: raises ValueError if a state with valid types is inconsistent.
         renamed: array names of older versions → present ones.
-        added: arrays that older versions lack → arrays of their dtype and shape; they become zeros.
 
     Attributes:
         begins: first bytes of every file of this format.
@@ -111,12 +110,11 @@ class CheckpointFormat(Generic[State]):
         max_bytes: int,
         check: Callable[[State], None] = lambda state: None,
         renamed: Mapping[str, str] = MappingProxyType({}),
-        added: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.title, self.max_bytes = title, max_bytes
         self.begins = b'{"format":"%s",' % name.encode()
         self._adapter, self._check = TypeAdapter(state), check
-        self._renamed, self._added = renamed, added
+        self._renamed = renamed
 
     def encode(self, checkpoint: Checkpoint[State]) -> bytes:
         """Return the file's content.
@@ -165,8 +163,6 @@ class CheckpointFormat(Generic[State]):
         arrays = _read_archive(content[rest.end() :])
         if version < VERSION:
             arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
-            new = {name: np.zeros_like(arrays[a]) for name, a in self._added.items() if a in arrays}
-            arrays = {**new, **arrays}
         return Checkpoint(self._read_state(rest[3]), arrays, rest[1].decode(), int(rest[2]))
 
     def _read_state(self, text: bytes) -> State:

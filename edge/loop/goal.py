@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from edge.loop.search_state import (
     ProbableObject,
     SearchState,
 )
-from edge.loop.second_look import second_viewpoint
 from edge.loop.standstill import StandstillMonitor
 from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
@@ -54,9 +53,6 @@ POINT_SNAP_M = np.array([0.08])
 array of one radius, because `path_lengths_m` takes one for each kind of point."""
 SAME_POINT_M = 0.6
 """A goal is kept if one of the new points is this near: points move as the map grows."""
-_SEEN_HERE = 2
-"""Number of images from where the robot stands that must show an object before it is reached. One
-may have been taken while the robot was still driving."""
 _NEAR_M = 5.0
 """Distance around an object that cannot be reached in which the nearest free cell is looked for."""
 _STOP_SHORT_M = 0.05
@@ -64,22 +60,8 @@ _STOP_SHORT_M = 0.05
 
 _KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")  # kinds that are saved
 
-Verdict = Literal["reached", "rejected", "out of reach", "unsure"]
+Verdict = Literal["reached", "rejected", "out of reach"]
 """Outcome of a goal at an object; see `GoalTracker._judge`."""
-
-
-class _Arrival(NamedTuple):
-    """The state at the arrival next to an object.
-
-    Attributes:
-        now_ns: Loop time.
-        images: Number of images that the detector had processed.
-        hits: Number of images that had shown the object.
-    """
-
-    now_ns: int
-    images: int
-    hits: int
 
 
 @dataclass(slots=True, eq=False)
@@ -94,9 +76,9 @@ class _TrackedGoal:
         ends_on_arrival: True if a place is reached when the controller says so. False for a room,
             which is reached when the robot is inside.
         status: Newest goal status of the controller; None before the first.
-        arrival: State when the robot was at the goal and near enough to verify the instance; None
-            before that.
-        second_look: Id of the instance, if the goal is a viewpoint for a second look at it.
+        verifying_since_ns: Time at which the robot was at the goal and near enough to verify the
+            instance; None before that.
+        images_before: Number of images that the detector had processed at `verifying_since_ns`.
     """
 
     goal: Goal
@@ -105,8 +87,8 @@ class _TrackedGoal:
     sent: bool = False
     ends_on_arrival: bool = True
     status: GoalStatus | None = None
-    arrival: _Arrival | None = None
-    second_look: int | None = None
+    verifying_since_ns: int | None = None
+    images_before: int = 0
 
 
 class GoalTracker:
@@ -143,7 +125,6 @@ class GoalTracker:
         self._warned_ids: set[int] = set()
         self._reported: tuple[str, int] | None = None  # target and instance of `_report_relation`
         self._n_retargets = -1  # `MissionRun.retargets` of the target that is followed; -1: none
-        self._second_looks: dict[int, bool] = {}  # instance → True: the second look showed it
         self._place_failures = 0
         # State from a checkpoint, and the target that it belongs to.
         self._restored: tuple[str, SearchState, _TrackedGoal | None] | None = None
@@ -229,9 +210,8 @@ class GoalTracker:
         If no candidate is left, the robot turns on the spot. After that, discarded candidates get
         one more chance, and blocked places are opened again and tried once the travel-cost field
         reaches them. Last, the robot goes to viewpoints of objects that the detector saw badly.
-        A second look at an object is finished first. If a remembered object is gone, it may be
-        anywhere in known space: viewpoints then come whenever they show more per metre than the
-        best candidate.
+        If a remembered object is gone, it may be anywhere in known space: viewpoints then come
+        whenever they show more per metre than the best candidate.
 
         Args:
             context: Candidates, pose and time of the tick.
@@ -243,8 +223,6 @@ class GoalTracker:
             A goal on a free, reachable cell that faces its candidate, or None. It is the same
             object as before as long as the goal stays.
         """
-        if self._tracked is not None and self._tracked.second_look is not None:
-            return self.goal
         self._discard_vanished(context)
         new_goal = self._best_candidate(context, score) or self._spin(context)
         view_goal = self._find_moved(context, grid, new_goal, images)
@@ -553,8 +531,6 @@ class GoalTracker:
             tracked, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
         ):
             self._apply_verdict(verdict, tracked, instance, mission, now_ns)
-            if verdict == "unsure":
-                self._look_again(instance, grid, pose, mission, now_ns)
         if tracked is not None and tracked.goal.kind == "place":
             self._check_place(tracked, pose, mission, now_ns)
         elif tracked is not None and verdict is None:
@@ -578,36 +554,25 @@ class GoalTracker:
     ) -> Verdict | None:
         """Return the verdict on the goal's instance, or None while there is none.
 
-        `reached` needs four conditions: the controller reported the goal as reached, the nearest
-        surface point of the instance is within `mission.reach_m`, `is_reached` agrees (the detector
-        has confirmed the instance), and the detector has seen it again from here, or by a second
-        look, or cannot see it from here (a vase on a high cabinet). `unsure`, once for each
-        instance: only one viewpoint has shown it so far, or it was confirmed and is not seen from
-        here.
+        `reached` needs three conditions: the controller reported the goal as reached, the nearest
+        surface point of the instance is within `mission.reach_m`, and `is_reached` agrees: the
+        detector has confirmed the instance.
         """
         config = self._config.mission
         if tracked.status is None or tracked.status.state != "reached":
-            tracked.arrival, self.phase = None, "approaching"
+            tracked.verifying_since_ns, self.phase = None, "approaching"
             return None
         if instance.distance_m(pose.x_m, pose.y_m) > config.reach_m:
             return "out of reach"
         self.phase = "verifying"
-        if tracked.arrival is None:
-            tracked.arrival = _Arrival(now_ns, images, instance.hits)
-        here, looked = tracked.arrival, instance.id in self._second_looks
-        n_images = images - here.images
-        seen_again = (
-            instance.hits - here.hits >= _SEEN_HERE
-            or self._second_looks.get(instance.id, False)
-            or (n_images >= _SEEN_HERE and not self._tracker.is_well_in_view(instance.id))
-        )
-        if seen_again and is_reached(instance):
+        if tracked.verifying_since_ns is None:
+            tracked.verifying_since_ns, tracked.images_before = now_ns, images
+        if is_reached(instance):
             return "reached"
-        is_over = n_images >= MIN_IMAGES and (now_ns - here.now_ns) * 1e-9 > config.verify_s
-        lacks_view = self._tracker.needs_other_view(instance.id)
-        if not looked and (lacks_view or (is_over and self._tracker.confirmed(instance))):
-            return "unsure"
-        return "rejected" if is_over else None
+        long_enough = (now_ns - tracked.verifying_since_ns) * 1e-9 > config.verify_s
+        if long_enough and images - tracked.images_before >= MIN_IMAGES:
+            return "rejected"
+        return None
 
     def _apply_verdict(
         self,
@@ -629,9 +594,6 @@ class GoalTracker:
                 # The mission visits this target again: use another object, or this one later.
                 self._discard(now_ns)
             return
-        if verdict == "unsure":
-            self._second_looks[instance.id] = False
-            return
         if verdict == "rejected":
             self._search.has_moved |= self._tracker.confirmed(instance)
             self._note_probable(tracked.goal, instance)
@@ -645,17 +607,6 @@ class GoalTracker:
             self._discard(now_ns)
         x, y, _ = instance.center_m
         self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
-
-    def _look_again(
-        self, instance: Instance, grid: RollingMap, pose: SE2, mission: MissionRun, now_ns: int
-    ) -> None:
-        """Drive to another viewpoint of an instance, if there is one; then it is judged again."""
-        view = second_viewpoint(grid, pose, instance)
-        if view is None:
-            return
-        goal = _free_goal(view, now_ns, mission.target)
-        self._tracked = _TrackedGoal(goal, second_look=instance.id)
-        self._event(f"second look: {instance.label} #{instance.id} from another side", now_ns)
 
     def _note_probable(self, goal: Goal, instance: Instance) -> None:
         """Remember an object before its rejection, if it is seen well but is not confirmed."""
@@ -677,8 +628,6 @@ class GoalTracker:
                 self._next_view.mark_unreachable()
             elif state == "reached":
                 self._next_view.on_arrived(images)
-        elif tracked.second_look is not None:
-            self._check_second_look(tracked, tracked.second_look, now_ns, images)
         elif goal.kind == "spin":
             if state in ("reached", "failed"):
                 self._discard(now_ns)
@@ -692,19 +641,6 @@ class GoalTracker:
             # The frontier was visited. Algorithm 2 only ignores frontiers that are this near. The
             # robot would turn to another frontier, and back as soon as it is a little farther away.
             self._discard(now_ns)
-
-    def _check_second_look(
-        self, tracked: _TrackedGoal, instance_id: int, now_ns: int, images: int
-    ) -> None:
-        """End a second look when the detector has seen the instance, or enough images without."""
-        instance, status = self._tracker.get(instance_id), tracked.status
-        if instance is None or (status is not None and status.state == "failed"):
-            self.abandon()
-        elif status is not None and status.state == "reached":
-            here = tracked.arrival = tracked.arrival or _Arrival(now_ns, images, instance.hits)
-            seen = self._second_looks[instance_id] = instance.hits - here.hits >= _SEEN_HERE
-            if seen or images - here.images >= MIN_IMAGES:
-                self.abandon()
 
     def _check_place(
         self, tracked: _TrackedGoal, pose: SE2, mission: MissionRun, now_ns: int
@@ -747,7 +683,6 @@ class GoalTracker:
     def retarget(self, mission: MissionRun) -> None:
         """Start on another target: forget goal and attempts of the last one."""
         self._n_retargets = mission.retargets
-        self._second_looks.clear()
         self.abandon()
         self._search, self._place_failures = SearchState(), 0
         restored, self._restored = self._restored, None
@@ -757,8 +692,7 @@ class GoalTracker:
     def state_dict(self) -> Arrays:
         """Return the current goal and the failed attempts, but no viewpoint and no task's goal."""
         tracked, goals = self._tracked, []
-        is_candidate = tracked is not None and tracked.view is None and tracked.second_look is None
-        if tracked is not None and is_candidate and tracked.goal.kind in _KINDS:
+        if tracked is not None and tracked.view is None and tracked.goal.kind in _KINDS:
             goals = [(tracked.goal, tracked.peak)]
         return {
             **self._search.state_dict(),
@@ -819,9 +753,7 @@ class GoalTracker:
         if tracked is not None and tracked.view is not None:
             self._next_view.mark_unreachable()
             return
-        if tracked is not None and tracked.second_look is not None:
-            pass  # the object stays a candidate
-        elif tracked is not None and tracked.goal.kind == "spin":
+        if tracked is not None and tracked.goal.kind == "spin":
             self._search.on_turn_ended(now_ns)
             goal, until_ns = tracked.goal, now_ns + int(self._config.mission.discard_s * 1e9)
             self._pool.discard(SPIN, goal.candidate_id, goal.candidate_xy_m, until_ns)

@@ -103,15 +103,7 @@ RENAMED = {
     "instances/rival_sum": "instances/competing_sum",
 }
 """Arrays of version 4 → their present names."""
-ADDED = {
-    "instances/viewpoint_x_m": "instances/views",
-    "instances/viewpoint_y_m": "instances/views",
-    "instances/viewpoint_hits": "instances/good_hits",
-    "sightings/viewpoint_m": "sightings/came_from_m",
-    "sightings/viewpoint_hits": "sightings/near_hits",
-}
-"""Arrays that version 5 lacks → arrays of their dtype and shape."""
-MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED, added=ADDED)
+MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED)
 """Format of the map's file: at most 96 MiB."""
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from test_map_checkpoint import Run, config
 
 from edge.host.checkpoint import OLDEST_VERSION, VERSION, Arrays, Checkpoint, save
-from edge.loop.map_checkpoint import ADDED, MAP, RENAMED, MapCheckpoint, MapState
+from edge.loop.map_checkpoint import MAP, RENAMED, MapCheckpoint, MapState
 
 SETTINGS = config("hvl", source={"localised": True})
 
@@ -134,10 +134,10 @@ def test_a_bomb_in_a_tile_takes_no_memory(tmp_path, saved):
 
 
 def test_a_file_of_an_older_version_is_read(tmp_path, saved):
-    """The renamed arrays are those of `RENAMED`, new ones those of `ADDED`."""
+    """The renamed arrays are those of `RENAMED`; all others have kept their names."""
     path, old = tmp_path / "m.json.map", {new: old for old, new in RENAMED.items()}
-    assert {*RENAMED.values(), *ADDED} <= set(saved.arrays)
-    arrays = {old.get(name, name): a for name, a in saved.arrays.items() if name not in ADDED}
+    assert set(RENAMED.values()) <= set(saved.arrays)
+    arrays = {old.get(name, name): array for name, array in saved.arrays.items()}
     content = MAP.encode(replace(saved, arrays=arrays))
     newest = b'"version":%d' % VERSION
     path.write_bytes(content.replace(newest, b'"version":%d' % OLDEST_VERSION, 1))

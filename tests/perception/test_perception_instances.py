@@ -19,19 +19,11 @@ class Scene:
         )
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=0.0, y_m=None, size_m=0.1, seed=0, competing_score=0.0):
-        """One frame with (label, x, y, score) each; returns all instances.
-
-        Without `y_m` each frame is another viewpoint.
-        """
-        self.last = seen = self.frame(x_m, self.aside_m if y_m is None else y_m)
+    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
+        """One frame with (label, x, y, score) each; returns all instances."""
+        self.last = seen = self.frame(x_m, y_m)
         self.tracker.update(self.lifted(seen, things, size_m, seed, competing_score), seen.stamp_ns)
         return self.tracker.all
-
-    @property
-    def aside_m(self):
-        """Place of the camera: it steps aside by 0.6 m with each frame, and back."""
-        return 0.3 if self.seq % 2 else -0.3
 
     @staticmethod
     def lifted(seen, things, size_m=0.1, seed=0, competing_score=0.0):
@@ -124,24 +116,6 @@ def test_confirmation(scene, score, x_m, hits, state):
         (chair,) = s.see(("chair", x_m, 0, score))
     assert chair.state == state
     assert s.tracker.confirmed(chair) is (state == "confirmed")
-
-
-@pytest.mark.parametrize(
-    ("places", "state"),
-    [
-        ([(0, 0)] * 20, "tentative"),
-        ([(0, 0.1 * (k % 2)) for k in range(20)], "tentative"),
-        ([(0, 0)] * 9 + [(0.5, 0)], "confirmed"),
-        ([(1.4, 0)] * 9 + [(1.4, 0.3)], "confirmed"),
-    ],
-    ids=["one place", "hardly moved", "half a metre on", "from another side"],
-)
-def test_one_viewpoint_confirms_nothing(scene, places, state):
-    s = scene(confirm_hits=3)
-    for x_m, y_m in places:
-        (chair,) = s.see(("chair", 2, 0, 0.6), x_m=x_m, y_m=y_m)
-    assert chair.state == state
-    assert s.tracker.needs_other_view(chair.id) is (state == "tentative")
 
 
 def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
@@ -274,8 +248,8 @@ class Memory(Scene):
         self.tracker = InstanceTracker(self.tracker.config, self.sightings)
 
     def look(self, *things, around=()):
-        """One frame from another viewpoint with targets, and with context words likewise."""
-        seen = self.frame(y_m=self.aside_m)
+        """One frame with targets, and with context words likewise."""
+        seen = self.frame()
         lifted = self.lifted(seen, things)
         self.sightings.update(lifted, self.lifted(seen, around))
         self.tracker.update(lifted, seen.stamp_ns)

@@ -294,10 +294,10 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     checkpoint.close()
     recorded = files_of(tmp_path / "run")[0]
     same(recorded, 10)
-    monkeypatch.setattr("edge.host.checkpoint.VERSION", 8)
-    monkeypatch.setattr("edge.host.checkpoint.OLDEST_VERSION", 7)
+    monkeypatch.setattr("edge.host.checkpoint.VERSION", 7)
+    monkeypatch.setattr("edge.host.checkpoint.OLDEST_VERSION", 6)
     with pytest.raises(
-        ReplayError, match=r"in the recording .* version 6 of the format; this edge"
+        ReplayError, match=r"in the recording .* version 5 of the format; this edge"
     ):
         replay(RecordedRun(recorded))
 

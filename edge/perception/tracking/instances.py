@@ -28,7 +28,6 @@ from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import (
     AT_EDGE,
     HIDDEN,
-    IN_PART,
     NO_DEPTH,
     WHOLE,
     view_of,
@@ -36,7 +35,6 @@ from edge.perception.tracking.look_kernels import (
 )
 from edge.perception.tracking.sighting_kernels import PARTIAL
 from edge.perception.tracking.sightings import ObjectTracker
-from edge.perception.tracking.viewpoints import hits_per_view, is_other_view
 from edge.types import Instance, InstanceState, Observation
 
 MAX_POINTS = 64  # surface points of an instance
@@ -68,8 +66,7 @@ _COLUMNS = (
 _EVIDENCE = (
     ("evidence_ns", np.int64), ("good_hits", np.int64), ("views", np.float64),
     ("good_ns", np.int64), ("target_sum", np.float64), ("competing_sum", np.float64),
-    ("contested", np.bool_), ("viewpoint_x_m", np.float64), ("viewpoint_y_m", np.float64),
-    ("viewpoint_hits", np.int64),
+    ("contested", np.bool_),
 )  # fmt: skip
 
 
@@ -102,10 +99,7 @@ class _Track:
         instance: the instance, as other modules see it.
         name: canonical form of the label.
         evidence_ns: newest stamp of any detection of the instance, weak ones included.
-        good_hits: number of frames from near by with a score of `confirm_score` or more; at most
-            `hits_per_view` count at one viewpoint.
-        viewpoint_x_m, viewpoint_y_m: the newest viewpoint that counts in `good_hits`.
-        viewpoint_hits: number of frames in `good_hits` from this viewpoint; 0: there is none.
+        good_hits: number of frames from near by with a score of `confirm_score` or more.
         views: number of views from near by that should show the instance; a partial view counts
             less than 1.
         good_ns: stamp of the newest frame in `good_hits`; -1: there is none.
@@ -118,16 +112,12 @@ class _Track:
             well-supported ones (`core_points`).
         support: (k,) int32, number of views that support each of these points.
         contested: True if another object explains the place better (see `_update_contested`).
-        shown: visibility in the newest image (see `visibility`).
     """
 
     instance: Instance
     name: str
     evidence_ns: int
     good_hits: int = 0
-    viewpoint_x_m: float = 0.0
-    viewpoint_y_m: float = 0.0
-    viewpoint_hits: int = 0
     views: float = 0.0
     good_ns: int = -1
     target_sum: float = 0.0
@@ -141,7 +131,6 @@ class _Track:
     points_m: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
     support: np.ndarray = field(default_factory=lambda: np.empty(0, np.int32))
     contested: bool = False
-    shown: int = HIDDEN
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
@@ -293,7 +282,7 @@ class InstanceTracker:
             if instance.state in ("rejected", "reached") or track.name not in asked:
                 continue
             points = instance.points_m
-            track.shown = shown = visibility(
+            shown = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
             if shown == HIDDEN:
@@ -318,11 +307,6 @@ class InstanceTracker:
     def confirmed(self, instance: Instance) -> bool:
         """Return True if the instance is confirmed as the target, or was reached."""
         return instance.state in ("confirmed", "reached")
-
-    def is_well_in_view(self, instance_id: int) -> bool:
-        """Return True if the newest image should show an instance, at least in part."""
-        track = self._tracks.get(instance_id)
-        return track is not None and track.shown >= IN_PART
 
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.
@@ -453,19 +437,6 @@ class InstanceTracker:
             elif track.instance.state == "rejected":
                 del self._tracks[track.instance.id]
 
-    def needs_other_view(self, instance_id: int) -> bool:
-        """Return True if an instance lacks only good hits from another viewpoint."""
-        track = self._tracks.get(instance_id)
-        if track is None or track.instance.state != "tentative":
-            return False
-        c = self.config
-        return (
-            0 < track.good_hits < c.confirm_hits
-            and track.viewpoint_hits >= hits_per_view(c.confirm_hits)
-            and track.target_sum >= c.confirm_mean * track.views
-            and track.target_sum >= c.confirm_lead * track.competing_sum
-        )
-
     def forget_rejected(self, label: str) -> None:
         """Forget the rejected instances of a label (or a synonym): they may be found again."""
         name = names.canonical(label)
@@ -562,15 +533,8 @@ class InstanceTracker:
             return
         if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
             return
-        if track.good_ns == now_ns:  # at most one good hit for each image
-            return
-        track.good_ns = now_ns
-        last_m, here_m = (track.viewpoint_x_m, track.viewpoint_y_m), (pose.x_m, pose.y_m)
-        if not track.viewpoint_hits or is_other_view((track.x_m, track.y_m), last_m, here_m):
-            track.viewpoint_x_m, track.viewpoint_y_m = here_m
-            track.viewpoint_hits = 0
-        if track.viewpoint_hits < hits_per_view(c.confirm_hits):
-            track.viewpoint_hits += 1
+        if track.good_ns != now_ns:  # at most one good hit for each image
+            track.good_ns = now_ns
             track.good_hits += 1
             self._update_state(track)
 
@@ -581,8 +545,7 @@ class InstanceTracker:
         track.competing_sum += weight * track.now_competing
         if track.views >= FORGET_VIEWS:
             track.views *= 0.5
-            if track.instance.state != "confirmed":
-                track.good_hits //= 2
+            track.good_hits //= 2
             track.target_sum *= 0.5
             track.competing_sum *= 0.5
         self._update_state(track)
@@ -591,7 +554,7 @@ class InstanceTracker:
         """Update the state from the evidence.
 
         An instance is confirmed if all of these hold:
-        - it had at least `confirm_hits` good hits, which one viewpoint alone cannot give;
+        - it had at least `confirm_hits` good hits;
         - its mean score over all near views is at least `confirm_mean`;
         - its mean score is at least `confirm_lead` times that of its competing classes;
         - it is not contested (`_update_contested`).
@@ -658,7 +621,6 @@ class InstanceTracker:
         a.last_seen_ns = max(a.last_seen_ns, b.last_seen_ns)
         old.evidence_ns = max(old.evidence_ns, new.evidence_ns)
         old.good_hits = max(old.good_hits, new.good_hits)
-        old.viewpoint_hits = max(old.viewpoint_hits, new.viewpoint_hits)
         old.views += new.views
         old.target_sum += new.target_sum
         old.competing_sum += new.competing_sum

@@ -23,7 +23,6 @@ from edge.perception.tracking import place_index
 from edge.perception.tracking import sighting_kernels as kernels
 from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH, view_of
-from edge.perception.tracking.viewpoints import hits_per_view, is_other_view
 from edge.types import Observation
 
 MAX_SIGHTINGS = 5000
@@ -67,8 +66,7 @@ class TrackedObjects:
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
         near_hits: (capacity,) int32, number of these images that were taken at most
-            `confirm_range_m` away and gave a score of at least `confirm_score`; at most
-            `hits_per_view` count at one viewpoint.
+            `confirm_range_m` away and gave a score of at least `confirm_score`.
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
         n_points: (capacity,) int32, number of surface points.
@@ -194,9 +192,6 @@ class ObjectTracker:
         self._weight = np.zeros(cap, np.float32)
         self._total = np.zeros(cap, np.float32)
         self._cursor = np.zeros(cap, np.int32)
-        # Newest viewpoint that counts in `near_hits`, and the images that count there.
-        self._viewpoint_m = np.zeros((cap, 2), np.float32)
-        self._viewpoint_hits = np.zeros(cap, np.int32)
         # Columns: confidence, x, y, z, at the last time when the row raised the generation.
         self._counted = np.zeros((cap, 4), np.float32)
         # Highest confidence so far. A row that was never certain was a mistake, and cannot move.
@@ -393,7 +388,6 @@ class ObjectTracker:
             # "told" and "peak": names that older checkpoints have.
             ("told", self._counted), ("peak", self._peak_confidence), ("moves", s.moves),
             ("first_seen_ns", s.first_seen_ns), ("came_from_m", s.came_from_m),
-            ("viewpoint_m", self._viewpoint_m), ("viewpoint_hits", self._viewpoint_hits),
         )  # fmt: skip
 
     def _set_words(self, prompts: tuple[str, ...], context: tuple[str, ...]) -> None:
@@ -440,8 +434,7 @@ class ObjectTracker:
                 continue
             s.hits[at] += 1
             near = math.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
-            if near and score >= c.confirm_score:
-                self._count_near_hit(at, (pose.x_m, pose.y_m))
+            s.near_hits[at] += near and score >= c.confirm_score
             reach_m = kernels.add_view(
                 self._index, s.xyz_m, s.points_m, s.n_points, self._cursor, s.reach_m, at,
                 boxes.center_m, boxes.points_m, boxes.n_points, i,
@@ -451,16 +444,6 @@ class ObjectTracker:
             self.observed.append(ObservedObject(int(s.id[at]), seen.xyxy_px[i], score))
             if s.hits[at] == c.min_hits:
                 self._reappear(at)
-
-    def _count_near_hit(self, at: int, here_m: tuple[float, float]) -> None:
-        """Count a good image from near by, unless this viewpoint has given enough of them."""
-        s, last_m = self._objects, self._viewpoint_m[at].tolist()
-        is_first = self._viewpoint_hits[at] == 0
-        if is_first or is_other_view(s.xyz_m[at, :2].tolist(), last_m, here_m):
-            self._viewpoint_m[at], self._viewpoint_hits[at] = here_m, 0
-        if self._viewpoint_hits[at] < hits_per_view(self.config.confirm_hits):
-            self._viewpoint_hits[at] += 1
-            s.near_hits[at] += 1
 
     def _place(self, at: int) -> None:
         """Update the index and the reach after a change of a row's centre or surface."""
@@ -528,12 +511,9 @@ class ObjectTracker:
                 return
             share = s.hits[gone] / max(s.hits[kept] + s.hits[gone], 1)
             s.xyz_m[kept] += share * (s.xyz_m[gone] - s.xyz_m[kept])
-            for array in (self._weight, self._total, s.hits):
+            for array in (self._weight, self._total, s.hits, s.near_hits):
                 array[kept] += array[gone]
-            for array in (
-                self._now, s.confidence, s.last_seen_ns, self._peak_confidence, s.near_hits,
-                self._viewpoint_hits,
-            ):  # fmt: skip
+            for array in (self._now, s.confidence, s.last_seen_ns, self._peak_confidence):
                 array[kept] = max(array[kept], array[gone])
             s.first_seen_ns[kept] = min(s.first_seen_ns[kept], s.first_seen_ns[gone])
             kernels.add_points(
@@ -553,7 +533,6 @@ class ObjectTracker:
         s.points_m[at] = 0.0  # clear the old row: a checkpoint saves all of it
         s.confidence[at] = s.hits[at] = s.near_hits[at] = s.n_points[at] = 0
         self._weight[at] = self._total[at] = self._cursor[at] = self._now[at] = 0
-        self._viewpoint_m[at] = self._viewpoint_hits[at] = 0
         s.reach_m[at] = s.moves[at] = s.came_from_m[at] = self._peak_confidence[at] = 0
         s.first_seen_ns[at] = stamp_ns
         self._counted[at] = -1.0
@@ -589,8 +568,7 @@ class ObjectTracker:
         for array in (
             s.xyz_m, s.word, s.confidence, s.last_seen_ns, s.id, s.hits, s.near_hits, s.points_m,
             s.n_points, s.reach_m, s.moves, s.came_from_m, s.first_seen_ns, self._peak_confidence,
-            self._now, self._weight, self._total, self._cursor, self._counted, self._viewpoint_m,
-            self._viewpoint_hits,
+            self._now, self._weight, self._total, self._cursor, self._counted,
         ):  # fmt: skip
             array[at] = array[last]
         if at != last:
