@@ -76,11 +76,12 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
 
 @pytest.mark.parametrize("task", OVENS[:2])
 def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch):
-    loop = until(closed(task), "verifying")
-    assert states(loop)[0] == "under way"
+    loop = closed(task)
     tracker = loop.service.map.tracker
-    (oven,) = tracker.of("oven")
     monkeypatch.setattr(tracker, "confirmed", lambda one: False)
+    until(loop, "verifying")
+    assert states(loop)[0] == "under way"
+    (oven,) = tracker.of("oven")
     until(loop, "looking").step()
     assert oven.state == "rejected"
     assert (loop.service.status.done, states(loop)[0]) == (False, "looked for")
