@@ -25,6 +25,8 @@ log = logging.getLogger("edge.bus.stop")
 
 _RING_QUERIES = 16  # a full ring drops the oldest query; the others stop the robot as well
 
+_CLOSE_S = 5.0  # longest wait for a thread that is replying
+
 Reply = Callable[[bytes, bool], None]
 """Sends an answer; True: it is an error."""
 
@@ -73,19 +75,26 @@ class StopServer:
     def __init__(
         self, session: zenoh.Session, settings: ZenohConfig, requests: dict[str, StopRequests]
     ) -> None:
-        self._queryables = []
+        self._queryables, self._threads = [], []
         for name, accepted in requests.items():
             key = settings.key(name)  # type: ignore[arg-type]
             queryable = session.declare_queryable(key, zenoh.handlers.RingChannel(_RING_QUERIES))
             self._queryables.append(queryable)
-            threading.Thread(
+            thread = threading.Thread(
                 target=_serve, args=(queryable, key, accepted), name=key, daemon=True
-            ).start()
+            )
+            self._threads.append(thread)
+            thread.start()
 
     def close(self) -> None:
-        """Accept no more requests."""
+        """Accept no more requests, and wait for the threads.
+
+        Python aborts at its end if it finds a thread in Zenoh's code.
+        """
         for queryable in self._queryables:
             queryable.undeclare()
+        for thread in self._threads:
+            thread.join(_CLOSE_S)
 
 
 def _serve(queryable: zenoh.Queryable, key: str, requests: StopRequests) -> None:
