@@ -74,7 +74,7 @@ def server(request) -> Iterator[ServerProcess]:
 
 
 @pytest.fixture
-def told(capsys):
+def reported(capsys):
     """Return a function that prints how long something took, also without -s."""
 
     def tell(what: str, since_s: float) -> None:
@@ -84,7 +84,7 @@ def told(capsys):
     return tell
 
 
-def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkeypatch, told):
+def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkeypatch, reported):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     card = load_card(MODEL).model_dump(mode="json", exclude={"file", "sha256", "path"})
     card |= {"name": "far", "server": {"url": server.url, "model": "m"}}
@@ -111,18 +111,18 @@ def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkey
         since_s = time.monotonic()
         eventually(lambda: f"{MODEL} answers until far does again" in detail(), "no fallback")
         detects()
-        told("from the end of the server to the third image of the local detector", since_s)
+        reported("from the end of the server to the third image of the local detector", since_s)
         assert service.statuses[-1]["detector"]["state"] == "ok"
         server.come_back()
         since_s = time.monotonic()
         eventually(lambda: not detail(), "the server is not used again")
         detects()
-        told("and back", since_s)
+        reported("and back", since_s)
         assert service.statuses[-1]["mission"]["id"] == begun
         assert service.statuses[-1]["phase"] == "searching"
 
 
-def test_directions_are_chosen_without_the_server(server, told):
+def test_directions_are_chosen_without_the_server(server, reported):
     choice = ChoiceOpenai(url=f"{server.url}/v1", model="m", fallback=CHOICE, time_limit_s=60.0)
     scorer = make_view_scorer(choice, PerceptionConfig(detector={"kind": "sim"}))
     camera, two = CameraModel.from_hfov(320, 256, 1.3), np.full(2, 3.0, np.float32)
@@ -138,7 +138,7 @@ def test_directions_are_chosen_without_the_server(server, told):
     server.leave()
     since_s = time.monotonic()
     assert answer().ids == (3, 4)
-    told("an answer of the local model after the end of the server", since_s)
+    reported("an answer of the local model after the end of the server", since_s)
     assert f"{CHOICE} answers until m at {server.url}/v1 does again" in scorer.detail
     server.come_back()
     eventually(lambda: answer() and not scorer.detail, "the server is not used again")
@@ -146,7 +146,7 @@ def test_directions_are_chosen_without_the_server(server, told):
     scorer.close()
 
 
-def test_instructions_are_translated_without_the_server(server, caplog, told):
+def test_instructions_are_translated_without_the_server(server, caplog, reported):
     llm = TranslatorLlm(url=f"{server.url}/v1", time_limit_s=60.0)
     translate = make_translator(TranslatorAuto(llm=llm)).translate
     assert str(translate(UNCLEAR, reading=1).formula) == FORMULA
@@ -155,7 +155,7 @@ def test_instructions_are_translated_without_the_server(server, caplog, told):
     since_s = time.monotonic()
     with pytest.raises(UserError) as raised:  # the small network asks, or the grammar advises
         translate(UNCLEAR)
-    told("the small network's answer after the end of the server", since_s)
+    reported("the small network's answer after the end of the server", since_s)
     assert "translated without the language model: " in caplog.text
     assert "\n" not in str(raised.value)
     server.come_back()

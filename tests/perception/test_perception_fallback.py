@@ -83,8 +83,8 @@ def test_the_local_model_answers_from_the_first_failure_until_the_server_does(se
     assert [server.ask(5, module.MAX_PAUSE_S), server.ask(6)] == ["near 5", "far 6"]
     assert server.asked == [1, 2, 4, 5, 6]
     assert server.model.detail == ""
-    told = [record.getMessage() for record in caplog.records]
-    assert told == [
+    reported = [record.getMessage() for record in caplog.records]
+    assert reported == [
         "detector: near answers until far does again: no connection",
         "detector: far answers again",
     ]

@@ -136,9 +136,9 @@ def test_a_camera_that_is_not_there_is_told_and_opened_when_it_comes(tmp_path, c
         assert f"camera/rgb ({path})" in missing_inputs(source.input_table())
         write_video(tmp_path / "b.avi").rename(path)
         observed(source).release()
-    told = [record.getMessage() for record in caplog.records if "camera" in record.name]
-    assert len([line for line in told if "cannot be opened" in line]) == 1
-    assert any("sends images again" in line for line in told)
+    reported = [record.getMessage() for record in caplog.records if "camera" in record.name]
+    assert len([line for line in reported if "cannot be opened" in line]) == 1
+    assert any("sends images again" in line for line in reported)
 
 
 class Stream(Quiet):
@@ -174,11 +174,11 @@ def test_a_stream_that_ends_or_stalls_is_told_and_opened_again(then, caplog, mon
     Here.then = then
     with running(Here, Here.stopping) as url, reading(f"{url}/?secret=swordfish") as reader:
 
-        def told() -> bool:
+        def reported() -> bool:
             reader.take()
             return "; opening it again and again" in caplog.text
 
-        eventually(told, "nothing told")
+        eventually(reported, "nothing reported")
         Here.then = "go on"
         many = reader.n_images + 20
         eventually(lambda: reader.n_images > many, "it was not opened again")
