@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.cli.options import require_lab
-from edge.errors import UserError
+from edge.errors import ConfigError, UserError
 from edge.host import resources
 from edge.text import one_line
 
@@ -75,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
 def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str]) -> Iterator[str]:
     """Yield a line for each prompt that the detector's vocabulary lacks.
 
-    The encoder itself logs each phrase that it reads as its noun. Without an encoder there are no
-    lines: `edge doctor` reports that.
+    The encoder itself logs each phrase that it reads as its noun. Without an encoder, or a folder
+    with models, there are no lines: `edge doctor` reports that.
     """
     from edge.perception.embedding.encoders import make_text_encoder
     from edge.perception.embedding.text import PromptError
@@ -86,7 +86,7 @@ def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str])
         return
     try:
         encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
-    except (ModelError, PromptError):
+    except (ModelError, PromptError, ConfigError):
         return
     for prompt in prompts:
         try:
