@@ -30,6 +30,7 @@ from edge.types import Detections, Observation
 log = logging.getLogger("edge.sinks.rerun")
 
 _POSE_HZ, _BOXES_HZ, _DRAWN_HZ = 10.0, 10.0, 1.0  # rates of the entities
+_BATCH_HZ = 2.0  # a batch is written at once, because each wake of the thread delays a tick
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 80]
 _CLOSE_S = 2.0  # longest time to write what is pending at the end
 _MB = 1_000_000
@@ -78,9 +79,10 @@ class RerunSink:
         self._images, map_hz = rgb_hz > 0, min(config.report.map_hz, _DRAWN_HZ)
         rates = {"pose": _POSE_HZ, "boxes": _BOXES_HZ, "rgb": max(rgb_hz, 1e-9)}
         rates |= {f"{name}2": hz for name, hz in rates.items()}  # of the second camera
-        self._limiter = RateLimiter(map=map_hz, drawings=_DRAWN_HZ, **rates)
+        self._limiter = RateLimiter(map=map_hz, drawings=_DRAWN_HZ, batch=_BATCH_HZ, **rates)
         self._driven, self._is_full = PathRing(), False
-        self._worker: Worker[tuple[int, list[_Entry]], None] = Worker(
+        self._batch: list[tuple[int, list[_Entry]]] = []  # loop time and entries of ticks
+        self._worker: Worker[list[tuple[int, list[_Entry]]], None] = Worker(
             "rerun-sink", self._write, finish_on_close=True
         )
 
@@ -116,8 +118,9 @@ class RerunSink:
         if self._limiter.take_turn("drawings", now_ns):
             entries += self._drawn(drawing_of(result), self._driven.poses())
         entries += [_Entry("events", partial(self._event, event)) for event in result.events]
-        if entries:
-            self._worker.enqueue((now_ns, entries))
+        self._batch.append((now_ns, entries))
+        if self._limiter.take_turn("batch", now_ns):
+            self._flush()
 
     def status(self) -> dict[str, Any]:
         """Return the file and worker statistics; see `edge.loop.result.Sink`."""
@@ -126,8 +129,13 @@ class RerunSink:
 
     def close(self) -> None:
         """Write what is pending and complete the file."""
+        self._flush()
         if self._worker.close(_CLOSE_S):
             self._stream.disconnect()
+
+    def _flush(self) -> None:
+        batch, self._batch = self._batch, []
+        self._worker.enqueue(batch)
 
     def _is_due(self, name: str, observation: Observation, now_ns: int) -> bool:
         return self._limiter.take_turn(f"{name}2" if observation.camera_index else name, now_ns)
@@ -158,14 +166,14 @@ class RerunSink:
 
     # -- on the worker's thread ------------------------------------------------------------------
 
-    def _write(self, item: tuple[int, list[_Entry]]) -> None:
-        """Log the entries of a tick; end at `max_mb`."""
-        now_ns, entries = item
+    def _write(self, batch: list[tuple[int, list[_Entry]]]) -> None:
+        """Log the entries of some ticks; end at `max_mb`."""
         if self._is_full:
             return
-        self._stream.set_time("time", timestamp=np.datetime64(now_ns, "ns"))
-        for entry in entries:
-            self._stream.log(entry.entity, entry.make())
+        for now_ns, entries in batch:
+            self._stream.set_time("time", timestamp=np.datetime64(now_ns, "ns"))
+            for entry in entries:
+                self._stream.log(entry.entity, entry.make())
         if os.path.getsize(self._path) >= self._max_bytes:
             self._is_full = True
             log.warning("sinks: rerun: %s has max_mb: nothing more is written", self._path)
