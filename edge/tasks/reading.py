@@ -37,17 +37,19 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
 from edge import names
+from edge.geometry import SE2
 from edge.mission.language.tokens import Token, TokenReader, TranslationError
 from edge.mission.task_step import TaskStep
-from edge.tasks.clauses import order_clauses
+from edge.tasks.clauses import list_in_order, order_clauses
 from edge.tasks.outline import outline_of
-from edge.tasks.phrases import tokenise
+from edge.tasks.phrases import ground_kind, tokenise
 from edge.tasks.scene import Scene, SceneObject
+from edge.tasks.steps import InstructionStep, Kind, RouteLimits
 from edge.text import one_line
 
 SIDE_RAD = math.radians(5)
@@ -56,38 +58,6 @@ AHEAD_RAD = math.radians(45)
 """An object closer to straight ahead than this is "ahead"; the same holds for "behind"."""
 NEAR_M = 3.0
 """Largest distance of an object that is "near" another one."""
-
-Kind = Literal["to", "past", "around", "beside", "between", "straight", "stop"]
-
-
-@dataclass(frozen=True, slots=True)
-class InstructionStep:
-    """One step of an instruction.
-
-    Attributes:
-        kind: the sort of motion.
-        things: two objects for "between", none for "straight" and a bare "stop", else one.
-        side: one of `edge.tasks.functions.SIDES_RAD`; "" if none is given.
-        distance_m: length of "straight".
-        said: the part of the instruction that is this step.
-    """
-
-    kind: Kind
-    things: tuple[SceneObject, ...] = ()
-    side: str = ""
-    distance_m: float = 0.0
-    said: str = ""
-
-    def __str__(self) -> str:
-        listed = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
-        match self.kind:
-            case "straight":
-                return f"straight on for {self.distance_m:g} m"
-            case "past" | "around" if self.side:
-                return f"{self.kind} the {self.side} of {listed}"
-            case "beside":
-                return f"{self.side}{OF_SUFFIX.get(self.side, '')} {listed}"
-        return f"{self.kind} {listed}".strip()
 
 
 def parse_steps(
@@ -105,7 +75,8 @@ def parse_steps(
         TranslationError: the instruction is not understood; the error names the part.
     """
     steps = _read_steps(
-        instruction, lambda n: scene if _is_selected(n, step_slice) else _UnseenScene()
+        instruction,
+        lambda n: scene if n is None or _is_selected(n, step_slice) else _UnseenScene(),
     )
     return steps[step_slice]
 
@@ -116,37 +87,175 @@ def _is_selected(n: int, step_slice: slice) -> bool:
 
 
 def _read_steps(
-    instruction: str, scene_for: Callable[[int], Scene | _UnseenScene]
+    instruction: str, scene_for: Callable[[int | None], Scene | _UnseenScene]
 ) -> list[InstructionStep]:
-    """Parse all steps; `scene_for` returns the scene for the step with a given index."""
-    reader = TokenReader(instruction, order_clauses(instruction, tokenise(instruction)))
+    """Parse all steps.
+
+    Args:
+        instruction: the text.
+        scene_for: returns the scene for the step with a given index; None: for what restricts all
+            steps.
+    """
+    tokens = list_in_order(tokenise(instruction))
+    reader = TokenReader(instruction, order_clauses(instruction, tokens))
     steps: list[InstructionStep] = []
+    limits, limit_scene = RouteLimits(), scene_for(None)
     reader.skip("filler", "first")
     start = reader.peek()
     while not reader.is_at("end"):
-        verb, start = start, reader.peek()
+        if (more := _read_limits(reader, limit_scene, steps, limits)) is not None:
+            limits = more
+            _end_step(reader, "to", "until")
+            start = reader.peek()
+            continue
+        verb, start, begin = start, reader.peek(), reader.at
         if steps and start.kind in _RELATIONS:
             _check_joined(reader, steps[-1], verb)
-        step = _read_step(reader, scene_for(len(steps)), steps)
-        end = reader.peek(-1).end
-        steps.append(replace(step, said=instruction[start.start : end]))
-        on_to = step.kind in ("past", "around") and reader.is_at("to")  # "past the van to the gate"
-        if not (on_to or reader.is_at("end", "then", "and", "comma", "stop mark")):
-            reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
-        first_joint = reader.at
-        reader.skip("then", "and", "comma", "stop mark", "filler", "first")
-        for joint in reader.tokens[first_joint : reader.at]:
-            if joint.kind in ("then", "and") and reader.is_at("end"):
-                reader.refuse("no step follows", joint)
-        if start.kind == "stop" and not reader.is_at("end"):
+        found = _read_turn(reader, scene_for, steps) or [
+            _read_step(reader, _turned(scene_for(len(steps)), steps), steps)
+        ]
+        said = instruction[start.start : reader.peek(-1).end]
+        _check_sides(reader, begin, steps)
+        steps += [replace(step, said=said) for step in found]
+        _end_step(
+            reader, *(("to",) if found[-1].kind in ("past", "around", "along", "across") else ())
+        )
+        if start.kind == "stop" and not reader.is_at("end", *_LIMITS):
             reader.refuse("the robot stops here; no step can follow", start)
     if not steps:
         reader.refuse("say where to go")
-    if steps[-1].kind != "stop":
-        return steps
-    if len(steps) == 1:
-        reader.refuse("say where to go first", reader.tokens[0])
-    return steps[:-1]
+    if steps[-1].kind == "stop":
+        if len(steps) == 1:
+            reader.refuse("say where to go first", reader.tokens[0])
+        steps = steps[:-1]
+    return [replace(step, limits=limits) for step in _with_distances(reader, steps)]
+
+
+def _end_step(reader: TokenReader, *more: str) -> None:
+    """Read the joint after a step; `more` are kinds of tokens that may follow without a joint."""
+    reader.skip("for me")
+    if not reader.is_at("end", *_JOINTS, *_LIMITS, *more):
+        reader.refuse("not known here; a step ends with 'then', 'and' or a comma")
+    first_joint = reader.at
+    reader.skip(*_JOINTS, "filler", "first")
+    for joint in reader.tokens[first_joint : reader.at]:
+        if joint.kind in ("then", "and") and reader.is_at("end"):
+            reader.refuse("no step follows", joint)
+
+
+def _with_distances(reader: TokenReader, steps: list[InstructionStep]) -> list[InstructionStep]:
+    """Return the steps, with an end for each "straight" without one: the next step's object."""
+    done = []
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        if step.kind == "straight" and not (step.things or step.distance_m):
+            if following is None or following.kind != "to":
+                start = next(t for t in reader.tokens if t.kind == "straight")
+                reader.refuse("say how far, as 'straight for 5 metres'", start)
+            step = replace(step, things=following.things)
+        done.append(step)
+    return done
+
+
+def _read_limits(
+    reader: TokenReader,
+    scene: Scene | _UnseenScene,
+    before: Sequence[InstructionStep],
+    limits: RouteLimits,
+) -> RouteLimits | None:
+    """Read `avoid the van`, `keep to the road`, `follow the road`; None if no such words come."""
+    at = reader.at
+    reader.take("go")
+    token = reader.take(*_LIMITS, "follow", "along")
+    if token is None:
+        reader.at = at
+        return None
+    ground = _read_ground(reader, scene)
+    if ground and token.kind == "avoid":
+        return replace(limits, avoid_ground=(*limits.avoid_ground, ground))
+    if ground:
+        return replace(limits, keep_to=(*limits.keep_to, ground))
+    if token.kind == "avoid":
+        found = _read_objects(reader, scene, before)
+        return replace(limits, avoid=(*limits.avoid, *found))
+    if token.kind == "keep to":
+        reader.refuse("say the kind of ground, as 'keep to the road'")
+    reader.at = at
+    return None
+
+
+def _read_ground(reader: TokenReader, scene: Scene | _UnseenScene) -> str:
+    """Read `the road`; return the kind of ground, or "" if no name of ground comes.
+
+    Raises:
+        TranslationError: the scene has no such ground.
+    """
+    at = reader.at
+    reader.skip("article")
+    token = reader.take("ground")
+    if token is None or reader.is_at("word"):  # "the street light"
+        reader.at = at
+        return ""
+    kind = ground_kind(token.text)
+    if isinstance(scene, Scene):
+        kinds = dict.fromkeys(ground_kind(region.label) for region in scene.regions.values())
+        if kind not in kinds:
+            there = ", ".join(kinds) or "none told apart"
+            reader.refuse(f"no ground here has that name; there is {there}", token)
+    return kind
+
+
+def _read_turn(
+    reader: TokenReader,
+    scene_for: Callable[[int | None], Scene | _UnseenScene],
+    before: Sequence[InstructionStep],
+) -> list[InstructionStep]:
+    """Read `turn left`, `turn 45 degrees to the left`, `turn left at the van`; [] if none comes."""
+    token = reader.take("turn", "turn left", "turn right", "turn around")
+    if token is None:
+        return []
+    scene = scene_for(len(before))
+    side, degrees = token.kind.removeprefix("turn").strip(), 0.0
+    if reader.peek().text == "by":
+        reader.at += 1
+    if number := reader.take("number"):
+        degrees = float(number.text)
+        if not reader.take("degrees") or not 0.0 < degrees <= 180.0 or side == "around":
+            reader.refuse("say the angle, as 'turn left by 45 degrees' (at most 180)", number)
+    if not side:
+        if reader.is_at("to") and reader.is_at("article", ahead=1):
+            reader.at += 2
+        token = reader.take("left", "right", "on the left", "on the right")
+        if token is None:
+            reader.refuse("say to which side, as 'turn left'")
+        side = token.kind.removeprefix("on the ")
+    angle_rad = {"left": 1.0, "right": -1.0, "around": 2.0}[side] * math.radians(degrees or 90.0)
+    turn = InstructionStep("turn", turn_rad=angle_rad)
+    if not reader.take("at"):
+        return [turn]
+    thing = _read_object(reader, scene, before)
+    scene_for(len(before) + 1)  # the turn is a step of its own
+    return [InstructionStep("to", (thing,)), turn]
+
+
+def _turned(scene: Scene | _UnseenScene, before: Sequence[InstructionStep]) -> Scene | _UnseenScene:
+    """Return the scene as the robot sees it after the turns with which the instruction begins."""
+    if isinstance(scene, _UnseenScene):
+        return scene
+    turned_rad = sum(step.turn_rad for step in before)
+    return replace(scene, pose=SE2(scene.pose.x_m, scene.pose.y_m, scene.pose.yaw_rad + turned_rad))
+
+
+def _check_sides(reader: TokenReader, begin: int, before: Sequence[InstructionStep]) -> None:
+    """Check that no words from `begin` on choose an object by its side after a turn elsewhere.
+
+    Raises:
+        TranslationError: they do.
+    """
+    if all(step.kind == "turn" for step in before) or not any(step.turn_rad for step in before):
+        return
+    for token in reader.tokens[begin : reader.at]:
+        if token.kind in _CHOSEN_BY_SIDE:
+            reader.refuse("after a turn it is not clear which this is; name the object", token)
 
 
 def task_steps(instruction: str) -> tuple[TaskStep, ...]:
@@ -159,8 +268,11 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
         TranslationError: the instruction is not understood; the error names the part.
     """
     unseen: list[_UnseenScene] = []
+    avoided = _UnseenScene()
 
-    def scene_for(number: int) -> _UnseenScene:
+    def scene_for(number: int | None) -> _UnseenScene:
+        if number is None:
+            return avoided
         unseen.append(_UnseenScene())
         return unseen[-1]
 
@@ -168,23 +280,28 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
     spelling: dict[str, str] = {}  # canonical name -> its first spelling in the instruction
     names_of_steps = [
         tuple(spelling.setdefault(canonical, name) for canonical, name in scene.names.items())
-        for scene in unseen
+        for scene in (*unseen, avoided)
     ]
     return tuple(
         TaskStep(
             step.said,
-            # A path around an object ends towards the object of the next step.
+            # What the path stays away from must be seen before it is driven.
             tuple(
                 dict.fromkeys(
-                    sum(names_of_steps[n : n + 2], ())
-                    if step.kind == "around"
-                    else names_of_steps[n]
+                    names_of_steps[n]
+                    + (names_of_steps[n + 1] if _ends_at_next(step) else ())
+                    + names_of_steps[-1]
                 )
             ),
             unseen[n].refers,
         )
         for n, step in enumerate(steps)
     )
+
+
+def _ends_at_next(step: InstructionStep) -> bool:
+    """Return True if the end of a step depends on the object of the next step."""
+    return step.kind in ("around", "along") or (step.kind == "straight" and not step.distance_m)
 
 
 def named_objects(instruction: str) -> tuple[str, ...]:
@@ -223,9 +340,18 @@ def _read_step(
     reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
     """Read one step; `before` are the steps that were read before it."""
-    verb = reader.take("go", "pass", "stop", "reach", "leave")
+    if reader.is_at("onto") and reader.is_at("number", ahead=1):  # "in 3 metres, turn left"
+        reader.at += 1
+        return InstructionStep("straight", distance_m=_read_distance_m(reader))
+    if _is_elliptic(reader, before):
+        return _read_destination(reader, scene, before)
+    verb = reader.take("go", "pass", "stop", "reach", "leave", "follow")
     reader.skip("first", "filler")
-    if verb is None and not (before and reader.is_at(*_RELATIONS)):
+    if (
+        verb is None
+        and not (before and reader.is_at(*_RELATIONS))
+        and not reader.is_at(*_MOTIONS, "until")
+    ):
         if reader.peek().text == "back":
             reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
@@ -236,10 +362,12 @@ def _read_step(
         return _read_leaving(reader, scene, before)
     if doing == "reach":
         return _read_destination(reader, scene, before)
+    if doing == "follow":
+        return _read_following(reader, scene, before)
     # "go 3 metres straight on", "go half a metre forward"
     counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
-    if doing == "go" and (counted or reader.is_at("half")):
-        return _read_straight(reader)
+    if doing in ("go", "stop") and (counted or reader.is_at("half")):
+        return _read_counted(reader, scene, before, doing)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
             reader.refuse("it is not clear where; name a thing", there)
@@ -255,19 +383,30 @@ def _read_step(
         relation = reader.take(*_SIDE_OF) or relation  # "back to the left of the van"
     if doing == "go" and relation.text == "by":
         reader.refuse("it can be read in two ways; say 'past' or 'to'", relation)
-    if doing == "stop" and relation.kind in ("past", "around", "straight"):
+    if doing == "stop" and relation.kind in ("past", "around", "along", "straight", *_MOTIONS):
         reader.refuse("a robot cannot stop there; say 'at', 'left of', 'behind', …", relation)
     match relation.kind:
-        case "past" | "around":
+        case "past" | "around" | "along" | "circle":
             return _read_passing(reader, scene, before, relation.kind)
+        case "halfway":
+            return InstructionStep("halfway", (_read_object(reader, scene, before),))
+        case "onto" | "across":
+            return _read_onto(reader, scene, relation.kind)
         case "between":
             return InstructionStep("between", _read_two_objects(reader, scene, before))
         case "straight" if reader.take("to"):  # "straight to the van"
             return _read_destination(reader, scene, before)
+        case "straight" if reader.take("until", "until level"):
+            return InstructionStep("straight", (_read_object(reader, scene, before),))
+        case "straight" if reader.is_at("first", "then", "comma", "stop mark"):
+            reader.skip("first")
+            return InstructionStep("straight")  # as far as the next step's object
         case "straight":
             reader.take("for") or (reader.peek().text == "by" and reader.take("at"))
             return InstructionStep("straight", distance_m=_read_distance_m(reader))
-        case "to" | "at":
+        case "to" | "at" | "until":
+            if relation.kind == "to" and (ground := _read_ground(reader, scene)):
+                return InstructionStep("onto", ground=ground)
             return _read_destination(reader, scene, before)
         case "its left" | "its right":
             return InstructionStep(
@@ -289,7 +428,7 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
         TranslationError: the meaning is not clear.
     """
     token, comma = reader.peek(), reader.is_at("comma", ahead=-1)
-    passing = last.kind in ("past", "around")
+    passing = last.kind in ("past", "around", "along")
     # "to the gate, past the van" may pass the van first, so only these may follow a comma.
     after_comma = ("past", "around", "between", "to") if passing else ("to",)
     changes_order = comma and token.kind not in after_comma
@@ -301,21 +440,74 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
-def _read_destination(
+def _is_elliptic(reader: TokenReader, before: Sequence[InstructionStep]) -> bool:
+    """Return True if a verb is left out here: "first the van", "to the gate, then the van"."""
+    joint = reader.peek(-1).kind if reader.at else ""
+    goes_on = joint == "then" and bool(before) and before[-1].kind == "to"
+    begins = joint == "first" and not before
+    return (goes_on or begins) and reader.is_at("article")
+
+
+def _read_following(
     reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
-    """Read `the van`, `the van's left side`."""
+    """Read `follow the fence`: only long things that do not move can be followed."""
+    start = reader.peek()
+    thing = _read_object(reader, scene, before)
+    words = reader.tokens[reader.tokens.index(start) : reader.at]
+    if not any(token.text in _LONG_THINGS for token in words):
+        reader.refuse("this cannot be followed; say 'go past …' or 'go to …'", start)
+    return InstructionStep("along", (thing,))
+
+
+def _read_onto(reader: TokenReader, scene: Scene | _UnseenScene, kind: Kind) -> InstructionStep:
+    """Read `the grass` of "onto the grass" and "across the grass"."""
+    start = reader.peek()
+    ground = _read_ground(reader, scene)
+    if not ground:
+        reader.refuse("expected a kind of ground, as the road or the grass", start)
+    return InstructionStep(kind, ground=ground)
+
+
+def _read_destination(
+    reader: TokenReader,
+    scene: Scene | _UnseenScene,
+    before: Sequence[InstructionStep],
+    distance_m: float = 0.0,
+) -> InstructionStep:
+    """Read `the van`, `the van's left side`, `the van, but stay 2 metres away`."""
     thing = _read_object(reader, scene, before)
     side = _read_own_side(reader)
-    return InstructionStep("beside", (thing,), side) if side else InstructionStep("to", (thing,))
+    if reader.take("from behind"):
+        side = "behind"
+    if reader.is_at("gap", ahead=1 if reader.is_at("comma") else 0) and not (side or distance_m):
+        reader.skip("comma")
+        reader.skip("gap")
+        distance_m = _read_distance_m(reader)
+        reader.take("away")
+    if side:
+        return InstructionStep("beside", (thing,), side)
+    return InstructionStep("to", (thing,), distance_m=distance_m)
 
 
-def _read_straight(reader: TokenReader) -> InstructionStep:
-    """Read `3 metres forward`."""
+def _read_counted(
+    reader: TokenReader,
+    scene: Scene | _UnseenScene,
+    before: Sequence[InstructionStep],
+    doing: str,
+) -> InstructionStep:
+    """Read `3 metres forward`, `3 metres before the van`, `3 metres behind the van`."""
     distance_m = _read_distance_m(reader)
-    if not reader.take("straight"):
-        reader.refuse("say in which direction, as '3 metres straight on'")
-    return InstructionStep("straight", distance_m=distance_m)
+    after_turn = before and before[-1].kind == "turn" and reader.is_at("end", *_JOINTS)
+    if doing == "go" and (reader.take("straight") or after_turn):
+        return InstructionStep("straight", distance_m=distance_m)
+    if reader.take("before", "short of", "from", "in front of"):
+        return _read_destination(reader, scene, before, distance_m)
+    if relation := reader.take("behind", "left of", "right of"):
+        side = _SIDE_OF.get(relation.kind, relation.kind)
+        thing = _read_object(reader, scene, before)
+        return InstructionStep("beside", (thing,), side, distance_m)
+    reader.refuse("say in which direction, as '3 metres straight on'")
 
 
 def _read_own_side(reader: TokenReader) -> str:
@@ -328,15 +520,21 @@ def _read_own_side(reader: TokenReader) -> str:
     return token.kind
 
 
-OF_SUFFIX = {"left": " of", "right": " of"}
-"""Side → word after it: "left of the van", but "behind the van"."""
 _SIDE_OF = {
     "left of": "left", "its left": "left", "right of": "right", "its right": "right",
 }  # fmt: skip
 _RELATIONS = (
-    "to", "at", "past", "around", "between", "left of", "right of", "in front of", "behind",
-    "straight", "its left", "its right",
+    "to", "at", "past", "along", "around", "between", "left of", "right of", "in front of",
+    "behind", "straight", "its left", "its right", "circle", "halfway", "onto", "across", "until",
 )  # fmt: skip
+_MOTIONS = ("circle", "across")
+"""Kinds of relations that are verbs, too: "circle the tree", "cross the road"."""
+_JOINTS = ("then", "and", "comma", "stop mark")
+"""Kinds of tokens between two steps."""
+_LIMITS = ("avoid", "keep to")
+"""Kinds of words that restrict the whole path."""
+_LONG_THINGS = ("fence", "wall", "hedge", "railing", "building", "house", "shelf", "corridor")
+"""Things along which the robot can drive."""
 _RETURN = "say where to return to, as 'back to the gate'"  # error for a bare "go back"
 OTHER_SIDE = {"left": "right", "right": "left"}
 """Side → the opposite one."""
@@ -345,7 +543,24 @@ OTHER_SIDE = {"left": "right", "right": "left"}
 def _read_passing(
     reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep], kind: Kind
 ) -> InstructionStep:
-    """Read `past the left of the van`, `around the van on its left`, `past the van`."""
+    """Read `past the left of the van`, `around the van on its left`, `around the van once`."""
+    step = _read_passed(reader, scene, before, kind)
+    if kind in ("past", "along"):
+        return replace(step, kind="past") if step.side else step
+    if sense := reader.take("clockwise", "counterclockwise"):
+        if step.side:
+            reader.refuse("the side is said twice", sense)
+        step = replace(step, side="left" if sense.kind == "clockwise" else "right")
+    if reader.peek().text == "once" and reader.is_at("end", *_JOINTS, ahead=1):
+        reader.at += 1
+        return replace(step, kind="circle")
+    return step
+
+
+def _read_passed(
+    reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep], kind: Kind
+) -> InstructionStep:
+    """Read the object that is passed, and on which side."""
     if side := reader.take("left of", "right of"):
         return InstructionStep(kind, (_read_object(reader, scene, before),), _SIDE_OF[side.kind])
     if side := reader.take("its left", "its right"):
@@ -594,8 +809,8 @@ def _read_word(reader: TokenReader, has_name: bool) -> Token | None:
     """
     token = reader.peek()
     begins = reader.is_at("word", ahead=1)
-    if (begins and token.kind in ("go", "stop", "pass", "metres")) or (
-        has_name and token.kind in ("go", "metres")
+    if (begins and token.kind in ("go", "stop", "pass", "metres", "ground")) or (
+        has_name and token.kind in ("go", "stop", "metres", "ground")
     ):
         reader.at += 1
         return replace(token, kind="word")
@@ -818,3 +1033,5 @@ _ORDER: dict[str, Callable[[Scene, SceneObject], float]] = {
     "from the right": lambda scene, thing: _bearing_rad(scene, thing),
 }
 """Kind of phrase → sort key of the objects; the first is meant, or the one of a number."""
+_CHOSEN_BY_SIDE = {*_PLACES, *_ORDER, "left", "right"} - {"nearest", "farthest"}
+"""Kinds of words that choose an object by where it is seen from the robot."""

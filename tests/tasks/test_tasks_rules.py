@@ -153,7 +153,7 @@ def test_instructions_that_are_understood(instruction, understood):
         ("stop at its left", "at its left", "it is not clear what this stands for"),
         ("go to the gate after the van", "after the van", "not known here"),
         ("go to the gate, passing the van, go to car 3", "passing the van", "in their order"),
-        ("go to the gate while avoiding the van", "while avoiding", "not known here"),
+        ("go to the gate while watching the van", "while watching", "not known here"),
         ("go to the gate and back", "back", "as 'back to the gate'"),
         ("go to the gate and come back", "come back", "as 'back to the gate'"),
         ("go to the van or the gate", "or the gate", "not known here"),

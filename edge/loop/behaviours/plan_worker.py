@@ -203,7 +203,7 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
-            scene, coarse.segments, coarse.regions, _margins(config),
+            written.ground.scene, coarse.segments, coarse.regions, _margins(config),
             _motion_limits(config, result),
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
