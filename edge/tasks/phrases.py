@@ -184,11 +184,13 @@ TABLE = {
 LONGEST = max(map(len, TABLE))  # words of the longest phrase
 MOST_DIGITS = 9  # a number with more digits becomes a "mark", which no rule accepts
 
-# One token. Groups: `quoted` and `quote`: text in double or single quotation marks; `ordinal`:
+# One token. Groups: `quoted` and `quote`: text in double or single quotation marks; `remark`:
+# brackets in a name, as in "bow (weapon)"; `ordinal`:
 # "2nd"; `number`: "3.5"; `word`: "van", "van's" or "&"; `dash`: that of "to the van - then stop";
 # `mark`: any other character.
 _TOKEN = re.compile(
     r"""["“](?P<quoted>[^"“”]*\w[^"“”]*)["”]|(?<!\w)['‘](?P<quote>[^'‘’]*\w[^'‘’]*)['’](?!\w)"""
+    r"""|(?P<remark>\((?!the |an? )[^\W\d_]+(?: [^\W\d_]+){0,2}\))"""
     r"""|(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
     r"""|(?P<word>[^\W\d_]+(?:['’][^\W\d_]+)*|&)"""
     r"""|(?P<dash>(?<=\s)[-–—](?=\s+[^\W\d_]))|(?P<mark>\S)"""
@@ -209,14 +211,14 @@ def tokenise(text: str) -> list[Token]:
 
     Kinds are those of `PHRASES` and:
 
-    - "word": part of a name or a description; each word in quotes is one.
+    - "word": part of a name or a description; each word in quotes or in brackets is one.
     - "number", "ordinal": the text of an ordinal is its number.
     - "comma", "stop mark" (end of a sentence), "mark" (any other character), "end".
     """
     found: list[tuple[str, str, int, int]] = []  # group of `_TOKEN`, text, start, end
     for match in _TOKEN.finditer(_HYPHEN.sub(" ", text)):
         kind = match.lastgroup or "mark"
-        if kind in ("quoted", "quote"):
+        if kind in ("quoted", "quote", "remark"):
             found += [("quoted", word.lower(), *match.span()) for word in match[kind].split()]
         else:
             found.append((kind, match[0].lower().replace("’", "'"), *match.span()))

@@ -52,6 +52,10 @@ def driven(instruction, scene=SCENE):
         ("go to the red stop sign, then past the parking meters, then to the van's left",
          ("stop sign", "parking meter", "van")),
         ('go to the "salt & pepper" shaker', ("salt & pepper shaker",)),
+        ('go to the "salt and pepper shaker" and then to the bus stop',
+         ("salt and pepper shaker", "bus stop")),
+        ("go between the van and bow (weapon)", ("van", "bow (weapon)")),
+        ("turn left at the car park sign, avoid the tv stand", ("sign", "tv stand")),
     ],
 )  # fmt: skip
 def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
