@@ -30,10 +30,11 @@ PHRASES: dict[str, str] = {
     "pass": "pass|pass by|overtake|bypass",
     "stop": "stop|halt|park|wait|end|come to a stop|come to a halt|stand|pull up|pull over|meet me|"
     "wait for me|go and stand|go and stop|go and wait",
-    "reach": "approach|reach|visit",
+    "reach": "approach|reach|visit|head for|make for",
     "leave": "leave|keep",
     "follow": "follow",
-    "circle": "circle|encircle|once around|once round|in a circle around|all the way around",
+    "circle": "circle|encircle|once around|once round|in a circle around|all the way around|"
+    "a circle around|a full circle around|a lap around",
     "clockwise": "clockwise",
     "counterclockwise": "counterclockwise|anticlockwise|counter clockwise|anti clockwise",
     "across": "cross|across|cross over|over to the other side of|to the other side of",
@@ -54,7 +55,7 @@ PHRASES: dict[str, str] = {
     "until": "until you reach|until you get to|until you come to|until you are at|until reaching",
     "until level": "until you are next to|until you are beside|until you are level with",
     # Verbs in a clause that depends on another: "after passing the van".
-    "going": "going|driving|moving|heading|steering|gone|driven",
+    "going": "going|by going|by driving|driving|moving|heading|steering|gone|driven",
     "passing": "via|by way of|passing|passing by|passed|passed by|overtaking|bypassing",
     "stopping": "stopping|halting|stopped|halted",
     "reaching": "approaching|reaching|visiting|reached|visited",
@@ -64,7 +65,8 @@ PHRASES: dict[str, str] = {
     "while": "while|whilst",
     "having": "having|you have|you've|you are|you're",
     # Position of an object relative to the path.
-    "to": "to|towards|toward|up to|over to|back to|on your way to|on the way to",
+    "to": "to|towards|toward|up to|over to|back to|on your way to|on the way to|"
+    "as close as you can to|as near as you can to|as close as possible to",
     "at": "at|near|next to|beside|close to|by",
     "past": "past",
     "along": "along|alongside",
@@ -78,7 +80,7 @@ PHRASES: dict[str, str] = {
     "in front of": "in front of|to the front of|at the front of",
     "behind": "behind|to the back of|at the back of",
     "halfway": "halfway to|half way to|half the way to|half of the way to",
-    "onto": "onto|on to|into|on|in",
+    "onto": "onto|on to|into|on|in|enter",
     "straight": "straight|straight on|straight ahead|forward|forwards|ahead",
     "for": "for",
     "metres": "m|metre|metres|meter|meters",

@@ -37,6 +37,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import NoReturn
 
 import numpy as np
@@ -115,11 +116,10 @@ def _read_steps(
             _read_step(reader, _turned(scene_for(len(steps)), steps), steps)
         ]
         said = instruction[start.start : reader.peek(-1).end]
-        _check_sides(reader, begin, steps)
+        if found[0].things:
+            _check_sides(reader, begin, steps)
         steps += [replace(step, said=said) for step in found]
-        _end_step(
-            reader, *(("to",) if found[-1].kind in ("past", "around", "along", "across") else ())
-        )
+        _end_step(reader, *(("to", "until") if found[-1].kind in _PASSED else ()))
         if start.kind == "stop" and not reader.is_at("end", *_LIMITS):
             reader.refuse("the robot stops here; no step can follow", start)
     if not steps:
@@ -224,12 +224,14 @@ def _read_turn(
     if not side:
         if reader.is_at("to") and reader.is_at("article", ahead=1):
             reader.at += 2
-        token = reader.take("left", "right", "on the left", "on the right")
+        token = reader.take(*_TURN_SIDES)
         if token is None:
             reader.refuse("say to which side, as 'turn left'")
-        side = token.kind.removeprefix("on the ")
+        side = _TURN_SIDES[token.kind]
     angle_rad = {"left": 1.0, "right": -1.0, "around": 2.0}[side] * math.radians(degrees or 90.0)
     turn = InstructionStep("turn", turn_rad=angle_rad)
+    if before and before[-1].kind in _STOPPED_AT:
+        reader.take("there")
     if not reader.take("at"):
         return [turn]
     thing = _read_object(reader, scene, before)
@@ -253,6 +255,8 @@ def _check_sides(reader: TokenReader, begin: int, before: Sequence[InstructionSt
     """
     if all(step.kind == "turn" for step in before) or not any(step.turn_rad for step in before):
         return
+    if reader.tokens[begin + 1].kind == "straight":  # "go straight"; but "the car straight ahead"
+        begin += 2
     for token in reader.tokens[begin : reader.at]:
         if token.kind in _CHOSEN_BY_SIDE:
             reader.refuse("after a turn it is not clear which this is; name the object", token)
@@ -340,18 +344,14 @@ def _read_step(
     reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
     """Read one step; `before` are the steps that were read before it."""
-    if reader.is_at("onto") and reader.is_at("number", ahead=1):  # "in 3 metres, turn left"
+    if reader.peek().text == "in" and reader.is_at("number", ahead=1):  # "in 3 m, turn left"
         reader.at += 1
         return InstructionStep("straight", distance_m=_read_distance_m(reader))
-    if _is_elliptic(reader, before):
+    if _is_elliptic(reader, before) and not _counts_metres(reader):
         return _read_destination(reader, scene, before)
     verb = reader.take("go", "pass", "stop", "reach", "leave", "follow")
     reader.skip("first", "filler")
-    if (
-        verb is None
-        and not (before and reader.is_at(*_RELATIONS))
-        and not reader.is_at(*_MOTIONS, "until")
-    ):
+    if verb is None and not _may_lack_verb(reader, before):
         if reader.peek().text == "back":
             reader.refuse(_RETURN)
         reader.refuse("expected what to do: go to, drive past, around, between, stop at, …")
@@ -364,12 +364,10 @@ def _read_step(
         return _read_destination(reader, scene, before)
     if doing == "follow":
         return _read_following(reader, scene, before)
-    # "go 3 metres straight on", "go half a metre forward"
-    counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
-    if doing in ("go", "stop") and (counted or reader.is_at("half")):
+    if doing in ("go", "stop") and _counts_metres(reader):
         return _read_counted(reader, scene, before, doing)
     if doing == "stop" and (there := reader.take("there")):
-        if not before or before[-1].kind not in ("to", "beside", "between", "straight"):
+        if not before or before[-1].kind not in _STOPPED_AT:
             reader.refuse("it is not clear where; name a thing", there)
         return InstructionStep("stop")
     relation = reader.take(*_RELATIONS)
@@ -440,6 +438,20 @@ def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> No
         reader.refuse("it is not clear when or how; say 'then go', 'then go past' or 'passing'")
 
 
+def _counts_metres(reader: TokenReader) -> bool:
+    """Return True if a distance comes: "3 metres straight on", "half a metre forward"."""
+    counted = reader.is_at("number", "article") and reader.is_at("metres", "and a half", ahead=1)
+    return counted or reader.is_at("half")
+
+
+def _may_lack_verb(reader: TokenReader, before: Sequence[InstructionStep]) -> bool:
+    """Return True if a step without a verb may begin here: "…, then past the van"."""
+    goes_on = reader.is_at(*_RELATIONS) or _counts_metres(reader)
+    after_limit = reader.at > 0 and not reader.is_at(*_JOINTS, ahead=-1) and reader.is_at("to")
+    begins = reader.is_at(*_MOTIONS, "until") or reader.peek().text == "enter"
+    return (bool(before) and goes_on) or after_limit or begins
+
+
 def _is_elliptic(reader: TokenReader, before: Sequence[InstructionStep]) -> bool:
     """Return True if a verb is left out here: "first the van", "to the gate, then the van"."""
     joint = reader.peek(-1).kind if reader.at else ""
@@ -452,10 +464,12 @@ def _read_following(
     reader: TokenReader, scene: Scene | _UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
     """Read `follow the fence`: only long things that do not move can be followed."""
-    start = reader.peek()
+    reader.skip("article")
+    start, begin = reader.peek(), reader.at
     thing = _read_object(reader, scene, before)
-    words = reader.tokens[reader.tokens.index(start) : reader.at]
-    if not any(token.text in _LONG_THINGS for token in words):
+    words = takewhile(lambda token: token.kind == "word", reader.tokens[begin : reader.at])
+    *_, noun = ("", *(token.text for token in words))
+    if noun not in _LONG_THINGS:
         reader.refuse("this cannot be followed; say 'go past …' or 'go to …'", start)
     return InstructionStep("along", (thing,))
 
@@ -485,9 +499,28 @@ def _read_destination(
         reader.skip("gap")
         distance_m = _read_distance_m(reader)
         reader.take("away")
+    elif not (side or distance_m):
+        distance_m = _read_stop_before_it(reader)
     if side:
         return InstructionStep("beside", (thing,), side)
     return InstructionStep("to", (thing,), distance_m=distance_m)
+
+
+def _read_stop_before_it(reader: TokenReader) -> float:
+    """Read `and stop 2 metres before it`; return the distance, or 0.0 if no such words come."""
+    at = reader.at
+    reader.skip(*_JOINTS)
+    if (
+        reader.at > at
+        and reader.take("stop")
+        and reader.is_at("number", "article", "half")
+        and reader.is_at("metres", ahead=1)
+    ):
+        distance_m = _read_distance_m(reader)
+        if reader.peek().text.endswith(" it") and reader.take("away"):
+            return distance_m
+    reader.at = at
+    return 0.0
 
 
 def _read_counted(
@@ -529,6 +562,15 @@ _RELATIONS = (
 )  # fmt: skip
 _MOTIONS = ("circle", "across")
 """Kinds of relations that are verbs, too: "circle the tree", "cross the road"."""
+_PASSED = ("past", "around", "along", "across")
+"""Kinds of steps after which a destination needs no joint: "past the van to the gate"."""
+_STOPPED_AT = ("to", "beside", "between", "straight")
+"""Kinds of steps after which "there" is clear."""
+_TURN_SIDES = {
+    "left": "left", "right": "right", "on the left": "left", "on the right": "right",
+    "counterclockwise": "left", "clockwise": "right",
+}  # fmt: skip
+"""Kind of token → side of a turn."""
 _JOINTS = ("then", "and", "comma", "stop mark")
 """Kinds of tokens between two steps."""
 _LIMITS = ("avoid", "keep to")

@@ -76,7 +76,7 @@ def outcome(instruction, meanings):
     try:
         read = describe_steps(parse_steps(instruction, SCENE))
     except TranslationError as error:
-        one_line = bool(error.part.strip()) and error.part in instruction and "\n" not in str(error)
+        one_line = error.part in instruction and "\n" not in str(error)
         refused = "asked" if meanings[0] == "ask" else "refused"
         return refused if one_line else "wrong", str(error)
     return "right" if read in meanings else "wrong", read
@@ -126,6 +126,7 @@ def driven(instruction):
         ("turn left", (0.0, 0.0), 90.0),
         ("turn around, then go straight for 3 metres", (-3.0, 0.0), 180.0),
         ("go straight for 2 metres and turn right by 30 degrees", (2.0, 0.0), -30.0),
+        ("go straight for 1 metre, turn around, then go straight for 2 m", (-1.0, 0.0), 180.0),
         ("stop 2 metres before the gate", (13.8, 0.5), None),
         ("stop 2 metres behind the van", (12.0, 0.0), None),
         ("go onto the grass", (0.0, 8.5), None),
@@ -182,7 +183,12 @@ def test_the_ground_to_keep_to_is_preferred():
     ("instruction", "part", "hint"),
     [
         ("go onto the square", "square", "no ground here has that name; there is sidewalk"),
-        ("follow the man", "the man", "this cannot be followed"),
+        ("follow the man", "man", "this cannot be followed"),
+        ("follow the tree near the stop sign", "tree", "this cannot be followed"),
+        ("turn back to the gate", "to the gate", "not known here"),
+        ("run into the van", "the van", "expected a kind of ground"),
+        ("avoid the van and the gate", "the gate", "expected what to do"),
+        ("bring me the bench", "the bench", "expected where"),
         ("turn", "", "say to which side"),
         ("turn left by 400 degrees", "400 degrees", "at most 180"),
         ("go to the van, turn left, then go to the house on the right", "on the right",
