@@ -35,7 +35,8 @@ from edge.tasks.manoeuvres import (
     points_around,
     regions_of,
 )
-from edge.tasks.reading import OTHER_SIDE, centre_m, object_name, parse_steps
+from edge.tasks.object_phrases import centre_m, object_name
+from edge.tasks.reading import OTHER_SIDE, parse_steps
 from edge.tasks.scene import SceneObject
 from edge.tasks.steps import OF_SUFFIX, InstructionStep
 from edge.tasks.trajectory import TrajectoryError

@@ -20,7 +20,7 @@ from edge.loop.service import Service
 from edge.loop.status import status_message
 from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
-from edge.tasks.reading import AmbiguousObjectError
+from edge.tasks.object_phrases import AmbiguousObjectError
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"

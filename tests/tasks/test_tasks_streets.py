@@ -14,7 +14,8 @@ from edge.lab.eval.trajectories.references import possible_tasks
 from edge.lab.sim.generator.rng import PortableRng
 from edge.tasks.follow import goal_ahead
 from edge.tasks.functions import TURNS
-from edge.tasks.reading import centre_m, parse_steps
+from edge.tasks.object_phrases import centre_m
+from edge.tasks.reading import parse_steps
 from edge.tasks.refine import refine
 from edge.tasks.value_map import PathMargins
 from edge.tasks.write import write_trajectory

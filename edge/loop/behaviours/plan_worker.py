@@ -13,9 +13,9 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
+from edge.tasks.object_phrases import AmbiguousObjectError
 from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import system_prompt, task_text
-from edge.tasks.reading import AmbiguousObjectError
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.scene_builder import add_detections, scene_of_map
