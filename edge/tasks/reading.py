@@ -291,10 +291,16 @@ def task_steps(instruction: str) -> tuple[TaskStep, ...]:
                     + names_of_steps[-1]
                 )
             ),
-            unseen[n].refers,
+            unseen[n].refers or _begins_turned(steps, n),
         )
         for n, step in enumerate(steps)
     )
+
+
+def _begins_turned(steps: Sequence[InstructionStep], n: int) -> bool:
+    """Return True if step n depends on the heading at the end of the step before it."""
+    kinds = [step.kind for step in steps[max(n - 1, 0) : n + 1]]
+    return n > 0 and (kinds[1] == "turn" or kinds == ["turn", "straight"])
 
 
 def _ends_at_next(step: InstructionStep) -> bool:

@@ -222,6 +222,16 @@ def test_what_cannot_be_driven_is_refused_with_the_reason(instruction, hint):
         driven(instruction)
 
 
+def test_turns_are_driven_together_with_what_they_depend_on():
+    steps = task_steps("go to the van, turn left, go straight for 2 metres, then go to the gate")
+    assert [step.joined for step in steps] == [False, True, True, False]
+
+
+def test_what_is_avoided_is_looked_for_before_the_first_step():
+    steps = task_steps("go to the gate, then go to the van without going near the bench")
+    assert [step.names for step in steps] == [("gate", "bench"), ("van", "bench")]
+
+
 def test_sides_count_after_the_first_turn():
     ahead, turned = (
         parse_steps(f"{turn}go to the nearest house on the left", SCENE)[-1].things[0].id
