@@ -101,8 +101,10 @@ def _read_steps(
         if (more := _read_limits(reader, limit_scene, steps, limits)) is not None:
             limits = more
             _end_step(reader, "to", "until")
-            start = reader.peek()
+            start = start if steps else reader.peek()
             continue
+        if steps and start.kind == "stop":
+            reader.refuse("the robot stops here; no step can follow", start)
         verb, start, begin = start, reader.peek(), reader.at
         if steps and start.kind in _RELATIONS:
             _check_joined(reader, steps[-1], verb)
@@ -114,8 +116,6 @@ def _read_steps(
             _check_sides(reader, begin, steps)
         steps += [replace(step, said=said) for step in found]
         _end_step(reader, *(("to", "until") if found[-1].kind in _PASSED else ()))
-        if start.kind == "stop" and not reader.is_at("end", *_LIMITS):
-            reader.refuse("the robot stops here; no step can follow", start)
     if not steps:
         reader.refuse("say where to go")
     if steps[-1].kind == "stop":

@@ -188,6 +188,7 @@ def test_the_ground_to_keep_to_is_preferred():
         ("turn back to the gate", "to the gate", "not known here"),
         ("run into the van", "the van", "expected a kind of ground"),
         ("avoid the van and the gate", "the gate", "expected what to do"),
+        ("stop at the gate, avoid the van, then go to the bench", "stop at", "no step can follow"),
         ("bring me the bench", "the bench", "expected where"),
         ("turn", "", "say to which side"),
         ("turn left by 400 degrees", "400 degrees", "at most 180"),
