@@ -76,6 +76,16 @@ def parse_steps(
     return steps[step_slice]
 
 
+def route_limits(instruction: str, scene: Scene) -> RouteLimits:
+    """Parse the restrictions of the path alone; the objects of steps need not be in the scene.
+
+    Raises:
+        TranslationError: the instruction is not understood; the error names the part.
+    """
+    steps = _read_steps(instruction, lambda n: scene if n is None else UnseenScene())
+    return steps[0].limits
+
+
 def _is_selected(n: int, step_slice: slice) -> bool:
     """Return True if a slice selects step n. The slice counts from the start: no negative ends."""
     return n in range(n + 1)[step_slice]
