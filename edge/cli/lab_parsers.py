@@ -88,12 +88,9 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     )
     service = bench.add_argument_group("the service")
     service.add_argument(
-        "--seconds",
-        type=positive,
-        default=60.0,
-        metavar="N",
-        help="how long to measure, in s (default: %(default)g)",
-    )
+        "--seconds", type=positive, default=60.0, metavar="N", help="how long to measure, in s "
+        "(default: %(default)g)",
+    )  # fmt: skip
     service.add_argument(
         "--enforce", action="store_true", help="return exit code 1 if a result is over its budget"
     )
@@ -106,11 +103,9 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         "the first `edge bench` makes)"
     )  # fmt: skip
     service.add_argument(
-        "--swap",
-        metavar="NAME",
-        help="switch to the detector with this card halfway, to measure how much that slows the "
-        "loop",
-    )
+        "--swap", metavar="NAME", help="switch to the detector with this card halfway, to measure "
+        "how much that slows the loop",
+    )  # fmt: skip
     trust_option(bench)
     models = bench.add_argument_group("compare models on the same images").add_argument
     models(
@@ -119,18 +114,13 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         "detector)",
     )  # fmt: skip
     models(
-        "--images",
-        type=Path,
-        metavar="DIR",
-        help="folder of images (default: images of a simulated house)",
-    )
+        "--images", type=Path, metavar="DIR", help="folder of images (default: images of a "
+        "simulated house)",
+    )  # fmt: skip
     models(
-        "--frames",
-        type=count,
-        default=50,
-        metavar="N",
-        help="number of images (default: %(default)s)",
-    )
+        "--frames", type=count, default=50, metavar="N", help="number of images (default: "
+        "%(default)s)",
+    )  # fmt: skip
     models(
         "--providers",
         metavar="LIST",
@@ -167,11 +157,9 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
         "(default: 120)"
     )  # fmt: skip
     option(
-        "--seed",
-        type=seed,
-        default=0,
-        help="seed of the faults and missions (default: %(default)s)",
-    )
+        "--seed", type=seed, default=0, help="seed of the faults and missions (default: "
+        "%(default)s)",
+    )  # fmt: skip
     option(
         "--faults", metavar="NAME,NAME,…", help="inject only these faults of docs/soak.md "
         "(default: all that the configuration allows)"
