@@ -132,10 +132,7 @@ def loopback_ms(limit_s: float) -> float | None:
     before = time.perf_counter()
     settings = ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}")
     key = f"edge-doctor/{os.getpid()}"
-    with (
-        open_session(settings, "listen") as receiver,
-        open_session(settings, "connect") as sender,
-    ):
+    with open_session(settings, "listen") as receiver, open_session(settings, "connect") as sender:
         subscriber = receiver.declare_subscriber(key, zenoh.handlers.RingChannel(4))
         while time.perf_counter() - before < limit_s:
             sender.put(key, b"hello")  # repeated, until the subscription has reached the sender

@@ -227,10 +227,7 @@ class Site:
 
     def geojson(self) -> dict[str, Any]:
         """Return the site as a GeoJSON `FeatureCollection`."""
-        return {
-            "type": "FeatureCollection",
-            "features": [item.feature() for item in self.items],
-        }
+        return {"type": "FeatureCollection", "features": [item.feature() for item in self.items]}
 
 
 def memory_geojson(

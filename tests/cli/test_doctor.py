@@ -88,8 +88,7 @@ def test_a_check_that_breaks_is_a_finding(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("version", "level"),
-    [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")],
+    ("version", "level"), [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")]
 )
 def test_python(monkeypatch, version, level):
     monkeypatch.setattr(machine_checks.sys, "version_info", version)

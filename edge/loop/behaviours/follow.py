@@ -373,12 +373,7 @@ class FollowBehaviour:
         )
         self._worker.submit(self._request)
 
-    def _on_plan(
-        self,
-        result: PlanResult,
-        request: PlanRequest,
-        now_ns: int,
-    ) -> None:
+    def _on_plan(self, result: PlanResult, request: PlanRequest, now_ns: int) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
         mission, self._request = self._mission, None
         self._ambiguous = result.ambiguous
@@ -410,12 +405,7 @@ class FollowBehaviour:
             after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
             mission.fail(_log_text(f"{after}{result.error}"), now_ns)
 
-    def _check_drive(
-        self,
-        observation: Observation,
-        stuck: bool,
-        now_ns: int,
-    ) -> None:
+    def _check_drive(self, observation: Observation, stuck: bool, now_ns: int) -> None:
         """React if the robot has arrived, is blocked, or has an obstacle ahead."""
         refined, goal, answer = self._result.refined, self._goals.goal, self._goals.goal_status
         assert refined is not None

@@ -21,11 +21,7 @@ from edge import names
 from edge.loop.goal import GoalTracker
 from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import (
-    MappedRoom,
-    describe_location,
-    known_objects,
-)
+from edge.memory import MappedRoom, describe_location, known_objects
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
