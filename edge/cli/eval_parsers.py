@@ -144,8 +144,8 @@ def _add_episodes(  # type: ignore[no-untyped-def]
         help="with --compare: name of the arm that the others are compared with (default: the "
         "first)",
     )  # fmt: skip
-    compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
-    runs = lazy_handler("edge.lab.eval.runs", "run" if name == "episodes" else name, lab=True)
+    compare = lazy_handler("edge.lab.eval.comparison.run", "run", extra="lab")
+    runs = lazy_handler("edge.lab.eval.runs", "run" if name == "episodes" else name, extra="lab")
     only_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
     dispatch_on_option(
         episodes, "--compare", on=compare, on_only=("--baseline",), off=runs, off_only=only_runs
@@ -209,7 +209,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="with --llm: number of missions for the language model (default: %(default)s)",
     )  # fmt: skip
-    planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", lab=True))
+    planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", extra="lab"))
 
 
 def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -263,7 +263,7 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "--out", type=Path, metavar="FILE", help="write the numbers of right and wrong "
         "translations to this file, as JSON",
     )  # fmt: skip
-    translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
+    translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", extra="lab"))
 
 
 def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -286,7 +286,7 @@ def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
         "--goals-only", action="store_true", help="only drive to rooms; do not explore and compare"
     )
     option("--seed", type=int, default=0, help="seed of the start poses (default: %(default)s)")
-    rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", lab=True))
+    rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", extra="lab"))
 
 
 def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -334,5 +334,5 @@ def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         "outcome there are not run again (default: ./%(default)s)",
     )  # fmt: skip
     trajectories.set_defaults(
-        handler=lazy_handler("edge.lab.eval.trajectories.run", "run", lab=True)
+        handler=lazy_handler("edge.lab.eval.trajectories.run", "run", extra="lab")
     )

@@ -47,7 +47,7 @@ def add_trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", default="trajectory", metavar="DIR",
         help="folder for the trajectory, its pictures and a web page (default: ./%(default)s)",
     )  # fmt: skip
-    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
+    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", extra="lab"))
 
 
 def add_worlds(commands) -> None:  # type: ignore[no-untyped-def]
@@ -74,7 +74,9 @@ def add_worlds(commands) -> None:  # type: ignore[no-untyped-def]
         "--floor", type=float, default=0.0, metavar="Z",
         help="height of the floor in the world file, in m (default: 0)",
     )  # fmt: skip
-    importing.set_defaults(handler=lazy_handler("edge.lab.sim.gazebo.convert", "run"))
+    importing.set_defaults(
+        handler=lazy_handler("edge.lab.sim.gazebo.convert", "run", extra="worlds")
+    )
 
 
 def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
@@ -168,4 +170,4 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
         help="folder for the recording, logs and a web page (default: ./%(default)s)",
     )  # fmt: skip
-    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", lab=True))
+    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", extra="lab"))
