@@ -152,7 +152,7 @@ def _add_mission_options(command: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--formula", metavar="LTL", help="mission: this formula of linear temporal logic (LTL)"
     )
-    text = "mission: drive as told, such as 'go around the left of the sofa, then stop at the desk'"
+    text = "mission: a path in words: 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
     mission.add_reading(command)
 
