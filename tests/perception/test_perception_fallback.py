@@ -94,7 +94,7 @@ def test_a_server_that_fails_soon_again_is_asked_ever_more_rarely(server):
     pauses = []
     for item in range(8):
         server.fault = UserError("oh no")
-        server.ask(item)
+        server.ask(item, module.STEADY_S)
         pauses.append(server.model._next_s - server.clock.s)
         server.fault = None
         server.ask(item, module.MAX_PAUSE_S)
