@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge import names
-from edge.cli.options import require_lab
+from edge.cli.options import require_extra
 from edge.errors import ConfigError, UserError
 from edge.host import resources
 from edge.text import one_line
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: the name must end in one of {', '.join(_DRAWINGS)}")
     if drawing is not None and drawing.suffix != ".dot":
-        require_lab()
+        require_extra("lab")
     config = load(args.config)
     mission = config.mission
     text, formula = (None, args.text) if args.formula else (args.text, None)

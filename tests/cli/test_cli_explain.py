@@ -146,9 +146,7 @@ def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a"],
-    ids=lambda value: value[:20],
+    "text", ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a"], ids=lambda value: value[:20]
 )
 def test_of_a_formula_however_long_a_line_is_shown(text):
     lines = explained(text, formula=True)

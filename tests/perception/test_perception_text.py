@@ -7,12 +7,7 @@ import pytest
 
 from edge.models.make import store_vocabulary
 from edge.perception.embedding.encoders import make_text_encoder
-from edge.perception.embedding.text import (
-    PromptError,
-    TextEmbeddings,
-    find_vocabulary,
-    words_for,
-)
+from edge.perception.embedding.text import PromptError, TextEmbeddings, find_vocabulary, words_for
 
 
 def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
