@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import math
 import re
 import sys
 from collections.abc import Mapping
@@ -63,6 +62,7 @@ NAME = r"[a-z0-9][a-z0-9.-]*"
 """Pattern of a new card's name."""
 FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
+    "owlv2": "exporters.owlv2",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
 }  # fmt: skip
 """Module that exports a Hugging Face folder, by the folder's `model_type`."""
@@ -197,25 +197,13 @@ def _check_step(
     if not args.no_gate:
         check_parity(report, limits, card.name)
     if args.update_card:
-        _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
+        _update_card(args.cards / f"{card.name}.yaml", report.for_card(reference))
 
 
 def _update_card(path: Path, parity: dict) -> None:
     """Replace the card's measured parity; the other keys keep their order."""
     card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
     write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
-
-
-def card_parity(report: ParityReport, reference: str) -> dict:
-    """Return the figures of a report that a card keeps; an unknown score error is null."""
-    unknown = math.isnan(report.score_error)
-    return {
-        "reference": reference,
-        "images": report.images,
-        "recall": round(report.recall, 3),
-        "precision": round(report.precision, 3),
-        "score_error": None if unknown else round(report.score_error, 3),
-    }
 
 
 def _write_sidecar(
@@ -227,7 +215,7 @@ def _write_sidecar(
 ) -> None:
     """Write the sidecar of a detector's file; see `exporters.sidecar`."""
     weights = next((source.sha256 for source in card.weights_sources()), None)
-    parity = card_parity(report, reference) if report else None
+    parity = report.for_card(reference) if report else None
     write_sidecar(out, card.name, parity, weights, calibration)
 
 

@@ -64,6 +64,14 @@ RECIPES = {
 TRANSFORMER = Recipe(matrices_only=True)
 """Recipe of every image encoder that is a vision transformer."""
 
+OWL = Recipe(
+    matrices_only=True,
+    not_int8=(r"^/(class|box)_head/",),
+    not_fp16=(r"^/(?!vision_model/|box_head/|class_head/dense0/)",),
+)
+"""Recipe of OWLv2: a vision transformer whose heads are 3 % of the work and whose boxes and scores
+need more than 8 bits. The text contrast and the boxes in pixels stay in float32."""
+
 
 def recipe_of(family: str) -> Recipe:
     """Return the recipe of a family; raise ExportError for an unknown one."""
