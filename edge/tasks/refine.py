@@ -18,7 +18,7 @@ from edge.tasks.ground import ESCAPE_M
 from edge.tasks.legs import Leg, RefineError, cut_into_legs
 from edge.tasks.scene import Scene
 from edge.tasks.speeds import headings_rad, speeds_mps, times_s
-from edge.tasks.value_map import HIGH, PathMargins, closed_cells, value_map
+from edge.tasks.value_map import BRIDGE, HIGH, PathMargins, closed_cells, value_map
 from edge.trajectory import astar, smoothing
 from edge.trajectory.costmap import CostMap, from_weights
 from edge.trajectory.pursuit import MotionLimits
@@ -31,7 +31,7 @@ CONTROL_M = (2.0, 1.0, 0.5, 0.25)
 MAX_COST_RATIO = 1.05
 """A spline may cost this factor more than the path that it smooths.
 
-It must not be longer over ground that was not chosen.
+It must not be longer over ground that was not chosen or not seen.
 """
 
 
@@ -148,9 +148,8 @@ def refine_legs(
         )
     cost_m = smoothing.polyline_cost_m(costmap, points)
     off_m = _length_m(costmap, points, costmap.weight == HIGH)
-    unseen = (scene.occupancy.cells < 0) & (scene.regions_grid.cells == 0)
-    unseen_m = _length_m(costmap, points, np.pad(unseen, 1))
-    for length_m, kind in ((unseen_m, "seen"), (off_m - unseen_m, "chosen")):
+    unseen_m = _length_m(costmap, points, costmap.weight == BRIDGE)
+    for length_m, kind in ((unseen_m, "seen"), (off_m, "chosen")):
         if length_m > 1e-6:
             notes.append(f"{length_m:.1f} m of the path are over ground that was not {kind}")
     if escaped_m > 0.0:
@@ -291,7 +290,8 @@ def _fit_spline(
     """
     polyline, leg = _joined([smoothing.smooth(costmap, path, SPACING_M) for path in paths])
     max_cost_m = MAX_COST_RATIO * smoothing.polyline_cost_m(costmap, polyline)
-    max_off_m = _length_m(costmap, polyline, costmap.weight == HIGH)
+    outside = costmap.weight >= BRIDGE
+    max_outside_m = _length_m(costmap, polyline, outside)
     for control_m in CONTROL_M:
         control, control_leg = _repeat_at_ends(
             *_joined([smoothing.smooth(costmap, path, control_m) for path in paths]), legs
@@ -299,7 +299,7 @@ def _fit_spline(
         curve, at = b_spline(control, SPACING_M)
         if len(curve) < 2 or (
             smoothing.polyline_cost_m(costmap, curve) <= max_cost_m
-            and _length_m(costmap, curve, costmap.weight == HIGH) <= max_off_m
+            and _length_m(costmap, curve, outside) <= max_outside_m
         ):
             # A leg begins after the point where the previous leg ends.
             return curve, control_leg[np.minimum(at + 1, len(control) - 1)], control_m

@@ -12,12 +12,13 @@ import numpy as np
 from edge.geometry import Grid
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_weights
 
-TUBE, DRIVABLE, HIGH = 10, 20, 250
-"""Weights of cells in the tube, of other drivable cells, and of all other ground; see `value_map`.
-A cell of weight TUBE costs 1 per metre.
+TUBE, DRIVABLE, BRIDGE, HIGH = 10, 20, 50, 250
+"""Weights of cells in the tube, of other drivable cells, of short bridges over unseen ground, and
+of all other ground; see `value_map`. A cell of weight TUBE costs 1 per metre.
 
 The paper gives the order of the weights but no numbers. A half circle is pi / 2 times as long as
-its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord.
+its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord. A bridge
+may cost a detour of a few metres, but not the whole way back around the object that it is behind.
 """
 CLOSED = 0
 """Weight of a cell that no path may enter."""
@@ -52,6 +53,7 @@ def value_map(
     |---|---|
     | drivable, within `tube_m` of the coarse trajectory | TUBE, the lowest |
     | drivable: of a chosen region | DRIVABLE, slightly higher |
+    | unseen, within `BRIDGE_M` of seen ground | BRIDGE |
     | other ground | HIGH |
     | occupied | HIGH in the paper, closed here |
     | too near to an occupied cell, or too far from seen ground (`BRIDGE_M`) | closed |
@@ -90,6 +92,7 @@ def value_map(
         tube = _tube(occupancy, coarse_m, margins.tube_m)
         tube &= cv2.compare(weights, DRIVABLE, cv2.CMP_EQ)
         weights[tube.view(bool)] = TUBE
+    weights[(cells < 0) & (regions.cells == 0)] = BRIDGE
     weights[~open_cells(occupancy, regions, margins.clearance_m)] = CLOSED
     return from_weights(replace(occupancy, cells=weights), TUBE)
 

@@ -63,15 +63,20 @@ def test_what_was_said_decides_between_two_ways():
     assert middle[1] == pytest.approx(-4.0, abs=BODY.tube_m)
 
 
-def test_a_circle_is_driven_around():
-    """Not cut short to its end, which is where it begins."""
+@pytest.mark.parametrize("unseen", [None, (-1.4, -10.0, -0.6, -1.0)])
+def test_a_circle_is_driven_around(unseen):
+    """Not cut short to its end, which is where it begins; not turned back at a short bridge."""
     angle = np.linspace(math.pi, -math.pi, 40)
     circle = 3.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     where = scene(HOUSE)
+    if unseen:
+        fill(where.occupancy, unseen, -1)
+        fill(where.regions_grid, unseen, 0)
     got = refined(where, [circle, np.array([[-7.0, 3.0]])])
     bearing = np.unwrap(np.arctan2(got.poses[:, 1], got.poses[:, 0]))
     assert is_free(where, got)
     assert bearing.min() < math.pi - 2 * math.pi + 0.2
+    assert bearing.max() < math.pi + 0.2
     assert got.legs[got.leg[-1]].ends_segment
 
 

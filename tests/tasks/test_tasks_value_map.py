@@ -12,7 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.geometry import Grid
-from edge.tasks.value_map import BRIDGE_M, CLOSED, DRIVABLE, HIGH, TUBE, PathMargins, value_map
+from edge.tasks.value_map import (
+    BRIDGE,
+    BRIDGE_M,
+    CLOSED,
+    DRIVABLE,
+    HIGH,
+    TUBE,
+    PathMargins,
+    value_map,
+)
 
 LINE = np.array([[0.5, 1.2], [3.0, 1.2]])
 BODY = PathMargins(clearance_m=0.25, tube_m=0.4)
@@ -47,6 +56,8 @@ def twin(
         gap_m = np.maximum(np.abs(closed - (r, c)) - 0.5, 0.0) * occupancy.resolution_m
         near_m = np.hypot(*gap_m.T).min() if len(closed) else math.inf
         unseen = not (np.hypot(*(seen - (r, c)).T) <= int(BRIDGE_M / occupancy.resolution_m)).any()
+        if cells[r, c] < 0 and not regions.cells[r, c]:
+            out[r, c] = BRIDGE
         if unseen or cells[r, c] >= 50 or near_m < body.clearance_m:
             out[r, c] = CLOSED
     return out
@@ -95,7 +106,7 @@ def test_costs_of_free_ground(change, cell, expected):
         # Between the rings of a LiDAR, and where no region is.
         (-1, (5, 20), DRIVABLE),
         (-1, (20, 20), CLOSED),
-        (-1, (16, 20), HIGH),
+        (-1, (16, 20), BRIDGE),
     ],
 )
 def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
@@ -107,7 +118,7 @@ def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
 
 
 def test_the_order_is_the_papers():
-    assert CLOSED < TUBE < DRIVABLE < HIGH
+    assert CLOSED < TUBE < DRIVABLE < BRIDGE < HIGH
     assert math.pi / 2 < DRIVABLE / TUBE
 
 

@@ -17,7 +17,7 @@ from edge.lab.report.view3d import OCCUPIED, UNKNOWN, UNKNOWN_RGB, ground_colour
 from edge.tasks.picture import colour
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.value_map import DRIVABLE, HIGH, TUBE
+from edge.tasks.value_map import BRIDGE, DRIVABLE, HIGH, TUBE
 from edge.trajectory.costmap import CostMap
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ _LEGEND_ROW_IN = 0.17
 _VALUES = {
     TUBE: ("near the coarse trajectory", "#8ce99a"),
     DRIVABLE: ("chosen ground", "#d3f9d8"),
+    BRIDGE: ("not seen, but next to seen ground", "#fff3bf"),
     HIGH: ("other ground", "#ffe8cc"),
     0: ("closed: near an obstacle, or not seen", "#4a5361"),
 }
