@@ -30,12 +30,14 @@ import yaml
 from edge.host import resources
 from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
+from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import VOCABULARY_FILE
-from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard
+from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard, TextCard
 from edge.perception.runtime.cards import read_card
+from exporters.encoder_parity import EmbeddingReport
 from exporters.files import ExportError, exit_on_user_error
 from exporters.fp16 import write_fp16
-from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
+from exporters.images import PROMPTS, TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
     FP16_LIMITS,
     FP32_LIMITS,
@@ -56,8 +58,10 @@ from exporters.quantize import (
 from exporters.recipes import recipe_of
 from exporters.sidecar import write_sidecar
 
-FAMILIES = ("yolo-world-s",)
+FAMILIES = ("yolo-world-s", "yoloe-11s")
 """Families of detectors that are made from a checkpoint."""
+MOBILECLIP = "mobileclip-b"
+"""Family of text encoders that are made from TorchScript."""
 NAME = r"[a-z0-9][a-z0-9.-]*"
 """Pattern of a new card's name."""
 FOLDERS = {
@@ -98,7 +102,7 @@ def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | No
         raise ExportError(f"{card.name}: --weights is missing; give the checkpoint (a .pt file)")
     text = _prompts(card, args)
     report = _export(card, args, text)
-    if args.vocabulary is None:
+    if args.vocabulary is None and card.text_encoder is None:
         keep_vocabulary(text, args.cache / VOCABULARY_FILE)
     return report
 
@@ -121,11 +125,24 @@ def _export(
     return _export_derived(card, fp32, args, text)
 
 
+def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport:
+    """Make the file of a text encoder in TorchScript."""
+    from exporters.mobileclip import export_text
+
+    if args.weights is None:
+        raise ExportError(f"{card.name}: --weights is missing; give mobileclip_blt.ts")
+    return export_text(card, trusted_sha256(card, args), args)
+
+
 def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
     """Return the prompts to calibrate and compare with.
 
-    They are household words of a vocabulary file, or the COCO names inside the checkpoint.
+    They are household words, by the detector's own text encoder or of a vocabulary file, or the
+    COCO names inside the checkpoint.
     """
+    if card.text_encoder is not None:
+        words = tuple(PROMPTS.split(","))
+        return TextEmbeddings(words, make_text_encoder(card, None).embed(words)[0])
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
     if args.weights is None:
@@ -134,7 +151,19 @@ def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
         )
     from exporters.yolo_world import coco_prompts
 
-    return coco_prompts(args.weights, card.weights_sources()[0].sha256)
+    return coco_prompts(args.weights, trusted_sha256(card, args))
+
+
+def trusted_sha256(card: DetectCard | TextCard, args: argparse.Namespace) -> str:
+    """Return the hash that the weights must have: by the card, else by the user (`--sha256`)."""
+    if sources := card.weights_sources():
+        return sources[0].sha256
+    if args.sha256 is None:
+        raise ExportError(
+            f"{card.name}: its card knows no hash of the weights; give --sha256 HASH, from a place "
+            "that you trust, because a checkpoint can run code"
+        )
+    return args.sha256.lower()
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
@@ -154,7 +183,7 @@ def _export_fp32(
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, card.weights_sources()[0].sha256)
+    detector = load_detector(args.weights, trusted_sha256(card, args))
     report = None
     with replace_atomically(out) as temporary:  # a file that fails its limits is discarded
         export_onnx(detector, card.input.height, card.input.width, temporary)
@@ -264,6 +293,9 @@ def main(argv: list[str] | None) -> None:
         "the FP32 file in --cache)",
     )
     parser.add_argument(
+        "--sha256", help="hash that a .pt or .ts file must have, if the card names none"
+    )
+    parser.add_argument(
         "--precision",
         nargs="+",
         default=["fp32"],
@@ -319,8 +351,10 @@ def main(argv: list[str] | None) -> None:
 
         print_reports(quantize_card(card_of_name, args))
         return
-    card = load_card(args.card, args.cards)
-    report = export_card(card, args)
+    if isinstance(card_of_name, TextCard) and card_of_name.family == MOBILECLIP:
+        report = _export_text(card_of_name, args)
+    else:
+        report = export_card(load_card(args.card, args.cards), args)
     if report is not None:
         print(json.dumps(report.figures()))
 

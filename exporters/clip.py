@@ -384,7 +384,7 @@ def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision:
 
 
 def make_text_encoder(
-    card: dict[str, Any], tower: nn.Module, tokens: np.ndarray, args: Any
+    card: dict[str, Any], tower: nn.Module, tokens: np.ndarray, weights_sha256: str, args: Any
 ) -> EmbeddingReport:
     """Make the file and the sidecar of a detector's text encoder.
 
@@ -392,7 +392,8 @@ def make_text_encoder(
         card: its text card; a precision other than FP32 is made from the FP32 file in the cache.
         tower: the original.
         tokens: (n, context) int64, texts to trace, calibrate and compare with.
-        args: weights, cache, no_gate: see `exporters.__main__`.
+        weights_sha256: hash of the original weights.
+        args: cache, no_gate: see `exporters.__main__`.
 
     Raises:
         ExportError: the parity misses its limits.
@@ -410,8 +411,7 @@ def make_text_encoder(
         print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
         if not args.no_gate:
             check_limits(report, LIMITS[precision], card["name"])
-    digest = hugging_face.weights_sha256(args.weights)
-    write_sidecar(out, card["name"], report.for_card("torch"), digest)
+    write_sidecar(out, card["name"], report.for_card("torch"), weights_sha256)
     return report
 
 

@@ -124,13 +124,14 @@ def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
     tokenizer = args.cache / f"{args.card}-tokenizer.json"
     text = hugging_face.tokenizer_text(args.weights, lowercase=True)
     write_atomically(tokenizer, text.encode())
+    digest = hugging_face.weights_sha256(args.weights)
     reports: dict[str, ParityReport | EmbeddingReport | None] = {}
     for precision in wanted:
         detect_card, text_card = cards = make_cards(args, precision, detector, tower)
         words, tokens = _prompts(TextCard.model_validate(text_card), args)
         prompts = TextEmbeddings(words, embed_torch(tower, [tokens]))
-        reports[text_card["name"]] = make_text_encoder(text_card, tower, tokens, args)
-        reports[detect_card["name"]] = _make_detector(detect_card, detector, prompts, args)
+        reports[text_card["name"]] = make_text_encoder(text_card, tower, tokens, digest, args)
+        reports[detect_card["name"]] = _make_detector(detect_card, detector, prompts, digest, args)
         for card in cards:
             path = args.cache / f"{card['name']}.yaml"
             write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
@@ -178,7 +179,11 @@ def _prompts(card: TextCard, args: Any) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def _make_detector(
-    card: dict[str, Any], detector: Owlv2Detector, prompts: TextEmbeddings, args: Any
+    card: dict[str, Any],
+    detector: Owlv2Detector,
+    prompts: TextEmbeddings,
+    weights_sha256: str,
+    args: Any,
 ) -> ParityReport | None:
     """Make the file and the sidecar of a detector; None if there are no images to compare on."""
     calibration, validation = pictures(args.calibration, args.validation)
@@ -201,7 +206,7 @@ def _make_detector(
                 check_parity(report, LIMITS[precision], card["name"])
     parity = report.for_card("torch") if report else None
     digest = None if source is None else digest_of(calibration)
-    write_sidecar(out, card["name"], parity, hugging_face.weights_sha256(args.weights), digest)
+    write_sidecar(out, card["name"], parity, weights_sha256, digest)
     return report
 
 

@@ -36,6 +36,7 @@ class Recipe:
 _YOLO_HEAD = r"^/model\.22/(?!cv\d)"  # /model.22/Sigmoid, not /model.22/cv2.0/…/Conv
 """The head without its convolutions: text contrast and box decoding. Class scores vanish in 8 bits,
 and a coordinate above 512 px has only half-pixel steps in float16."""
+_YOLOE_HEAD = r"^/model\.23/(?!cv\d)"  # the same of YOLOE-11, with its network for text embeddings
 
 RECIPES = {
     "yolo-world-s": Recipe(
@@ -51,6 +52,10 @@ RECIPES = {
         # their output is 4 to 20 times that of other convolutions.
         not_symmetric=(r"^/model\.2/cv1/", r"^/model\.(12|15|18|21)/cv2/"),
         not_fp16=(_YOLO_HEAD,),
+    ),
+    "yoloe-11s": Recipe(
+        not_int8=(r"^/model\.[01]/", r"/attn/(?!qkv/|proj/|pe/)", _YOLOE_HEAD),
+        not_fp16=(_YOLOE_HEAD,),
     ),
     "mini-house": Recipe(
         not_int8=(

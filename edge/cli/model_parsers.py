@@ -103,7 +103,11 @@ def _add_export_options(action: argparse.ArgumentParser) -> None:
         lazy_handler("edge.models.make", "export"),
         lazy_handler("edge.models.make", "quantize"),
     )
-    only_export = ("--weights", "--family", "--license")
+    option(
+        "--sha256", metavar="HASH",
+        help="hash that the file of --weights must have, if its card names none",
+    )  # fmt: skip
+    only_export = ("--weights", "--sha256", "--family", "--license")
     dispatch_on_option(
         action, "--quantize", on=quantize, on_only=(), off=export, off_only=only_export
     )

@@ -112,7 +112,9 @@ def quantize(args: argparse.Namespace) -> int:
         )
     verify_model(load_card(card.derived_from))
     require_modules("quantize", _QUANTIZE_NEEDS)
-    vocabulary = args.vocabulary or find_vocabulary(None)
+    vocabulary = args.vocabulary
+    if vocabulary is None and card.text_encoder is None:
+        vocabulary = find_vocabulary(None)
     return _run_exporters(card.name, args, vocabulary=vocabulary, cards=_folder_of(card))
 
 
@@ -189,6 +191,7 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
         "cards": files.get("cards"),
         "family": args.family,
         "license": args.license,
+        "sha256": args.sha256,
     }
     # Pairs of option and value, joined to one list of arguments below.
     given = [(f"--{key}", str(value)) for key, value in options.items() if value is not None]
