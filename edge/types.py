@@ -43,6 +43,7 @@ class Observation:
             the pose and the mounts. 0 if all are interpolated at the stamp.
         distortion: Distortion of the lens. `none`: it has none; `rectified`: the source removed
             it; `ignored`: the images are distorted, but used as if they were rectified.
+        camera_index: Which of the robot's cameras took the images: 0, or 1 for the second.
         lag_ns: Time from `stamp_ns` to the robot's newest pose; 0 in lockstep (`loop.lockstep`: one
             tick for each observation).
     """
@@ -60,6 +61,7 @@ class Observation:
     pose_age_ns: int = 0
     distortion: Literal["none", "rectified", "ignored"] = "none"
     lag_ns: int = 0
+    camera_index: int = 0
 
     @property
     def pose(self) -> SE2:

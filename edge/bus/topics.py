@@ -37,6 +37,10 @@ class Topic:
 RGB = Topic("camera/rgb", "sensor_msgs/Image", "drop", 30, "sensors")
 DEPTH = Topic("camera/depth", "sensor_msgs/Image", "drop", 30, "sensors")
 CAMERA_INFO = Topic("camera/info", "sensor_msgs/CameraInfo", "drop", 1, "sensors")
+# Of the second camera (`sensors.second_camera`).
+RGB2 = Topic("camera2/rgb", "sensor_msgs/Image", "drop", 30, "sensors")
+DEPTH2 = Topic("camera2/depth", "sensor_msgs/Image", "drop", 30, "sensors")
+CAMERA_INFO2 = Topic("camera2/info", "sensor_msgs/CameraInfo", "drop", 1, "sensors")
 CLOUD = Topic("lidar/points", "sensor_msgs/PointCloud2", "drop", 10, "sensors")
 SCAN = Topic("lidar/scan", "sensor_msgs/LaserScan", "drop", 10, "sensors")
 ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
@@ -45,7 +49,10 @@ ODOMETRY = Topic("odom", "nav_msgs/Odometry", "drop", 60, "sensors")
 # object id i at index i - 1.
 GROUND_TRUTH = Topic("sim/ground_truth", "json", "drop", 10, "simulator")
 SEGMENTATION = Topic("sim/segmentation", "sensor_msgs/Image", "drop", 30, "simulator")
+SEGMENTATION2 = Topic("sim/segmentation2", "sensor_msgs/Image", "drop", 30, "simulator")
 LABELS = Topic("sim/labels", "json", "drop", 1, "simulator")
+
+SEGMENTATIONS = SEGMENTATION, SEGMENTATION2  # by `Observation.camera_index`
 
 GOAL = Topic("goal", "geometry_msgs/PoseStamped", "urgent", 0, "service")
 MAP = Topic("map", "nav_msgs/OccupancyGrid", "drop", 2, "service")
@@ -80,7 +87,8 @@ REQUESTS = (
 ALIVE = "alive"
 
 ALL: tuple[Topic, ...] = (
-    RGB, DEPTH, CAMERA_INFO, CLOUD, SCAN, ODOMETRY, GROUND_TRUTH, SEGMENTATION, LABELS,
+    RGB, DEPTH, CAMERA_INFO, RGB2, DEPTH2, CAMERA_INFO2, CLOUD, SCAN, ODOMETRY,
+    GROUND_TRUTH, SEGMENTATION, SEGMENTATION2, LABELS,
     GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, TICK, CMD_VEL, GOAL_STATUS,
 )  # fmt: skip
 

@@ -71,7 +71,7 @@ class _SensorMeasurements:
         self._lag_s: list[float] = []
         self._valid_shares: list[float] = []
         self._lowest_m: list[float] = []
-        self._newest: Observation | None = None
+        self._newest: dict[int, Observation] = {}  # by camera
 
     def measure_next(self, source: Source) -> None:
         """Wait 0.1 s for the next observation, and measure it."""
@@ -88,7 +88,7 @@ class _SensorMeasurements:
             self._valid_shares.append(self._checks.facts.depth_valid)
             if (heights_m := _floor_heights(observation)).size:
                 self._lowest_m.append(float(np.percentile(heights_m, _LOWEST)))
-            self._newest = observation
+            self._newest[observation.camera_index] = observation
         finally:
             observation.release()
 
@@ -96,7 +96,7 @@ class _SensorMeasurements:
         """Yield a line for each input, then for stamps, mounts, depth, floor and failed checks."""
         for row in rows:
             yield from _check_input(row)
-        if self._newest is None:
+        if not self._newest:
             why = (
                 missing_inputs(rows)
                 or "no frame has image, depth or cloud, and pose of the same time"
@@ -106,7 +106,8 @@ class _SensorMeasurements:
             )
             return
         yield from _check_stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
-        yield from self._check_mounts(self._newest)
+        for _, observation in sorted(self._newest.items()):
+            yield from self._check_mounts(observation)
         yield from self._check_floor()
         for found in self._failed.values():
             level: Level = "warn" if found.then == "warn" else "fail"
@@ -119,11 +120,12 @@ class _SensorMeasurements:
             mount = _describe_mount(observation.T_base_camera, observation.T_base_camera[:3, 2])
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
             lens = _LENS[observation.distortion]
-            yield Finding("ok", f"camera: {size} wide{lens}; {mount}")
+            name = "camera2" if observation.camera_index else "camera"
+            yield Finding("ok", f"{name}: {size} wide{lens}; {mount}")
         if observation.cloud_m is not None:
             mount = _describe_mount(observation.T_base_lidar, observation.T_base_lidar[:3, 0])
             yield Finding("ok", f"lidar: {len(observation.cloud_m)} points; {mount}")
-        if observation.depth_m is not None:
+        if observation.depth_m is not None and observation.camera_index == 0:
             valid = np.nanmean(self._valid_shares)
             yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
 

@@ -354,9 +354,16 @@ def _add_ros2_adapter(commands) -> None:  # type: ignore[no-untyped-def]
 
 def _add_mcp(commands) -> None:  # type: ignore[no-untyped-def]
     mcp = commands.add_parser(
-        "mcp", help="serve an agent on standard input and output (Model Context Protocol)"
-    )
+        "mcp", help="serve an agent on standard input and output, or over HTTP "
+        "(Model Context Protocol)",
+    )  # fmt: skip
     mcp.add_argument("config", help=CONFIG)
+    mcp.add_argument("--http", type=port, metavar="PORT", help="serve agents over HTTP at this "
+                     "port; needs --token-file")  # fmt: skip
+    mcp.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="with --http: address "
+                     "to listen on (default: %(default)s)")  # fmt: skip
+    mcp.add_argument("--token-file", type=Path, metavar="FILE", help="with --http: file with the "
+                     "token that agents must send")  # fmt: skip
     mcp.add_argument("--audit", type=Path, metavar="FILE", help="log of all calls, JSON lines "
                      "(default: mcp-PREFIX.jsonl in the folder of the user's state)")  # fmt: skip
     mcp.add_argument("--timeout", type=positive, default=30.0, metavar="S", help="how long to wait "

@@ -15,8 +15,9 @@ KEY_IN_ENDPOINT = "private_key_base64"
 """Not allowed in an endpoint: Zenoh logs endpoints and shows them to all connected peers."""
 FilePath = Annotated[str, Field(min_length=1)]
 TopicName = Literal[
-    "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom",
-    "sim/ground_truth", "sim/segmentation", "sim/labels",
+    "camera/rgb", "camera/depth", "camera/info", "camera2/rgb", "camera2/depth", "camera2/info",
+    "lidar/points", "lidar/scan", "odom",
+    "sim/ground_truth", "sim/segmentation", "sim/segmentation2", "sim/labels",
     "goal", "map", "status", "latency", "mission", "trajectory", "tick", "cmd_vel",
     "goal_status", "mission/request", "models/request", "site/request", "memory/request",
     "stop/request", "release/request", "agent/request", "confirm/request",

@@ -138,13 +138,21 @@ class SensorsConfig(Section):
 
     Attributes:
         camera: the camera, colour and depth.
+        second_camera: another camera, such as one that looks back; null: none. Needs
+            `mapping.input: depth`.
         lidar: the LiDAR; null: none.
         odometry_hz: rate of the odometry.
     """
 
     camera: Camera = Camera()
+    second_camera: Camera | None = None
     lidar: Lidar | None = None
     odometry_hz: Positive = 60.0
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All cameras; an observation has the index of its camera here."""
+        return (self.camera,) if self.second_camera is None else (self.camera, self.second_camera)
 
 
 class MotionConfig(Section):

@@ -33,7 +33,7 @@ from edge.config.policy import (
     PolicyPlugin,
 )
 from edge.config.removed import drop_removed_keys
-from edge.config.robot import MotionConfig, RobotConfig, SensorsConfig
+from edge.config.robot import Camera, MotionConfig, RobotConfig, SensorsConfig
 from edge.config.ros2 import Ros2Config
 from edge.config.section import Section
 from edge.config.sim import SimConfig
@@ -149,10 +149,9 @@ class Config(Section):
             return lidar.rate_hz
         return camera.rate_hz
 
-    @property
-    def farthest_depth_m(self) -> float:
-        """Depth from this value on is no measurement."""
-        camera, perception = self.sensors.camera, self.perception
+    def farthest_depth_m(self, camera: Camera) -> float:
+        """Return the depth from which on a camera measures nothing."""
+        perception = self.perception
         return max(camera.depth_max_m, self.mapping.range_m, perception.back_projection_max_range_m)
 
     @property

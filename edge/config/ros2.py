@@ -13,8 +13,9 @@ RosName = Annotated[str, Field(pattern=rf"^(/{_PART})+$", max_length=200)]
 Frame = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$", max_length=200)]
 DockId = Annotated[str, Field(min_length=1, max_length=100)]
 RosTopic = Literal[
-    "camera/rgb", "camera/depth", "camera/info", "lidar/points", "lidar/scan", "odom", "tf",
-    "tf_static", "goal", "navigate_to_pose", "dock_robot", "undock_robot",
+    "camera/rgb", "camera/depth", "camera/info", "camera2/rgb", "camera2/depth", "camera2/info",
+    "lidar/points", "lidar/scan", "odom", "tf", "tf_static", "goal", "navigate_to_pose",
+    "dock_robot", "undock_robot",
     "map", "path", "trajectory", "markers", "detections", "objects", "keepout_mask", "keepout_info",
     "request", "answer", "stop",
 ]  # fmt: skip
@@ -24,6 +25,9 @@ DEFAULT_TOPICS: dict[str, str] = {
     "camera/rgb": "/camera/color/image_raw",
     "camera/depth": "/camera/aligned_depth_to_color/image_raw",
     "camera/info": "/camera/color/camera_info",
+    "camera2/rgb": "/camera2/color/image_raw",
+    "camera2/depth": "/camera2/aligned_depth_to_color/image_raw",
+    "camera2/info": "/camera2/color/camera_info",
     "lidar/points": "/points",
     "lidar/scan": "/scan",
     "odom": "/odom",

@@ -220,14 +220,14 @@ class LiveSink:
     def _copy_image(self, result: TickResult, now_s: float) -> None:
         """Copy the image of the newest detections; if they stay away, the newest image."""
         detections, boxes = result.detections, ()
-        if detections is not None:
+        if detections is not None and detections.observation.camera_index == 0:
             observation, self._boxed_s = detections.observation, now_s
             boxes = _boxes(detections, result.targets)
         elif result.observation is not None and now_s - self._boxed_s > _UNBOXED_S:
             observation = result.observation
         else:
             return
-        if observation.rgb is None:
+        if observation.rgb is None or observation.camera_index:  # shows the first camera
             return
         self._shot_due_s = now_s + PERIOD_S
         stride = math.ceil(max(observation.rgb.shape[:2]) / MAX_SHOT_PX)

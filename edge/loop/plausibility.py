@@ -11,7 +11,7 @@ import logging
 import math
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -108,6 +108,7 @@ class DataCheck:
         highest: The check fails above this value.
         permits: Use of the observation that a failure still permits. "" if a failure only warns or
             degrades; a check with `stand` gives another value.
+        camera_index: Camera whose observations are checked.
     """
 
     name: str
@@ -118,6 +119,7 @@ class DataCheck:
     lowest: float = -math.inf
     highest: float = math.inf
     permits: Use = ""
+    camera_index: int = 0
 
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
@@ -183,7 +185,16 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
                   "warn", highest=_POSE_OLD_S),
     )  # fmt: skip
     unused = {"depth", "cloud"} - {mapped, back_projected}
-    return tuple(check for check in table if check.name.partition("_")[0] not in unused)
+    checks = [check for check in table if check.name.partition("_")[0] not in unused]
+    if config.sensors.second_camera is not None:
+        checks += [_for_second_camera(check) for check in checks if "cloud" not in check.name]
+    return tuple(checks)
+
+
+def _for_second_camera(check: DataCheck) -> DataCheck:
+    what = check.what if check.what.startswith("camera") else f"camera: {check.what}"
+    what = what.replace("camera", "camera2", 1)
+    return replace(check, name=f"camera2_{check.name}", what=what, camera_index=1)
 
 
 class FailedCheck(NamedTuple):
@@ -218,47 +229,50 @@ class Plausibility:
 
     Attributes:
         checks: The table of checks.
-        facts: Measurements of the newest observation.
         failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
             whole, so any thread may read it.
         refused: Number of refused observations by check.
-        surroundings_ns: Loop time of the newest real picture of the surroundings. It is older than
-            the newest observation if that came late or is a repetition.
     """
 
     def __init__(
         self, config: Config, blind_s: float, event: Callable[[str, int, int], None]
     ) -> None:
         self.checks = checks_of(config, blind_s)
-        self.facts = FrameFacts()
         self.failed: tuple[FailedCheck, ...] = ()
         self.refused = {check.name: 0 for check in self.checks if check.permits}
-        self.surroundings_ns = 0
         self._event = event
         self._found: list[FailedCheck | None] = [None] * len(self.checks)  # failures now, by check
         self._logged_ns: dict[str, int] = {}  # loop time of the newest log line, by check
-        self._pose: SE2 | None = None  # of the last observation
-        self._close_at: SE2 | None = None  # pose at which the view was full of something close
-        # Loop time of the newest slow measurements, and their results.
-        self._slow_ns = -_SLOW_NS
-        self._scale = math.nan
-        self._levels = math.nan, math.nan  # `rgb_levels` and `rgb_level`
-        self._floor_lost = False
-        self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
-        self._floor = _FloorLimit()
-        self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
+        self._meters = [_FrameMeter(config) for _ in config.sensors.cameras]
+        self._meter = self._meters[0]  # of the newest observation
+
+    @property
+    def facts(self) -> FrameFacts:
+        """Measurements of the newest observation."""
+        return self._meter.facts
+
+    @property
+    def surroundings_ns(self) -> int:
+        """Loop time of the newest real picture of the surroundings.
+
+        It is older than the newest observation if that came late or is a repetition.
+        """
+        return self._meter.surroundings_ns
 
     def on_mapped(self, update: MapUpdate) -> None:
         """Record whether the map found the floor. Some updates show neither a floor nor a gap."""
         if update.floor_missing or update.floor_seen:
-            self._floor_lost = update.floor_missing
+            self._meter.floor_lost = update.floor_missing
 
     def permitted_use(self, observation: Observation, now_ns: int) -> Use:
         """Check an observation, report what fails, and return the use that is permitted."""
-        self._measure(observation, now_ns)
+        self._meter = self._meters[observation.camera_index]
+        self._meter.measure(observation, now_ns)
         use: Use = ""
         changed = False
         for i, check in enumerate(self.checks):
+            if check.camera_index != observation.camera_index:
+                continue
             value, found = check.measured(self.facts), self._found[i]
             if not (value < check.lowest or value > check.highest):
                 if found is not None:
@@ -309,9 +323,31 @@ class Plausibility:
             "refused": dict(self.refused),
         }
 
-    # -- measuring ----------------------------------------------------------------------------
 
-    def _measure(self, seen: Observation, now_ns: int) -> None:
+class _FrameMeter:
+    """Measures the observations of one camera.
+
+    Attributes:
+        facts: Measurements of the newest observation.
+        surroundings_ns: See `Plausibility`.
+        floor_lost: True if the last update of the map found no floor; see `FrameFacts`.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.facts = FrameFacts()
+        self.surroundings_ns = 0
+        self._pose: SE2 | None = None  # of the last observation
+        self._close_at: SE2 | None = None  # pose at which the view was full of something close
+        # Loop time of the newest slow measurements, and their results.
+        self._slow_ns = -_SLOW_NS
+        self._scale = math.nan
+        self._levels = math.nan, math.nan  # `rgb_levels` and `rgb_level`
+        self.floor_lost = False
+        self._depth, self._rgb, self._cloud = _Repeats(), _Repeats(), _Repeats()
+        self._floor = _FloorLimit()
+        self._motion = DepthMotionCheck(config.robot.max_speed_mps, config.robot.max_turn_radps)
+
+    def measure(self, seen: Observation, now_ns: int) -> None:
         """Fill `facts`. Measurements that change slowly are made once in `_SLOW_NS`."""
         facts = self.facts
         facts.clear()
@@ -320,7 +356,7 @@ class Plausibility:
         self._slow_ns = now_ns if slow else self._slow_ns
         self.surroundings_ns = now_ns - seen.lag_ns
         facts.late_s, facts.pose_age_s = seen.lag_ns * 1e-9, seen.pose_age_ns * 1e-9
-        facts.floor_lost = float(self._floor_lost)
+        facts.floor_lost = float(self.floor_lost)
         wall = False  # True if something near fills half of the depth image
         if seen.depth_m is not None and seen.camera is not None:
             sample = self._depth.sample(seen.depth_m)

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from edge.config import Config
-from edge.geometry import SE2, Grid
+from edge.geometry import SE2, Grid, optical_yaw_rad
 from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
@@ -69,6 +69,7 @@ class SemanticMap:
         self.tracker.resolver = self.described = DescribedTargets(self.rooms.is_in)
         self.prior = make_prior(config, words)
         self.epoch = 0
+        self._fov_rad: float | None = None  # of the first camera
         self._back_projector = BackProjector(perception)
         self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         self._closed_rooms: dict[int, MappedRoom] = {}
@@ -123,11 +124,18 @@ class SemanticMap:
 
     def gather(self, instances: Sequence[Instance], observation: Observation, now_ns: int) -> None:
         """Update the candidates: frontiers, these instances, and the best spin."""
-        pool, policy, camera = self.pool, self.config.policy, observation.camera
+        pool, camera = self.pool, observation.camera
         pool.update(self.grid.frontiers, instances, observation.stamp_ns, now_ns)
         pool.measure(self.grid)
-        if policy.spin and camera is not None:
-            pool.add_spin(self.grid, observation.pose, camera.hfov_rad, now_ns)
+        if not self.config.policy.spin or camera is None:
+            return
+        if observation.camera_index == 0:
+            self._fov_rad = camera.hfov_rad
+        else:  # spins are planned for the first camera, and this one looks elsewhere
+            yaw_rad = optical_yaw_rad(observation.T_base_camera)
+            self.grid.gain.on_view(observation.pose, yaw_rad, camera.hfov_rad)
+        if self._fov_rad is not None:
+            pool.add_spin(self.grid, observation.pose, self._fov_rad, now_ns)
 
     # -- from one mission, configuration or frame to another --------------------------------
 

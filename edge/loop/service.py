@@ -176,9 +176,9 @@ class Service:
         self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
         self.scores = np.zeros(0, np.float32)
         self.pose: SE2 | None = None
-        self._last_tick_ns = 0  # loop time of the last complete tick
+        self._last_tick_ns = 0  # loop time of the last complete tick of the first camera
         self._resume_ns: int | None = None  # loop time at which a pause ends by itself
-        self._images = 0  # number of images that the detector has processed, as of this tick
+        self._images = 0  # images of each camera that the detector has processed, as of this tick
         self._newest_seq = -1  # number of the newest observation
         # Newest observation before the last pose jump: boxes up to it are in the old frame.
         self._last_seq_before_jump = -1
@@ -224,15 +224,18 @@ class Service:
             self.mission.locate(self.site.start.pose, pose)
         decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
         use = self._input_log.record_decision(USE, decide_use, usual="")
+        if observation.camera_index and self._is_blind(now_ns):
+            use = use or "map"  # the robot does not drive by its second camera alone
         self._end_stage(CHECK)
         self.refused = use != ""  # "": everything; "map": mapping only; "none": nothing
         if self.refused:
             # If the images are late or frozen, the ticks before this one were blind, too. So
             # `blind_s` counts from the last real picture of the surroundings.
-            surroundings_ns = self._input_log.record_decision(
-                SIGHTED, lambda: str(self.plausibility.surroundings_ns)
-            )
-            self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
+            if observation.camera_index == 0:
+                surroundings_ns = self._input_log.record_decision(
+                    SIGHTED, lambda: str(self.plausibility.surroundings_ns)
+                )
+                self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
             if use == "map":
                 self.stage = MAP
                 self._map(observation, now_ns)
@@ -249,8 +252,9 @@ class Service:
         self._map(observation, now_ns)
         self._end_stage(MAP)
         self._track(self._worker.poll(), now_ns)
-        self._images = self._worker.stats.done
-        self._input_log.note("images", done=self._images)
+        done = self._worker.stats.done
+        self._images = done // len(self.config.sensors.cameras)
+        self._input_log.note("images", done=done)
         self.map.infer(pose, now_ns)
         self._end_stage(LIFT)
         self.map.gather(self.behaviour.gather(), observation, now_ns)
@@ -266,8 +270,13 @@ class Service:
         self.goals.send_pending(self.mission, pose, now_ns)
         self._report(observation, now_ns)
         self._end_stage(PUBLISH)
-        self._last_tick_ns = now_ns
+        if observation.camera_index == 0:
+            self._last_tick_ns = now_ns
         return goal
+
+    def _is_blind(self, now_ns: int) -> bool:
+        """Return True if the first camera, or the LiDAR, showed nothing usable for `blind_s`."""
+        return now_ns - self._last_tick_ns > 1e9 * self.blind_s
 
     def _end_stage(self, stage: int) -> None:
         """End this stage and begin the next."""
@@ -588,7 +597,7 @@ class Service:
             dropped: An observation that was refused, or on which a stage failed. It is published
                 as handled, because a simulator in lockstep waits for that.
         """
-        blind = self.pose is not None and now_ns - self._last_tick_ns > 1e9 * self.blind_s
+        blind = self.pose is not None and self._is_blind(now_ns)
         if blind and pose is not None:
             self.pose = pose
         self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)

@@ -69,7 +69,8 @@ class Coverage:
     """Number of looks at each place, one byte per place on the map's torus; memory is fixed.
 
     Attributes:
-        camera_yaw_rad: yaw of the camera on the robot; 0 if it looks ahead.
+        camera_yaw_rad: yaw of the first camera on the robot; 0 if it looks ahead. Turns and views
+            are planned for this camera.
         looks: (m, m) uint8 by storage place, number of looks, at most 127.
         view: best of all views that `search` found; None if no view is worth a goal.
     """
@@ -116,10 +117,12 @@ class Coverage:
         camera = observation.camera
         if camera is None:
             return
-        self._fov_rad, self._range_m = camera.hfov_rad, range_m
+        self._range_m = range_m
         self._looks_needed = min(looks_needed, MOST_LOOKS)
         T = observation.T_map_base @ observation.T_base_camera
-        self.camera_yaw_rad = optical_yaw_rad(observation.T_base_camera)
+        if observation.camera_index == 0:
+            self._fov_rad = camera.hfov_rad
+            self.camera_yaw_rad = optical_yaw_rad(observation.T_base_camera)
         far = range_m / self._window.resolution_m
         step_rad, rays = sector(camera.hfov_rad, far, self._place_bits)
         first = optical_yaw_rad(T) - 0.5 * (rays - 1) * step_rad

@@ -8,16 +8,22 @@ import os
 from edge.cli.service_request import ANSWER_S
 from edge.config import load
 from edge.errors import ConfigError, UnavailableError
+from edge.host.credentials import read_token
+from edge.host.signals import stop_on_signals
 from edge.host.stop_latch import stop_file
 from edge.mcp_server.audit import AuditLog, CallLimit
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge mcp`: serve one agent on standard input and output until it closes them.
+    """Handle `edge mcp`: serve agents on standard input and output, or over HTTP.
+
+    On standard input and output it ends when the agent closes them.
 
     Raises:
-        ConfigError: the configuration cannot be read, or has no section `mcp`.
-        UnavailableError: the package `mcp` is missing, or there is no folder for the log.
+        ConfigError: the configuration cannot be read, or has no section `mcp`; or `--http` has no
+            usable token.
+        UnavailableError: the package `mcp` is missing, there is no folder for the log, or the port
+            is in use.
         RequestError: no service is there.
         FileError: the log cannot be written.
     """
@@ -27,6 +33,13 @@ def run(args: argparse.Namespace) -> int:
             f"{config.locate('mcp')}: agents have no rights: add `mcp: {{motion: ask}}` to the "
             "configuration of the service, and start it again"
         )
+    token = None
+    if args.http is not None:
+        if args.token_file is None:
+            raise ConfigError(
+                "mcp: --http needs --token-file FILE: make one with `openssl rand -hex 32 > FILE`"
+            )
+        token = read_token("--token-file", str(args.token_file))
     try:
         from edge.mcp_server.server import AgentServer
     except ImportError as error:
@@ -41,13 +54,19 @@ def run(args: argparse.Namespace) -> int:
         path = state.with_name(state.name.replace("stop-", "mcp-", 1)).with_suffix(".jsonl")
     else:
         raise UnavailableError("mcp: no folder for the log of calls: give a file by --audit")
-    audit = AuditLog(path, f"uid {os.getuid()}")
+    audit = AuditLog(path, f"uid {os.getuid()}" if token is None else "http")
     with client.connect(config.zenoh, ANSWER_S, "mcp") as session:
 
         def ask(key: str, request: dict) -> dict:
             name = config.zenoh.key(key)  # type: ignore[arg-type]
             return client.send_request(session, name, request, args.timeout, "mcp")
 
-        AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute)).run("stdio")
+        server = AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute))
+        if token is None:
+            server.run("stdio")
+        else:
+            from edge.mcp_server.http import serve
+
+            serve(server, args.host, args.http, token, stop_on_signals())
     audit.close()
     return 0

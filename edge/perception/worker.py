@@ -130,11 +130,23 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
     def submit(self, observation: Observation) -> None:
         """Detect in this observation next; return at once, unless inline.
 
+        The newest image of each camera waits, and cameras take turns.
         An observation without an image, such as a LiDAR sweep between two images, is skipped.
         """
         if getattr(observation, getattr(self.detector, "looks_at", "rgb")) is not None:
             observation.hold()
-            super().submit(observation)
+            super().submit(observation, observation.camera_index)
+
+    def _take(self) -> list[Observation]:
+        """See `Worker`. Images before the one taken are dropped: detections come in order."""
+        taken = super()._take()
+        with self._changed:
+            old = [k for k, o in self._waiting.items() if taken and o.seq < taken[0].seq]
+            dropped = [self._waiting.pop(k) for k in old]
+            self.stats.replaced += len(dropped)
+        for observation in dropped:
+            self._drop(observation)
+        return taken
 
     def close(self) -> None:
         """Finish the current image, then release every observation that is still held."""

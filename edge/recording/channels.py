@@ -96,10 +96,14 @@ _JOURNAL = {
 PICTURE = ros_channel("/camera/rgb/compressed", "sensor_msgs/CompressedImage")
 DEPTH = topic_channel(topics.DEPTH)
 CAMERA_INFO = topic_channel(topics.CAMERA_INFO)
+PICTURE2 = ros_channel("/camera2/rgb/compressed", "sensor_msgs/CompressedImage")
+DEPTH2 = topic_channel(topics.DEPTH2)
+CAMERA_INFO2 = topic_channel(topics.CAMERA_INFO2)
 CLOUD = topic_channel(topics.CLOUD)
 ODOMETRY = topic_channel(topics.ODOMETRY)
 TF = ros_channel("/tf", "tf2_msgs/TFMessage")
 BOXES = json_channel("/detections", "foxglove.ImageAnnotations", _ANNOTATIONS)
+BOXES2 = json_channel("/detections2", "foxglove.ImageAnnotations", _ANNOTATIONS)
 EVENTS = json_channel("/events", "foxglove.Log", _LOG)
 GOAL, MAP, STATUS, LATENCY, MISSION, TRAJECTORY, GOAL_STATUS = map(
     topic_channel,
@@ -114,7 +118,11 @@ SPANS = json_channel("/spans", "edge.Spans")
 VISUAL = (
     PICTURE, DEPTH, CAMERA_INFO, CLOUD, ODOMETRY, TF, BOXES, EVENTS, GOAL, MAP, STATUS, LATENCY,
     MISSION, TRAJECTORY, GOAL_STATUS, PATH, MARKERS, SPANS,
+    PICTURE2, DEPTH2, CAMERA_INFO2, BOXES2,
 )  # fmt: skip
 """All channels but the journal, which is for the replay only."""
+
+SECOND = {PICTURE: PICTURE2, DEPTH: DEPTH2, CAMERA_INFO: CAMERA_INFO2, BOXES: BOXES2}
+"""Channel of the second camera, by that of the first."""
 
 JOURNAL = json_channel("/journal", "edge.Journal", _JOURNAL)

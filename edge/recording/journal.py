@@ -162,6 +162,8 @@ def _observation(
         "cloud": original is not None and original.cloud_m is not None,
         "pose_age_ns": kept.pose_age_ns,
     }
+    if kept.camera_index:
+        stored["camera_index"] = kept.camera_index
     now = {
         "camera": kept.camera,
         "T_base_camera": kept.T_base_camera.tobytes(),
@@ -202,6 +204,7 @@ def observation_of(
         stored["seq"], stored["stamp_ns"], _array_of(stored["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
         cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(stored.get("pose_age_ns", 0)),
+        camera_index=int(stored.get("camera_index", 0)),
     )  # fmt: skip
 
 

@@ -164,7 +164,7 @@ class RecordedRun:
         n = 0  # number of entries so far; the next entry has this number
         for m in self.messages():
             if m.topic in _ARRAY_TOPICS:
-                array_messages[m.topic] = m
+                array_messages[_ARRAY_TOPICS[m.topic]] = m
             if m.topic not in (channels.JOURNAL.topic, channels.LATENCY.topic):
                 continue
             try:
@@ -209,7 +209,9 @@ def _files_from(head: RecordingHeader) -> list[Path]:
 
 
 _MAX_PIXELS = 1 << 26  # of an image
-_ARRAY_TOPICS = {c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
+# Topic → topic of the first camera. A tick has the arrays of one camera.
+_ARRAY_TOPICS = {c.topic: c.topic for c in (channels.PICTURE, channels.DEPTH, channels.CLOUD)}
+_ARRAY_TOPICS |= {channels.SECOND[c].topic: c.topic for c in (channels.PICTURE, channels.DEPTH)}
 
 
 def _make_step(

@@ -96,6 +96,7 @@ def make_plan(config: Config) -> dict[str, Any]:
     received = [
         topic_plan(name, accepted_types(name, settings.topic(name))[0], name in reliable_topics)
         for name in SUBSCRIBED
+        if config.sensors.second_camera is not None or not name.startswith("camera2/")
     ]
     by_action = settings.goals == "navigate_to_pose"
     unused = {"goal"} if by_action else set()

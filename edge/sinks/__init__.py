@@ -17,6 +17,7 @@ REGISTRY = {
     "ros2": "edge.sinks.ros2:Ros2Sink",
     "mcap": "edge.sinks.mcap:McapSink",
     "foxglove": "edge.sinks.foxglove:FoxgloveSink",
+    "rerun": "edge.sinks.rerun:RerunSink",
 }
 """Imported only if configured, because a sink may need extra packages."""
 

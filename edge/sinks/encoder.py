@@ -41,7 +41,7 @@ SHOWN_HZ = 10.0
 TRAJECTORY_HZ = 0.2
 """A trajectory may be long; it is also sent when it changes."""
 QUALITY = 85  # of JPEG, 1 to 100
-CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"
+CAMERA_FRAMES, LIDAR_FRAME = ("camera_optical", "camera2_optical"), "lidar"
 _MAX_SPARE = 16  # depth buffers that are kept for later use
 _NO_DEPTH = np.zeros((0, 0), np.uint16)
 _NO_ARRAYS = {"rgb": None, "depth_m": None, "cloud_m": None}
@@ -117,7 +117,9 @@ class ResultEncoder:
         rates = {"map": map_hz, "info": INFO_HZ, "status": STATUS_HZ, "latency": LATENCY_HZ}
         rates |= {"pose": SHOWN_HZ, "boxes": SHOWN_HZ, "drawings": DRAWN_HZ}
         rates["trajectory"] = TRAJECTORY_HZ
-        self._limiter = RateLimiter(rgb=max(rgb_hz, 1e-9), **rates)  # 1e-9: not 0
+        rates["rgb"] = max(rgb_hz, 1e-9)  # not 0
+        rates |= {f"{name}2": rates[name] for name in ("pose", "info", "rgb", "boxes")}
+        self._limiter = RateLimiter(**rates)
         self._driven_path = PathRing()
         self._mission: tuple[str, str, str] | None = None
         self._trajectory: RefinedTrajectory | None = None
@@ -138,15 +140,21 @@ class ResultEncoder:
         if observation is not None:
             kept = self._copy_arrays(observation, result.now_ns) if arrays else {}
             observation = replace(observation, slot=None, **_NO_ARRAYS)
-            if self._limiter.take_turn("pose", result.now_ns) or "rgb" in kept:
+            if self._take_turn("pose", observation, result.now_ns) or "rgb" in kept:
                 pending += _pose_messages(observation, "cloud_m" in kept)
-            if observation.camera is not None and self._limiter.take_turn("info", result.now_ns):
-                pending.append(_camera_message(observation.stamp_ns, observation.camera))
+            camera = observation.camera
+            if camera is not None and self._take_turn("info", observation, result.now_ns):
+                pending.append(_camera_message(observation, camera))
             pending += _array_messages(observation, kept)
-        if result.detections is not None and self._limiter.take_turn("boxes", result.now_ns):
-            pending.append(_boxes_message(result.detections))
+        found = result.detections
+        if found is not None and self._take_turn("boxes", found.observation, result.now_ns):
+            pending.append(_boxes_message(found))
         pending += self._result_messages(result, result.now_ns)
         return ResultSnapshot(result.now_ns, observation, kept, pending)
+
+    def _take_turn(self, name: str, observation: Observation, now_ns: int) -> bool:
+        """Return True if a message about this camera is due; see `RateLimiter.take_turn`."""
+        return self._limiter.take_turn(f"{name}2" if observation.camera_index else name, now_ns)
 
     def _copy_arrays(self, observation: Observation, now_ns: int) -> dict[str, np.ndarray]:
         """Return copies of the wanted arrays; see `ResultSnapshot.arrays`."""
@@ -155,12 +163,12 @@ class ResultEncoder:
             "depth_m": (observation.depth_m, channels.DEPTH),
             "cloud_m": (observation.cloud_m, channels.CLOUD),
         }
-        if not (self._rgb_hz > 0 and self._limiter.take_turn("rgb", now_ns)):
+        if not (self._rgb_hz > 0 and self._take_turn("rgb", observation, now_ns)):
             del available["rgb"]
         return {
             name: self._copy_depth(array) if name == "depth_m" else array.copy()
             for name, (array, channel) in available.items()
-            if array is not None and self._is_wanted(channel)
+            if array is not None and self._is_wanted(_channel_for(observation, channel))
         }
 
     def _copy_depth(self, depth_m: np.ndarray) -> np.ndarray:
@@ -258,15 +266,27 @@ def _pose_messages(observation: Observation, cloud: bool) -> Iterator[_PendingMe
     )
     tf = [Transform(stamp_ns, MAP_FRAME, BASE_FRAME, T)]
     if observation.camera is not None:
-        tf.append(Transform(stamp_ns, BASE_FRAME, CAMERA_FRAME, observation.T_base_camera))
+        tf.append(
+            Transform(stamp_ns, BASE_FRAME, _frame_of(observation), observation.T_base_camera)
+        )
     if cloud:
         tf.append(Transform(stamp_ns, BASE_FRAME, LIDAR_FRAME, observation.T_base_lidar))
     yield _PendingMessage(channels.TF, stamp_ns, partial(transforms.encode_transforms, tf))
 
 
-def _camera_message(stamp_ns: int, camera: CameraModel) -> _PendingMessage:
-    encode = partial(messages.encode_camera_info, stamp_ns, CAMERA_FRAME, camera)
-    return _PendingMessage(channels.CAMERA_INFO, stamp_ns, encode)
+def _channel_for(observation: Observation, channel: Channel) -> Channel:
+    """Return the channel of the observation's camera, given that of the first."""
+    return channels.SECOND.get(channel, channel) if observation.camera_index else channel
+
+
+def _frame_of(observation: Observation) -> str:
+    return CAMERA_FRAMES[observation.camera_index]
+
+
+def _camera_message(observation: Observation, camera: CameraModel) -> _PendingMessage:
+    stamp_ns = observation.stamp_ns
+    encode = partial(messages.encode_camera_info, stamp_ns, _frame_of(observation), camera)
+    return _PendingMessage(_channel_for(observation, channels.CAMERA_INFO), stamp_ns, encode)
 
 
 def _array_messages(
@@ -275,22 +295,25 @@ def _array_messages(
     """Yield the messages of the arrays."""
     stamp_ns, n = observation.stamp_ns, observation.seq & 0xFFFFFFFF  # MCAP has 32 bits for it
     for name, array in arrays.items():
-        channel, frame, encode = _ENCODERS[name]
-        yield _PendingMessage(channel, stamp_ns, partial(encode, stamp_ns, frame, array), n)
+        channel, encoder = _ENCODERS[name]
+        frame = LIDAR_FRAME if name == "cloud_m" else _frame_of(observation)
+        encode = partial(encoder, stamp_ns, frame, array)
+        yield _PendingMessage(_channel_for(observation, channel), stamp_ns, encode, n)
 
 
 _Encoder = Callable[[int, str, np.ndarray], Any]
-# Field of `Observation` → channel, frame, encoder.
-_ENCODERS: dict[str, tuple[Channel, str, _Encoder]] = {
-    "cloud_m": (channels.CLOUD, LIDAR_FRAME, clouds.cloud_parts),
-    "depth_m": (channels.DEPTH, CAMERA_FRAME, images.image_parts),
-    "rgb": (channels.PICTURE, CAMERA_FRAME, partial(compressed.encode_jpeg, quality=QUALITY)),
+# Field of `Observation` → channel, encoder.
+_ENCODERS: dict[str, tuple[Channel, _Encoder]] = {
+    "cloud_m": (channels.CLOUD, clouds.cloud_parts),
+    "depth_m": (channels.DEPTH, images.image_parts),
+    "rgb": (channels.PICTURE, partial(compressed.encode_jpeg, quality=QUALITY)),
 }
 
 
 def _boxes_message(found: Detections) -> _PendingMessage:
     stamp_ns = found.observation.stamp_ns
-    return _PendingMessage(channels.BOXES, stamp_ns, partial(_encode_boxes, stamp_ns, found))
+    channel = _channel_for(found.observation, channels.BOXES)
+    return _PendingMessage(channel, stamp_ns, partial(_encode_boxes, stamp_ns, found))
 
 
 def _encode_boxes(stamp_ns: int, found: Detections) -> bytes:

@@ -34,6 +34,8 @@ RGB, DEPTH, INFO, CLOUD, SCAN, ODOMETRY = (
         topics.RGB, topics.DEPTH, topics.CAMERA_INFO, topics.CLOUD, topics.SCAN, topics.ODOMETRY,
     )
 )  # fmt: skip
+SECOND = tuple(topic.key for topic in (topics.DEPTH2, topics.RGB2, topics.CAMERA_INFO2))
+"""Topics of the second camera, which are found by name only."""
 TF, TF_STATIC = "tf", "tf_static"
 _DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 # Usual names of base and world frames, the most likely first.
@@ -254,7 +256,11 @@ def missing_inputs(config: Config, present: Collection[str]) -> Iterator[str]:
     """
     required = {field for field, stream in streams_of(config).items() if stream.required}
     groups = [
-        [topic.key for topic, kind in KINDS.items() if kind.field == field]
+        [
+            topic.key
+            for topic, kind in KINDS.items()
+            if kind.field == field and not kind.camera_index
+        ]
         for field in sorted(required)
     ]
     if required & {"rgb", "depth_m"}:
@@ -296,7 +302,7 @@ def match_topics(
         wanted: our names of the sensors' topics; tf is always searched.
     """
     chooser = _TopicChooser(config, contents)
-    for name in (DEPTH, RGB, INFO, CLOUD, SCAN, ODOMETRY):
+    for name in (DEPTH, RGB, INFO, *SECOND, CLOUD, SCAN, ODOMETRY):
         if name in wanted:
             chooser.choose(name)
     for name in (TF, TF_STATIC):
@@ -342,7 +348,7 @@ class _TopicChooser:
             scores = {
                 t: self._score(name, t, facts)
                 for t, facts in present.items()
-                if self._may_be(name, t, facts)
+                if name not in SECOND and self._may_be(name, t, facts)
             }
             likely = (t for t, score in scores.items() if score[0] > _MIN_SCORE)
             topic = max(likely, key=scores.get, default="")

@@ -16,9 +16,12 @@ from edge.bus.wire import DecodeError, compressed, messages
 from edge.config import SourceConfig
 from edge.sources.messages import (
     CameraInfo,
+    CameraInfo2,
     Cloud,
     DepthImage,
+    DepthImage2,
     Image,
+    Image2,
     LaserScanFrame,
     Odometry,
     SensorFrame,
@@ -71,8 +74,16 @@ KINDS: dict[Topic, type[SensorFrame]] = {
     topics.SCAN: LaserScanFrame,
     topics.DEPTH: DepthImage,
     topics.RGB: Image,
+    topics.DEPTH2: DepthImage2,
+    topics.RGB2: Image2,
 }
 """Message class of each topic."""
+
+INFOS: dict[Topic, type[CameraInfo]] = {
+    topics.CAMERA_INFO: CameraInfo,
+    topics.CAMERA_INFO2: CameraInfo2,
+}
+"""Message class of each topic of intrinsics."""
 
 _DECODERS: dict[str, Callable[[SourceConfig, bytes, np.ndarray], int]] = {
     "sensor_msgs/PointCloud2": _cloud_into,
@@ -103,7 +114,7 @@ class CdrDecoder:
         self._settings = synchronizer.config.source
         self._clock = clock
         self._frames = frames
-        self._last_info = b""
+        self._last_info: dict[Topic, bytes] = {}
         config = synchronizer.config
         wait_ns = _WAIT_SHARE * 1e9 * config.source.wait_s
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns
@@ -126,8 +137,8 @@ class CdrDecoder:
         try:
             if topic is topics.ODOMETRY:
                 self.offer_pose(messages.decode_odometry(payload))
-            elif topic is topics.CAMERA_INFO:
-                self._offer_camera_info(payload)
+            elif topic in INFOS:
+                self._offer_camera_info(topic, payload)
             else:
                 self._offer_frame(topic, payload, type_name or topic.type)
         except DecodeError as error:
@@ -161,16 +172,16 @@ class CdrDecoder:
         kind, into = KINDS[topic], _DECODERS[type_name]
         stamp_ns, frame_id = messages.peek_header(payload)
         # Depth is registered to the colour image: it uses that mount, whatever its frame_id is.
-        by_tf = self._frames is not None and self._frames.by_tf and kind is not DepthImage
+        by_tf = self._frames is not None and self._frames.by_tf and not issubclass(kind, DepthImage)
         if by_tf and (why := self._frames.why_unplaced(frame_id)):
             self._synchronizer.count(topic.key, "no_transform", why)
             return
         decode = partial(into, self._settings, payload)
         self._synchronizer.offer(kind(stamp_ns, self._clock(), decode, frame_id, len(payload)))
 
-    def _offer_camera_info(self, payload: bytes) -> None:
+    def _offer_camera_info(self, topic: Topic, payload: bytes) -> None:
         """Process camera info; drivers repeat it with every frame, but it hardly ever changes."""
-        if payload[_INFO_BODY:] != self._last_info:
+        if payload[_INFO_BODY:] != self._last_info.get(topic):
             info = messages.decode_camera_info(payload)
-            self._synchronizer.offer(CameraInfo(info.camera, info.lens, info.cut))
-            self._last_info = payload[_INFO_BODY:]
+            self._synchronizer.offer(INFOS[topic](info.camera, info.lens, info.cut))
+            self._last_info[topic] = payload[_INFO_BODY:]

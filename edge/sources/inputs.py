@@ -10,7 +10,17 @@ from collections.abc import Callable
 
 from edge.config import Config
 from edge.loop.source import InputState, InputStatus
-from edge.sources.messages import CameraInfo, Cloud, DepthImage, Image, LaserScanFrame, Odometry
+from edge.sources.messages import (
+    CameraInfo,
+    CameraInfo2,
+    Cloud,
+    DepthImage,
+    DepthImage2,
+    Image,
+    Image2,
+    LaserScanFrame,
+    Odometry,
+)
 from edge.sources.streams import Stream
 
 SILENT_S = 1.0
@@ -100,6 +110,11 @@ class _Input:
         return "dropped" if self.reason and unused else "ok"
 
 
+def group_of(field: str, camera_index: int) -> str:
+    """Return the group of the inputs of a field of an observation."""
+    return f"{field}2" if camera_index else field
+
+
 class InputTable:
     """State of all inputs; a row of the table is one input.
 
@@ -121,13 +136,19 @@ class InputTable:
         lidar_hz = 0.0 if sensors.lidar is None else sensors.lidar.rate_hz
         # Objects are detected in images, whatever the map is made of.
         needed = {field for field, stream in streams.items() if stream.required} | {"rgb"}
-        for kind, hz in (
-            (Image, sensors.camera.rate_hz), (DepthImage, sensors.camera.rate_hz),
-            (Cloud, lidar_hz), (LaserScanFrame, lidar_hz),
-        ):  # fmt: skip
+        kinds = [(kind, sensors.camera.rate_hz) for kind in (Image, DepthImage)]
+        kinds += [(kind, lidar_hz) for kind in (Cloud, LaserScanFrame)]
+        infos = [CameraInfo]
+        if sensors.second_camera is not None:
+            kinds += [(kind, sensors.second_camera.rate_hz) for kind in (Image2, DepthImage2)]
+            infos.append(CameraInfo2)
+        for kind, hz in kinds:
             if kind.field in streams:
-                self.add(kind.topic, kind.field, kind.field in needed, hz)
-        self.add(CameraInfo.topic, "camera", needed={"rgb", "depth_m"} & needed != set())
+                group = group_of(kind.field, kind.camera_index)
+                self.add(kind.topic, group, kind.field in needed, hz)
+        for info in infos:
+            group = group_of("camera", info.camera_index)
+            self.add(info.topic, group, needed={"rgb", "depth_m"} & needed != set())
         self.add(Odometry.topic, "pose", needed=True, expected_hz=sensors.odometry_hz)
 
     def add(self, name: str, group: str, needed: bool, expected_hz: float = 0.0) -> None:

@@ -14,6 +14,9 @@ import numpy as np
 
 from edge.geometry import CameraModel, Lens
 
+CAMERAS = ("camera", "camera2")
+"""First part of the topics of each camera, by `Observation.camera_index`."""
+
 
 class WrongSizeError(ValueError):
     """An image has another size than the camera info."""
@@ -33,6 +36,7 @@ class Odometry:
     T_map_base: np.ndarray
     age_ns: int = 0
     topic: ClassVar[str] = "odom"
+    camera_index: ClassVar[int] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,13 @@ class CameraInfo:
     lens: Lens | None = None
     cut: str = ""
     topic: ClassVar[str] = "camera/info"
+    camera_index: ClassVar[int] = 0
+
+
+class CameraInfo2(CameraInfo):
+    """Intrinsics of the second camera."""
+
+    topic, camera_index = "camera2/info", 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +74,7 @@ class SensorFrame:
         frame_id: the sensor's tf frame, for robots whose mounts move.
         size: bytes in memory until the frame is used.
         topic: name under which drops are logged and counted.
+        camera_index: see `Observation`; 0 for frames of no camera.
         field: the attribute of `Observation`, and of a pool's slot, for the decoded frame.
     """
 
@@ -73,6 +85,7 @@ class SensorFrame:
     size: int = 0
     topic: ClassVar[str]
     field: ClassVar[str]
+    camera_index: ClassVar[int] = 0
 
 
 class Image(SensorFrame):
@@ -88,6 +101,18 @@ class DepthImage(SensorFrame):
     """
 
     topic, field = "camera/depth", "depth_m"
+
+
+class Image2(Image):
+    """A colour image of the second camera."""
+
+    topic, camera_index = "camera2/rgb", 1
+
+
+class DepthImage2(DepthImage):
+    """A depth image of the second camera."""
+
+    topic, camera_index = "camera2/depth", 1
 
 
 class Cloud(SensorFrame):

@@ -154,6 +154,8 @@ class OdometryRing:
     Attributes:
         epoch: increases when the pose jumps, so poses before and after are unrelated. The ring is
             then cleared, as it is after a clock reset.
+        came_ns: arrival of the newest pose, set by the synchronizer; -1 before the first.
+        delay_ns: arrival minus stamp of the newest pose; None before the first.
     """
 
     def __init__(
@@ -166,6 +168,8 @@ class OdometryRing:
         apart_ns: int = 0,
     ) -> None:
         self.epoch = 0
+        self.came_ns = -1
+        self.delay_ns: int | None = None
         self._max_gap_ns = int(max_gap_s * 1e9)
         self._max_jump_m = max_jump_m
         self._max_speed_mps = max_speed_mps

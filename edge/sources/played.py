@@ -35,6 +35,7 @@ from edge.sources.contents import (
     read_contents,
 )
 from edge.sources.decoder import KINDS
+from edge.sources.messages import CAMERAS
 from edge.sources.polled import PolledSource
 from edge.sources.synchronizer import streams_of
 from edge.sources.tf import RobotFrames
@@ -282,11 +283,12 @@ class Playback:
             self.bag.__exit__()
             raise
         self.read_s = time.perf_counter() - begin_s
-        used_fields = streams_of(self._config)
+        used_fields, n_cameras = streams_of(self._config), len(self._config.sensors.cameras)
         self.needed_topics = [
             topic.key
             for topic in _TOPICS.values()
-            if topic not in KINDS or KINDS[topic].field in used_fields
+            if (topic not in KINDS or KINDS[topic].field in used_fields)
+            and (n_cameras > 1 or not topic.key.startswith(CAMERAS[1]))
         ]
         self.matched = match_topics(self._config, self.contents, self.needed_topics)
         return self

@@ -15,7 +15,7 @@ from edge.bus.wire import DecodeError
 from edge.config import Config
 from edge.geometry import SE2
 from edge.loop.source import InputStatus
-from edge.sources.decoder import KINDS, CdrDecoder
+from edge.sources.decoder import INFOS, KINDS, CdrDecoder
 from edge.sources.goal_status import GoalStatusInbox
 from edge.sources.streams import KEPT
 from edge.sources.synchronizer import TimeSynchronizer, streams_of
@@ -57,8 +57,14 @@ class PolledSource(ABC):
         self.inbox = GoalStatusInbox(session, config.zenoh)
         fields = self._synchronizer.streams
         # Topic → number of messages to buffer between two polls; odometry is read first.
-        self._capacities = {topics.ODOMETRY: config.source.odometry_ring, topics.CAMERA_INFO: 1}
-        self._capacities |= {topic: KEPT for topic, kind in KINDS.items() if kind.field in fields}
+        self._capacities = {topics.ODOMETRY: config.source.odometry_ring}
+        n_cameras = len(config.sensors.cameras)
+        self._capacities |= {t: 1 for t, info in INFOS.items() if info.camera_index < n_cameras}
+        self._capacities |= {
+            topic: KEPT
+            for topic, kind in KINDS.items()
+            if kind.field in fields and kind.camera_index < n_cameras
+        }
         for topic in self._capacities:
             self._synchronizer.inputs.listen(topic.key, self._where(topic))
 

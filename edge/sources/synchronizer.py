@@ -6,6 +6,9 @@ mounts, at most `source.wait_s`. After that older data are used: a pose is extra
 within `source.max_pose_gap_s` and while odometry arrives. A frame without a pose or a required
 sensor is dropped and counted. In lockstep it waits forever, so that a run can be replayed exactly.
 Of several complete observations the newest is used.
+
+Each camera has a synchronizer of its own, with depth that leads; they share poses and counters. If
+both cameras have an observation, they take turns. Stamps of observations never go back.
 """
 
 from __future__ import annotations
@@ -21,8 +24,9 @@ import numpy as np
 from edge.bus.wire.images import drop_beyond
 from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
-from edge.sources.inputs import InputTable
+from edge.sources.inputs import InputTable, group_of
 from edge.sources.messages import (
+    CAMERAS,
     CameraInfo,
     Cloud,
     DepthImage,
@@ -78,19 +82,25 @@ _LIMITS = {
 """Setting that limits what is accepted, by the reason of a drop."""
 
 
-def streams_of(config: Config) -> dict[str, Stream]:
-    """Return the streams of a configuration's sensors, by field, the leading one first.
+def streams_of(config: Config, camera_index: int = 0) -> dict[str, Stream]:
+    """Return the streams that are joined with a camera, by field, the leading one first.
 
     Raises:
-        ConfigError: it needs a cloud but has no `sensors.lidar`.
+        ConfigError: it needs a cloud but has no `sensors.lidar`, or a cloud leads two cameras.
     """
     perception, lidar = config.perception, config.sensors.lidar
     cloud_leads = config.mapping.input == "cloud"
     if lidar is None and (cloud_leads or perception.back_projection == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.back_projection"
         raise ConfigError(f"{config.locate(key)}: cloud needs sensors.lidar (where it is mounted)")
+    cameras = config.sensors.cameras
+    if cloud_leads and len(cameras) > 1:
+        raise ConfigError(
+            f"{config.locate('sensors.second_camera', 'mapping.input')}: two cameras need "
+            "mapping.input: depth; remove sensors.second_camera, or map with depth"
+        )
     needs_images = config.loop.lockstep or not cloud_leads
-    half_frame_ns = int(0.5e9 / config.sensors.camera.rate_hz)
+    half_frame_ns = int(0.5e9 / cameras[camera_index].rate_hz)
     # A frame may come this long before the leading frame, which then waits as long for its pose.
     kept_ns = int(2e9 * config.source.wait_s)
     most_bytes = int(_MAX_LARGE_MESSAGES * 1e6 * config.source.max_message_mb)
@@ -108,6 +118,18 @@ def streams_of(config: Config) -> dict[str, Stream]:
     streams["rgb"] = Stream(half_frame_ns, needs_images, kept_ns, most_bytes)
     leader = "cloud_m" if cloud_leads else "depth_m"
     return {leader: streams.pop(leader), **streams}
+
+
+def _make_odometry(config: Config, wait_ns: int) -> OdometryRing:
+    return OdometryRing(
+        config.source.odometry_ring,
+        config.source.max_pose_gap_s,
+        config.source.max_pose_jump_m,
+        config.robot.max_speed_mps,
+        config.robot.max_turn_radps,
+        # So a full ring covers at least twice the waiting time (see `StampedPoses`).
+        max(_POSES_APART_NS, 4 * wait_ns // config.source.odometry_ring),
+    )
 
 
 def _describe_nearest(leader: SensorFrame, name: str, nearest_ns: int | None) -> str:
@@ -156,6 +178,8 @@ class TimeSynchronizer:
         config: the configuration.
         clock: time of arrivals, in ns.
         mount_at: gives mounts that move; None: mounts come from the configuration.
+        first: the synchronizer of the first camera, if this one is for the second. Messages and
+            poses go through the first.
 
     Attributes:
         counters: numbers of messages (`received`), of observations (`observations`), of these with
@@ -168,40 +192,41 @@ class TimeSynchronizer:
         config: Config,
         clock: Callable[[], int] = time.monotonic_ns,
         mount_at: MountAt | None = None,
+        first: TimeSynchronizer | None = None,
     ) -> None:
         self.config = config
         wait_ns = int(config.source.wait_s * 1e9)
-        self.odometry = OdometryRing(
-            config.source.odometry_ring,
-            config.source.max_pose_gap_s,
-            config.source.max_pose_jump_m,
-            config.robot.max_speed_mps,
-            config.robot.max_turn_radps,
-            # So a full ring covers at least twice the waiting time (see `StampedPoses`).
-            max(_POSES_APART_NS, 4 * wait_ns // config.source.odometry_ring),
-        )
-        totals = ("received", "observations", "old_pose")
-        self.counters: dict[str, int] = dict.fromkeys((*totals, *REASONS), 0)
-        self.streams = streams_of(config)
+        self._index = 0 if first is None else 1
+        self.streams = streams_of(config, self._index)
         self._leader, *self._others = self.streams
         self._clock = clock
-        self.inputs = InputTable(config, self.streams, clock)
+        # All cameras, the one whose turn it is first; for the second camera: none.
+        self._turns: list[TimeSynchronizer] = []
+        self._newest_ns = -1  # stamp of the newest observation of two cameras
+        if first is None:
+            self.odometry = _make_odometry(config, wait_ns)
+            totals = ("received", "observations", "old_pose")
+            self.counters: dict[str, int] = dict.fromkeys((*totals, *REASONS), 0)
+            self.inputs = InputTable(config, self.streams, clock)
+            self._turns = [self]
+            if len(config.sensors.cameras) > 1:
+                self._turns.append(TimeSynchronizer(config, clock, mount_at, self))
+        else:
+            self.odometry, self.counters, self.inputs = first.odometry, first.counters, first.inputs
+        self._cameras = tuple(self._turns)
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns  # most for a leading frame
         self._mount_at = mount_at
         self._camera_frame = ""  # frame id of the newest image
-        # Of the newest pose: its arrival, and arrival minus stamp.
-        self._pose_came_ns = -1
-        self._pose_delay_ns: int | None = None
         self._info: CameraInfo | None = None  # as received; `_camera`: None if it cannot be used
         self._camera: CameraModel | None = None
         self._lens = LensPlan()
         self._pool: FramePool | None = None
-        self._seq = 0
         self._logged: set[tuple[str, str]] = set()  # (topic, reason or text) that were logged
         # Some drivers send the end of the range in place of "no return". So this is the largest
         # float32 below the end of the range.
-        self._max_depth_m = float(np.nextafter(np.float32(config.farthest_depth_m), np.float32(0)))
-        camera, lidar = config.sensors.camera, config.sensors.lidar
+        camera, lidar = config.sensors.cameras[self._index], config.sensors.lidar
+        farthest_m = np.float32(config.farthest_depth_m(camera))
+        self._max_depth_m = float(np.nextafter(farthest_m, np.float32(0)))
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
 
@@ -233,9 +258,8 @@ class TimeSynchronizer:
         ):
             if not age_ns:
                 continue
-            late = (
-                self._describe_delay(leader, topic, self._pose_delay_ns) if topic == "odom" else ""
-            )
+            delay_ns = self.odometry.delay_ns
+            late = self._describe_delay(leader, topic, delay_ns) if topic == "odom" else ""
             warning = f"mapped with {what} {age_ns / 1e6:.0f} ms old{late}"
             self.inputs.warn(topic, warning)
             if (topic, "old") not in self._logged:
@@ -246,12 +270,20 @@ class TimeSynchronizer:
 
     def offer(self, message: Message) -> None:
         """Process one message; frames of unused sensors are ignored."""
+        i = message.camera_index
+        # A cloud is joined with the images of each camera.
+        for camera in self._cameras if isinstance(message, Cloud) else self._cameras[i : i + 1]:
+            if camera._take(message) == "clock_reset":
+                self._newest_ns = -1
+
+    def _take(self, message: Message) -> str:
+        """Process a message of this camera, or of none; return a reason of `REASONS`, or ""."""
         reason = ""
         if isinstance(message, Odometry):
             reason = self.odometry.push(message.stamp_ns, message.T_map_base, message.age_ns)
             if reason not in ("repeated", "backward"):
-                self._pose_came_ns = self._clock()
-                self._pose_delay_ns = self._pose_came_ns - message.stamp_ns
+                self.odometry.came_ns = self._clock()
+                self.odometry.delay_ns = self.odometry.came_ns - message.stamp_ns
                 self.inputs.on_used(message.topic)
         elif isinstance(message, CameraInfo):
             self._use_camera_info(message)
@@ -261,9 +293,10 @@ class TimeSynchronizer:
                 self._camera_frame = message.frame_id
             # A frame of another sensor that no leading frame needed is no drop.
             if reason == "superseded" and message.field != self._leader:
-                return
+                return reason
         if reason:
             self.count(message.topic, reason)
+        return reason
 
     def _use_camera_info(self, message: CameraInfo) -> None:
         """Use new camera info: plan the rectification, and drop the pool, whose size may change."""
@@ -283,10 +316,11 @@ class TimeSynchronizer:
                 message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}"
             )
         where, listens = self.inputs.where, DepthImage.field in self.streams
+        rgb, depth = (f"{CAMERAS[self._index]}/{name}" for name in ("rgb", "depth"))
         try:
             self._lens = make_lens_plan(
-                message.lens, camera, self.config.source.distortion, where(Image.topic),
-                where(DepthImage.topic) if listens else None,
+                message.lens, camera, self.config.source.distortion, where(rgb),
+                where(depth) if listens else None,
             )  # fmt: skip
         except ValueError as error:
             self.count(message.topic, "distorted", error)
@@ -308,7 +342,21 @@ class TimeSynchronizer:
     # -- observations out ---------------------------------------------------------------------
 
     def poll(self) -> Observation | None:
-        """Return the newest complete observation, held once for the caller; drop older ones."""
+        """Return the newest complete observation, held once for the caller; cameras take turns."""
+        if len(self._turns) == 1:
+            return self._poll_camera()
+        for camera in self._turns:
+            leading = camera.streams[camera._leader]
+            self.counters["superseded"] += leading.drop_through(self._newest_ns)
+            if (observation := camera._poll_camera()) is not None:
+                self._newest_ns = observation.stamp_ns
+                self._turns.remove(camera)
+                self._turns.append(camera)
+                return observation
+        return None
+
+    def _poll_camera(self) -> Observation | None:
+        """Return the newest complete observation of this camera; drop older ones."""
         leading = self.streams[self._leader]
         now_ns = self._clock()
         for frame in leading.newest_first():
@@ -349,7 +397,7 @@ class TimeSynchronizer:
             if not waited:
                 return None
             # If no pose came after the frame, odometry is not late but silent.
-            if missing == "too_new" and self._pose_came_ns >= leader.arrived_ns:
+            if missing == "too_new" and self.odometry.came_ns >= leader.arrived_ns:
                 T_map_base, tf_age_ns = self.odometry.extrapolate(leader.stamp_ns)
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
         if T_map_base is None:
@@ -392,7 +440,7 @@ class TimeSynchronizer:
         if missing == "gap":
             why = "the poses around it are farther apart than source.max_pose_gap_s"
             return _Dropped("no_pose", why)
-        newest_ns, delay_ns = self.odometry.newest_ns, self._pose_delay_ns
+        newest_ns, delay_ns = self.odometry.newest_ns, self.odometry.delay_ns
         why = _describe_nearest(leader, Odometry.topic, newest_ns) + self._describe_delay(
             leader, "odom", delay_ns
         )
@@ -403,7 +451,8 @@ class TimeSynchronizer:
         stream = self.streams[field]
         nearest = stream.nearest(leader.stamp_ns)
         if nearest is None:
-            return _describe_nearest(leader, _NAMES[field], None)
+            name = _NAMES[field].replace(CAMERAS[0], CAMERAS[self._index])
+            return _describe_nearest(leader, name, None)
         distance = _describe_nearest(leader, nearest.topic, nearest.stamp_ns)
         return distance + self._describe_delay(leader, nearest.topic, stream.delay_ns)
 
@@ -439,16 +488,17 @@ class TimeSynchronizer:
                 slot.release()
         if fields is None:
             return None
-        self._seq += 1
         for frame in frames:
             if frame.field in fields:
                 self.inputs.on_used(frame.topic)
         for field in self._others:
             if field not in fields:  # optional: an observation without it is complete, too
-                self.inputs.on_unpaired(field, self._describe_distance(leader, field))
+                self.inputs.on_unpaired(
+                    group_of(field, self._index), self._describe_distance(leader, field)
+                )
         self._count_old(leader, joined)
         return Observation(
-            seq=self._seq - 1,
+            seq=self.counters["observations"],
             stamp_ns=leader.stamp_ns,
             T_map_base=joined.T_map_base,
             camera=self._camera if fields.keys() - {"cloud_m"} else None,
@@ -457,6 +507,7 @@ class TimeSynchronizer:
             **joined.mounts,
             distortion=self._lens.distortion,
             lag_ns=self._lag_ns(leader),
+            camera_index=self._index,
             **fields,
         )
 

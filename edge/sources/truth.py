@@ -23,19 +23,19 @@ _MAX_LABELS_BYTES = 1 << 20
 
 
 class SegmentationInbox:
-    """The newest segmentations, by stamp; for the detector's thread.
+    """The newest segmentations of one camera, by stamp; for the detector's thread.
 
     The inbox polls only when an image is requested. A full ring is then normal, because not every
     image is searched.
     """
 
-    def __init__(self, config: Config, session: zenoh.Session) -> None:
+    def __init__(self, config: Config, session: zenoh.Session, camera_index: int = 0) -> None:
         self._max_bytes = int(config.source.max_message_mb * 1e6)
-        self._tolerance_ns = int(0.5e9 / config.sensors.camera.rate_hz)
+        self._tolerance_ns = int(0.5e9 / config.sensors.cameras[camera_index].rate_hz)
         self._labels: tuple[str, ...] = ()  # as `parse_labels` returns them
         self._ids = np.zeros((0, 0), np.uint16)
         self._newest: deque[tuple[int, bytes]] = deque(maxlen=_KEPT)  # (stamp in ns, message)
-        key = config.zenoh.key(topics.SEGMENTATION.key)
+        key = config.zenoh.key(topics.SEGMENTATIONS[camera_index].key)
         self._segmentations = session.declare_subscriber(key, zenoh.handlers.RingChannel(_KEPT))
         self._label_ring = Ring(session, config.zenoh.key(topics.LABELS.key), 1)
 
@@ -76,9 +76,10 @@ class SegmentationInbox:
 
 def make_ground_truth(config: Config, session: zenoh.Session) -> TruthAt | None:
     """Return the ground truth for the detector `sim`; None for other detectors."""
-    return (
-        SegmentationInbox(config, session).at if config.perception.detector.kind == "sim" else None
-    )
+    if config.perception.detector.kind != "sim":
+        return None
+    inboxes = [SegmentationInbox(config, session, i) for i in range(len(config.sensors.cameras))]
+    return lambda seen: inboxes[seen.camera_index].at(seen.stamp_ns)
 
 
 def parse_labels(payload: bytes) -> tuple[str, ...]:

@@ -104,6 +104,27 @@ def test_nothing_that_comes_is_a_failure(heard):
     ]
 
 
+def test_both_cameras_are_described(monkeypatch):
+    seen = iter(range(10**6))
+
+    def alternate(fields: dict) -> dict:
+        T = config.sensors.cameras[index := next(seen) % 2].T_base_camera()
+        fields.update(camera_index=index, T_base_camera=T)
+        return fields
+
+    monkeypatch.setattr(Scripted, "change", staticmethod(alternate))
+    config = simulated({
+        "source": {"kind": f"{__name__}:Scripted"},
+        "sensors": {"camera": MOUNT, "second_camera": {**MOUNT, "yaw_deg": 180.0}},
+        "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
+    })  # fmt: skip
+    lines = [found.what for found in check_live_sensors(config, 0.8)]
+    cameras = [line for line in lines if line.startswith("camera")]
+    assert [line.partition(":")[0] for line in cameras] == ["camera", "camera2"]
+    assert cameras[0] != cameras[1].replace("camera2", "camera")
+    assert sum(line.startswith("depth:") for line in lines) == 1
+
+
 BODY = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0.5], [0, 0, 0, 1]])
 AGO_NS = 3_600_000_000_000
 

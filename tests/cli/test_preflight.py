@@ -166,6 +166,7 @@ def test_all_faults_are_reported_at_once(capsys):
     ("package", "sections", "says"),
     [
         ("foxglove", {"sinks": ["foxglove"]}, "pip install 'edge-vln[foxglove]'"),
+        ("rerun", {"sinks": ["rerun"]}, "pip install 'edge-vln[rerun]'"),
         ("zmq", {"source": CAMERA}, "source.kind: zmq needs pyzmq: pip install 'edge-vln[zmq]'"),
         ("onnxruntime", perception(detector=ONNX), "pip install edge-vln[cpu] (or [gpu])"),
         (

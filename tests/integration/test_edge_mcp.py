@@ -6,6 +6,9 @@ import asyncio
 import json
 import os
 import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,10 +18,13 @@ from live_patience import PATIENCE_S, eventually
 from edge.bus.client import send_request
 from edge.bus.session import open_session
 from edge.config import ZenohConfig
+from edge.host.ports import free_port
 
 pytest.importorskip("mcp", reason="the extra [mcp] is not installed")
 
+import httpx2
 from mcp import Client, StdioServerParameters
+from mcp.client.streamable_http import streamable_http_client
 
 pytestmark = pytest.mark.slow
 
@@ -28,17 +34,42 @@ def data(result: Any) -> dict[str, Any]:
     return json.loads(result.content[0].text)["data"]
 
 
-def test_an_agent_proposes_a_person_allows_and_the_robot_drives(edge, endpoint, tmp_path):
+SECRET = "0123456789abcdef"
+
+
+@asynccontextmanager
+async def agent_of(edge: Any, config: Path, transport: str) -> AsyncIterator[Client]:
+    """Connect an agent over standard input and output, or over HTTP."""
+    if transport == "stdio":
+        command = StdioServerParameters(
+            command=sys.executable, args=["-m", "edge.cli", "mcp", str(config)],
+            cwd=str(config.parent), env={**os.environ, "XDG_STATE_HOME": str(config.parent)},
+        )  # fmt: skip
+        async with Client(command, read_timeout_seconds=PATIENCE_S) as agent:
+            yield agent
+        return
+    token, port = config.with_name("token"), free_port()
+    token.write_text(SECRET)
+    edge("mcp", config, "--http", port, "--token-file", token).says("serving agents at")
+    headers = {"Authorization": f"Bearer {SECRET}"}
+    async with httpx2.AsyncClient(headers=headers) as http:
+        url = f"http://127.0.0.1:{port}/mcp"
+        streams = streamable_http_client(url, http_client=http)
+        async with Client(streams, read_timeout_seconds=PATIENCE_S) as agent:
+            yield agent
+
+
+@pytest.mark.parametrize("transport", ["stdio", "http"])
+def test_an_agent_proposes_a_person_allows_and_the_robot_drives(
+    edge, endpoint, tmp_path, transport, monkeypatch
+):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     config = write_config(
         tmp_path, zenoh={"endpoint": endpoint}, mission={"on_request": True}, mcp={"motion": "ask"}
     )
     service = edge("run", config).says("ready:")
     edge("sim", config)
     goals: set[bytes] = set()
-    command = StdioServerParameters(
-        command=sys.executable, args=["-m", "edge.cli", "mcp", str(config)], cwd=str(tmp_path),
-        env={**os.environ, "XDG_STATE_HOME": str(tmp_path)},
-    )  # fmt: skip
     with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
         session.declare_subscriber("edge/goal", lambda sample: goals.add(sample.payload.to_bytes()))
 
@@ -51,7 +82,7 @@ def test_an_agent_proposes_a_person_allows_and_the_robot_drives(edge, endpoint, 
         eventually(pose)
 
         async def drive() -> None:
-            async with Client(command, read_timeout_seconds=PATIENCE_S) as agent:
+            async with agent_of(edge, config, transport) as agent:
                 assert data(await agent.call_tool("status", {}))["phase"] == "idle"
                 (picture,) = (await agent.read_resource("edge://camera")).contents
                 assert picture.mime_type == "image/jpeg"

@@ -72,6 +72,17 @@ def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path)
     assert list(tmp_path.glob("*.html"))
 
 
+def test_an_episode_with_two_cameras():
+    config = simulated({
+        "mission": {"time_limit_s": 60.0},
+        "sensors": {"second_camera": {"width_px": 160, "height_px": 128, "yaw_deg": 180.0}},
+    })  # fmt: skip
+    (there,), (column,) = plan(config, [], ["sofa"], 1, 0, 3.0), make_arms(config, {})
+    outcome = run_episode(column, there, over_zenoh)
+    assert (outcome.success, outcome.failure) == (True, None), outcome.reason
+    assert outcome.detected > 0
+
+
 def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():
     (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     stop = threading.Event()

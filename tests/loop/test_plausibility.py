@@ -125,6 +125,23 @@ def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(
     assert loop.service.plausibility.failed == ()
 
 
+@pytest.mark.parametrize("frozen_camera", [0, 1])
+def test_of_two_cameras_the_robot_drives_by_the_first(frozen_camera):
+    """It stands if the first freezes, and drives on, saying so, if the second does."""
+    loop = driving(sensors={"camera": SMALL, "second_camera": {**SMALL, "yaw_deg": 180.0}})
+    assert loop.service.plausibility.failed == ()
+    freeze, begun_s, begun_m = frozen("rgb", "depth_m")(), loop.seconds, loop.drive.motion.path_m
+    tampered(loop, lambda seen: freeze(seen) if seen.camera_index == frozen_camera else seen)
+    while loop.seconds < begun_s + 5.0:
+        loop.step()
+    driven_m = loop.drive.motion.path_m - begun_m
+    assert driven_m < 0.6 if frozen_camera == 0 else driven_m > 1.0
+    name = ("depth_frozen", "camera2_depth_frozen")[frozen_camera]
+    assert name in [found.name for found in loop.service.plausibility.failed]
+    topic = ("camera", "camera2")[frozen_camera]
+    assert any(event.startswith(f"{topic}/depth: no pixel") for event in loop.notes.events)
+
+
 @pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
 def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
     """While the robot drives straight on nothing tells; by the next turn, or stop, it does."""

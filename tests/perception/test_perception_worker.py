@@ -77,6 +77,26 @@ def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
     assert fake.closed
 
 
+def test_cameras_take_turns_and_detections_come_in_order(make_observation):
+    """Two ticks pass while the detector runs, so the newest image is always of camera 0."""
+    rgb = np.zeros((1, 1, 3), np.uint8)
+    seen = [make_observation(seq=i, slot=Slot(), rgb=rgb, camera_index=i % 2) for i in range(12)]
+    worker, found = DetectorWorker(fake := Fake()), []
+    for newer in (seen[:1], seen[1:3], seen[3:5], seen[5:7], seen[7:9], seen[9:11]):
+        for observation in newer:
+            worker.submit(observation)
+        assert fake.started.acquire(timeout=PATIENCE_S)
+        fake.gate.release()
+        done = len(found) + 1
+        eventually(lambda done=done: worker.stats.done == done)
+        found.append(worker.poll().observation)
+        found[-1].release()
+    assert [o.camera_index for o in found] == [0, 1, 0, 1, 0, 1]
+    assert [o.seq for o in found] == sorted(o.seq for o in found)
+    worker.close()
+    assert holds(seen) == [0] * len(seen)
+
+
 @pytest.mark.parametrize("inline", [False, True])
 def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that_is_down(
     frames, inline, caplog

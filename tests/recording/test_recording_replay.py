@@ -57,6 +57,23 @@ def drive(tmp_path_factory) -> Path:
     return recording.steps(30).close()
 
 
+def test_a_run_with_two_cameras(tmp_path):
+    """Each observation comes back with its own image size and mount."""
+    second = {"width_px": 64, "height_px": 48, "yaw_deg": 170.0}
+    config = small(sensors={"camera": {"width_px": 80, "height_px": 64}, "second_camera": second})
+    path = Recording(tmp_path, config, rgb_hz=100.0).steps(60).close()
+    same(path, 60)
+    seen = [step.observation for step in RecordedRun(path).steps() if step.observation]
+    assert [o.camera_index for o in seen] == [0, 1] * 30
+    for observation in seen:
+        mounted = config.sensors.cameras[observation.camera_index]
+        assert observation.depth_m.shape == (mounted.height_px, mounted.width_px)
+        assert observation.rgb.shape[:2] == observation.depth_m.shape
+        np.testing.assert_array_equal(observation.T_base_camera, mounted.T_base_camera())
+    files = {m.topic for m in McapReader(path)}
+    assert {"/camera2/rgb/compressed", "/camera2/depth", "/detections2"} <= files
+
+
 def test_a_run_without_a_tick(tmp_path):
     recording = Recording(tmp_path)
     recording.service.idle(1, None)

@@ -78,7 +78,7 @@ def made(sinks: list[object]) -> list[Sink]:
     [
         (
             ["zenho"],
-            r"sinks\.0\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, foxglove, or m",
+            r"sinks\.0\.kind: unknown 'zenho' \(choices: zenoh, ros2, mcap, foxglove, rerun, or m",
         ),
         (
             ["zenoh", "nowhere:Sink"],

@@ -84,6 +84,82 @@ def test_nothing_gives_nothing():
     assert not robot.drops
 
 
+REAR = CameraModel(6, 2, 3.0, 3.0, 2.5, 0.5)
+PAIR = {**ONNX, "sensors": {"second_camera": {"yaw_deg": 180.0, "rate_hz": 10.0}}}
+
+
+class Pair(Robot):
+    """A robot with a second camera, of another size."""
+
+    def __init__(self, **sections: dict) -> None:
+        super().__init__({**PAIR, **sections})
+        self.info().info2()
+
+    def info2(self) -> Robot:
+        return self.send(topics.CAMERA_INFO2, messages.encode_camera_info(1, "back", REAR))
+
+    def frame2(self, stamp_ns: int, value: int = 2) -> Robot:
+        rgb, mm = np.full((2, 6, 3), value, np.uint8), np.full((2, 6), 2500, np.uint16)
+        self.send(topics.RGB2, messages.encode_image(stamp_ns, "back", rgb))
+        return self.send(topics.DEPTH2, messages.encode_image(stamp_ns, "back", mm))
+
+
+def test_messages_of_a_camera_that_is_not_configured_are_ignored():
+    robot = Robot().odom(0).odom(9 * FRAME_NS)
+    Pair.info2(robot)
+    Pair.frame2(robot, FRAME_NS)
+    assert robot.poll() is None
+    assert not robot.drops
+
+
+def test_each_camera_has_its_own_intrinsics_and_mount():
+    robot = Pair().odom(0).odom(9 * FRAME_NS).frame(FRAME_NS).frame2(2 * FRAME_NS)
+    first, second = robot.poll(), robot.poll()
+    assert [(o.seq, o.camera_index, o.camera) for o in (first, second)] == [
+        (0, 0, CAMERA), (1, 1, REAR),
+    ]  # fmt: skip
+    assert (first.rgb.shape, second.rgb.shape) == ((3, 4, 3), (2, 6, 3))
+    assert (first.rgb == 1).all()
+    assert (second.rgb == 2).all()
+    np.testing.assert_allclose(second.depth_m, 2.5)
+    # The optical axis is the third column.
+    assert first.T_base_camera[0, 2] > 0.9
+    assert second.T_base_camera[0, 2] < -0.9
+    assert robot.poll() is None
+    assert not robot.drops
+
+
+@pytest.mark.parametrize("apart_ns", [0, FRAME_NS // 3])
+def test_cameras_take_turns_and_stamps_never_go_back(apart_ns):
+    robot = Pair().odom(0)
+    seen = []
+    for k in range(1, 21):
+        robot.frame(k * FRAME_NS).frame2(k * FRAME_NS + apart_ns).odom((k + 1) * FRAME_NS)
+        seen.append(robot.poll())
+        seen[-1].release()
+    assert [o.camera_index for o in seen] == [0, 1] * 10
+    assert all(np.diff([o.stamp_ns for o in seen]) > 0)
+
+
+def test_one_camera_goes_on_without_the_other_and_after_a_clock_reset():
+    robot = Pair().odom(0).odom(FRAME_NS * 9)
+    for k in (1, 2, 3):
+        assert robot.frame2(k * FRAME_NS).poll().camera_index == 1
+    for k in range(20):  # the sensors' clock is set back
+        robot.odom(k).frame2(k)
+    assert robot.poll().stamp_ns < 20
+    states = {row.name: (row.state, row.needed) for row in robot.synchronizer.inputs.rows()}
+    assert states["camera/rgb"] == states["camera/depth"] == ("missing", True)
+    assert states["camera2/rgb"] == states["camera2/info"] == ("ok", True)
+
+
+def test_a_cloud_cannot_lead_two_cameras():
+    sensors = {**CLOUD["sensors"], **PAIR["sensors"]}
+    message = r"sensors\.second_camera: two cameras need mapping\.input: depth"
+    with pytest.raises(ConfigError, match=message):
+        Robot({**CLOUD, "sensors": sensors})
+
+
 def test_a_frame_with_its_interpolated_pose():
     robot = Robot().info().odom(1000, 0.0).frame(1500).odom(2000, 0.5)
     observation = robot.poll()

@@ -6,7 +6,9 @@ from edge.bus import topics
 from edge.bus.wire.schemas import full_name
 
 _SENSORS = (
-    topics.RGB, topics.DEPTH, topics.CAMERA_INFO, topics.CLOUD, topics.SCAN, topics.ODOMETRY,
+    topics.RGB, topics.DEPTH, topics.CAMERA_INFO,
+    topics.RGB2, topics.DEPTH2, topics.CAMERA_INFO2,
+    topics.CLOUD, topics.SCAN, topics.ODOMETRY,
 )  # fmt: skip
 _TF = "tf2_msgs/msg/TFMessage"
 _IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

@@ -83,7 +83,7 @@ class ClosedLoop:
         controller: the motion controller.
         ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.
-        rig: the robot's camera.
+        rig: the robot's camera; of two, which take turns, that of the last image.
         lidar: the robot's LiDAR; None: it has none.
         labels: names of the world's objects; `labels[i - 1]` is the name of the object with id i.
         worker: runs the detector.
@@ -114,7 +114,9 @@ class ClosedLoop:
         self.world = world = with_people(world, config, start)
         self.ghosts = GhostClock(world) if isinstance(world, PeopledWorld) else None
         self.drive = DriveTrain(config.robot, config.sim, world, start, START_NS)
-        self.rig = CameraRig(config, world, self.colour)
+        n_cameras = len(config.sensors.cameras)
+        self._cameras = [CameraRig(config, world, self.colour, i) for i in range(n_cameras)]
+        self.rig = self._cameras[0]
         self.lidar = None if config.sensors.lidar is None else LidarRig(config, world)
         self.labels = tuple(o.label for o in world.objects)
         spec = prepare_mission(config, self.task, self.site)
@@ -136,13 +138,14 @@ class ClosedLoop:
         self._map_due_ns = 0
         self._map_period_ns = int(1e9 / config.report.map_hz)
 
-    def truth(self, stamp_ns: int) -> Segmentation:
+    def truth(self, seen: Observation) -> Segmentation:
         """Return the object ids of the last rendered picture."""
         return Segmentation(self.rig.ids, self.labels)
 
     def observe(self) -> Observation:
         """Render an observation at the robot's pose. Its arrays are valid until the next call."""
         motion, cloud = self.drive.motion, {}
+        self.rig = self._cameras[self._seq % len(self._cameras)]
         self.rig.look(motion.pose)
         if self.lidar is not None:
             self.lidar.look(motion.pose)
@@ -151,7 +154,7 @@ class ClosedLoop:
         return Observation(
             self._seq, motion.stamp_ns, motion.odometry.matrix(),
             rgb=self.rig.rgb, depth_m=self.rig.depth_m, camera=self.rig.model,
-            T_base_camera=self.rig.T_base_camera, **cloud,
+            T_base_camera=self.rig.T_base_camera, camera_index=self.rig.index, **cloud,
         )  # fmt: skip
 
     def step(self) -> None:

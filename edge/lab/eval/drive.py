@@ -222,7 +222,8 @@ class GroundTruthReader:
         from edge.sources.truth import SegmentationInbox
 
         self._ring = Ring(session, config.zenoh.key(topics.GROUND_TRUTH.key), _MAX_WAITING)
-        self._pictures = SegmentationInbox(config, session)
+        n_cameras = len(config.sensors.cameras)
+        self._inboxes = [SegmentationInbox(config, session, i) for i in range(n_cameras)]
         self._heard: dict[int, dict[str, Any]] = {}  # by stamp
 
     def at(self, stamp_ns: int) -> GroundTruth:
@@ -236,7 +237,8 @@ class GroundTruthReader:
             for sample in self._ring.take():
                 data = json.loads(sample.payload.to_bytes())
                 self._heard[data["stamp_ns"]] = data
-            picture = self._pictures.at(stamp_ns)
+            pictures = (inbox.at(stamp_ns) for inbox in self._inboxes)
+            picture = next((found for found in pictures if found is not None), None)
             if stamp_ns in self._heard and picture is not None:
                 break
             if time.monotonic() > until_s:

@@ -20,7 +20,12 @@ from edge.geometry import SE2
 from edge.lab.sim.base import LidarRays, World, WorldError
 from edge.lab.sim.robot import MotionState
 
-CAMERA_FRAME, LIDAR_FRAME = "camera_optical", "lidar"  # frame ids in the messages
+CAMERA_FRAMES, LIDAR_FRAME = ("camera_optical", "camera2_optical"), "lidar"
+"""Frame ids in the messages."""
+_TOPICS = (
+    (topics.DEPTH, topics.SEGMENTATION, topics.RGB, topics.CAMERA_INFO),
+    (topics.DEPTH2, topics.SEGMENTATION2, topics.RGB2, topics.CAMERA_INFO2),
+)
 Message = tuple[Topic, bytes]
 """Topic and encoded payload."""
 
@@ -47,8 +52,10 @@ class CameraRig:
         config: camera settings and noise.
         world: world to render.
         colour: if False, `rgb` is None, and an image takes half the time.
+        index: which camera of the robot; see `Observation.camera_index`.
 
     Attributes:
+        index: as in `Args`.
         model: intrinsics.
         T_base_camera: (4, 4) pose of the camera on the robot.
         rgb: (h, w, 3) uint8, the last image, or None.
@@ -57,9 +64,11 @@ class CameraRig:
         rate_hz: images per second.
     """
 
-    def __init__(self, config: Config, world: World, colour: bool = True) -> None:
-        camera, self._world = config.sensors.camera, world
-        _check_above_floor(config, "sensors.camera.z_m", camera.z_m)
+    def __init__(self, config: Config, world: World, colour: bool = True, index: int = 0) -> None:
+        camera, self._world = config.sensors.cameras[index], world
+        self.index, self._topics = index, _TOPICS[index]
+        key = ("camera", "second_camera")[index]
+        _check_above_floor(config, f"sensors.{key}.z_m", camera.z_m)
         self.model = camera.intrinsics()
         self.T_base_camera = camera.T_base_camera()
         shape = (camera.height_px, camera.width_px)
@@ -68,7 +77,9 @@ class CameraRig:
         self.ids = np.empty(shape, np.uint16)
         self.rate_hz = camera.rate_hz
         self._depth_noise = config.sim.depth_noise
-        self._rng = np.random.default_rng([config.sim.seed, 1])
+        self._rng = np.random.default_rng(
+            [config.sim.seed, 1, index] if index else [config.sim.seed, 1]
+        )
 
     def look(self, pose: SE2) -> None:
         """Take an image from a robot pose: fill `rgb`, `depth_m` and `ids`.
@@ -85,16 +96,44 @@ class CameraRig:
         """Yield the last image as messages; colour comes last, since it completes the frame."""
         assert self.rgb is not None, "a camera without colour sends nothing"
         depth_mm = np.nan_to_num(self.depth_m * 1000.0, nan=0.0).clip(0, 65535).astype(np.uint16)
-        yield topics.DEPTH, messages.encode_image(stamp_ns, CAMERA_FRAME, depth_mm)
-        yield topics.SEGMENTATION, messages.encode_image(stamp_ns, CAMERA_FRAME, self.ids)
-        yield topics.RGB, messages.encode_image(stamp_ns, CAMERA_FRAME, self.rgb)
+        for topic, image in zip(self._topics, (depth_mm, self.ids, self.rgb), strict=False):
+            yield topic, messages.encode_image(stamp_ns, CAMERA_FRAMES[self.index], image)
 
     def description(self, stamp_ns: int) -> Iterator[Message]:
         """Yield the intrinsics, and the label of each object id (id 1 first)."""
-        info = messages.encode_camera_info(stamp_ns, CAMERA_FRAME, self.model)
-        yield topics.CAMERA_INFO, info
+        frame = CAMERA_FRAMES[self.index]
+        yield self._topics[-1], messages.encode_camera_info(stamp_ns, frame, self.model)
         labels = [item.label for item in self._world.objects]
         yield topics.LABELS, json.dumps(labels).encode()
+
+
+class CameraPair:
+    """Two cameras that take images in turn.
+
+    Args:
+        cameras: the cameras.
+
+    Attributes:
+        rate_hz: images per second of both.
+    """
+
+    def __init__(self, cameras: list[CameraRig]) -> None:
+        self._cameras, self._current = cameras, cameras[-1]
+        self.rate_hz = sum(camera.rate_hz for camera in cameras)
+
+    def look(self, pose: SE2) -> None:
+        """Take an image with the other camera; see `CameraRig.look`."""
+        self._current = self._cameras[self._current.index - 1]
+        self._current.look(pose)
+
+    def messages(self, stamp_ns: int) -> Iterator[Message]:
+        """Yield the last image as messages."""
+        return self._current.messages(stamp_ns)
+
+    def description(self, stamp_ns: int) -> Iterator[Message]:
+        """Yield the intrinsics of both cameras, and the labels."""
+        for camera in self._cameras:
+            yield from camera.description(stamp_ns)
 
 
 class LidarRig:
@@ -147,13 +186,14 @@ class LidarRig:
         return iter(())
 
 
-Rig = Union[CameraRig, LidarRig]
+Rig = Union[CameraRig, CameraPair, LidarRig]
 
 
 def make_rigs(config: Config, world: World) -> list[Rig]:
     """Return the configured sensors; the camera comes last, since it completes the frame."""
     lidar = [] if config.sensors.lidar is None else [LidarRig(config, world)]
-    return [*lidar, CameraRig(config, world)]
+    cameras = [CameraRig(config, world, index=i) for i in range(len(config.sensors.cameras))]
+    return [*lidar, cameras[0] if len(cameras) == 1 else CameraPair(cameras)]
 
 
 def odometry_message(motion: MotionState) -> Message:

@@ -1,33 +1,29 @@
 """Pursuits: one class for each kind of target says how the robot goes there and when it is done.
 
 `SearchBehaviour` makes a pursuit for each active target and calls it in each tick. A target is a
-*thing*, such as "chair", or a destination: a place, a room, an exploration, a wait or a check.
+*thing*, such as "chair", or a destination: a place, an exploration, a wait, a check, or a room
+(`room_pursuits`).
 
-`PURSUITS` has one class for each kind of destination. Another kind needs a class and a line there.
+`PURSUITS` in `search` has one class for each kind of destination. Another kind needs a class and a
+line there.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from collections.abc import Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from edge import names
-from edge.config import PolicySearch
-from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
-from edge.loop.goal import POINT_SNAP_M, SAME_POINT_M, GoalTracker
+from edge.loop.goal import GoalTracker
 from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import (
-    RECOGNISED_KINDS,
     MappedRoom,
-    RoomSurvey,
     describe_location,
-    kind_of_room,
     known_objects,
 )
 from edge.mission.destinations import (
@@ -35,28 +31,16 @@ from edge.mission.destinations import (
     Destination,
     ExploreTarget,
     PlaceTarget,
-    RoomTarget,
     WaitTarget,
-    room_target,
     shown_s,
 )
 from edge.mission.run import PROBABLY, MissionRun
-from edge.policies.base import FRONTIER, PolicyInput
-from edge.policies.search import SearchPolicy
-from edge.policies.select import rank_candidates
+from edge.policies.base import PolicyInput
 from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MAX_NAMES = 12  # object names in the report of an exploration
-# `RoomMemory.votes` says how much the objects near a point speak for a kind of room. A point needs
-# this share of the range from the lowest to the highest votes to be a goal, and to stay one.
-_GOOD_SHARE, _KEPT_SHARE = 0.9, 0.7
-_SURVEYS = 2  # surveys after the arrival that must agree that the robot is inside
-_DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
-_AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
-_LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
 _ASK_S = 60.0  # time for a person to confirm a probable object
-_ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
 
@@ -169,7 +153,7 @@ class Pursuit(Generic[DestinationType]):
             mission.warn(mission.target, f"not sure: {text}", now_ns)
         goals.phase = "waiting"
         left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
-        mission.activity = f"{text}; waiting for `edge mission confirm`, {_time_left(left_s)}"
+        mission.activity = f"{text}; waiting for `edge mission confirm`, {time_left(left_s)}"
         if left_s <= 0:
             mission.abandon_target(f"{text}; nobody confirmed it within {_ASK_S:g} s", now_ns)
 
@@ -212,12 +196,12 @@ class ExplorePursuit(Pursuit[ExploreTarget]):
             if left_s <= 0:
                 self.finish(context.now_ns)
                 return
-            mission.activity = f"exploring, {_time_left(left_s)}"
+            mission.activity = f"exploring, {time_left(left_s)}"
         super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
         known = f"{self._map.grid.known_m2:.0f} m² are known"
-        self._mission.on_reached(known, now_ns, f"{known}, {_objects_found(self._map)}")
+        self._mission.on_reached(known, now_ns, f"{known}, {objects_found(self._map)}")
 
 
 class WaitPursuit(Pursuit[WaitTarget]):
@@ -233,7 +217,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
             mission.activity = "waiting until told to go on"
             return
         left_s = seconds - mission.pursued_now_s
-        mission.activity = f"waiting, {_time_left(left_s)}"
+        mission.activity = f"waiting, {time_left(left_s)}"
         if left_s <= 0:
             mission.on_reached(f"waited {shown_s(seconds)}", context.now_ns)
 
@@ -337,363 +321,12 @@ class CheckPursuit(Pursuit[CheckTarget]):
         return False
 
 
-class RoomPursuit(Pursuit[RoomTarget]):
-    """Pursuit of a room: explore where it is likely; when it is known, go inside.
-
-    The robot is inside if the map says so, whatever the controller says of its goal. The field
-    `RoomTarget.which` says how the target names the room: `called` ("the kitchen"), `largest`,
-    `next` (the nearest unvisited one), or `with` ("the room with a sofa").
-    """
-
-    _chosen_id = 0  # id of the room to go to; 0: none
-    _exploring_id = 0  # id of the room that is explored around `_arrived_m`; 0: none
-    _explored_id = 0  # id of the room whose exploration is complete; 0: none
-    _arrived_m = np.zeros(2, np.float32)  # where the robot came into the room
-    # The likeliest room that the target may mean, if zones close all such rooms.
-    _closed_room: MappedRoom | None = None
-    _is_final = False  # True if all is explored: the choice stays
-    _surveyed: RoomSurvey | None = None  # the newest survey that agreed
-    _agreed = 0  # number of surveys since the arrival that agree
-
-    def gather(self) -> Sequence[Instance]:
-        return ()
-
-    def check_progress(self, context: PolicyInput, images: int) -> None:
-        mission, room = self._mission, self._choose(context)
-        if room is None and self._closed_room is not None and self._kind is None:
-            self.finish(context.now_ns)
-            return
-        if room is None and self._may_guess():
-            self.finish(context.now_ns)  # retries and second looks would lead elsewhere
-            return
-        if room is None:
-            mission.activity = "exploring to find it"
-            super().check_progress(context, images)
-            return
-        number = f"room {room.id}"
-        name = number if room.title == number else f"{room.title}, {number}"
-        why = one_line(f"the {name}" + (f": {room.reason}" if room.reason else ""))
-        if self._is_final and self._kind is not None:
-            why = f"room {room.id}, the most likely {self._kind}"
-        if self._is_inside(room, context):
-            self._goals.abandon()
-            self.arrive(f"inside {why}", context.now_ns)
-            return
-        mission.activity = f"going to {why}"
-        super().check_progress(context, images)
-
-    def arrive(self, evidence: str, now_ns: int) -> None:
-        """Handle the arrival inside the room."""
-        self._mission.on_reached(evidence, now_ns)
-
-    def finish(self, now_ns: int) -> None:
-        room, kind = self._map.rooms.room(self._chosen_id), self._kind
-        if room is not None:
-            pass  # this room was chosen before, and there is no path to it
-        elif self._destination.which == "largest":
-            room = max(self._map.rooms.rooms, key=lambda one: one.area_m2, default=None)
-        elif self._closed_room is not None:
-            room = self._closed_room  # no other is likelier
-        elif kind is not None:
-            room = self._most_likely(kind)
-        if room is not None and is_closed(room, self._map, kind):
-            self._mission.abandon_target(f"a zone closes {room.phrase}, room {room.id}", now_ns)
-        elif room is None or self._chosen_id == room.id:
-            super().finish(now_ns)
-        else:  # a last chance: go to this room
-            self._chosen_id, self._is_final = room.id, True
-
-    def _may_guess(self) -> bool:
-        """Return True if all is explored, and a room may well be of the wanted kind."""
-        if self._kind is None or not self._goals.candidates_exhausted:
-            return False
-        likely = self._most_likely(self._kind)
-        return likely is not None and likely.chance[self._kind] >= _LAST_CHANCE
-
-    def _most_likely(self, kind: str) -> MappedRoom | None:
-        """Return the room to try when none is certain; None if nothing speaks for any."""
-        known = self._map.rooms
-        # Rooms with an object that speaks for the kind.
-        rooms = [room for room in known.rooms if (known.evidence(room, kind)[1] > 0.0).any()]
-        likely = max(rooms, key=lambda room: room.chance[kind], default=None)
-        if likely is None or likely.chance[kind] >= _LAST_CHANCE:
-            return likely
-        votes = [float(known.votes(room, kind).max()) for room in rooms]
-        return rooms[int(np.argmax(votes))] if max(votes) > 0.0 else None
-
-    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        """Return a goal in the room, or on the way to it; while no room is known, explore."""
-        target, grid, goals = self._destination, self._map.grid, self._goals
-        if target.which != "with":  # no object is searched for, so the policy's scores do not apply
-            prior = None if self._kind is None else RoomKindPrior(self._map.rooms, self._kind)
-            scores = SearchPolicy(PolicySearch()).score(replace(context, prior=prior))
-        scores = np.asarray(scores, np.float32)
-        room = self._map.rooms.room(self._chosen_id)
-        if room is not None and self._explore_around_arrival(room, context):
-            return goals.choose(context, grid, scores, images)
-        if room is not None:
-            points_m, old, rooms = self._stopping_points_m(room), goals.goal, self._map.rooms
-            keep = old is not None and rooms.entered_room(old.pose.x_m, old.pose.y_m) == room.id
-            pose = context.pose
-            # The controller has arrived, but the map says that the robot is not inside: go deeper.
-            if goals.arrived and rooms.entered_room(pose.x_m, pose.y_m) != room.id:
-                keep = False
-                away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
-                points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
-            goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
-            return goal or goals.explore_towards(context, grid, room.xy_m, images)
-        return goals.choose(context, grid, scores, images)
-
-    @property
-    def _kind(self) -> str | None:
-        """The wanted kind of room, if the robot recognises it."""
-        kind = kind_of_room(self._destination.name)
-        return kind if self._destination.which == "called" and kind in RECOGNISED_KINDS else None
-
-    def _is_inside(self, room: MappedRoom, context: PolicyInput) -> bool:
-        """Return True if the robot is inside.
-
-        Before its walls are known, a room may seem to go on behind a door. So a room of a kind is
-        reached only when it is explored, at a point near the objects that it was recognised by,
-        and if the next surveys agree. The goal is such a point, as long as it stays.
-        """
-        inside = self._map.rooms.entered_room(context.pose.x_m, context.pose.y_m) == room.id
-        if not inside or not self._is_found_by_kind(room):
-            return inside
-        goal = self._goals.goal
-        if not self._goals.arrived or goal is None or goal.kind != "place":
-            self._agreed = 0
-        elif self._explored_id != room.id:
-            self._exploring_id = room.id
-            self._arrived_m = np.array((context.pose.x_m, context.pose.y_m), np.float32)
-        elif self._map.rooms.survey is not self._surveyed:
-            self._surveyed, self._agreed = self._map.rooms.survey, self._agreed + 1
-        return self._agreed > _SURVEYS  # the first one is the survey of the arrival
-
-    def _is_found_by_kind(self, room: MappedRoom) -> bool:
-        """Return True if the room is taken for the target because of its objects, not its name."""
-        return self._kind is not None and not room.is_named
-
-    def _explore_around_arrival(self, room: MappedRoom, context: PolicyInput) -> bool:
-        """Return True while a room found by its kind has frontiers near the point of arrival.
-
-        All other frontiers are then blocked in this tick.
-        """
-        if self._exploring_id != room.id or not self._is_found_by_kind(room):
-            return False
-        self._block_outside(room)
-        c, delta_m = self._map.pool.candidates, self._map.config.policy.delta_reached_m
-        c.blocked[: c.n] |= np.hypot(*(c.xy_m[: c.n] - self._arrived_m).T) > _AROUND_M
-        left = rank_candidates(c, c.path_m[: c.n], context.pose, delta_m)  # indices, not blocked
-        if np.isfinite(c.path_m[left]).any():
-            return True
-        self._exploring_id, self._explored_id = 0, room.id
-        return False
-
-    def _is_in(self, xy_m: np.ndarray, room: MappedRoom) -> np.ndarray:
-        """Return (n,) bool: True for points (n, 2) that are in the room."""
-        survey = self._map.rooms.survey
-        return survey.ids[survey.regions.at(xy_m)] == room.id
-
-    def _block_outside(self, room: MappedRoom) -> None:
-        """Block the frontiers of this tick that are not in the room."""
-        c = self._map.pool.candidates
-        outside = ~self._is_in(c.xy_m[: c.n], room)
-        c.blocked[: c.n] |= outside & (c.kind[: c.n] == FRONTIER)
-
-    def _stopping_points_m(self, room: MappedRoom) -> np.ndarray:
-        """Return the points of a room to go to, (k, 2) float32, k > 0."""
-        if not self._is_found_by_kind(room):
-            return room.points_m
-        assert self._kind is not None
-        votes = self._map.rooms.votes(room, self._kind)
-        reachable = np.isfinite(self._distances_m(room, POINT_SNAP_M))
-        if not reachable.any():  # no path is known yet: take all points
-            reachable[:] = True
-        low, high = float(votes[reachable].min()), float(votes[reachable].max())
-        share = 1.0 - (high - votes) / max(high - low, 1e-9)
-        good = share >= _GOOD_SHARE
-        if (goal := self._goals.goal) is not None and goal.kind == "place":
-            near = (
-                np.hypot(*(room.points_m - np.array(goal.candidate_xy_m, np.float32)).T)
-                <= SAME_POINT_M
-            )
-            good |= near & (share >= _KEPT_SHARE)
-        return room.points_m[reachable & good]
-
-    def _choose(self, context: PolicyInput) -> MappedRoom | None:
-        """Return the room to go to; None if none is known. A choice stays while it is possible."""
-        rooms, which = self._map.rooms, self._destination.which
-        kept = self._is_final or which == "next"
-        if kept and (room := rooms.room(self._chosen_id)) is not None:
-            return room
-        known = rooms_of(self._destination, self._map)
-        found = [room for room in known if not is_closed(room, self._map, self._kind)]
-        self._closed_room = known[0] if known and not found else None
-        if which == "next":
-            # Prefer rooms with a door to the robot's own; else any other that can be reached.
-            current = rooms.room_at(context.pose.x_m, context.pose.y_m)
-            next_door = set() if current is None else {door.room for door in current.doors}
-            found = [
-                room
-                for room in found
-                if np.isfinite(self._distance_m(room)) and room is not current
-            ]
-            found = [room for room in found if room.id in next_door] or found
-        chosen = next((room for room in found if room.id == self._chosen_id), None)
-        if chosen is None and found:
-            chosen = min(found, key=lambda room: (self._distance_m(room), room.id))
-        number = 0 if chosen is None else chosen.id
-        if number != self._chosen_id:
-            self._chosen_id = number
-            self._goals.abandon()
-        return chosen
-
-    def _distance_m(self, room: MappedRoom) -> float:
-        """Return the driving distance to a room; inf if no path is known."""
-        return float(self._distances_m(room, _ROOM_SNAP_M).min(initial=np.inf))
-
-    def _distances_m(self, room: MappedRoom, snap_m: np.ndarray) -> np.ndarray:
-        """Return the driving distance to each point of a room, (j,) float32; inf without a path."""
-        n, path_m = len(room.points_m), np.empty(len(room.points_m), np.float32)
-        self._map.grid.travel_cost.path_lengths_m(
-            room.points_m, np.zeros(n, np.int8), snap_m, n, path_m
-        )
-        return path_m
-
-
-class ExploreRoomPursuit(RoomPursuit):
-    """Exploration of one room: go inside, then to its frontiers, until none is left."""
-
-    def __init__(
-        self,
-        destination: ExploreTarget | CheckTarget,
-        mission: MissionRun,
-        semantic_map: SemanticMap,
-        goals: GoalTracker,
-    ) -> None:
-        super().__init__(room_target(destination.room), mission, semantic_map, goals)
-        self._name, self._activity = destination.room, "exploring"
-        self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
-        self._inside: MappedRoom | None = None  # the room, once the robot has been inside
-
-    def check_progress(self, context: PolicyInput, images: int) -> None:
-        if self._inside is not None:
-            self._inside = self._map.rooms.room(self._inside.id) or self._inside
-        left_s = math.inf if self._limit_s is None else self._limit_s - self._mission.pursued_now_s
-        if left_s <= 0.0:
-            self.end(context.now_ns)
-        elif self._inside is None:
-            super().check_progress(context, images)
-        else:
-            left = "" if self._limit_s is None else f", {_time_left(left_s)}"
-            self._mission.activity = f"{self._activity} the {self._name}{left}"
-            self._explore_inside(context, images)
-
-    def arrive(self, evidence: str, now_ns: int) -> None:
-        self._inside = self._map.rooms.room(self._chosen_id)
-
-    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        if self._inside is None:
-            return super().select(context, scores, images)
-        if self._goals.candidates_exhausted:  # retries and second looks would lead elsewhere
-            self._goals.idle()
-            return None
-        self._block_outside(self._inside)
-        return self._goals.choose(context, self._map.grid, scores, images)
-
-    def end(self, now_ns: int) -> None:
-        """End the target: the room is explored, or the time is over."""
-        known = f"the {self._name} was not reached"
-        if self._inside is not None:
-            found = _objects_found(self._map, self._inside)
-            known = f"{self._name}: {self._inside.area_m2:.0f} m² are known, {found}"
-        self._mission.on_reached(known, now_ns, known)
-
-    def _explore_inside(self, context: PolicyInput, images: int) -> None:
-        """Follow the goal; end the target when no candidate in the room is left."""
-        mission, retargets_before = self._mission, self._mission.retargets
-        self._goals.check_progress(
-            self._map.grid, context.pose, mission, images, context.now_ns, self._is_reached
-        )
-        if (
-            mission.retargets == retargets_before
-            and not mission.done
-            and self._goals.candidates_exhausted
-        ):
-            self.end(context.now_ns)
-
-
-class CheckRoomPursuit(ExploreRoomPursuit):
-    """Pursuit that checks if a thing is in one room."""
-
-    def __init__(
-        self,
-        destination: CheckTarget,
-        mission: MissionRun,
-        semantic_map: SemanticMap,
-        goals: GoalTracker,
-    ) -> None:
-        super().__init__(destination, mission, semantic_map, goals)
-        self._activity = f"checking for the {destination.name} in"
-        self._answer = CheckAnswer(destination, mission, semantic_map)
-
-    @property
-    def _target_label(self) -> str:
-        return self._answer.label
-
-    def gather(self) -> Sequence[Instance]:
-        return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
-
-    def check_progress(self, context: PolicyInput, images: int) -> None:
-        seen = self._answer.new_detections(context)
-        found = [] if self._inside is None else self._in_room(seen, self._inside)
-        if found:
-            self._answer.answer_yes(found, context)
-        elif not self._answer.time_is_over(context.now_ns):
-            super().check_progress(context, images)
-
-    def end(self, now_ns: int) -> None:
-        self._answer.answer_no("the room is explored", now_ns)
-
-    def _is_reached(self, instance: Instance) -> bool:
-        """Return False: only a new detection counts, and `check_progress` handles those."""
-        return False
-
-    def _in_room(self, instances: Sequence[Instance], room: MappedRoom) -> list[Instance]:
-        xy_m = np.array([one.center_m[:2] for one in instances], np.float32).reshape(-1, 2)
-        return [
-            one for one, inside in zip(instances, self._is_in(xy_m, room), strict=True) if inside
-        ]
-
-
-def _make_explore_pursuit(destination: ExploreTarget, *others: Any) -> Pursuit:
-    pursuit_class = ExploreRoomPursuit if destination.room else ExplorePursuit
-    return pursuit_class(destination, *others)
-
-
-def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
-    pursuit_class = CheckRoomPursuit if destination.room else CheckPursuit
-    return pursuit_class(destination, *others)
-
-
-PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
-    None: Pursuit,
-    PlaceTarget: PlacePursuit,
-    ExploreTarget: _make_explore_pursuit,
-    WaitTarget: WaitPursuit,
-    CheckTarget: _make_check_pursuit,
-    RoomTarget: RoomPursuit,
-}
-"""Pursuit by the class of the destination; `None` is for a thing, which has no destination."""
-
-
-def _time_left(left_s: float) -> str:
+def time_left(left_s: float) -> str:
     """Return a time as text: "5 min left"."""
     return f"{shown_s(math.ceil(max(0.0, left_s)))} left"
 
 
-def _objects_found(semantic_map: SemanticMap, room: MappedRoom | None = None) -> str:
+def objects_found(semantic_map: SemanticMap, room: MappedRoom | None = None) -> str:
     """Return the names of the objects in the map, or in a room, the most frequent first."""
     objects = known_objects(
         semantic_map.objects.read_only, 0, semantic_map.config.perception.min_hits

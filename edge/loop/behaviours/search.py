@@ -2,20 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from edge.config import Config
-from edge.loop.behaviours.pursuits import PURSUITS, Pursuit
+from edge.loop.behaviours.pursuits import (
+    CheckPursuit,
+    ExplorePursuit,
+    PlacePursuit,
+    Pursuit,
+    WaitPursuit,
+)
+from edge.loop.behaviours.room_pursuits import CheckRoomPursuit, ExploreRoomPursuit, RoomPursuit
 from edge.loop.behaviours.room_targets import close_forbidden, known_targets
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
+from edge.mission.destinations import (
+    CheckTarget,
+    ExploreTarget,
+    PlaceTarget,
+    RoomTarget,
+    WaitTarget,
+)
 from edge.mission.run import MissionRun
 from edge.mission.travel_cost import TravelCostEstimator
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
 from edge.types import Goal, Instance
+
+
+def _make_explore_pursuit(destination: ExploreTarget, *others: Any) -> Pursuit:
+    pursuit_class = ExploreRoomPursuit if destination.room else ExplorePursuit
+    return pursuit_class(destination, *others)
+
+
+def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
+    pursuit_class = CheckRoomPursuit if destination.room else CheckPursuit
+    return pursuit_class(destination, *others)
+
+
+PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
+    None: Pursuit,
+    PlaceTarget: PlacePursuit,
+    ExploreTarget: _make_explore_pursuit,
+    WaitTarget: WaitPursuit,
+    CheckTarget: _make_check_pursuit,
+    RoomTarget: RoomPursuit,
+}
+"""Pursuit by the class of the destination; `None` is for a thing, which has no destination."""
 
 
 class SearchBehaviour:

@@ -37,8 +37,8 @@ class Segmentation:
     labels: tuple[str, ...]
 
 
-TruthAt = Callable[[int], "Segmentation | None"]
-"""Returns the segmentation of the image taken at a stamp (ns), or None if there is none.
+TruthAt = Callable[[Observation], "Segmentation | None"]
+"""Returns the segmentation of an observation's image, or None if there is none.
 
 Called on the detector's thread.
 """
@@ -96,7 +96,7 @@ class SimDetector:
 
     Example:
         >>> truth = Segmentation(np.ones((48, 64), np.uint16), ("chair",))
-        >>> detector = SimDetector(config.DetectorSim(), ["chair"], lambda stamp_ns: truth)
+        >>> detector = SimDetector(config.DetectorSim(), ["chair"], lambda seen: truth)
         >>> depth_m = np.full((48, 64), 2.0, np.float32)
         >>> found = detector.detect(Observation(0, 0, np.eye(4), depth_m=depth_m))
         >>> len(found), found.prompts
@@ -136,7 +136,7 @@ class SimDetector:
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; needs depth and a segmentation of the same shape."""
         start_ns = time.perf_counter_ns()
-        truth = self._truth(observation.stamp_ns) if self._truth is not None else None
+        truth = self._truth(observation) if self._truth is not None else None
         depth = observation.depth_m
         if truth is None or depth is None or truth.ids.shape != depth.shape or depth.size == 0:
             raise ValueError(

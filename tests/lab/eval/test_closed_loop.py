@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from small_house import small_house
 
@@ -40,6 +42,35 @@ def test_it_replays_the_same_and_gets_there(tmp_path, sections):
     assert one == other
     assert loops[0].service.status.phase == "reached"
     assert loops[0].distance_m("bed") <= 1.0
+
+
+BACK = {"width_px": 96, "height_px": 64, "yaw_deg": 180.0, "x_m": -0.1, "pitch_deg": 10.0}
+
+
+@pytest.mark.parametrize("second", [None, BACK], ids=["one camera", "two cameras"])
+def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second):
+    """The robot stands with its back to the bed, then drives there."""
+    config = small_house(
+        tmp_path, mission={"target": "bed"}, sim={"start": [4.8, 2.0, math.pi]},
+        sensors={"camera": {"width_px": 80, "height_px": 64}, "second_camera": second},
+    )  # fmt: skip
+    loop = ClosedLoop(config, colour=False)
+    service = loop.service
+    service.pause(True, 0)
+    loop.run(3.0)
+    instances = service.map.tracker.of("bed")
+    assert loop.drive.motion.path_m == pytest.approx(0.0, abs=0.01)
+    assert bool(instances) == (second is not None)
+    for bed in instances:
+        assert math.dist(bed.center_m[:2], (6.8, 2.0)) < 1.2
+    grid = service.map.grid.snapshot()
+    x_m = grid.origin_xy_m[0] + grid.resolution_m * np.nonzero(grid.cells == 100)[1]
+    assert x_m.min() < 4.1, "the wall ahead"
+    assert (x_m.max() > 5.6) == (second is not None), "the bed, in the same map"
+    service.pause(False, loop.drive.motion.stamp_ns)
+    loop.run(60.0)
+    assert (service.status.phase, service.plausibility.failed) == ("reached", ())
+    assert loop.distance_m("bed") <= 1.0
 
 
 @pytest.mark.parametrize(("rate_hz", "ticks"), [(30.0, 20), (10.0, 20), (7.0, 14), (5.0, 10)])
