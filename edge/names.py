@@ -155,6 +155,37 @@ BROADER: dict[str, tuple[str, ...]] = {
 }
 """Canonical name → broader kinds of object, except its last word ("dining table" is a "table")."""
 
+HYPERNYMS: dict[str, tuple[str, ...]] = {
+    "plant": ("bush", "hedge", "vegetation", "fern", "ivy", "flower bed"),
+    "tree": ("pine", "oak", "fir", "birch", "willow", "sapling"),
+    "building": (
+        "shed",
+        "garage",
+        "shop",
+        "store",
+        "kiosk",
+        "barn",
+        "church",
+        "school",
+        "hospital",
+        "hotel",
+        "station",
+        "warehouse",
+        "cabin",
+        "chapel",
+        "villa",
+    ),
+    "vehicle": ("trailer", "caravan", "excavator", "bulldozer", "tram", "lawn mower"),
+    "car": ("pickup", "sedan", "hatchback", "limousine", "police car"),
+    "motorcycle": ("moped",),
+    "person": ("cyclist", "rider", "driver", "worker", "visitor", "passenger", "policeman"),
+    "pole": ("bollard", "pillar", "mast"),
+}
+"""Broader word → kinds of it. A detector that lacks the word for a kind looks for the broader one.
+
+Parts (trunk) and things that only look alike (fence, gate) are not in here.
+"""
+
 NEAR: dict[str, tuple[str, ...]] = {
     "cabinet": ("chest of drawers", "nightstand", "shelf", "tv stand", "wardrobe"),
     "chest of drawers": ("nightstand", "tv stand", "wardrobe"),
@@ -364,6 +395,16 @@ def canonical(word: str) -> str:
     if text in _CANONICAL:
         return _CANONICAL[text]
     return _CANONICAL.get(singular(text), singular(text))
+
+
+def hypernym(word: str) -> str | None:
+    """Return the broader word that stands for a kind in `HYPERNYMS`; None if there is none.
+
+    >>> hypernym("bushes"), hypernym("trunk")
+    ('plant', None)
+    """
+    name = canonical(word)
+    return next((broader for broader, kinds in HYPERNYMS.items() if name in kinds), None)
 
 
 def same_name(a: str, b: str) -> bool:

@@ -51,7 +51,7 @@ _FILTER = {
     "CostmapFilterInfo": (
         "std_msgs/Header header\nuint8 type\nstring filter_mask_topic\nfloat32 base\n"
         "float32 multiplier"
-    ),
+    )
 }
 # Of the branch `ros2`, as in Humble and later.
 _VISION = {

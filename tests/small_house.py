@@ -9,6 +9,8 @@ from typing import Any
 from simulated import simulated
 
 from edge.config import Config
+from edge.lab.eval.closed_loop import ClosedLoop
+from edge.memory import Site
 
 BOX = [(0, 0), (8, 0), (8, 4), (0, 4)]
 HOUSE = {
@@ -33,3 +35,17 @@ def small_house(folder: Path, **sections: Any) -> Config:
     path.write_text(json.dumps(HOUSE))
     sim = {"world": {"kind": "house", "house": str(path)}, **sections.pop("sim", {})}
     return simulated({"sim": sim, **sections})
+
+
+def driven(
+    instruction: str, *items, seconds: float = 150.0, folder: Path | None = None
+) -> ClosedLoop:
+    """Drive a mission in the built-in house, or in the small one, written to a folder."""
+    sections = {
+        "loop": {"lockstep": True},
+        "sim": {"lockstep": True, "step_s": 0.2},
+        "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
+        "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
+    }
+    config = simulated(sections) if folder is None else small_house(folder, **sections)
+    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import edge
-from edge.cli.options import LAB_PACKAGES
+from edge.cli.options import EXTRAS
 
 ROOT = Path(edge.__file__).parent
 # A package imports from itself and from the lines above its own.
@@ -140,7 +140,7 @@ def test_only_lab_imports_what_lab_installs():
         f"{module} -> {target}"
         for module, targets in imports().items()
         for target in targets
-        if room(module) != "lab" and target.split(".")[0] in LAB_PACKAGES
+        if room(module) != "lab" and target.split(".")[0] in EXTRAS["lab"]
     )
     assert outside == []
 
@@ -152,7 +152,7 @@ def test_edge_run_loads_no_lab():
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {*ran.stdout.split()}
     assert "edge.loop.service" in loaded
-    heavy = ("edge.lab", *LAB_PACKAGES, "pandas", "mcp", "edge.mcp_server")
+    heavy = ("edge.lab", *EXTRAS["lab"], "pandas", "mcp", "edge.mcp_server")
     assert not [name for name in loaded if name.startswith(heavy)]
 
 

@@ -150,6 +150,14 @@ def test_same(a, b, expected):
     assert names.same_name(a, b) is expected
 
 
+def test_a_kind_has_one_broader_word():
+    assert names.hypernym("nothing known") is None
+    kinds = [kind for kinds in names.HYPERNYMS.values() for kind in kinds]
+    assert len(kinds) == len(set(kinds))
+    for broader, of_it in names.HYPERNYMS.items():
+        assert {names.hypernym(f"the {kind}") for kind in of_it} == {broader}
+
+
 def test_what_is_near_or_broader_stands_under_its_own_name():
     for table in (names.BROADER, names.NEAR):
         for name, others in table.items():

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from edge.bus.stop import stop_requests
 from edge.cli.console import ConsoleSink
-from edge.cli.options import require_lab
+from edge.cli.options import require_extra
 from edge.cli.preflight import check
 from edge.config import Config, HttpConfig
 from edge.errors import FAILED, Stopped
@@ -120,7 +120,7 @@ def _prepare(config: Config, report: str | None) -> None:
     """Raise UserError if the configuration cannot be run, or the report cannot be written."""
     check(config)
     if report is not None:
-        require_lab()
+        require_extra("lab")
         from edge.lab.report.page import prepare
 
         prepare(report)

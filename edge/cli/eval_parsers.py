@@ -63,11 +63,9 @@ def _add_episodes(  # type: ignore[no-untyped-def]
         help="with --worlds: least size of a target, in m (default: 0)",
     )  # fmt: skip
     option(
-        "--starts",
-        type=count,
-        default=starts,
-        help="number of start poses for each target in each world (default: %(default)s)",
-    )
+        "--starts", type=count, default=starts, help="number of start poses for each target in "
+        "each world (default: %(default)s)",
+    )  # fmt: skip
     option(
         "--per-world", type=count, metavar="N",
         help="keep at most N episodes of each world, drawn at random (default: all)",
@@ -146,8 +144,8 @@ def _add_episodes(  # type: ignore[no-untyped-def]
         help="with --compare: name of the arm that the others are compared with (default: the "
         "first)",
     )  # fmt: skip
-    compare = lazy_handler("edge.lab.eval.comparison.run", "run", lab=True)
-    runs = lazy_handler("edge.lab.eval.runs", "run" if name == "episodes" else name, lab=True)
+    compare = lazy_handler("edge.lab.eval.comparison.run", "run", extra="lab")
+    runs = lazy_handler("edge.lab.eval.runs", "run" if name == "episodes" else name, extra="lab")
     only_runs = ("--episodes", "--plan", "--worlds", "--arm", "--arms", "--out", "--report")
     dispatch_on_option(
         episodes, "--compare", on=compare, on_only=("--baseline",), off=runs, off_only=only_runs
@@ -163,24 +161,18 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     )
     option = planning.add_argument
     option(
-        "--tasks",
-        type=Path,
-        metavar="FILE",
-        help="read the missions from this JSON Lines file (default: generate them)",
-    )
+        "--tasks", type=Path, metavar="FILE", help="read the missions from this JSON Lines file "
+        "(default: generate them)",
+    )  # fmt: skip
     option("--export", type=Path, metavar="FILE", help="write the missions to this file; run none")
     option(
-        "--n",
-        type=count,
-        default=2000,
-        help="number of missions to generate (default: %(default)s)",
-    )
+        "--n", type=count, default=2000, help="number of missions to generate (default: "
+        "%(default)s)",
+    )  # fmt: skip
     option(
-        "--seed",
-        type=seed,
-        default=0,
-        help="seed of the missions and of what explorations find (default: %(default)s)",
-    )
+        "--seed", type=seed, default=0, help="seed of the missions and of what explorations find "
+        "(default: %(default)s)",
+    )  # fmt: skip
     option(
         "--p-obs", type=probabilities, default=_P_OBS, metavar="P,P,…",
         help="values to try for the probability that one exploration finds its target (default: "
@@ -196,11 +188,9 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
         help="number of runs for each mission and probability (default: %(default)s)",
     )  # fmt: skip
     option(
-        "--jobs",
-        type=count,
-        default=cores(),
-        help="number of processes (default: one for each core)",
-    )
+        "--jobs", type=count, default=cores(), help="number of processes (default: one for each "
+        "core)",
+    )  # fmt: skip
     option(
         "--out", type=Path, default=Path("planning-report"), metavar="DIR",
         help="folder for plots and results.json (default: ./%(default)s)",
@@ -219,7 +209,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
         "--llm-tasks", type=count, default=20, metavar="N",
         help="with --llm: number of missions for the language model (default: %(default)s)",
     )  # fmt: skip
-    planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", lab=True))
+    planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", extra="lab"))
 
 
 def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -266,18 +256,14 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
         "also be questions, or things to remember",
     )  # fmt: skip
     option(
-        "--failures",
-        type=Path,
-        metavar="FILE",
-        help="write the instructions that were translated wrongly to this file, as JSON Lines",
-    )
+        "--failures", type=Path, metavar="FILE", help="write the instructions that were "
+        "translated wrongly to this file, as JSON Lines",
+    )  # fmt: skip
     option(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="write the numbers of right and wrong translations to this file, as JSON",
-    )
-    translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", lab=True))
+        "--out", type=Path, metavar="FILE", help="write the numbers of right and wrong "
+        "translations to this file, as JSON",
+    )  # fmt: skip
+    translate.set_defaults(handler=lazy_handler("edge.lab.eval.translate", "run", extra="lab"))
 
 
 def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -300,7 +286,7 @@ def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
         "--goals-only", action="store_true", help="only drive to rooms; do not explore and compare"
     )
     option("--seed", type=int, default=0, help="seed of the start poses (default: %(default)s)")
-    rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", lab=True))
+    rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", extra="lab"))
 
 
 def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
@@ -320,11 +306,9 @@ def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         "a_star', with --url also llm_tg (default: all)",
     )  # fmt: skip
     option(
-        "--limit",
-        type=count,
-        metavar="N",
-        help="run only the first N episodes of each place (default: all)",
-    )
+        "--limit", type=count, metavar="N", help="run only the first N episodes of each place "
+        "(default: all)",
+    )  # fmt: skip
     option(
         "--detector", metavar="CONFIG",
         help="for kitti:FOLDER: find the objects with the detector and segmenter of this "
@@ -350,5 +334,5 @@ def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
         "outcome there are not run again (default: ./%(default)s)",
     )  # fmt: skip
     trajectories.set_defaults(
-        handler=lazy_handler("edge.lab.eval.trajectories.run", "run", lab=True)
+        handler=lazy_handler("edge.lab.eval.trajectories.run", "run", extra="lab")
     )

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.cli.options import require_lab
+from edge import names
+from edge.cli.options import require_extra
 from edge.errors import ConfigError, UserError
 from edge.host import resources
 from edge.text import one_line
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: the name must end in one of {', '.join(_DRAWINGS)}")
     if drawing is not None and drawing.suffix != ".dot":
-        require_lab()
+        require_extra("lab")
     config = load(args.config)
     mission = config.mission
     text, formula = (None, args.text) if args.formula else (args.text, None)
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str]) -> Iterator[str]:
-    """Yield a line for each prompt that the detector's vocabulary lacks.
+    """Yield a line for each prompt that the detector's vocabulary lacks, also by another word.
 
     The encoder itself logs each phrase that it reads as its noun. Without an encoder, or a folder
     with models, there are no lines: `edge doctor` reports that.
@@ -90,7 +91,9 @@ def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str])
         return
     for prompt in prompts:
         try:
-            encoder.resolve(prompt)
+            word = encoder.resolve(prompt)
+            if not names.is_kind_of(prompt, word.partition(" (")[0]):
+                yield f"{prompt}: searched as {word}"
         except PromptError as error:
             yield f"the detector cannot look for it: {error}"
 

@@ -47,7 +47,7 @@ def add_trajectory(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", default="trajectory", metavar="DIR",
         help="folder for the trajectory, its pictures and a web page (default: ./%(default)s)",
     )  # fmt: skip
-    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", lab=True))
+    trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", "run", extra="lab"))
 
 
 def add_worlds(commands) -> None:  # type: ignore[no-untyped-def]
@@ -74,7 +74,9 @@ def add_worlds(commands) -> None:  # type: ignore[no-untyped-def]
         "--floor", type=float, default=0.0, metavar="Z",
         help="height of the floor in the world file, in m (default: 0)",
     )  # fmt: skip
-    importing.set_defaults(handler=lazy_handler("edge.lab.sim.gazebo.convert", "run"))
+    importing.set_defaults(
+        handler=lazy_handler("edge.lab.sim.gazebo.convert", "run", extra="worlds")
+    )
 
 
 def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
@@ -88,12 +90,9 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
     )
     service = bench.add_argument_group("the service")
     service.add_argument(
-        "--seconds",
-        type=positive,
-        default=60.0,
-        metavar="N",
-        help="how long to measure, in s (default: %(default)g)",
-    )
+        "--seconds", type=positive, default=60.0, metavar="N", help="how long to measure, in s "
+        "(default: %(default)g)",
+    )  # fmt: skip
     service.add_argument(
         "--enforce", action="store_true", help="return exit code 1 if a result is over its budget"
     )
@@ -106,11 +105,9 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         "the first `edge bench` makes)"
     )  # fmt: skip
     service.add_argument(
-        "--swap",
-        metavar="NAME",
-        help="switch to the detector with this card halfway, to measure how much that slows the "
-        "loop",
-    )
+        "--swap", metavar="NAME", help="switch to the detector with this card halfway, to measure "
+        "how much that slows the loop",
+    )  # fmt: skip
     trust_option(bench)
     models = bench.add_argument_group("compare models on the same images").add_argument
     models(
@@ -119,18 +116,13 @@ def add_bench(commands) -> None:  # type: ignore[no-untyped-def]
         "detector)",
     )  # fmt: skip
     models(
-        "--images",
-        type=Path,
-        metavar="DIR",
-        help="folder of images (default: images of a simulated house)",
-    )
+        "--images", type=Path, metavar="DIR", help="folder of images (default: images of a "
+        "simulated house)",
+    )  # fmt: skip
     models(
-        "--frames",
-        type=count,
-        default=50,
-        metavar="N",
-        help="number of images (default: %(default)s)",
-    )
+        "--frames", type=count, default=50, metavar="N", help="number of images (default: "
+        "%(default)s)",
+    )  # fmt: skip
     models(
         "--providers",
         metavar="LIST",
@@ -167,11 +159,9 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
         "(default: 120)"
     )  # fmt: skip
     option(
-        "--seed",
-        type=seed,
-        default=0,
-        help="seed of the faults and missions (default: %(default)s)",
-    )
+        "--seed", type=seed, default=0, help="seed of the faults and missions (default: "
+        "%(default)s)",
+    )  # fmt: skip
     option(
         "--faults", metavar="NAME,NAME,…", help="inject only these faults of docs/soak.md "
         "(default: all that the configuration allows)"
@@ -180,4 +170,4 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
         help="folder for the recording, logs and a web page (default: ./%(default)s)",
     )  # fmt: skip
-    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", lab=True))
+    soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", extra="lab"))

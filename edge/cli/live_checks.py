@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from edge.bus.session import BusError, ConnectInterrupted, zenoh_session
-from edge.cli.machine_checks import Finding, Level
+from edge.cli.findings import Finding, Level, fail, ok, warn
 from edge.config import Config
 from edge.geometry import FARTHEST_M
 from edge.loop.plausibility import FailedCheck, Plausibility
@@ -48,10 +48,10 @@ def check_live_sensors(config: Config, seconds: float) -> list[Finding]:
                 source.close()
     except ConnectInterrupted:
         what = f"zenoh.endpoint: no Zenoh router answers at {config.zenoh.address}"
-        return [Finding("fail", what, "start the router, or correct the endpoint")]
+        return [fail(what, "start the router, or correct the endpoint")]
     except BusError as error:
         todo = "stop the service that uses the endpoint, or see its `/readyz` or live view instead"
-        return [Finding("fail", str(error), todo)]
+        return [fail(str(error), todo)]
     finally:
         timer.cancel()
 
@@ -101,9 +101,7 @@ class _SensorMeasurements:
                 missing_inputs(rows)
                 or "no frame has image, depth or cloud, and pose of the same time"
             )
-            yield Finding(
-                "fail", f"sensors give no observation: {why}", "see docs/robot.md, step 5"
-            )
+            yield fail(f"sensors give no observation: {why}", "see docs/robot.md, step 5")
             return
         yield from _check_stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
         for _, observation in sorted(self._newest.items()):
@@ -121,26 +119,26 @@ class _SensorMeasurements:
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
             lens = _LENS[observation.distortion]
             name = "camera2" if observation.camera_index else "camera"
-            yield Finding("ok", f"{name}: {size} wide{lens}; {mount}")
+            yield ok(f"{name}: {size} wide{lens}; {mount}")
         if observation.cloud_m is not None:
             mount = _describe_mount(observation.T_base_lidar, observation.T_base_lidar[:3, 0])
-            yield Finding("ok", f"lidar: {len(observation.cloud_m)} points; {mount}")
+            yield ok(f"lidar: {len(observation.cloud_m)} points; {mount}")
         if observation.depth_m is not None and observation.camera_index == 0:
             valid = np.nanmean(self._valid_shares)
-            yield Finding("ok", f"depth: {valid:.0%} of the pixels have a value")
+            yield ok(f"depth: {valid:.0%} of the pixels have a value")
 
     def _check_floor(self) -> Iterator[Finding]:
         """Check that the floor is measured at the height of the base frame."""
         if not self._lowest_m:
-            yield Finding("ok", "floor: not checked, because no sensor looks down at the floor")
+            yield ok("floor: not checked, because no sensor looks down at the floor")
             return
         lowest_m = float(np.median(self._lowest_m))
         what = f"floor: measured at {lowest_m:+.2f} m in the base frame, expected at 0 m"
         if abs(lowest_m) <= _FLOOR_M:
-            yield Finding("ok", what)
+            yield ok(what)
         else:
             todo = "correct height and pitch of the sensor mount, the base frame or the depth unit"
-            yield Finding("warn", what, f"{todo}; or point the sensor at open floor")
+            yield warn(what, f"{todo}; or point the sensor at open floor")
 
 
 def _check_input(row: InputStatus) -> Iterator[Finding]:
@@ -157,34 +155,32 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
     rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
     if row.is_lacking:
         todo = "see docs/robot.md, step 5" if row.why else "restart the driver that sends it"
-        yield Finding("fail", f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
+        yield fail(f"{rate}, {row.state}{row.why and f': {row.why}'}", todo)
         return
     expected = row.expected_hz
     if expected and not _SLOWEST * expected <= row.hz <= _FASTEST * expected:
         todo = "correct the rate of the driver, or the rate under sensors in the configuration"
-        yield Finding("warn", f"{rate}, configured: {expected:g} Hz", todo)
+        yield warn(f"{rate}, configured: {expected:g} Hz", todo)
     else:
-        yield Finding("ok", rate)
+        yield ok(rate)
     for reason, n in row.dropped.items():
         if reason != "superseded" and n > _DROPPED * row.received:
             share = n / max(row.received, 1)
-            yield Finding(
-                "warn", f"{row}: {share:.0%} dropped: {reason}", "see the log lines above"
-            )
+            yield warn(f"{row}: {share:.0%} dropped: {reason}", "see the log lines above")
 
 
 def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
     """Check that frames are neither old nor in the future."""
     what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
     if -_AHEAD_S <= age_s <= _OLD_S:
-        yield Finding("ok", what)
+        yield ok(what)
     else:
         todo = (
             "synchronise the clocks of the computers (chrony), or speed up the driver or the "
             "network"
         )
-        yield Finding("warn", what, todo)
-    yield Finding("ok", f"poses: the newest pose is {lag_s:.2f} s newer than the newest frame")
+        yield warn(what, todo)
+    yield ok(f"poses: the newest pose is {lag_s:.2f} s newer than the newest frame")
 
 
 def _describe_mount(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:

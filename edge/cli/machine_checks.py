@@ -10,12 +10,11 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Literal
 
+from edge.cli.findings import Finding, Level, fail, ok, warn
 from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
@@ -41,53 +40,33 @@ TEGRA_RELEASE = Path("/etc/nv_tegra_release")
 SHM = Path("/dev/shm")
 _MB = 1 << 20
 
-Level = Literal["ok", "warn", "fail"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the report.
-
-    Attributes:
-        level: `ok`, `warn` or `fail`.
-        what: what was found.
-        todo: what to do; "" if nothing.
-    """
-
-    level: Level
-    what: str
-    todo: str = ""
-
-
-Check = Callable[[Config], Iterator[Finding]]
-
 
 def check_python(config: Config) -> Iterator[Finding]:
     version = sys.version_info[:2]
     what = f"Python {platform.python_version()} on {platform.machine()}"
     if PYTHON_FROM <= version < PYTHON_BELOW:
-        yield Finding("ok", what)
+        yield ok(what)
     else:
         low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
-        yield Finding("fail", f"{what} is not supported", f"install Python >= {low}, < {high}")
+        yield fail(f"{what} is not supported", f"install Python >= {low}, < {high}")
 
 
 def check_cores(config: Config) -> Iterator[Finding]:
     cores = len(os.sched_getaffinity(0))
     if cores >= MIN_CORES:
-        yield Finding("ok", f"{cores} CPU cores")
+        yield ok(f"{cores} CPU cores")
     else:
         todo = f"use at least {MIN_CORES} cores: with 1, a detector on the CPU delays the ticks"
-        yield Finding("warn", f"{cores} CPU core", todo)
+        yield warn(f"{cores} CPU core", todo)
 
 
 def check_speed(config: Config) -> Iterator[Finding]:
     stored = calibration.load()
     if stored is not None:
-        yield Finding("ok", f"speed of {stored.machine}: {stored}")
+        yield ok(f"speed of {stored.machine}: {stored}")
     else:
         todo = f"{calibration.HINT}; until then reports compare with deadlines, not with budgets"
-        yield Finding("warn", "the speed of this computer is not measured yet", todo)
+        yield warn("the speed of this computer is not measured yet", todo)
 
 
 def check_packages(config: Config) -> Iterator[Finding]:
@@ -98,20 +77,21 @@ def check_packages(config: Config) -> Iterator[Finding]:
             versions.append(f"{module} {import_module(module).__version__}")
         except ImportError as error:
             todo = "reinstall edge-vln and all its dependencies"
-            yield Finding("fail", f"{module} cannot be imported: {error}", todo)
+            yield fail(f"{module} cannot be imported: {error}", todo)
     if versions:
-        yield Finding("ok", ", ".join(versions))
+        yield ok(", ".join(versions))
 
 
 def check_opencv(config: Config) -> Iterator[Finding]:
     """Check that only one OpenCV package is installed: all of them share the folder `cv2`."""
-    found = [name for name in OPENCV if _is_installed(name)]
+    found = [name for name in OPENCV if is_installed(name)]
     if len(found) > 1:
         todo = f"pip uninstall {' '.join(found)}, then pip install {OPENCV[0]}"
-        yield Finding("warn", f"{' and '.join(found)} overwrite each other's files", todo)
+        yield warn(f"{' and '.join(found)} overwrite each other's files", todo)
 
 
-def _is_installed(package: str) -> bool:
+def is_installed(package: str) -> bool:
+    """Return True if a package is installed."""
     try:
         metadata.distribution(package)
     except metadata.PackageNotFoundError:
@@ -127,13 +107,13 @@ def check_jetson(config: Config) -> Iterator[Finding]:
     probed, detector = probe(), config.perception.detector
     with_tensorrt = detector.kind == "onnx" and TENSORRT in detector.providers
     if with_tensorrt or (probed is not None and "CUDAExecutionProvider" in probed.ran):
-        yield Finding("ok", f"Jetson: {name}")
+        yield ok(f"Jetson: {name}")
     else:
         todo = (
             "set perception.detector.providers to [tensorrt], or install NVIDIA's onnxruntime-gpu "
             "for this JetPack (docs/install.md)"
         )
-        yield Finding("warn", f"Jetson: {name}: onnxruntime cannot use the GPU", todo)
+        yield warn(f"Jetson: {name}: onnxruntime cannot use the GPU", todo)
 
 
 def check_shared_memory(config: Config) -> Iterator[Finding]:
@@ -141,21 +121,19 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
     if not config.zenoh.shared_memory:
         return
     if not SHM.is_dir():
-        yield Finding(
-            "warn",
-            f"shared memory: {SHM} does not exist",
-            f"mount {SHM}; until then images go over TCP",
+        yield warn(
+            f"shared memory: {SHM} does not exist", f"mount {SHM}; until then images go over TCP"
         )
         return
     size_mb = shutil.disk_usage(SHM).total // _MB
     if size_mb >= MIN_SHM_MB:
-        yield Finding("ok", f"shared memory: {SHM} has {size_mb} MB")
+        yield ok(f"shared memory: {SHM} has {size_mb} MB")
     else:
         todo = (
             f"give {SHM} at least {MIN_SHM_MB} MB, else images may not fit (docker run "
             "--shm-size=256m or --ipc=host)"
         )
-        yield Finding("warn", f"shared memory: {SHM} has {size_mb} MB", todo)
+        yield warn(f"shared memory: {SHM} has {size_mb} MB", todo)
 
 
 def check_stop(config: Config) -> Iterator[Finding]:
@@ -163,13 +141,13 @@ def check_stop(config: Config) -> Iterator[Finding]:
     path = stop_file(config.zenoh.prefix)
     if path is None:
         todo = "set XDG_STATE_HOME to a folder that it can write, else a restart forgets a stop"
-        yield Finding("warn", f"stop: user {os.getuid()} has no home folder", todo)
+        yield warn(f"stop: user {os.getuid()} has no home folder", todo)
     elif reason := read_stop(path):
         todo = "release it with `edge release`; without a service, remove the file"
-        yield Finding("warn", f"stop: the robot is stopped ({path}): {reason}", todo)
+        yield warn(f"stop: the robot is stopped ({path}): {reason}", todo)
     elif not os.access(next(p for p in path.parents if p.exists()), os.W_OK):
         todo = "let the service's user write there, else a restart forgets a stop"
-        yield Finding("warn", f"stop: {path.parent} cannot be written", todo)
+        yield warn(f"stop: {path.parent} cannot be written", todo)
 
 
 def check_cache(config: Config) -> Iterator[Finding]:
@@ -179,7 +157,7 @@ def check_cache(config: Config) -> Iterator[Finding]:
         make_writable(path)
     except OSError as error:
         todo, reason = "set EDGE_CACHE_DIR to another folder", error.strerror or error
-        yield Finding("warn", f"cache folder {path} cannot be written: {reason}", todo)
+        yield warn(f"cache folder {path} cannot be written: {reason}", todo)
         return
     free_mb = shutil.disk_usage(path).free // _MB
     level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
@@ -199,22 +177,19 @@ def check_numba(config: Config) -> Iterator[Finding]:
     before = time.perf_counter()
     kernel = numba.njit(nogil=True)(_add)
     if kernel(2, 3) != 5:
-        yield Finding(
-            "fail",
+        yield fail(
             f"numba {numba.__version__}: a compiled function returns a wrong result",
             "reinstall numba",
         )
         return
     took_s = time.perf_counter() - before
-    yield Finding(
-        "ok", f"numba {numba.__version__} works: compiled a test function in {took_s:.1f} s"
-    )
+    yield ok(f"numba {numba.__version__} works: compiled a test function in {took_s:.1f} s")
     try:
         path = Path(numba.njit(cache=True)(_add).stats.cache_path)
     except RuntimeError:
         todo = (
             "set NUMBA_CACHE_DIR to a writable folder, else every start compiles all kernels again"
         )
-        yield Finding("warn", "numba finds no writable folder for compiled kernels", todo)
+        yield warn("numba finds no writable folder for compiled kernels", todo)
         return
-    yield Finding("ok", f"numba stores compiled kernels in {path}")
+    yield ok(f"numba stores compiled kernels in {path}")

@@ -46,11 +46,9 @@ def add_memory(commands) -> None:  # type: ignore[no-untyped-def]
                 "--room", help="only objects in the room with this name (default: all rooms)"
             )
             action.add_argument(
-                "--since",
-                type=float,
-                metavar="S",
-                help="only objects seen in the last S seconds (default: all)",
-            )
+                "--since", type=float, metavar="S", help="only objects seen in the last S seconds "
+                "(default: all)",
+            )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:

@@ -83,12 +83,9 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
         "--rounds", type=count, metavar="N", help="do the mission N times (default: once)"
     )
     action.add_argument(
-        "--for",
-        dest="for_s",
-        type=positive,
-        metavar="S",
-        help="repeat the mission for S seconds (default: once)",
-    )
+        "--for", dest="for_s", type=positive, metavar="S", help="repeat the mission for S seconds "
+        "(default: once)",
+    )  # fmt: skip
     action.add_argument(
         "--from-pose", type=pose, metavar="X,Y,DEG",
         help="position of the person for instructions such as `come here`: x and y in the map "

@@ -80,11 +80,9 @@ def _add_export_options(action: argparse.ArgumentParser) -> None:
         help="with a folder as --weights: license of the model (default: that of its README.md)",
     )
     option(
-        "--calibration",
-        type=Path,
-        metavar="DIR",
-        help="folder of images to calibrate the quantization with (fp32 needs none)",
-    )
+        "--calibration", type=Path, metavar="DIR", help="folder of images to calibrate the "
+        "quantization with (fp32 needs none)",
+    )  # fmt: skip
     option(
         "--vocabulary", type=Path, help="file of text embeddings (.npz) (default with "
         "--quantize: the one that `edge run` uses)",

@@ -22,22 +22,21 @@ WHERE = (
 """Help of the argument that names the router of a fleet."""
 
 
-LAB_PACKAGES = ("matplotlib", "networkx", "scipy")
-"""Packages that only `edge.lab` imports. The extra `lab` installs them."""
+EXTRAS = {"lab": ("matplotlib", "networkx", "scipy"), "worlds": ("PIL", "collada", "trimesh")}
+"""Extra → packages that it installs, and that commands of `edge.lab` import."""
 
 
-def lazy_handler(module: str, function: str, lab: bool = False) -> Handler:
+def lazy_handler(module: str, function: str, extra: str = "") -> Handler:
     """Return a handler that imports its module when it is called.
 
     Args:
         module: name of the module.
         function: name of the handler in the module.
-        lab: first raise UnavailableError if the packages of the extra `lab` are missing.
+        extra: one of `EXTRAS`; the handler raises UnavailableError if a package of it is missing.
     """
 
     def handler(args: argparse.Namespace) -> int:
-        if lab:
-            require_lab()
+        require_extra(extra)
         return getattr(import_module(module), function)(args)
 
     return handler
@@ -82,13 +81,13 @@ def trust_option(command: argparse.ArgumentParser) -> None:
     command.add_argument("--trust-cache", action="store_true", help=text)
 
 
-def require_lab() -> None:
-    """Raise UnavailableError if a package of the extra `lab` is missing."""
-    missing = [name for name in LAB_PACKAGES if find_spec(name) is None]
+def require_extra(extra: str) -> None:
+    """Raise UnavailableError if a package of an extra is missing; "" needs none."""
+    missing = [name for name in EXTRAS.get(extra, ()) if find_spec(name) is None]
     if missing:
         raise UnavailableError(
             f"{', '.join(missing)}: not installed, but needed by this command; run: pip install "
-            "'edge-vln[lab]'"
+            f"'edge-vln[{extra}]'"
         )
 
 

@@ -92,11 +92,9 @@ def _add_run(commands) -> None:  # type: ignore[no-untyped-def]
         help="exit when the mission has ended (default: keep running)",
     )
     run.add_argument(
-        "--report",
-        metavar="DIR",
-        help="at the end, write a report (web page and picture) to this folder (default: no "
-        "report)",
-    )
+        "--report", metavar="DIR", help="at the end, write a report (web page and picture) to "
+        "this folder (default: no report)",
+    )  # fmt: skip
     run.add_argument(
         "--warm-up",
         action="store_true",
@@ -136,11 +134,9 @@ def _add_demo(commands) -> None:  # type: ignore[no-untyped-def]
     )
     demo.add_argument("--policy", metavar="KIND", help=text)
     demo.add_argument(
-        "--report",
-        metavar="DIR",
-        default="report",
-        help="folder for the report (default: ./report)",
-    )
+        "--report", metavar="DIR", default="report", help="folder for the report (default: "
+        "./report)",
+    )  # fmt: skip
     _add_live_option(demo)
     demo.set_defaults(handler=lazy_handler("edge.cli.main", "demo"))
 
@@ -156,7 +152,7 @@ def _add_mission_options(command: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--formula", metavar="LTL", help="mission: this formula of linear temporal logic (LTL)"
     )
-    text = "mission: drive as told, such as 'go around the left of the sofa, then stop at the desk'"
+    text = "mission: a path in words: 'go around the left of the sofa, then stop at the desk'"
     what.add_argument("--task", metavar="TEXT", help=text)
     mission.add_reading(command)
 
@@ -252,12 +248,9 @@ def _add_record(commands) -> None:  # type: ignore[no-untyped-def]
         "--out", required=True, metavar="FILE", help="MCAP file to write (required)"
     )
     record.add_argument(
-        "--seconds",
-        type=positive,
-        default=60.0,
-        metavar="N",
-        help="how long to record, in s (default: %(default)g)",
-    )
+        "--seconds", type=positive, default=60.0, metavar="N", help="how long to record, in s "
+        "(default: %(default)g)",
+    )  # fmt: skip
     record.set_defaults(handler=lazy_handler("edge.sources.recording", "run"))
 
 
@@ -277,11 +270,9 @@ def _add_play(commands) -> None:  # type: ignore[no-untyped-def]
         "--fast", action="store_true", help="play as fast as possible, and drop no frame"
     )  # fmt: skip
     play.add_argument(
-        "--report",
-        metavar="DIR",
-        help="at the end, write a report (web page and picture) to this folder (default: no "
-        "report)",
-    )
+        "--report", metavar="DIR", help="at the end, write a report (web page and picture) to "
+        "this folder (default: no report)",
+    )  # fmt: skip
     _add_live_option(play)
     play.set_defaults(handler=lazy_handler("edge.cli.main", "play"))
 
@@ -303,12 +294,10 @@ def _add_replay(commands) -> None:  # type: ignore[no-untyped-def]
         help="run the detector on the recorded images (default: take the recorded detections)",
     )
     replay.add_argument(
-        "--trust",
-        action="store_true",
-        help="load the plugins and files that the recorded configuration names; plugins can do "
-        "all that you can, so use --trust only for recordings that you trust (default: refuse to "
-        "load them)",
-    )
+        "--trust", action="store_true", help="load the plugins and files that the recorded "
+        "configuration names; plugins can do all that you can, so use --trust only for recordings "
+        "that you trust (default: refuse to load them)",
+    )  # fmt: skip
     instead = replay.add_argument_group("write a file instead")
     kind = instead.add_mutually_exclusive_group()
     kind.add_argument(

@@ -6,14 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import Discriminator, Field, Tag
 
-from edge.config.section import (
-    MODULE_CLASS,
-    Name,
-    PluginKind,
-    Positive,
-    Section,
-    kind_of,
-)
+from edge.config.section import MODULE_CLASS, Name, PluginKind, Positive, Section, kind_of
 
 SMALL_TRANSLATOR = "mini-translator"
 """Card of the small translation network."""

@@ -25,13 +25,7 @@ from edge.config.mapping import MAX_RADIUS_CELLS, MappingConfig
 from edge.config.mcp import McpConfig
 from edge.config.mission import MissionConfig
 from edge.config.perception import PerceptionConfig
-from edge.config.policy import (
-    UNKNOWN_RADIUS_M,
-    Policy,
-    PolicyAdaptive,
-    PolicyHvl,
-    PolicyPlugin,
-)
+from edge.config.policy import UNKNOWN_RADIUS_M, Policy, PolicyAdaptive, PolicyHvl, PolicyPlugin
 from edge.config.removed import drop_removed_keys
 from edge.config.robot import Camera, MotionConfig, RobotConfig, SensorsConfig
 from edge.config.ros2 import Ros2Config

@@ -218,11 +218,7 @@ def _read_array(content: bytes) -> np.ndarray:
 
 
 def check_arrays(
-    state: Arrays,
-    like: Arrays,
-    rows: Rows,
-    most: Mapping[str, float],
-    unique: tuple[str, ...] = (),
+    state: Arrays, like: Arrays, rows: Rows, most: Mapping[str, float], unique: tuple[str, ...] = ()
 ) -> None:
     """Check the arrays of a file against the `state_dict` of the object that shall load them.
 

@@ -103,14 +103,14 @@ def short_name(machine: Description, gpu: str | None = None) -> str:
     return f"{name}, {jetson['power_mode']}" if "power_mode" in jetson else name
 
 
-def identity(root: Path = _ROOT) -> str:
+def identity() -> str:
     """Return the `short_name` of the computer, with all its cores, as key of a measured speed."""
-    return short_name({"cpu": this_cpu(root), "cores": os.cpu_count(), "jetson": _jetson(root)})
+    return short_name({"cpu": this_cpu(), "cores": os.cpu_count(), "jetson": _jetson(_ROOT)})
 
 
-def boot_id(root: Path = _ROOT) -> str:
+def boot_id() -> str:
     """Return the kernel's id of this boot; "" if it has none."""
-    return text_of(root / "proc/sys/kernel/random/boot_id").strip()[:64]
+    return text_of(_ROOT / "proc/sys/kernel/random/boot_id").strip()[:64]
 
 
 def this_cpu(root: Path = _ROOT) -> str:

@@ -175,12 +175,7 @@ def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
         "mission": {**mission_json(mission), "warnings": list(mission.spec.warnings)},
         "automaton": automaton_json(mission),
         "steps": [
-            {
-                "t_s": step.stamp_ns * _NS,
-                "kind": step.kind,
-                "label": step.label,
-                "text": step.text,
-            }
+            {"t_s": step.stamp_ns * _NS, "kind": step.kind, "label": step.label, "text": step.text}
             for step in mission.log[-MAX_STEPS:]
         ],
         "trail": points(snapshot.trail[:, :2]),

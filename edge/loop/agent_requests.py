@@ -208,10 +208,7 @@ def _check_picture(fields: dict) -> dict:
 
 
 def agent_handlers(
-    service: Service,
-    settings: McpConfig,
-    prepare: Callable[[dict], object],
-    pictures: Pictures,
+    service: Service, settings: McpConfig, prepare: Callable[[dict], object], pictures: Pictures
 ) -> dict[str, tuple[Mapping[str, Verb], Callable[[Request, int], dict]]]:
     """Return verbs and handlers of the two keys; see `edge.loop.requests.request_handlers`.
 

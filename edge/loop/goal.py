@@ -270,12 +270,7 @@ class GoalTracker:
         return self.choose(context, grid, score.astype(np.float32), images)
 
     def go_to_point(
-        self,
-        context: PolicyInput,
-        grid: RollingMap,
-        points_m: np.ndarray,
-        target: str,
-        keep: bool,
+        self, context: PolicyInput, grid: RollingMap, points_m: np.ndarray, target: str, keep: bool
     ) -> Goal | None:
         """Return a goal at the nearest of some points; arriving there does not reach the target.
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from edge.host.calibration import HINT, SpeedCalibration
 from edge.loop.histogram import INTERVAL_BOUNDS_S, STAGE_BOUNDS_S, Histogram, Histograms
-from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS, Stage
+from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS
 
 TICK = "tick"
 NOT_RUN = -1  # duration of a stage that did not run in a tick
@@ -183,12 +183,11 @@ def _cells(row: StageLatency) -> tuple[str, ...]:
     return (name, f"{row.count}", *texts, *limit, f"{row.drops}", _bar(row))
 
 
-def _bar(row: StageLatency, width: int = 10) -> str:
+def _bar(row: StageLatency) -> str:
     """Return p95 as a share of the budget; a full bar that ends in `>` is over the budget."""
     if row.budget_ms is None:
         return ""
-    filled = min(width, round(width * row.p95_ms / row.budget_ms))
-    bar = "#" * filled + "." * (width - filled)
+    bar = f"{'#' * min(10, round(10 * row.p95_ms / row.budget_ms)):.<10}"
     return bar[:-1] + ">" if row.verdict == "over" else bar
 
 
@@ -216,7 +215,6 @@ class LatencyRing:
 
     Args:
         capacity: Number of ticks to keep.
-        stages: The stage table. Stage numbers are positions in it.
         calibration: Calibration of this computer, which scales the budgets. Without it, only
             deadlines count, because 1.5 ms on another computer mean nothing.
 
@@ -232,20 +230,18 @@ class LatencyRing:
     def __init__(
         self,
         capacity: int = 4096,
-        stages: tuple[Stage, ...] = STAGES,
         calibration: SpeedCalibration | None = None,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: must be positive, got {capacity}")
-        self._stages = stages
         self._calibration = calibration
         slowdown = None if calibration is None else calibration.slowdown
-        self._budget_ms = [stage.budget_on(slowdown) for stage in stages]
+        self._budget_ms = [stage.budget_on(slowdown) for stage in STAGES]
         self._tick_budget_ms = TICK_DEADLINE_MS
         if slowdown is not None:
             self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
         self._capacity = capacity
-        n = len(stages)
+        n = len(STAGES)
         # Column n is the tick. Stages of the tick share a write position, others have their own.
         self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
         self._begins_ns = np.zeros(capacity, dtype=np.int64)  # of the ticks
@@ -255,7 +251,7 @@ class LatencyRing:
         self._blank = [NOT_RUN] * (n + 1)
         self._current_ns = list(self._blank)
         self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
-        self._in_tick = tuple(stage.in_tick for stage in stages)
+        self._in_tick = tuple(stage.in_tick for stage in STAGES)
         self._in_tick_columns = np.array([*self._in_tick, True])
         limits_ms = [*self._budget_ms, TICK_DEADLINE_MS]
         self._limit_ns = np.array(
@@ -355,7 +351,7 @@ class LatencyRing:
         rows = tuple(
             StageLatency(s.name, budget_ms, *_summary(window), n, over, dropped, s.in_tick)
             for s, budget_ms, window, n, over, dropped in zip(
-                self._stages, self._budget_ms, windows, count, overruns, drops, strict=False
+                STAGES, self._budget_ms, windows, count, overruns, drops, strict=False
             )
         )
         values = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
@@ -367,7 +363,7 @@ class LatencyRing:
         with self._lock:
             *stages, tick = self._durations.read()
             (interval,) = self._intervals.read()
-        names = (stage.name for stage in self._stages)
+        names = (stage.name for stage in STAGES)
         return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
 
     def spans(self, after_ns: int = 0, before_ns: int | None = None) -> list[Span]:
@@ -386,7 +382,7 @@ class LatencyRing:
             ends_ns = [(i, self._received_ns[at, i], self._spans_ns[at, i]) for i, at in background]
         until_ns = np.iinfo(np.int64).max if before_ns is None else before_ns
         wanted = (begins_ns > after_ns) & (begins_ns <= until_ns)
-        names = [stage.name for stage in self._stages]
+        names = [stage.name for stage in STAGES]
         found: list[Span] = []
         for begin_ns, row in zip(
             begins_ns[wanted].tolist(), spans_ns[wanted].tolist(), strict=True

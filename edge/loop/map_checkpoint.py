@@ -23,13 +23,7 @@ from pydantic import ConfigDict, Field
 
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, wrap_angle
-from edge.host.checkpoint import (
-    Checkpoint,
-    CheckpointFormat,
-    CheckpointWriter,
-    load,
-    set_aside,
-)
+from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
 from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker

@@ -31,7 +31,7 @@ _MAX_NAMES = 20
 
 
 def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
-    """Answer a question, or change the site as told; return the answer in one line.
+    """Answer a question, or change the site as ordered; return the answer in one line.
 
     Raises:
         UserError: it cannot be done. Nothing has changed then.

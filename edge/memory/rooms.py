@@ -47,13 +47,17 @@ _TYPICAL_RATIO = 1.5
 """
 
 
+def _kind_log_ratio(table: ObjectPrior) -> np.ndarray:
+    """Return log P(thing in a room | kind) / P(thing in a room), (kinds, things) float64."""
+    p_object_given_kind = kind_model.object_given_room(table)
+    return np.log(p_object_given_kind / (kind_model.room_prior(table) @ p_object_given_kind))
+
+
 @cache
 def typical_things(kind: str) -> frozenset[str]:
     """Return the things of the prior's table that are clearly more frequent in a kind of room."""
     table = load()
-    # (kinds, things) P(thing in a room | kind of room), and (kinds,) P(kind of room).
-    p_object_given_kind, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
-    ratio = p_object_given_kind[table.kinds.index(kind)] / (prior @ p_object_given_kind)
+    ratio = np.exp(_kind_log_ratio(table)[table.kinds.index(kind)])
     return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
 
 
@@ -211,11 +215,9 @@ class RoomMemory:
         self.survey: RoomSurvey = NO_SURVEY
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
-        # (kinds, things) P(thing in a room | kind of room), and the logarithm of its ratio to the
-        # mean over all kinds.
+        # (kinds, things) P(thing in a room | kind of room).
         self._table, self._p_object_given_kind = table, kind_model.object_given_room(table)
-        average = kind_model.room_prior(table) @ self._p_object_given_kind
-        self._kind_log_ratio = np.log(self._p_object_given_kind / average)
+        self._kind_log_ratio = _kind_log_ratio(table)
         self._index = SeenObjectIndex(words)
         # (regions + 1, kinds), P(kind of room | objects seen) of each region at the last update.
         self._belief = kind_model.room_prior(table)[None]
@@ -458,11 +460,9 @@ class RoomMemory:
 def _reason_text(found: tuple[str, ...], held: np.ndarray) -> str:
     """Return the objects that speak most for some kinds, in words; "" if there are none."""
     table, named = load(), []
-    p_object_given_kind, prior = kind_model.object_given_room(table), kind_model.room_prior(table)
+    log_ratio = _kind_log_ratio(table)
     for kind in found:
-        weights = held * np.log(
-            p_object_given_kind[table.kinds.index(kind)] / (prior @ p_object_given_kind)
-        )
+        weights = held * log_ratio[table.kinds.index(kind)]
         best = [at for at in np.argsort(-weights)[:_REASONS].tolist() if weights[at] > 0.0]
         named += [table.things[at] for at in best]
     return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

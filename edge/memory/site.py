@@ -227,10 +227,7 @@ class Site:
 
     def geojson(self) -> dict[str, Any]:
         """Return the site as a GeoJSON `FeatureCollection`."""
-        return {
-            "type": "FeatureCollection",
-            "features": [item.feature() for item in self.items],
-        }
+        return {"type": "FeatureCollection", "features": [item.feature() for item in self.items]}
 
 
 def memory_geojson(
@@ -381,16 +378,16 @@ class _Collection(_Model):
 _FEATURE: TypeAdapter = TypeAdapter(_Feature)
 
 
-def item_of(feature: object, where: str = "feature") -> Item:
+def item_of(feature: object) -> Item:
     """Return the place, zone or room name of a GeoJSON feature.
 
     Raises:
-        SiteError: the feature is none of these; `where` begins the message.
+        SiteError: the feature is none of these.
     """
     try:
         return _FEATURE.validate_python(feature).item()
     except ValidationError as error:
-        raise SiteError(f"{where}: {_first_error(error)}") from None
+        raise SiteError(f"feature: {_first_error(error)}") from None
 
 
 def site_of(geojson: object, where: str = "site") -> Site:

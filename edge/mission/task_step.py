@@ -12,8 +12,8 @@ class TaskStep:
     Attributes:
         said: its part of the instruction.
         names: targets that must be detected before the step is driven.
-        joined: True if the step refers to the object of the previous step; both are driven
-            together.
+        joined: True if the step refers to the object of the previous step, or depends on the
+            heading at its end; both are driven together.
     """
 
     said: str

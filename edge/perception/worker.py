@@ -110,10 +110,7 @@ class DetectorWorker(ModelWorker[Observation, Detections, Detector]):
     """
 
     def __init__(
-        self,
-        detector: Detector,
-        inline: bool = False,
-        masker: Masker | None = None,
+        self, detector: Detector, inline: bool = False, masker: Masker | None = None
     ) -> None:
         self.masker = masker
         self.previous: Detector | None = None

@@ -342,7 +342,6 @@ def replay(
     session: RecordedRun,
     config: Config | None = None,
     detect: bool = False,
-    each: Callable[[ReplayResult], None] = lambda outcome: None,
 ) -> ReplayResult:
     """Replay a recorded run through a service and compare the decisions.
 
@@ -350,7 +349,6 @@ def replay(
         session: the recorded run.
         config: another configuration than the recorded one; the mission stays the recorded one.
         detect: run the detector on the recorded images instead of using recorded detections.
-        each: called with the result so far, after every page of the journal.
 
     Raises:
         RecordingError: the recording does not begin with the run, or is malformed.
@@ -381,7 +379,6 @@ def replay(
             if step.observation is not None:
                 first_ns = step.observation.stamp_ns if first_ns is None else first_ns
                 outcome.seconds = (step.observation.stamp_ns - first_ns) * 1e-9
-            each(outcome)
         outcome.n_unrecorded, outcome.ended = run.n_unrecorded, session.gap or session.truncation
         outcome.latency_then = session.latency
         if run.service is not None:

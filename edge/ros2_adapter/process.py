@@ -85,12 +85,7 @@ def make_plan(config: Config) -> dict[str, Any]:
         """Return the entry of a topic: names, message type and quality of service."""
         latched = name in LATCHED
         quality = {"reliable": reliable or latched, "latched": latched}
-        return {
-            **names_of(name),
-            "type": kind,
-            **quality,
-            "depth": _DEPTHS.get(name, _DEPTH),
-        }
+        return {**names_of(name), "type": kind, **quality, "depth": _DEPTHS.get(name, _DEPTH)}
 
     reliable_topics = settings.adapter.reliable
     received = [

@@ -91,6 +91,17 @@ def order_clauses(text: str, tokens: list[Token]) -> list[Token]:
     return [*joined, tokens[-1]]
 
 
+def list_in_order(tokens: list[Token]) -> list[Token]:
+    """Return the tokens with "then" between the parts of a list that ends with "in that order"."""
+    if not any(token.kind == "in order" for token in tokens):
+        return tokens
+    return [
+        replace(token, kind="then") if token.kind in ("comma", "and") else token
+        for token in tokens
+        if token.kind != "in order"
+    ]
+
+
 def _has_clear_order(pair: list[_Clause]) -> bool:
     """Return True if it is clear when the second clause of a pair, a dependent one, is driven.
 

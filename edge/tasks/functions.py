@@ -63,12 +63,14 @@ class ScriptFunctions:
     Attributes:
         ground: the ground of the scene.
         limits: limits of trajectories.
+        keep_to: ids of regions that `a_star_plan` prefers if a call names none; empty: any.
         trajectory: the trajectory that `give_trajectory` received; None before.
         shown_trajectories: trajectories that `visual_3d` received, (n, 2 or 3) float64 each.
     """
 
     ground: ReachableGround
     limits: TrajectoryLimits
+    keep_to: tuple[int, ...] = ()
     trajectory: CoarseTrajectory | None = None
     shown_trajectories: list[np.ndarray] = field(default_factory=list)
 
@@ -94,7 +96,7 @@ class ScriptFunctions:
         If the end is not on open ground, the path leads to the nearest such point within 0.5 m.
         """
         start_m, end_m = self._point(start, "start"), self._point(end, "end")
-        chosen = self._regions(regions)
+        chosen = self._regions(regions or self.keep_to)
         goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
         if goal_m is None:
             raise CallError(f"a_star_plan: the end {_point_text(end_m)} cannot be reached")

@@ -16,21 +16,47 @@ PHRASES: dict[str, str] = {
     "filler": "please|you|robot|the robot|can you|could you|would you|will you|now|just|kindly|"
     "i want you to|i need you to|i would like you to|i'd like you to|you should|you must|"
     "you have to|you need to|your task is to|let's|ok|okay",
+    "for me": "for me",
     "first": "first|first of all",
     # Joints between steps.
     "then": "then|and then|after that|and after that|afterwards|and afterwards|finally|and finally|"
     "next|and next",
     "and": "and",
+    "in order": "in that order|in this order",
     # Verbs.
     "go": "go|drive|move|head|navigate|walk|travel|proceed|continue|come|roll|return|steer|get|"
-    "make your way|go on|drive on|keep going|keep driving",
+    "make your way|go on|drive on|keep going|keep driving|run|swing|squeeze|take me|bring me|"
+    "lead me|guide me",
     "pass": "pass|pass by|overtake|bypass",
-    "stop": "stop|halt|park|wait|end|come to a stop|come to a halt",
-    "reach": "approach|reach|visit",
+    "stop": "stop|halt|park|wait|end|come to a stop|come to a halt|stand|pull up|pull over|meet me|"
+    "wait for me|go and stand|go and stop|go and wait",
+    "reach": "approach|reach|visit|head for|make for",
     "leave": "leave|keep",
+    "follow": "follow",
+    "circle": "circle|encircle|once around|once round|in a circle around|all the way around|"
+    "a circle around|a full circle around|a lap around",
+    "clockwise": "clockwise",
+    "counterclockwise": "counterclockwise|anticlockwise|counter clockwise|anti clockwise",
+    "across": "cross|across|cross over|over to the other side of|to the other side of",
+    "turn": "turn|rotate",
+    "turn around": "turn around|turn round|turn back|make a u turn|do a u turn|take a u turn",
+    "degrees": "degrees|degree",
+    # Restrictions of the whole path, and of the distance from its end.
+    "avoid": "avoid|avoiding|but avoid|while avoiding|keep away from|keep clear of|stay clear of|"
+    "stay away from|steer clear of|keeping away from|staying away from|keep off|stay off|"
+    "without going near|without coming near|without getting near",
+    "keep to": "keep to|keep on|stay on|remain on|keeping to|keeping on|staying on|but keep to|"
+    "but stay on",
+    "gap": "but stay|but keep|but stop|but not closer than|but no closer than|not closer than|"
+    "no closer than|at a distance of|from a distance of",
+    "short of": "short of",
+    "away": "away|away from it|from it|short of it|before it",
+    "from behind": "from behind|from the back|from the rear",
+    "until": "until you reach|until you get to|until you come to|until you are at|until reaching",
+    "until level": "until you are next to|until you are beside|until you are level with",
     # Verbs in a clause that depends on another: "after passing the van".
-    "going": "going|driving|moving|heading|steering|gone|driven",
-    "passing": "passing|passing by|passed|passed by|overtaking|bypassing",
+    "going": "going|by going|by driving|driving|moving|heading|steering|gone|driven",
+    "passing": "via|by way of|passing|passing by|passed|passed by|overtaking|bypassing",
     "stopping": "stopping|halting|stopped|halted",
     "reaching": "approaching|reaching|visiting|reached|visited",
     "leaving": "leaving|keeping|with",
@@ -39,9 +65,11 @@ PHRASES: dict[str, str] = {
     "while": "while|whilst",
     "having": "having|you have|you've|you are|you're",
     # Position of an object relative to the path.
-    "to": "to|towards|toward|up to|over to|back to",
+    "to": "to|towards|toward|up to|over to|back to|on your way to|on the way to|"
+    "as close as you can to|as near as you can to|as close as possible to",
     "at": "at|near|next to|beside|close to|by",
-    "past": "past|along",
+    "past": "past",
+    "along": "along|alongside",
     "around": "around|round",
     "between": "between|in between|through between|halfway between|midway between|"
     + "|".join(
@@ -51,6 +79,8 @@ PHRASES: dict[str, str] = {
     ),
     "in front of": "in front of|to the front of|at the front of",
     "behind": "behind|to the back of|at the back of",
+    "halfway": "halfway to|half way to|half the way to|half of the way to",
+    "onto": "onto|on to|into|on|in|enter",
     "straight": "straight|straight on|straight ahead|forward|forwards|ahead",
     "for": "for",
     "metres": "m|metre|metres|meter|meters",
@@ -75,6 +105,18 @@ PHRASES: dict[str, str] = {
 }
 """Kind → its phrases, separated by `|`."""
 
+GROUNDS: dict[str, str] = {
+    "road": "road|street|roadway|asphalt",
+    "sidewalk": "sidewalk|pavement|footpath|walkway",
+    "parking": "parking lot|parking area|parking space|car park",
+    "lawn": "lawn|grass|meadow|terrain",
+    "path": "path|track|trail",
+    "courtyard": "courtyard|yard",
+    "square": "square|plaza",
+}
+"""Kind of ground → its names, separated by `|`. A region is of the kind that its label names."""
+PHRASES["ground"] = "|".join(GROUNDS.values())
+
 # Also with an adverb: "right behind", "directly in front of".
 for _kind in ("at", "in front of", "behind", "here ahead", "here behind", "there"):
     PHRASES[_kind] += "".join(
@@ -96,6 +138,12 @@ for _side in _SIDES:
         )
         for before in (("", "on the ", "on your ", "to the ", "at the ") if to == " " else ("",))
     )  # fmt: skip
+    PHRASES[f"turn {_side}"] = "|".join(
+        f"{verb} {before}{_side}{after}"
+        for verb, befores in (("turn", ("", "to the ", "to your ")), ("make", ("a ",)),
+                              ("take", ("a ", "the ")))
+        for before in befores for after in ("", " turn")
+    )  # fmt: skip
     PHRASES[f"from the {_side}"] = f"from the {_side}|from your {_side}|from {_side}"
     PHRASES[f"{_side} of"] = "|".join(
         f"{before}{_side}{after} of"
@@ -116,6 +164,18 @@ for _side in _SIDES:
         for side in ("", " side", " hand side") for way in ("road", "street", "robot")
     )  # fmt: skip
 
+_GROUND_OF = {name: kind for kind, listed in GROUNDS.items() for name in listed.split("|")}
+
+
+def ground_kind(name: str) -> str:
+    """Return the kind of ground that a word or a region's label names; an unknown one is its own.
+
+    >>> ground_kind("street"), ground_kind("gravel")
+    ('road', 'gravel')
+    """
+    return _GROUND_OF.get(name, name)
+
+
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth")
 NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
@@ -126,18 +186,26 @@ TABLE = {
 LONGEST = max(map(len, TABLE))  # words of the longest phrase
 MOST_DIGITS = 9  # a number with more digits becomes a "mark", which no rule accepts
 
-# One token. Groups: `quoted` and `quote`: text in double or single quotation marks; `ordinal`:
+# One token. Groups: `quoted` and `quote`: text in double or single quotation marks; `remark`:
+# brackets in a name, as in "bow (weapon)"; `ordinal`:
 # "2nd"; `number`: "3.5"; `word`: "van", "van's" or "&"; `dash`: that of "to the van - then stop";
 # `mark`: any other character.
 _TOKEN = re.compile(
     r"""["“](?P<quoted>[^"“”]*\w[^"“”]*)["”]|(?<!\w)['‘](?P<quote>[^'‘’]*\w[^'‘’]*)['’](?!\w)"""
+    r"""|(?P<remark>\((?!the |an? )[^\W\d_]+(?: [^\W\d_]+){0,2}\))"""
     r"""|(?P<ordinal>\d+(?:st|nd|rd|th)\b)|(?P<number>\d+(?:\.\d+)?)"""
     r"""|(?P<word>[^\W\d_]+(?:['’][^\W\d_]+)*|&)"""
     r"""|(?P<dash>(?<=\s)[-–—](?=\s+[^\W\d_]))|(?P<mark>\S)"""
 )
 _HYPHEN = re.compile(r"(?<=[^\W_])-(?=[^\W\d_])")
 """Hyphen between the parts of a word, as in "left-hand". Any other may be a minus and is kept."""
-_PUNCTUATION = {",": "comma", ";": "stop mark", ".": "stop mark", "!": "stop mark"}
+_PUNCTUATION = {
+    ",": "comma",
+    ";": "stop mark",
+    ".": "stop mark",
+    "!": "stop mark",
+    "?": "stop mark",
+}
 
 
 def tokenise(text: str) -> list[Token]:
@@ -145,14 +213,14 @@ def tokenise(text: str) -> list[Token]:
 
     Kinds are those of `PHRASES` and:
 
-    - "word": part of a name or a description; each word in quotes is one.
+    - "word": part of a name or a description; each word in quotes or in brackets is one.
     - "number", "ordinal": the text of an ordinal is its number.
     - "comma", "stop mark" (end of a sentence), "mark" (any other character), "end".
     """
     found: list[tuple[str, str, int, int]] = []  # group of `_TOKEN`, text, start, end
     for match in _TOKEN.finditer(_HYPHEN.sub(" ", text)):
         kind = match.lastgroup or "mark"
-        if kind in ("quoted", "quote"):
+        if kind in ("quoted", "quote", "remark"):
             found += [("quoted", word.lower(), *match.span()) for word in match[kind].split()]
         else:
             found.append((kind, match[0].lower().replace("’", "'"), *match.span()))

@@ -24,19 +24,27 @@ from edge.tasks.functions import (
     Point,
     ScriptFunctions,
 )
-from edge.tasks.reading import (
-    OF_SUFFIX,
-    OTHER_SIDE,
-    InstructionStep,
-    centre_m,
-    object_name,
-    parse_steps,
+from edge.tasks.manoeuvres import (
+    cut_at,
+    cut_before,
+    limited_ground,
+    path_straight_until,
+    point_on,
+    points_across,
+    points_along,
+    points_around,
+    regions_of,
 )
+from edge.tasks.object_phrases import centre_m, object_name
+from edge.tasks.reading import OTHER_SIDE, parse_steps
 from edge.tasks.scene import SceneObject
+from edge.tasks.steps import OF_SUFFIX, InstructionStep
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
 from edge.trajectory.smoothing import resample
 
+PLACES = (1.0, 0.6, 0.3)
+"""Distances next to an object that are tried, in units of `PASSING_DISTANCE_M`."""
 SNAP_M = 1.0
 """Largest distance by which a point of a path is moved to a place that the robot can reach."""
 BEYOND_RAD = math.radians(45)
@@ -68,6 +76,9 @@ def plan_by_rules(
         TrajectoryError: the instruction is understood, but cannot be carried out.
     """
     steps = parse_steps(instruction, functions.ground.scene, step_slice)
+    limits = steps[0].limits
+    functions.ground = limited_ground(functions.ground, limits, functions.limits.clearance_m)
+    functions.keep_to = tuple(regions_of(functions.ground, limits.keep_to))
     pose = functions.ground.scene.pose
     here, heading_rad = (pose.x_m, pose.y_m), pose.yaw_rad
     segments: list[list[Point]] = []
@@ -80,10 +91,14 @@ def plan_by_rules(
             raise TrajectoryError(f"{one_line(step.said, 60)!r}: {error}") from None
         (x0, y0), (x1, y1) = ([here] + segments[-1])[-2:]  # last piece of the path
         here = segments[-1][-1]
-        if (x0, y0) != (x1, y1):
+        if step.kind == "turn":
+            heading_rad += step.turn_rad
+        elif (x0, y0) != (x1, y1):
             heading_rad = math.atan2(y1 - y0, x1 - x0)
     regions = {functions.region_at(at) for segment in segments for at in segment} - {0}
-    functions.give_trajectory(segments, sorted(regions), heading_rad=_facing(steps[-1], here))
+    facing_rad = heading_rad if steps[-1].kind == "turn" else _facing(steps[-1], here)
+    chosen = functions.keep_to or sorted(regions)
+    functions.give_trajectory(segments, chosen, heading_rad=facing_rad)
     return steps
 
 
@@ -110,6 +125,10 @@ def _plan_step(
     """
     at = (here.x_m, here.y_m)
     match step.kind:
+        case "turn":
+            return [[at]]
+        case "straight" if step.things:
+            return [path_straight_until(functions, step.things[0], here)]
         case "straight":
             most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
             if step.distance_m > most_m:
@@ -128,7 +147,19 @@ def _plan_step(
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
         case "beside":
-            points = [_place_next_to(step.things[0], step.side, at, functions)]
+            places = [step.distance_m / PASSING_DISTANCE_M] if step.distance_m else PLACES
+            points = [_place_next_to(step.things[0], step.side, at, functions, places)]
+        case "halfway":
+            points = [functions.stopping_point(step.things[0].id, at)]
+        case "onto":
+            points = [point_on(functions.ground, step.ground, at)]
+        case "across":
+            points = points_across(functions.ground, step.ground, at)
+        case "along":
+            towards = centre_m(following.things[0]) if following and following.things else None
+            points = points_along(functions, step.things[0], here, towards, SNAP_M)
+        case "circle":
+            return [_plan_circle(step, at, functions)]
         case "between":
             wanted = _point_between(step, functions)
             middle = functions.ground.nearest(*wanted, within_m=SNAP_M)
@@ -137,7 +168,29 @@ def _plan_step(
             points = [middle]
         case _:
             return [_plan_past(step, following, at, functions, more_follow)]
-    return [_plan_through(at, points, functions)]
+    path = _plan_through(at, points, functions)
+    if step.kind == "halfway":
+        path = cut_at(path, 0.5 * _length_m(path))
+    elif step.kind == "to" and step.distance_m:
+        path = cut_before(functions, path, step.things[0], step.distance_m)
+    return [path]
+
+
+def _plan_circle(step: InstructionStep, at: Point, functions: ScriptFunctions) -> list[Point]:
+    """Return the shorter path once around an object; without a given side, try both senses."""
+    paths, errors = [], []
+    for side in [step.side] if step.side else ["left", "right"]:
+        try:
+            points = points_around(functions, step.things[0], side, at, SNAP_M)
+            path = _plan_through(at, points, functions)
+            if _turned_rad(step.things[0], side, path)[-1] < math.tau - SNAPPED_RAD:
+                raise CallError(f"the robot cannot drive once around {object_name(step.things[0])}")
+            paths.append(path)
+        except TrajectoryError as error:
+            errors.append(error)
+    if not paths:
+        raise errors[0]
+    return min(paths, key=_length_m)
 
 
 def _plan_past(
@@ -291,16 +344,18 @@ def _plan_through(
 
 
 def _place_next_to(
-    obj: SceneObject, side: str, seen_from: Point, functions: ScriptFunctions
+    obj: SceneObject,
+    side: str,
+    seen_from: Point,
+    functions: ScriptFunctions,
+    distances: Sequence[float] = PLACES,
 ) -> Point:
     """Return a place for the robot on a side of an object, with a clear view of it.
 
-    The place is `PASSING_DISTANCE_M` from the object, or nearer.
+    `distances` are tried in this order, in units of `PASSING_DISTANCE_M` from the object.
     """
     looking_rad = functions.heading(seen_from, centre_m(obj))
-    places = [
-        functions.offset(obj.id, side, k * PASSING_DISTANCE_M, seen_from) for k in (1.0, 0.6, 0.3)
-    ]
+    places = [functions.offset(obj.id, side, k * PASSING_DISTANCE_M, seen_from) for k in distances]
     for point in places:
         found = functions.ground.nearest(*point, within_m=SNAP_M)
         if found is not None and functions.ground.has_clear_view_of(obj, found):

@@ -15,9 +15,9 @@ from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ReachableGround, ground_of
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version
-from edge.tasks.reading import InstructionStep
 from edge.tasks.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
+from edge.tasks.steps import InstructionStep, describe_steps
 from edge.tasks.trajectory import CoarseTrajectory
 from edge.text import one_line
 
@@ -145,14 +145,20 @@ def write_trajectory(
         )
     steps = rules.plan_by_rules(instruction, functions, step_slice)
     assert functions.trajectory is not None
-    understood = "; ".join(map(str, steps))
-    stops_at = steps[-1].things[0].id if steps[-1].kind == "to" else None
+    understood = describe_steps(steps)
+    stops_at = steps[-1].things[0].id if _ends_close(steps[-1]) else None
     stops = [_stop_ids(step) for step in steps]
     if step_slice.stop is None:  # the robot stops after the last step of the instruction
         stops[-1] = tuple(thing.id for thing in steps[-1].things)
     return WrittenTrajectory(
-        instruction, functions.trajectory, ground, understood, stops_at=stops_at, stops=tuple(stops)
-    )
+        instruction, functions.trajectory, functions.ground, understood,
+        stops_at=stops_at, stops=tuple(stops),
+    )  # fmt: skip
+
+
+def _ends_close(step: InstructionStep) -> bool:
+    """Return True if a step ends as near to its object as the robot gets."""
+    return step.kind == "to" and not step.distance_m
 
 
 def _stop_ids(step: InstructionStep) -> tuple[int, ...]:

@@ -12,15 +12,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from ros_messages import (
-    DOCK_FAREWELLS,
-    FAREWELLS,
-    STORE,
-    UNDOCK_FAREWELLS,
-    header,
-    pose,
-    to_ros,
-)
+from ros_messages import DOCK_FAREWELLS, FAREWELLS, STORE, UNDOCK_FAREWELLS, header, pose, to_ros
 from ros_robots import LOCALIZED
 
 import edge
@@ -244,7 +236,7 @@ DECODERS = {
                 "height": 2,
                 "width": 4,
                 "intrinsics": [3.0, 3.0, 1.5, 0.5],
-            },
+            }
         ),
         (),
     ),

@@ -42,14 +42,7 @@ def why(endpoint: str) -> str | None:
     return diagnose_refusal(endpoint, session_config(settings, "connect"), "zenoh.client_file")
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        "tcp/127.0.0.1:{}",
-        "tls/127.0.0.1:{}",
-        "quic/127.0.0.1:{}",
-    ],
-)
+@pytest.mark.parametrize("place", ["tcp/127.0.0.1:{}", "tls/127.0.0.1:{}", "quic/127.0.0.1:{}"])
 def test_nobody_refuses(place):
     assert why(place.format(free_port())) is None
 

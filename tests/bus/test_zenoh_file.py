@@ -231,8 +231,7 @@ def test_secrets_that_others_can_read(settings, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [PASSWORD % "", '{transport: {link: {tls: {connect_private_key_base64: "SENTINEL"}}}}'],
+    "text", [PASSWORD % "", '{transport: {link: {tls: {connect_private_key_base64: "SENTINEL"}}}}']
 )
 def test_a_file_with_a_secret_in_it_is_one(settings, text):
     said = settings(text)

@@ -112,14 +112,7 @@ def test_a_configuration_that_is_not_there(command, capsys):
     assert "cpu, demo" in error
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("run", "demo"),
-        ("demo", "demo"),
-        ("eval", "episodes", "demo"),
-    ],
-)
+@pytest.mark.parametrize("words", [("run", "demo"), ("demo", "demo"), ("eval", "episodes", "demo")])
 def test_a_report_that_cannot_be_written_fails_before_the_run(words, tmp_path, capsys):
     (tmp_path / "file").write_text("in the way")
     report = str(tmp_path / "file" / "report")

@@ -146,9 +146,7 @@ def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a"],
-    ids=lambda value: value[:20],
+    "text", ["!" * 5_000 + "F a", "F a & " * 2_000 + "F a"], ids=lambda value: value[:20]
 )
 def test_of_a_formula_however_long_a_line_is_shown(text):
     lines = explained(text, formula=True)
@@ -169,14 +167,15 @@ def test_what_is_asked_too_much_of_says_which_key_to_raise():
 
 
 def test_words_that_the_detector_lacks_are_told(tmp_path, capsys):
-    np.savez(tmp_path / "words.npz", names=["chair"], emb=np.eye(1, 512))
+    np.savez(tmp_path / "words.npz", names=["chair", "houseplant"], emb=np.eye(2, 512))
     detector = f"kind: onnx, vocabulary: {tmp_path / 'words.npz'}"
     (tmp_path / "robot.yaml").write_text(f"perception: {{detector: {{{detector}}}}}\n")
     args = argparse.Namespace(
-        text="F chair & F zebra", formula=True, reading=None, draw=None,
+        text="F chair & F zebra & F bush", formula=True, reading=None, draw=None,
         config=str(tmp_path / "robot.yaml"),
     )  # fmt: skip
     assert explain.run(args) == 0
     warnings = [row for row in capsys.readouterr().out.split("\n") if row.startswith("warning")]
-    assert len(warnings) == 1
+    assert len(warnings) == 2
     assert "cannot look for it: prompt 'zebra': not in the vocabulary words.npz" in warnings[0]
+    assert warnings[1] == "warning:     bush: searched as houseplant"

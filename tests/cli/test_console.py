@@ -121,14 +121,8 @@ def test_a_terminal_gets_one_line_that_fits(wall):
 @pytest.mark.parametrize(
     ("task", "line"),
     [
-        (
-            looking(),
-            f"looking for van, gate, to {INSTRUCTION} | step 1 of 2 | no goal | 0 seen |",
-        ),
-        (
-            looking(missing=()),
-            f"looking for what is around, to {INSTRUCTION} | step 1 of 2 |",
-        ),
+        (looking(), f"looking for van, gate, to {INSTRUCTION} | step 1 of 2 | no goal | 0 seen |"),
+        (looking(missing=()), f"looking for what is around, to {INSTRUCTION} | step 1 of 2 |"),
         (looking(phase="writing"), f"writing {INSTRUCTION} | step 1 of 2 | by rules | map"),
         (
             looking(phase="failed", writer="a\x1b[2J", rounds=by_a_model().rounds),

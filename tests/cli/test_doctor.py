@@ -16,7 +16,8 @@ from simulated import simulated
 
 from edge import config
 from edge.bus.session import open_session
-from edge.cli import doctor, machine_checks
+from edge.cli import bus_checks, doctor, machine_checks, model_checks
+from edge.cli.findings import Check, Finding
 from edge.cli.onnx_probe import CPU, ProbeResult
 from edge.cli.parsers import make_parser
 from edge.host import calibration, machine, resources
@@ -39,7 +40,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def levels(check: machine_checks.Check, settings: config.Config = SIM) -> list[str]:
+def levels(check: Check, settings: config.Config = SIM) -> list[str]:
     return [finding.level for finding in check(settings)]
 
 
@@ -68,7 +69,7 @@ def test_this_machine_runs_the_embedded_default(capsys):
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 0), ("fail", 1)])
 def test_only_a_failure_gives_exit_code_1(monkeypatch, capsys, level, code):
-    finding = machine_checks.Finding(level, "a thing", "do this")
+    finding = Finding(level, "a thing", "do this")
     monkeypatch.setattr(doctor, "CHECKS", (lambda _: iter([finding]),))
     args = command()
     assert args.handler(args) == code
@@ -88,8 +89,7 @@ def test_a_check_that_breaks_is_a_finding(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("version", "level"),
-    [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")],
+    ("version", "level"), [((3, 9), "fail"), ((3, 10), "ok"), ((3, 13), "ok"), ((3, 14), "fail")]
 )
 def test_python(monkeypatch, version, level):
     monkeypatch.setattr(machine_checks.sys, "version_info", version)
@@ -102,7 +102,7 @@ def test_how_fast_this_computer_is(cache):
     cache.mkdir()
     calibration.save(calibration.SpeedCalibration(machine.identity(), 1.8, {}))
     (known,) = machine_checks.check_speed(SIM)
-    assert known == machine_checks.Finding(
+    assert known == Finding(
         "ok", f"speed of {machine.identity()}: 1.8 times slower than the reference computer"
     )
 
@@ -191,24 +191,24 @@ def test_a_cache_that_cannot_be_written(cache):
 
 
 def test_no_message_over_zenoh(monkeypatch):
-    assert doctor.loopback_ms(PATIENCE_S) > 0
-    monkeypatch.setattr(doctor, "loopback_ms", lambda _: None)
-    (finding,) = doctor.check_zenoh(SIM)
+    assert bus_checks.loopback_ms(PATIENCE_S) > 0
+    monkeypatch.setattr(bus_checks, "loopback_ms", lambda _: None)
+    (finding,) = bus_checks.check_zenoh(SIM)
     assert finding.level == "fail"
     assert "127.0.0.1" in finding.todo
 
 
 def test_an_endpoint_that_is_taken():
     settings = simulated({"zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}"}})
-    assert levels(doctor.check_endpoint, settings) == ["ok"]
+    assert levels(bus_checks.check_endpoint, settings) == ["ok"]
     with open_session(settings.zenoh, "listen"):
-        assert levels(doctor.check_endpoint, settings) == ["warn"]
+        assert levels(bus_checks.check_endpoint, settings) == ["warn"]
 
 
 def test_who_may_come_in(tmp_path):
-    assert levels(doctor.check_access) == []
+    assert levels(bus_checks.check_access) == []
     open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
-    (finding,) = doctor.check_access(open_)
+    (finding,) = bus_checks.check_access(open_)
     assert finding.level == "warn"
     assert finding.what.startswith(
         "tcp/0.0.0.0:7447 is open: every client that reaches it may command"
@@ -219,17 +219,17 @@ def test_who_may_come_in(tmp_path):
     file = tmp_path / "service.json5"
     file.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
     shut = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447", "file": str(file)}})
-    (finding,) = doctor.check_access(shut)
+    (finding,) = bus_checks.check_access(shut)
     assert (finding.level, finding.todo) == ("warn", f"chmod o= {users}")
     users.chmod(0o600)
-    assert levels(doctor.check_access, shut) == []
+    assert levels(bus_checks.check_access, shut) == []
 
 
 def test_rules_for_another_prefix_give_a_warning():
     rules = str(resources.data_dir("config") / "secure" / "password-service.json5")
     for prefix, expected in {"edge": [], "robots/a": ["warn"]}.items():
         settings = simulated({"zenoh": {"file": rules, "prefix": prefix}})
-        assert levels(doctor.check_access, settings) == expected
+        assert levels(bus_checks.check_access, settings) == expected
 
 
 def test_the_token_of_the_pages_is_looked_at(tmp_path):
@@ -238,10 +238,10 @@ def test_the_token_of_the_pages_is_looked_at(tmp_path):
     assert [f.level for f in doctor.examine(settings) if str(token) in f.what] == ["fail"]
     token.write_text("0123456789abcdef")
     token.chmod(0o604)
-    (finding,) = doctor.check_access(settings)
+    (finding,) = bus_checks.check_access(settings)
     assert (finding.level, finding.todo) == ("warn", f"chmod o= {token}")
     token.chmod(0o600)
-    assert levels(doctor.check_access, settings) == []
+    assert levels(bus_checks.check_access, settings) == []
 
 
 def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
@@ -263,9 +263,9 @@ def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
     ],
 )
 def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
-    monkeypatch.setattr(doctor, "_is_installed", lambda package: package in installed)
-    monkeypatch.setattr(doctor, "probe", lambda: probed)
-    findings = list(doctor.check_onnxruntime(settings))
+    monkeypatch.setattr(model_checks, "is_installed", lambda package: package in installed)
+    monkeypatch.setattr(model_checks, "probe", lambda: probed)
+    findings = list(model_checks.check_onnxruntime(settings))
     assert [finding.level for finding in findings] == expected
     assert all(finding.todo for finding in findings if finding.level != "ok")
 
@@ -273,7 +273,7 @@ def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
 def test_an_onnxruntime_that_crashes_is_one_line(monkeypatch):
     """And nothing that would have it crash in this process is tried after that."""
     dead = ProbeResult("1.23", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}")
-    monkeypatch.setattr(doctor, "probe", lambda: dead)
+    monkeypatch.setattr(model_checks, "probe", lambda: dead)
     monkeypatch.setattr(machine_checks, "probe", lambda: dead)
     crashing = ("check_onnxruntime", "check_vocabulary", "check_scorers")
     checks = [check for check in doctor.CHECKS if check.__name__ in crashing]
@@ -292,33 +292,33 @@ def test_an_onnxruntime_that_crashes_is_one_line(monkeypatch):
 
 
 def test_tensorrt(monkeypatch):
-    assert levels(doctor.check_tensorrt, ONNX) == []
+    assert levels(model_checks.check_tensorrt, ONNX) == []
     monkeypatch.setitem(sys.modules, "tensorrt", None)  # not to be had
-    (finding,) = doctor.check_tensorrt(TENSORRT)
+    (finding,) = model_checks.check_tensorrt(TENSORRT)
     assert (finding.level, "JetPack" in finding.todo) == ("fail", True)
     monkeypatch.setitem(sys.modules, "tensorrt", SimpleNamespace(__version__="10.3.0"))
-    monkeypatch.setattr(doctor.cuda, "Device", lambda index: None)
-    assert levels(doctor.check_tensorrt, TENSORRT) == ["ok"]
+    monkeypatch.setattr(model_checks.cuda, "Device", lambda index: None)
+    assert levels(model_checks.check_tensorrt, TENSORRT) == ["ok"]
 
 
 def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
     monkeypatch.setattr(resources, "data_dir", lambda _: tmp_path)
-    assert levels(doctor.check_models) == ["warn"]
-    (finding,) = doctor.check_models(ONNX)
+    assert levels(model_checks.check_models) == ["warn"]
+    (finding,) = model_checks.check_models(ONNX)
     assert finding.level == "fail"
     assert "made-up" in finding.what
 
 
 def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
     """Models of the package are present; a similarity card has no file."""
-    *here, others = doctor.check_models(SIM)
+    *here, others = model_checks.check_models(SIM)
     assert {f.level for f in (*here, others)} == {"ok"}
     assert re.match(r"\d+ other models are not on this machine", others.what)
     assert not any("similarity" in f.what for f in here)
     broken = cache / "models" / "yolo-world-s-256x320-fp32.onnx"
     broken.parent.mkdir(parents=True)
     broken.write_bytes(b"")
-    (finding,) = (f for f in doctor.check_models(SIM) if f.level != "ok")
+    (finding,) = (f for f in model_checks.check_models(SIM) if f.level != "ok")
     assert (finding.level, str(broken) in finding.what) == ("warn", True)
 
 
@@ -335,7 +335,7 @@ def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
 )
 def test_a_model_that_the_configuration_names_must_be_here(named):
     (finding,) = (
-        f for f in doctor.check_models(simulated({"perception": named})) if f.level != "ok"
+        f for f in model_checks.check_models(simulated({"perception": named})) if f.level != "ok"
     )
     assert finding.level == "fail"
     assert "edge models" in finding.todo
@@ -356,18 +356,18 @@ def test_classes_that_the_configuration_names(sections, says):
 
 
 def test_vocabulary(monkeypatch, tmp_path):
-    assert levels(doctor.check_vocabulary) == ["warn"]
-    assert levels(doctor.check_vocabulary, ONNX) == ["fail"]
+    assert levels(model_checks.check_vocabulary) == ["warn"]
+    assert levels(model_checks.check_vocabulary, ONNX) == ["fail"]
     path = tmp_path / "words.npz"
     np.savez(path, names=np.array(["chair"]), emb=np.ones((1, 512), np.float16))
     monkeypatch.setenv("EDGE_VOCABULARY", str(path))
     detector = {"kind": "onnx", "model": "yolo-world-s-256x320-int8-cpu"}
     for target, level in (("chair", "ok"), ("zebra crossing", "fail")):
         settings = simulated({"perception": {"detector": detector}, "mission": {"target": target}})
-        assert levels(doctor.check_vocabulary, settings) == [level]
+        assert levels(model_checks.check_vocabulary, settings) == [level]
     detector["background"] = ["zebra", "chair", "heron"]
     settings = simulated({"perception": {"detector": detector}, "mission": {"target": "chair"}})
-    ok, unknown = doctor.check_vocabulary(settings)
+    ok, unknown = model_checks.check_vocabulary(settings)
     assert (ok.level, unknown.level) == ("ok", "warn")
     assert "does not know 2 of the 3 words of perception.detector.background" in unknown.what
     assert "zebra, heron" in unknown.todo
@@ -383,7 +383,7 @@ def test_vocabulary(monkeypatch, tmp_path):
     ],
 )
 def test_scorers(perception, expected, words):
-    findings = list(doctor.check_scorers(simulated({"perception": perception})))
+    findings = list(model_checks.check_scorers(simulated({"perception": perception})))
     assert [finding.level for finding in findings] == expected
     assert all(words in finding.what and finding.what.isprintable() for finding in findings)
 
@@ -394,8 +394,8 @@ def test_a_choice_scorers_server_is_looked_for():
         settings = simulated(
             {"perception": {"choice": {"kind": "openai", "url": url, "model": "m"}}}
         )
-        assert levels(doctor.check_scorers, settings) == ["ok"]
-    found = list(doctor.check_scorers(settings))
+        assert levels(model_checks.check_scorers, settings) == ["ok"]
+    found = list(model_checks.check_scorers(settings))
     assert [finding.level for finding in found] == ["ok", "warn"]
     assert url in found[1].what
 

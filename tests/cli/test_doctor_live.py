@@ -13,6 +13,7 @@ import pytest
 from simulated import simulated
 
 from edge.cli import doctor
+from edge.cli.findings import Finding
 from edge.cli.live_checks import check_live_sensors
 from edge.cli.parsers import make_parser
 from edge.config import Config
@@ -172,7 +173,7 @@ def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code
     monkeypatch.setattr(
         doctor,
         "check_live_sensors",
-        lambda config, seconds: [doctor.Finding(level, f"heard {seconds:g} s")],
+        lambda config, seconds: [Finding(level, f"heard {seconds:g} s")],
     )
     args = make_parser().parse_args(["doctor", "--live", "demo", "--seconds", "3"])
     assert args.handler(args) == code

@@ -71,10 +71,7 @@ def test_it_is_not_installed(monkeypatch):
         (
             "raise ImportError('libgomp.so.1: no such file')",
             ProbeResult(
-                "",
-                (),
-                (),
-                "fails when it is imported: ImportError: libgomp.so.1: no such file",
+                "", (), (), "fails when it is imported: ImportError: libgomp.so.1: no such file"
             ),
         ),
         (

@@ -244,10 +244,7 @@ def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monk
     assert sharing.ended() == {"bed": ("reached", "anna")}
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [b"", b'{"phase": "searching"}', b"\xff" * 1000],
-)
+@pytest.mark.parametrize("answer", [b"", b'{"phase": "searching"}', b"\xff" * 1000])
 def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, answer):
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:

@@ -163,9 +163,7 @@ def heard_by(session: zenoh.Session, prefix: str, least: set[str]) -> set[str]:
     """Return the keys with messages, once each of `least` has had enough."""
     rings = {
         key: session.declare_subscriber(
-            f"{prefix}/{key}",
-            zenoh.handlers.RingChannel(8),
-            allowed_origin=zenoh.Locality.REMOTE,
+            f"{prefix}/{key}", zenoh.handlers.RingChannel(8), allowed_origin=zenoh.Locality.REMOTE
         )
         for key in EVERY
     }

@@ -62,6 +62,13 @@ def painted(tab: Tab, canvas: str) -> int:
     )
 
 
+def order(page: Tab, words: str) -> None:
+    """Send words from the dialog for a new mission."""
+    page.click("#new")
+    page.type("#words", words)
+    page.click("#new-ok")
+
+
 def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     page.says("#english", "bed")
     page.says("#health", "running, ready")
@@ -119,18 +126,14 @@ def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
 
 
 def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
-    page.click("#new")
-    page.type("#words", "find the sofa")
-    page.click("#new-ok")
+    order(page, "find the sofa")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#instruction", "find the sofa")
     assert house.service.mission.spec.targets == ("sofa",)
 
 
 def test_a_wait_is_shown_and_ends_by_the_button(page, house):
-    page.click("#new")
-    page.type("#words", 'go to "wait"')
-    page.click("#new-ok")
+    order(page, 'go to "wait"')
     page.says("#phase", "WAITING")
     page.says("#reason", "now: wait; waiting until told to go on")
     page.says("#pause", "Go on")
@@ -139,18 +142,14 @@ def test_a_wait_is_shown_and_ends_by_the_button(page, house):
 
 
 def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
-    page.click("#new")
-    page.type("#words", INSTRUCTION)
-    page.click("#new-ok")
+    order(page, INSTRUCTION)
     page.until("!document.getElementById('new-error').hidden")
     assert page.run("document.querySelector('#new-error b')") is None
     assert house.service.mission.spec.targets == ("bed",)
 
 
 def test_of_several_readings_the_page_lets_one_choose(page, house):
-    page.click("#new")
-    page.type("#words", "the sofa must be visited before the bed")
-    page.click("#new-ok")
+    order(page, "the sofa must be visited before the bed")
     page.until("document.querySelectorAll('#readings button').length === 3")
     page.says("#new-error", "This can be read in several ways. Which one do you mean?")
     assert house.service.mission.spec.targets == ("bed",)
@@ -161,9 +160,7 @@ def test_of_several_readings_the_page_lets_one_choose(page, house):
 
 
 def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
-    page.click("#new")
-    page.type("#words", "vist the sofa")
-    page.click("#new-ok")
+    order(page, "vist the sofa")
     page.until("document.querySelectorAll('#readings button').length === 1")
     page.says("#new-error", "Is this what you mean?")
     page.says("#readings", "1. Reach the sofa.")
@@ -185,9 +182,7 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
         for part in ("#formula", "#automaton", "#plan", "#note"):
             assert tab.text(part) == ""  # of the mission that it was made ready for
         assert tab.run("document.getElementById('pause').disabled")
-        tab.click("#new")
-        tab.type("#words", "find the sofa")
-        tab.click("#new-ok")
+        order(tab, "find the sofa")
         tab.says("#formula", "F sofa")
         tab.until("document.getElementById('phase').innerText !== 'IDLE'")
         tab.until("document.querySelectorAll('#automaton circle').length >= 3")

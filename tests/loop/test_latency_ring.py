@@ -170,8 +170,7 @@ def test_a_tick_allocates_nothing_that_stays():
 
 
 @given(
-    durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60),
-    capacity=st.integers(1, 40),
+    durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60), capacity=st.integers(1, 40)
 )
 def test_histograms_hold_all_since_the_start_whatever_the_ring_keeps(durations, capacity):
     ring = LatencyRing(capacity)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
-from simulated import simulated
-from small_house import HOUSE, small_house
+from small_house import HOUSE, driven
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
@@ -21,20 +19,6 @@ from edge.mission.spec import prepare
 
 LIVING, KITCHEN = (1.6, 1.4), (8.5, 2.0)
 KITCHEN_X_M, KITCHEN_Y_M = (6.0, 11.0), (0.0, 4.0)  # of the built-in house
-
-
-def driven(
-    instruction: str, *items, seconds: float = 90.0, folder: Path | None = None
-) -> ClosedLoop:
-    """Drive a mission in the built-in house, or in the small one, written to a folder."""
-    sections = {
-        "loop": {"lockstep": True},
-        "sim": {"lockstep": True, "step_s": 0.2},
-        "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
-        "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
-    }
-    config = simulated(sections) if folder is None else small_house(folder, **sections)
-    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
 
 
 def ask(loop: ClosedLoop, verbs=SITE_VERBS, handle=handle_site, **request) -> dict:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
-from simulated import simulated
-from small_house import BOX, HOUSE, small_house
+from small_house import BOX, HOUSE, driven
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
@@ -24,20 +21,6 @@ FAR = Place("dock", SE2(4.0, 2.0, 1.57))
 def square(x_m: float, y_m: float, half_m: float) -> tuple[tuple[float, float], ...]:
     corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     return tuple((x_m + a * half_m, y_m + b * half_m) for a, b in corners)
-
-
-def driven(
-    instruction: str, *items, seconds: float = 150.0, folder: Path | None = None
-) -> ClosedLoop:
-    """Drive a mission in the built-in house, or in the small one, written to a folder."""
-    sections = {
-        "loop": {"lockstep": True},
-        "sim": {"lockstep": True, "step_s": 0.2},
-        "mission": {"instruction": instruction, "translator": {"kind": "grammar"}},
-        "sensors": {"camera": {"width_px": 160, "height_px": 128}},  # sees enough
-    }
-    config = simulated(sections) if folder is None else small_house(folder, **sections)
-    return ClosedLoop(config, colour=False, site=Site(items)).run(seconds)
 
 
 def ask(loop: ClosedLoop, payload: str) -> dict:

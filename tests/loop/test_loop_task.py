@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import groupby
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from chat_server import ChatServer, saying, serving
 from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.behaviours import plan_worker
+from edge.loop.behaviours import follow, plan_worker
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.metrics import SERVICE_METRICS
 from edge.loop.requests import handle_mission, mission_verbs
@@ -20,7 +22,7 @@ from edge.loop.service import Service
 from edge.loop.status import status_message
 from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
-from edge.tasks.reading import AmbiguousObjectError
+from edge.tasks.object_phrases import AmbiguousObjectError
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
@@ -131,6 +133,34 @@ def test_what_it_may_be_any_of_when_all_are_known_ends_it(monkeypatch):
     assert (status.phase, status.reason) == ("failed", "it may be any of these")
     assert [one.state for one in loop.service.map.tracker.of("oven")] == ["confirmed"]
     assert "trajectory" not in {goal.kind for goal in loop.notes.goals}
+
+
+def first_plan(task: str, monkeypatch) -> tuple[plan_worker.PlanRequest, plan_worker.PlanResult]:
+    """Return the first request for a trajectory that can be driven from `START`, and its result."""
+    plans = []
+
+    def run(request):
+        result = plan_worker.run_request(request)
+        if isinstance(request, plan_worker.PlanRequest):
+            plans.append((request, result))
+        return result
+
+    monkeypatch.setattr(follow, "run_request", run)
+    until(closed(task, sim={"lockstep": True, "step_s": 0.2, "start": START}), "driving")
+    return plans[-1]
+
+
+def test_what_is_avoided_is_avoided_when_the_path_is_refined_again(monkeypatch):
+    _, near = first_plan(TO_THE_OVEN, monkeypatch)
+    request, away = first_plan(f"{TO_THE_OVEN}, avoiding the sink", monkeypatch)
+    (sink,) = (one for one in request.instances if one.label == "sink")
+    refined = plan_worker.run_request(replace(request, before=near, index=0))
+    gaps_m = [
+        np.hypot(*(plan.refined.poses[:, :2] - sink.center_m[:2]).T).min()
+        for plan in (near, away, refined)
+    ]
+    assert gaps_m[0] < 1.3
+    assert min(gaps_m[1:]) > 1.7
 
 
 def states(loop: ClosedLoop) -> list[str]:

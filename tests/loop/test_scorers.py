@@ -209,8 +209,7 @@ def test_what_stands_around_is_told_too():
 
 
 @pytest.mark.parametrize(
-    "perception",
-    [{"similarity": "made-up"}, {"similarity": "yolo-world-s-256x320-int8-cpu"}],
+    "perception", [{"similarity": "made-up"}, {"similarity": "yolo-world-s-256x320-int8-cpu"}]
 )
 def test_bad_cards_are_one_line_at_the_start(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):

@@ -230,10 +230,7 @@ BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
 
 @pytest.mark.parametrize(
     ("policy", "perception"),
-    [
-        ({"kind": "adaptive"}, RELATED),
-        ({"kind": "adaptive", "by": "choice"}, BY_PRIOR),
-    ],
+    [({"kind": "adaptive"}, RELATED), ({"kind": "adaptive", "by": "choice"}, BY_PRIOR)],
 )
 def test_a_robot_without_any_server_finds_things_by_related_ones(policy, perception):
     """And what was said of a target is kept by the next mission, not by a jump of the pose."""

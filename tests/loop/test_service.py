@@ -44,12 +44,7 @@ def test_a_first_frame_with_nothing_in_it_is_no_trouble():
 
 
 @pytest.mark.parametrize(
-    ("seed", "rate_hz"),
-    [
-        pytest.param(1, 30, marks=pytest.mark.slow),
-        (2, 5),
-        (3, 5),
-    ],
+    ("seed", "rate_hz"), [pytest.param(1, 30, marks=pytest.mark.slow), (2, 5), (3, 5)]
 )
 def test_no_luck_with_the_noise_is_needed(seed, rate_hz):
     """Vary detector errors and camera rate; each time the robot finds the bed."""

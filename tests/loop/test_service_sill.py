@@ -21,10 +21,7 @@ SILL_M = 0.085
 
 
 def closed_loop(
-    folder: Path,
-    way_round: bool,
-    policy: str = "hvl",
-    width_m: float = 1.0,
+    folder: Path, way_round: bool, policy: str = "hvl", width_m: float = 1.0
 ) -> ClosedLoop:
     """Return a robot in one of two rooms, a bed in the other, and a sill in the door between.
 

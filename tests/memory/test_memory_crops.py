@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import cv2
 import numpy as np
 import pytest
@@ -113,8 +115,9 @@ def test_damaged_pictures_are_refused(store, name, change):
 
 
 def test_the_thread_ends():
-    store = CropStore()
+    store, before = CropStore(), set(threading.enumerate())
     store.observe([seen(1)], image())
+    (thread,) = set(threading.enumerate()) - before
     store.close()
     store.close()
-    assert len(store) <= 1
+    assert not thread.is_alive()

@@ -8,7 +8,7 @@ import yaml
 from kserve_server import KServe, serving
 from simulated import simulated
 
-from edge.cli import doctor
+from edge.cli import model_checks
 from edge.cli.main import main
 from edge.perception.runtime.cards import load_card
 
@@ -79,6 +79,6 @@ def test_what_needs_a_file_says_that_a_server_has_it(far, capsys):
 def test_the_doctor_looks_whether_anything_listens(far, there):
     with serving(KServe(model)) as server:
         far(server.url if there else "http://127.0.0.1:1")
-        (found,) = [f for f in doctor.check_models(simulated()) if "model far" in f.what]
+        (found,) = [f for f in model_checks.check_models(simulated()) if "model far" in f.what]
     wanted = ("ok", "a server listens at") if there else ("warn", "no server listens at")
     assert (found.level, wanted[1] in found.what) == (wanted[0], True)

@@ -125,11 +125,7 @@ def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, t
         ("text", {"tokenizer": {}}, "tokenizer.kind: missing"),
         ("text", {"tokenizer": {"kind": "bpe"}}, "tokenizer.kind: unknown 'bpe' (choices: clip, "),
         ("text", {"tokenizer": {"kind": "clip", "file": "../t.json"}}, "tokenizer.file: "),
-        (
-            "detect",
-            {"sources": [{**CARD["sources"][0], "url": "http://[bad"}]},
-            "sources.0.url: ",
-        ),
+        ("detect", {"sources": [{**CARD["sources"][0], "url": "http://[bad"}]}, "sources.0.url: "),
         ("image", {"input": {"height": 224}}, "input.width: missing"),
         ("image", {"measured": {"here": [1]}}, "measured.here: "),
         (

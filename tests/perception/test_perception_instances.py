@@ -78,11 +78,7 @@ def test_only_what_is_over_tau_det_founds_an_instance(scene):
 
 @pytest.mark.parametrize(
     ("second", "count"),
-    [
-        (("chair", 2.4, 0, 0.6), 1),
-        (("chair", 4.0, 0, 0.6), 2),
-        (("sofa", 2.1, 0, 0.6), 2),
-    ],
+    [(("chair", 2.4, 0, 0.6), 1), (("chair", 4.0, 0, 0.6), 2), (("sofa", 2.1, 0, 0.6), 2)],
     ids=["near", "far", "another label"],
 )
 def test_what_merges_and_what_does_not(scene, second, count):
@@ -295,11 +291,7 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
 
 @pytest.mark.parametrize(
     ("first", "desk_score", "sofa_score", "sure"),
-    [
-        (0, 0.5, 0.7, False),
-        (20, 0.5, 0.7, True),
-        (20, 0.1, 0.9, False),
-    ],
+    [(0, 0.5, 0.7, False), (20, 0.5, 0.7, True), (20, 0.1, 0.9, False)],
     ids=["never confirmed", "confirmed before", "confirmed before, but far surer another"],
 )
 def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_score, sure):

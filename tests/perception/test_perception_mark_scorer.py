@@ -19,11 +19,7 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import check_fixed
 from edge.perception.scoring.choice import mark_scorer
 from edge.perception.scoring.choice.factory import make_view_scorer, open_view_scorer
-from edge.perception.scoring.choice.mark_scorer import (
-    MarkNetwork,
-    MarkScorer,
-    letterboxed,
-)
+from edge.perception.scoring.choice.mark_scorer import MarkNetwork, MarkScorer, letterboxed
 from edge.perception.scoring.choice.process import ProcessMarks
 from edge.perception.scoring.choice.question import MAX_MARKS, Mark, MarkCosts, MarkedView
 from edge.types import Observation

@@ -24,11 +24,7 @@ from edge.perception.runtime import binding, cuda, engines
 from edge.perception.runtime import sessions as runtime
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.model_file import ModelError, fresh_sha256
-from edge.perception.runtime.sessions import (
-    ORT_TENSORRT,
-    open_session,
-    provider_options,
-)
+from edge.perception.runtime.sessions import ORT_TENSORRT, open_session, provider_options
 
 ort = pytest.importorskip("onnxruntime")
 

@@ -48,14 +48,7 @@ class Scene:
         )  # fmt: skip
         full = np.full(n, POINTS, np.int32)
         points = (places[:, None] + spread).astype(np.float32)
-        return BackProjectedBoxes(
-            detections,
-            places,
-            points,
-            full,
-            full,
-            np.ones(n, np.bool_),
-        )
+        return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
 
     def table(self):
         s = self.seen

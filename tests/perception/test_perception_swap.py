@@ -358,10 +358,7 @@ def test_prompts_that_change_on_probation_reach_both(bench):
     b.until("on probation")
     for prompts, line in (
         (["sofa"], r"^prompt 'sofa': not in the vocabulary$"),
-        (
-            ["desk"],
-            r"^model old, kept until new passes .*: prompt 'desk': .*; try again after",
-        ),
+        (["desk"], r"^model old, kept until new passes .*: prompt 'desk': .*; try again after"),
     ):
         with pytest.raises(PromptError, match=line):
             b.worker.set_prompts(prompts)

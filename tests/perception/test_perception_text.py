@@ -7,12 +7,7 @@ import pytest
 
 from edge.models.make import store_vocabulary
 from edge.perception.embedding.encoders import make_text_encoder
-from edge.perception.embedding.text import (
-    PromptError,
-    TextEmbeddings,
-    find_vocabulary,
-    words_for,
-)
+from edge.perception.embedding.text import PromptError, TextEmbeddings, find_vocabulary, words_for
 
 
 def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
@@ -69,6 +64,19 @@ def test_a_phrase_falls_back_to_its_noun_with_a_warning(vocabulary, caplog, phra
         assert TextEmbeddings(str(vocabulary)).resolve(phrase) == word
     assert phrase in caplog.text
     assert word in caplog.text
+
+
+def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_path, caplog):
+    words = ["potted plant", "mailbox (at home)", "bow (weapon)", "bow (decorative ribbons)"]
+    np.savez(tmp_path / "words.npz", names=words, emb=np.eye(4, 512))
+    encoder = TextEmbeddings(str(tmp_path / "words.npz"))
+    assert encoder.resolve("tall bushes") == "potted plant"
+    assert "'tall bushes': no embedding; searched as 'plant'" in caplog.text
+    assert encoder.resolve("letter box") == "mailbox (at home)"
+    assert encoder.resolve("bow (weapon)") == "bow (weapon)"
+    for unknown in ("bow", "fence", "trunk", "shed"):
+        with pytest.raises(PromptError, match="not in the vocabulary"):
+            encoder.resolve(unknown)
 
 
 def test_a_missing_vocabulary_says_what_to_do(tmp_path, monkeypatch):

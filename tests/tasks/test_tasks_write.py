@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import logging
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
+import numpy as np
 import pytest
 from chat_server import completion, recorded, saying, send, sends_100_mb, serving, stalls
 from task_scenes import STREET, street
@@ -118,6 +121,58 @@ def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
         written = write_trajectory(instruction, SCENE, by_model(server))
     assert len(written.rounds) == rounds
     assert written.coarse.points_m[-1].tolist() == pytest.approx(end, abs=1e-6)
+    check(written.coarse, written.ground, TrajectoryLimits())
+
+
+CONVERSATION = json.loads((Path(__file__).parents[1] / "data/task_conversation.json").read_text())
+
+
+def shown_in(message):
+    """Return the texts of a message, and its picture, (h, w, 3) uint8, or None."""
+    parts = message["content"]
+    if isinstance(parts, str):
+        return [parts], None
+    texts = [part["text"] for part in parts if part["type"] == "text"]
+    (url,) = (part["image_url"]["url"] for part in parts if part["type"] == "image_url")
+    jpeg = base64.b64decode(url.removeprefix("data:image/jpeg;base64,"))
+    return texts, cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+
+
+class RecordedClient:
+    """Gives the model's part of `CONVERSATION`, if it is asked as it was asked then."""
+
+    url = "recorded"
+
+    def __init__(self, config):
+        self.model = config.model
+
+    def ask(self, conversation, left_s, temperature):
+        assert (left_s > 0.0, temperature) == (True, 0)
+        before = CONVERSATION["messages"][: len(conversation)]
+        version, *_ = conversation[0]["content"].split("\n")
+        assert version == before[0]["content"]
+        for message, recorded_message in zip(conversation[1:], before[1:], strict=True):
+            assert message["role"] == recorded_message["role"]
+            (texts, picture), (texts_then, picture_then) = map(
+                shown_in, (message, recorded_message)
+            )
+            assert texts == texts_then
+            if picture is not None:  # the same but for the encoder's rounding
+                assert np.abs(picture.astype(int) - picture_then).mean() < 2.0
+        return CONVERSATION["messages"][len(conversation)]["content"]
+
+
+def test_a_recorded_conversation_is_had_again(monkeypatch):
+    """Hold algorithm 1 of OpenNav to its record: prompt, picture, code, error, code."""
+    monkeypatch.setattr(writing, "make_chat_client", RecordedClient)
+    config = TasksConfig(planner=WriterModel(url="http://127.0.0.1:1/v1"))
+    written = write_trajectory(CONVERSATION["instruction"], SCENE, config)
+    first, last = written.rounds
+    assert first.code
+    assert first.error
+    assert first.error in CONVERSATION["messages"][3]["content"]
+    assert last.error == ""
+    assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
     check(written.coarse, written.ground, TrajectoryLimits())
 
 

@@ -23,12 +23,7 @@ from edge.bus.wire.clouds import (
     encode_laser_scan,
     encode_point_cloud,
 )
-from edge.bus.wire.images import (
-    ImageHeader,
-    decode_image_header,
-    decode_image_into,
-    encode_image,
-)
+from edge.bus.wire.images import ImageHeader, decode_image_header, decode_image_into, encode_image
 from edge.geometry import (
     FARTHEST_M,
     SE2,

@@ -142,11 +142,7 @@ def agreement(reference: list[DetectedBoxes], candidate: list[DetectedBoxes]) ->
     tally = sum(
         itertools.starmap(match_to_reference, zip(reference, candidate, strict=True)), Tally()
     )
-    return {
-        **tally.shares(),
-        "score_error": _ratio(tally.error, tally.hits),
-        "boxes": tally.wanted,
-    }
+    return {**tally.shares(), "score_error": _ratio(tally.error, tally.hits), "boxes": tally.wanted}
 
 
 def against_truth(

@@ -108,7 +108,7 @@ def run_bench(
     config = with_free_port(config).model_copy(
         update={
             # The mission must outlast the recording.
-            "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6}),
+            "mission": config.mission.model_copy(update={"time_limit_s": 1e6, "path_limit_m": 1e6})
         }
     )
     raise_if_stopped(stop)

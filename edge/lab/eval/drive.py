@@ -42,8 +42,7 @@ _POLL_S = 0.001
 _MAX_WAITING = 64  # ground truths that may wait to be read
 
 EpisodeDriver = Callable[
-    [Config, World, Episode, Path | None, threading.Event],
-    tuple[GroundTruthLogger, LatencyReport],
+    [Config, World, Episode, Path | None, threading.Event], tuple[GroundTruthLogger, LatencyReport]
 ]
 """Runs an episode to its end or until the event is set. Writes a report if a folder is given.
 

@@ -109,11 +109,11 @@ def _verdict(
     return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
 
 
-def explore(config: Config, world: World, seconds: float = EXPLORE_S) -> ClosedLoop:
-    """Return a closed loop that has explored the world for a time; the caller closes it."""
+def explore(config: Config, world: World) -> ClosedLoop:
+    """Return a closed loop that has explored the world for `EXPLORE_S`; the caller closes it."""
     data = merged(data_of(config), _LOCKSTEP, {"mission": {"instruction": "explore the house"}})
     loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
-    return loop.run(seconds)
+    return loop.run(EXPLORE_S)
 
 
 def drive_to(

@@ -15,7 +15,7 @@ from edge.lab.eval import arms as experiment_arms
 from edge.lab.eval import episodes as eps
 from edge.lab.eval import world_list
 from edge.lab.eval.arms import ExperimentArm
-from edge.lab.eval.comparison.run import summary_text
+from edge.lab.eval.comparison.run import EPISODES_NAME, summary_text
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.outcome import EpisodeOutcome, OutcomeFile
 from edge.lab.eval.questions import plan_questions
@@ -27,7 +27,6 @@ from edge.memory import RECOGNISED_KINDS, ROOM_KINDS
 from edge.names import canonical
 from edge.perception.embedding.text import find_vocabulary, load_vocabulary
 
-EPISODES_NAME = "episodes.jsonl"
 TEXTURED_WORLDS, TEXTURED_PER_WORLD = "furnished[1000:1125]", 4  # of `edge eval textured`
 DEFAULT_TARGETS = "trash can,sofa,chair,bed,desk"  # without `--targets` and `--worlds`
 

@@ -88,13 +88,14 @@ def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
     return high
 
 
-def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_M) -> float:
+def ndtw(path_m: np.ndarray, reference_m: np.ndarray) -> float:
     """Return the normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
+
+    d_th, the distance at which a robot has reached a place, is `REACHED_M`.
 
     Args:
         path_m: (n, 2) float64, n >= 1; compared at points `SPACING_M` apart.
         reference_m: (m, 2) float64, m >= 1; likewise.
-        within_m: d_th, the distance at which a robot has reached a place.
 
     Returns:
         A number in (0, 1]; 1 for the same trajectory.
@@ -105,7 +106,7 @@ def ndtw(path_m: np.ndarray, reference_m: np.ndarray, within_m: float = REACHED_
         1.0
     """
     path, reference = (resample_evenly(_points(p), SPACING_M) for p in (path_m, reference_m))
-    return math.exp(-_warping_cost_m(reference, path) / (len(reference) * within_m))
+    return math.exp(-_warping_cost_m(reference, path) / (len(reference) * REACHED_M))
 
 
 def resample_evenly(path_m: np.ndarray, spacing_m: float) -> np.ndarray:

@@ -197,10 +197,7 @@ def run(args: argparse.Namespace) -> int:
     print(
         overview(result, _counts_not_seen() if set(args.backend) & set(_CARD_TRANSLATORS) else {})
     )
-    if args.failures is not None:
-        save(args.failures, "".join(f"{line}\n" for line in failed).encode())
-    if args.out is not None:
-        save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
+    _save(args, failed, result)
     if stopped_by is not None:
         raise stopped_by
     return 0
@@ -216,17 +213,18 @@ def _run_everyday(args: argparse.Namespace) -> int:
         lines = everyday_failures(scores, name)
         failed += lines
         result[name] = everyday_counts(scores)
-        print(
-            everyday_table(f"Everyday, {name}", result[name]),
-            *_first_failures(lines),
-            sep="\n",
-            end="\n\n",
-        )
+        text = everyday_table(f"Everyday, {name}", result[name])
+        print(text, *_first_failures(lines), sep="\n", end="\n\n")
+    _save(args, failed, result)
+    return 0
+
+
+def _save(args: argparse.Namespace, failed: Sequence[str], result: dict[str, Any]) -> None:
+    """Write failures and counts to the files of --failures and --out, if they are given."""
     if args.failures is not None:
         save(args.failures, "".join(f"{line}\n" for line in failed).encode())
     if args.out is not None:
         save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
-    return 0
 
 
 def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:

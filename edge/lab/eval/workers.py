@@ -11,11 +11,11 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
 import cv2
 
@@ -160,25 +160,10 @@ def _start() -> _Worker:
     context = get_context("spawn")
     pipe, child_pipe = context.Pipe()
     process = context.Process(target=_serve, args=(child_pipe,), name="episodes", daemon=False)
-    with _environment(ONE_THREAD):
+    with mock.patch.dict(os.environ, ONE_THREAD):  # libraries read them when they load
         process.start()
     child_pipe.close()
     return _Worker(process, pipe)
-
-
-@contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for child processes: libraries read them when they load."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _serve(pipe: connection.Connection) -> None:

@@ -210,11 +210,7 @@ def _line(line: Line, ground_m: float) -> dict[str, object]:
     if points.shape[1] == 2:
         points = np.column_stack([points, np.full(len(points), ground_m)])
     points = points + np.array([0.0, 0.0, 0.05])  # just above the ground
-    return {
-        "points": _rounded(points),
-        "colour": line.colour,
-        "breadth": line.breadth_px,
-    }
+    return {"points": _rounded(points), "colour": line.colour, "breadth": line.breadth_px}
 
 
 def _poses_with_text(refined: RefinedTrajectory | None) -> tuple[list[list[float]], list[str]]:

@@ -26,8 +26,8 @@ def _seat(*cushions: float) -> tuple[tuple, ...]:
     )
 
 
-def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
-    """Return the rows of a chest with `count` drawer fronts; `knob` is a material."""
+def _drawers(count: int) -> tuple[tuple, ...]:
+    """Return the rows of a chest with `count` drawer fronts."""
     step = 0.86 / count
     rows: list[tuple] = [
         (B, (0, 0, 0.5), (0.94, 0.98, 0.92), "main", s.GRAIN),
@@ -37,7 +37,7 @@ def _drawers(count: int, knob: str = "brass") -> tuple[tuple, ...]:
     for i in range(count):
         z = 0.09 + (i + 0.5) * step
         rows.append((B, (0.475, 0, z), (0.03, 0.9, step * 0.86), "light", s.GRAIN))
-        rows.append((B, (0.495, 0, z), (0.03, 0.16, 0.03), knob))
+        rows.append((B, (0.495, 0, z), (0.03, 0.16, 0.03), "brass"))
     return tuple(rows)
 
 

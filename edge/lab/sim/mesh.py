@@ -289,10 +289,7 @@ class MeshWorld:
         self.name = name
         self.rooms, self.room_kinds = rooms, room_kinds
         self._faces = faces
-        self._depth_range_m = (
-            config.sensors.camera.depth_min_m,
-            config.sensors.camera.depth_max_m,
-        )
+        self._depth_range_m = (config.sensors.camera.depth_min_m, config.sensors.camera.depth_max_m)
         count = len(faces.triangles)
         self._first = np.append(np.arange(0, count, _CLUSTER_FACES), count)
         self._boxes = np.empty((len(self._first) - 1, 6))

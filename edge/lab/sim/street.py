@@ -168,9 +168,7 @@ def street(*key: int) -> Street:
     )
 
 
-def solids(
-    drawn: Street,
-) -> tuple[list[Primitive], list[tuple[StreetObject, list[Primitive]]]]:
+def solids(drawn: Street) -> tuple[list[Primitive], list[tuple[StreetObject, list[Primitive]]]]:
     """Return the ground, and each object with its primitives, in `map`; z = 0 on the ground."""
     length_m, middle_m = AHEAD_M + BEHIND_M, 0.5 * (AHEAD_M - BEHIND_M)
     lawn = drawn.to_map(middle_m, 0.0)

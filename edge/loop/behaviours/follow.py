@@ -296,11 +296,15 @@ class FollowBehaviour:
 
     # -- inside -----------------------------------------------------------------------------
 
+    @property
+    def _goal_ended(self) -> bool:
+        """True if the controller has reached the current goal or failed."""
+        answer = self._goals.goal_status
+        return answer is not None and answer.state in ("reached", "failed")
+
     def _turn_around(self, pose: SE2, stuck: bool) -> None:
         """Turn once on the spot for a model, then start to write. All targets were seen."""
-        answer = self._goals.goal_status
-        ended = answer is not None and answer.state in ("reached", "failed")
-        if self._turning is not None and not (stuck or ended):
+        if self._turning is not None and not (stuck or self._goal_ended):
             return
         if self._turns_left:
             self._turns_left -= 1
@@ -313,7 +317,7 @@ class FollowBehaviour:
         if self._request is not None:
             return
         if self._all_seen:
-            self._mission.fail(_log_text(self._no_plan_reason), now_ns)
+            self._fail(self._no_plan_reason, now_ns)
             return
         is_settled = self._ambiguous and not self.gather()  # the objects in question are confirmed
         if is_settled or self._goals.exhausted or now_ns - self._checked_ns >= RETRY_NS:
@@ -373,21 +377,14 @@ class FollowBehaviour:
         )
         self._worker.submit(self._request)
 
-    def _on_plan(
-        self,
-        result: PlanResult,
-        request: PlanRequest,
-        now_ns: int,
-    ) -> None:
+    def _on_plan(self, result: PlanResult, request: PlanRequest, now_ns: int) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
-        mission, self._request = self._mission, None
+        self._request = None
         self._ambiguous = result.ambiguous
         to_verify = self.gather()
         for n, answer in enumerate(result.rounds, start=1):
             if answer.error and request.before is None:
-                mission.log_trajectory(
-                    _log_text(f"answer {n} of the model: {answer.error}"), now_ns
-                )
+                self._log(f"answer {n} of the model: {answer.error}", now_ns)
         if result.refined is not None:
             refined = result.refined
             if request.nearer_to is not None:  # other facts stay those of the task's trajectory
@@ -396,26 +393,21 @@ class FollowBehaviour:
             self._refinements += 1
             self._next_stop = self._find_next_stop(refined)
             self.phase, self._no_plan_reason = "driving", ""
-            mission.log_trajectory(_log_text(log_line(result, refined, request)), now_ns)
+            self._log(log_line(result, refined, request), now_ns)
         elif request.nearer_to is not None:
             self._on_stop(now_ns)
         elif request.before is not None:
             self._write_again(result.error, now_ns)
         elif to_verify or not (result.hopeless or self._abandon_reason or self._by_model):
             if not self._no_plan_reason:
-                mission.log_trajectory(_log_text(f"{result.error}: exploring further"), now_ns)
+                self._log(f"{result.error}: exploring further", now_ns)
             self.phase, self._no_plan_reason, self._checked_ns = "looking", result.error, now_ns
         else:
             self._result = result
             after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
-            mission.fail(_log_text(f"{after}{result.error}"), now_ns)
+            self._fail(f"{after}{result.error}", now_ns)
 
-    def _check_drive(
-        self,
-        observation: Observation,
-        stuck: bool,
-        now_ns: int,
-    ) -> None:
+    def _check_drive(self, observation: Observation, stuck: bool, now_ns: int) -> None:
         """React if the robot has arrived, is blocked, or has an obstacle ahead."""
         refined, goal, answer = self._result.refined, self._goals.goal, self._goals.goal_status
         assert refined is not None
@@ -494,7 +486,7 @@ class FollowBehaviour:
         if obj is not None and is_away and not self._map.tracker.confirmed(obj):
             away_m = obj.distance_m(pose.x_m, pose.y_m)
             text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
-            self._mission.log_trajectory(_log_text(text), now_ns)
+            self._log(text, now_ns)
         if is_away or found is not None:
             self._verified.add(number if found is None else found.id)
             self._turning, self._stopped_ns, self._images = None, now_ns, 0
@@ -512,7 +504,7 @@ class FollowBehaviour:
                 number = near[0].id
             self._map.tracker.reject(number)
             text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
-            self._mission.log_trajectory(_log_text(text), now_ns)
+            self._log(text, now_ns)
             self._restart()
             self._goals.retarget(self._mission)
 
@@ -524,9 +516,7 @@ class FollowBehaviour:
                 return True
             self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
             return False
-        answer = self._goals.goal_status
-        ended = answer is not None and answer.state in ("reached", "failed")
-        return ended or stuck
+        return stuck or self._goal_ended
 
     def _leave_stop(self, now_ns: int) -> None:
         """Drive on after all objects of a stop were verified, or end the trajectory."""
@@ -548,25 +538,25 @@ class FollowBehaviour:
             self._goals.retarget(self._mission)
 
     def _refine_again(self, why: str, observation: Observation, now_ns: int) -> None:
-        self._mission.log_trajectory(_log_text(f"{why}: refining the rest again"), now_ns)
+        self._log(f"{why}: refining the rest again", now_ns)
         self._request_plan(observation, None, self._result)
 
     def _write_again(self, why: str, now_ns: int) -> None:
         """Write a new trajectory, once. The second time, the mission fails."""
         if self._abandon_reason:
-            self._mission.fail(_log_text(why), now_ns)
+            self._fail(why, now_ns)
             return
         self.phase, self._abandon_reason = "writing", why
-        self._mission.log_trajectory(
-            _log_text(f"{why}: writing a new trajectory from here"), now_ns
-        )
+        self._log(f"{why}: writing a new trajectory from here", now_ns)
+
+    def _log(self, text: str, now_ns: int) -> None:
+        self._mission.log_trajectory(one_line(text, _MAX_TEXT_CHARS), now_ns)
+
+    def _fail(self, text: str, now_ns: int) -> None:
+        self._mission.fail(one_line(text, _MAX_TEXT_CHARS), now_ns)
 
 
 def _is_at(pose: SE2, refined: RefinedTrajectory, index: int) -> bool:
     """Return True if a goal is exactly this pose of the trajectory."""
     x_m, y_m, _, yaw_rad = refined.poses[index].tolist()
     return pose == SE2(x_m, y_m, yaw_rad)
-
-
-def _log_text(text: str) -> str:
-    return one_line(text, _MAX_TEXT_CHARS)

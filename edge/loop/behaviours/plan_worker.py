@@ -13,9 +13,12 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
+from edge.tasks.ground import ground_of
+from edge.tasks.manoeuvres import limited_ground
+from edge.tasks.object_phrases import AmbiguousObjectError
 from edge.tasks.objects import ObjectMap
 from edge.tasks.prompt import system_prompt, task_text
-from edge.tasks.reading import AmbiguousObjectError
+from edge.tasks.reading import route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.scene_builder import add_detections, scene_of_map
@@ -203,7 +206,7 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             understood=written.understood, stops_at=stops_at, stops=stops,
         )  # fmt: skip
         refined = refine(
-            scene, coarse.segments, coarse.regions, _margins(config),
+            written.ground.scene, coarse.segments, coarse.regions, _margins(config),
             _motion_limits(config, result),
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
@@ -219,8 +222,12 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
 def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:
     """Refine the rest of an earlier trajectory on the current map."""
     config = request.config
-    limits = _motion_limits(config, before)
-    refined = refine_again(_scene(request), refined, request.index, _margins(config), limits)
+    scene, limits = _scene(request), _motion_limits(config, before)
+    if not isinstance(config.tasks.planner, WriterModel):
+        clearance_m = _margins(config).clearance_m
+        avoided = route_limits(request.instruction, scene)
+        scene = limited_ground(ground_of(scene, clearance_m), avoided, clearance_m).scene
+    refined = refine_again(scene, refined, request.index, _margins(config), limits)
     return replace(before, refined=refined)
 
 

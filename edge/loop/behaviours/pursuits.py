@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -21,11 +22,7 @@ from edge import names
 from edge.loop.goal import GoalTracker
 from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import (
-    MappedRoom,
-    describe_location,
-    known_objects,
-)
+from edge.memory import MappedRoom, describe_location, known_objects
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
@@ -61,12 +58,8 @@ class Pursuit(Generic[DestinationType]):
         semantic_map: SemanticMap,
         goals: GoalTracker,
     ) -> None:
-        self._destination, self._mission, self._map, self._goals = (
-            destination,
-            mission,
-            semantic_map,
-            goals,
-        )
+        self._destination, self._mission = destination, mission
+        self._map, self._goals = semantic_map, goals
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._probable: ProbableObject | None = None  # the object that the robot goes back to
         self._has_path = True  # to this object
@@ -291,15 +284,9 @@ class CheckPursuit(Pursuit[CheckTarget]):
     The target counts as reached with either answer.
     """
 
-    def __init__(
-        self,
-        destination: CheckTarget,
-        mission: MissionRun,
-        semantic_map: SemanticMap,
-        goals: GoalTracker,
-    ) -> None:
-        super().__init__(destination, mission, semantic_map, goals)
-        self._answer = CheckAnswer(destination, mission, semantic_map)
+    @cached_property
+    def _answer(self) -> CheckAnswer:
+        return CheckAnswer(self._destination, self._mission, self._map)
 
     @property
     def _target_label(self) -> str:

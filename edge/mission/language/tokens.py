@@ -272,5 +272,7 @@ class TokenReader:
         for token in self.tokens[i:]:
             if token.kind in ("stop", "comma", "end") and token is not first:
                 break
+            if token.start < first.start:  # tokens of tasks may be in driving order
+                break
             last = token
         return self.text[first.start : last.end], first.start + 1

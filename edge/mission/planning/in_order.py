@@ -6,13 +6,7 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.planning.plan import (
-    ACCEPTED,
-    DEAD,
-    MissionKnowledge,
-    TargetPlan,
-    letter_text,
-)
+from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, letter_text
 from edge.mission.planning.vitl import VitlPlanner
 
 

@@ -24,10 +24,7 @@ from edge.mission.planning.vitl import VitlPlanner
 __all__ = ["MissionKnowledge", "Planner", "TargetPlan", "make_planner", "warm_up"]
 
 # Kind of a planner → its class.
-REGISTRY: dict[str, Any] = {
-    "vitl": VitlPlanner,
-    "in_order": InOrderPlanner,
-}
+REGISTRY: dict[str, Any] = {"vitl": VitlPlanner, "in_order": InOrderPlanner}
 
 
 def make_planner(

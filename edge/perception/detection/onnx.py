@@ -32,11 +32,7 @@ from edge.perception.runtime.cards import (
 )
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.health import WHY_INVALID, Health, ProgressCallback, log_progress
-from edge.perception.runtime.sessions import (
-    TENSORRT_PROVIDERS,
-    open_session,
-    raise_as_model_error,
-)
+from edge.perception.runtime.sessions import TENSORRT_PROVIDERS, open_session, raise_as_model_error
 from edge.types import ContextBoxes, Detections, Observation
 
 log = logging.getLogger(__name__)

@@ -221,6 +221,7 @@ class TextEmbeddings:
         self._row_of: dict[str, int] = {}
         for row, word in enumerate(words):  # the first of two equal words counts
             self._row_of.setdefault(word, row)
+        self._bracketed = _bracketed(self._row_of)
 
     @property
     def dim(self) -> int:
@@ -231,7 +232,8 @@ class TextEmbeddings:
 
         Args:
             prompts: words or phrases. A phrase that the vocabulary lacks is read as its longest
-                known ending ("tall white trash bin": trash bin), with a warning.
+                known ending ("tall white trash bin": trash bin), and a kind as the broader word
+                ("bush": plant, see `names.HYPERNYMS`), with a warning.
 
         Returns:
             (1, n, d) float32.
@@ -282,6 +284,10 @@ class TextEmbeddings:
                     prompt, noun, found,
                 )  # fmt: skip
                 return found
+            broader = names.hypernym(noun)
+            if broader and (found := self._lookup(broader)):
+                log.warning("prompt %r: no embedding; searched as %r", prompt, broader)
+                return found
         close = ", ".join(self.nearest(word))
         raise PromptError(
             f"prompt {prompt!r}: not in the vocabulary {self.path.name} (nearest: {close})"
@@ -297,4 +303,21 @@ class TextEmbeddings:
 
     def _lookup(self, word: str) -> str | None:
         """Return the vocabulary word that is one of a word's names; None if there is none."""
-        return next((name for name in names.names_of(word) if name in self._row_of), None)
+        known = names.names_of(word)
+        plain = next((name for name in known if name in self._row_of), None)
+        return plain or next(filter(None, map(self._bracketed.get, known)), None)
+
+
+def _bracketed(words: Iterable[str]) -> dict[str, str]:
+    """Return the vocabulary words with a remark in brackets, by the word without it.
+
+    Words with several remarks are left out: "bow (weapon)", "bow (decorative ribbons)".
+
+    >>> _bracketed(["tractor (farm equipment)", "bow (weapon)", "bow (decorative ribbons)"])
+    {'tractor': 'tractor (farm equipment)'}
+    """
+    found: dict[str, list[str]] = {}
+    for word in words:
+        if word.endswith(")"):
+            found.setdefault(word.partition(" (")[0], []).append(word)
+    return {plain: full[0] for plain, full in found.items() if len(full) == 1}

@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Union
 from urllib.parse import urlsplit
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from edge.host import resources
 from edge.text import split_url

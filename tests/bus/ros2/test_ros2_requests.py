@@ -43,11 +43,7 @@ def ask(request, port) -> Iterator[Ask]:
         key: RequestQueue(key, verbs, lambda request, _: {"did": request.do, **request.fields})
         for key in topics.REQUESTS
     }
-    with (
-        ours(port) as theirs,
-        ours(port) as session,
-        serve_ros2_requests(config, session, queues),
-    ):
+    with ours(port) as theirs, ours(port) as session, serve_ros2_requests(config, session, queues):
         node = Ros2Node(theirs, 0, "operator", dialect_of(request.param, config.zenoh.prefix))
         sent, heard = node.publisher("/edge/request", STRING), []
         answers = node.subscription("/edge/answer", (STRING,), 8)
@@ -78,10 +74,7 @@ def ask(request, port) -> Iterator[Ask]:
     [
         ("", {"error": "the request is not JSON"}),
         ("[]", {"error": "the request is JSON, but not an object"}),
-        (
-            "{}",
-            {"error": f"to: unknown None (choices: {', '.join(KEYS)})"},
-        ),
+        ("{}", {"error": f"to: unknown None (choices: {', '.join(KEYS)})"}),
         ('{"to": "site"}', {"to": "site", "error": "do: unknown None (choices: list, remove)"}),
         ('{"to": "memory", "do": "list", "ref": 7}', {"to": "memory", "ref": 7, "did": "list"}),
         (

@@ -219,12 +219,7 @@ def test_an_image_without_padding_needs_no_step(step):
 
 @pytest.mark.parametrize(
     ("names", "step", "big_endian", "height"),
-    [
-        ("xyz", 16, False, 1),
-        ("zyx", 17, False, 2),
-        ("ixryz", 32, True, 1),
-        ("xyz", 23, True, 4),
-    ],
+    [("xyz", 16, False, 1), ("zyx", 17, False, 2), ("ixryz", 32, True, 1), ("xyz", 23, True, 4)],
 )
 def test_a_cloud_of_any_layout(names, step, big_endian, height):
     points = np.arange(24, dtype=np.float32).reshape(8, 3)

@@ -14,7 +14,7 @@ from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
 
 LIDAR = {
     "sensors": {
-        "lidar": {"rings": 16, "columns": 360, "vfov_deg": 60, "z_m": 0.6, "pitch_deg": 23},
+        "lidar": {"rings": 16, "columns": 360, "vfov_deg": 60, "z_m": 0.6, "pitch_deg": 23}
     },
     "mapping": {"input": "cloud"},
 }

@@ -35,11 +35,7 @@ def test_wilson_holds_its_share_and_stays_a_share(pair):
 
 def test_nothing_measured():
     empty = np.zeros(0)
-    for interval in (
-        wilson(0, 0),
-        ratio(empty, empty),
-        ratio(np.ones(3), np.zeros(3)),
-    ):
+    for interval in (wilson(0, 0), ratio(empty, empty), ratio(np.ones(3), np.zeros(3))):
         assert all(math.isnan(x) for x in interval)
 
 

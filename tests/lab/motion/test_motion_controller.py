@@ -13,12 +13,7 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.controller import (
-    GIVE_UP_NS,
-    GOAL_TOLERANCE_M,
-    YAW_TOLERANCE_RAD,
-    Controller,
-)
+from edge.lab.motion.controller import GIVE_UP_NS, GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD, Controller
 from edge.trajectory.pursuit import length_m
 from edge.types import GoalStatus
 

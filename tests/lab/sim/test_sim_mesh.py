@@ -186,10 +186,7 @@ def test_rasterise_triangles_covers_a_dense_sampling(seed: int):
 
 @pytest.mark.parametrize(
     ("mesh", "objects", "message"),
-    [
-        (None, "[]", "sim.world.mesh: no file "),
-        (b"not a mesh", "[]", "not a readable mesh"),
-    ],
+    [(None, "[]", "sim.world.mesh: no file "), (b"not a mesh", "[]", "not a readable mesh")],
 )
 def test_bad_files_give_one_clear_line(tmp_path: Path, mesh, objects, message):
     path, listing = tmp_path / "a.glb", tmp_path / "a.json"

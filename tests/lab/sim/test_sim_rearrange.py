@@ -47,4 +47,5 @@ def test_moved_objects_stay_on_the_floor_and_close_no_way(seed):
     for name in moved:
         assert math.dist(before[name][:2], after[name][:2]) >= 2.0
         assert before[name][2] == after[name][2]
+        assert start.distance_to(*after[name][:2]) > 3 * RADIUS_M  # not onto the robot
     assert largest_part(world, roomy_m) > 0.8 * area

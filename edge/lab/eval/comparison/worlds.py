@@ -137,15 +137,13 @@ def point_along(trail_m: np.ndarray, path_m: float) -> np.ndarray:
     return np.array([np.interp(path_m, driven, trail_m[:, k]) for k in (0, 1)])
 
 
-def nearest_value(
-    world: World, field: np.ndarray, xy_m: np.ndarray, within_m: float = 0.5
-) -> float:
-    """Return the field's value at a place, else the smallest one around it; NaN if there is none.
+def nearest_value(world: World, field: np.ndarray, xy_m: np.ndarray) -> float:
+    """Return the field's value at a place, else the smallest within 0.5 m; NaN if there is none.
 
     The place of a robot that stands close to a wall has no value.
     """
     grid = world.plan.grid
-    reach = int(within_m / grid.resolution_m)
+    reach = int(0.5 / grid.resolution_m)
     column, row = np.floor(grid.to_cells(xy_m)).astype(int)
     exact = world.plan.grid.cell_of(*xy_m.tolist())
     if exact is not None and np.isfinite(field[exact]):

@@ -22,7 +22,7 @@ class Slope(NamedTuple):
 
     @property
     def resolves(self) -> float:
-        """Half the width of the interval: smaller growth cannot be told from none."""
+        """Half the width of the interval: smaller growth cannot be distinguished from none."""
         return 0.5 * (self.high - self.low)
 
 

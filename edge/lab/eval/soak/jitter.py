@@ -35,10 +35,7 @@ class JitterSink:
     """
 
     def __init__(
-        self,
-        config: Config,
-        session: zenoh.Session,
-        clock: Callable[[], float] = time.perf_counter,
+        self, config: Config, session: zenoh.Session, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self._clock = clock
         self._publisher = session.declare_publisher(config.zenoh.key(KEY))

@@ -17,7 +17,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -150,18 +150,16 @@ def _episode(
     )  # fmt: skip
 
 
-def _draw_tasks(
-    place: ReferenceScene, rng: PortableRng, wanted: Mapping[str, int] = WANTED
-) -> list[TrajectoryTask]:
+def _draw_tasks(place: ReferenceScene, rng: PortableRng) -> list[TrajectoryTask]:
     """Draw at most the wanted number of tasks of each category; high-level kinds take turns."""
-    found: dict[str, list[TrajectoryTask]] = {category: [] for category in wanted}
+    found: dict[str, list[TrajectoryTask]] = {category: [] for category in WANTED}
     for task in possible_tasks(place, "to", rng):
-        if len(found[task.category]) < wanted[task.category]:
+        if len(found[task.category]) < WANTED[task.category]:
             found[task.category].append(task)
     # One task of each kind in turn, until all kinds have run out.
     by_kind = [possible_tasks(place, kind, rng) for kind in KINDS if kind != "to"]
     high = (task for group in itertools.zip_longest(*by_kind) for task in group if task is not None)
-    found["high-level"] = list(itertools.islice(high, wanted["high-level"]))
+    found["high-level"] = list(itertools.islice(high, WANTED["high-level"]))
     return list(itertools.chain.from_iterable(found.values()))
 
 

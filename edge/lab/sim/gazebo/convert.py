@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from edge import names
-from edge.errors import UnavailableError
 from edge.host.files import save
 from edge.host.progress import with_progress
 from edge.lab.sim.base import WorldError
@@ -34,7 +33,6 @@ PlacedShape = tuple[ModelVisual, VisualShape, np.ndarray]
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge worlds import`."""
-    _require_packages()
     named = args.models or [
         Path(path)
         for name in PATH_VARIABLES
@@ -70,18 +68,6 @@ def run(args: argparse.Namespace) -> int:
         save(out.with_suffix(".problems.txt"), "".join(lines).encode())
     print(_summary(out, items, placed, len(visuals), reader.problems))
     return 0
-
-
-def _require_packages() -> None:
-    try:
-        import collada  # noqa: F401
-        import trimesh  # noqa: F401
-        from PIL import Image  # noqa: F401
-    except ImportError as error:
-        raise UnavailableError(
-            f"{error.name}: not installed, but needed by this command; run: pip install "
-            "'edge-vln[worlds]'"
-        ) from None
 
 
 def place_shapes(

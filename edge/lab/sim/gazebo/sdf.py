@@ -161,8 +161,7 @@ class SdfReader:
             if geometry is None or not len(geometry) or geometry[0].tag == "empty":
                 continue
             # Without a named frame, a visual's pose is relative to the link.
-            is_free = _reference(visual) is not None
-            T = T_world_scope if is_free else T_world_link
+            T = T_world_scope if _frame_name(visual) else T_world_link
             yield ModelVisual(
                 *names, _name(visual), T @ _pose_in(scope, visual), geometry[0],
                 visual.find("material"), file,
@@ -181,11 +180,16 @@ def _label(element: Element) -> str:
 
 def _reference(element: Element) -> str | None:
     """Return the frame that an element's pose is relative to; None for the default."""
-    pose = element.find("pose")
-    name = None if pose is None else pose.get("relative_to") or pose.get("frame")
+    name = _frame_name(element)
     if not name and element.tag == "frame":
         name = element.get("attached_to")
     return name if name and name not in ("__model__", "world") else None
+
+
+def _frame_name(element: Element) -> str | None:
+    """Return the frame that an element's `<pose>` names; None or "" for none."""
+    pose = element.find("pose")
+    return None if pose is None else pose.get("relative_to") or pose.get("frame")
 
 
 def _pose_in(scope: Element, element: Element, depth: int = 0) -> np.ndarray:

@@ -10,12 +10,7 @@ import pytest
 from made_outcomes import failure, record
 
 from edge.errors import FileError, UserError
-from edge.lab.eval.comparison.outcomes import (
-    clusters,
-    gather,
-    read_records,
-    with_rooms,
-)
+from edge.lab.eval.comparison.outcomes import clusters, gather, read_records, with_rooms
 from edge.lab.eval.outcome import OUTCOMES_NAME, RENAMED, OutcomeFile
 
 

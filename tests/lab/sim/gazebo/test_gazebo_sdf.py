@@ -41,6 +41,21 @@ PLACES = {
         f"{model('in', pose='0 1 0 0 0 0')}</model>",
         ("w-in", "in"), (1, 1, 0),
     ),
+    "one of two": (
+        f"<model name='w'>{model('in', pose='0 1 0 0 0 0')}<model name='empty'/></model>",
+        ("w-in", "in"), (0, 1, 0),
+    ),
+    "relative to another link": (
+        "<model name='m'><link name='a'><pose>1 0 0 0 0 0</pose></link><link name='b'>"
+        "<pose>0 5 0 0 0 0</pose>" + visual(more="<pose relative_to='a'>0 0 2 0 0 0</pose>") +
+        "</link></model>",
+        ("m", "m"), (1, 0, 2),
+    ),
+    "relative to the model": (
+        "<model name='m'><link name='b'><pose>0 5 0 0 0 0</pose>"
+        + visual(more="<pose relative_to='__model__'>0 0 2 0 0 0</pose>") + "</link></model>",
+        ("m", "m"), (0, 0, 2),
+    ),
     "turned": (
         f"<model name='w'><pose degrees='true'>0 0 0 0 0 90</pose><link name='l'/>"
         f"{model('in', pose='2 0 0 0 0 0')}</model>",
@@ -176,9 +191,14 @@ def test_uris_of_a_mesh(tmp_path, uri):
 
 
 def test_addresses_of_models_are_looked_up_and_not_fetched(tmp_path):
-    folder = write_model(tmp_path / "Sofa", "3")
+    write_model(tmp_path / "Sofa", "2")
+    folder = write_model(tmp_path / "Sofa", "10")  # the newest version
     uri = "https://fuel.gazebosim.org/1.0/someone/models/Sofa"
     assert ModelFolders([tmp_path]).find_model(uri, tmp_path) == folder / "model.sdf"
+    (folder / "new.sdf").write_text("")
+    files = "<sdf version='1.5'>model.sdf</sdf><sdf version='1.9'>new.sdf</sdf>"
+    (folder / "model.config").write_text(f"<model>{files}</model>")
+    assert ModelFolders([tmp_path]).find_model(uri, tmp_path) == folder / "new.sdf"
 
 
 @pytest.mark.parametrize(

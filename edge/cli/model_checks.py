@@ -1,0 +1,214 @@
+"""Checks of `edge doctor` for neural models: their runtimes, files, words and servers."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from edge.cli.findings import Finding, Level, fail, finding_of, ok, warn
+from edge.cli.machine_checks import is_installed
+from edge.cli.onnx_probe import CPU, probe
+from edge.cli.preflight import named_models
+from edge.config import Config
+from edge.errors import UserError
+from edge.perception.runtime import cuda, tensorrt
+from edge.perception.runtime.card_types import ChoiceCard, FileCard
+from edge.perception.runtime.sessions import TENSORRT
+from edge.text import redact
+
+SERVER_S = 2.0
+"""Time for the connection to a server."""
+
+
+def check_onnxruntime(config: Config) -> Iterator[Finding]:
+    """Check that onnxruntime works and has the configured execution providers."""
+    detector = config.perception.detector
+    wanted = detector.providers if detector.kind == "onnx" else ()
+    needed = any(name != TENSORRT for name in wanted)
+    level_if_missing: Level = "fail" if needed else "warn"
+    if is_installed("onnxruntime") and is_installed("onnxruntime-gpu"):
+        todo = "pip uninstall onnxruntime onnxruntime-gpu, then install only one of them"
+        yield warn("onnxruntime and onnxruntime-gpu are both installed", todo)
+    probed = probe()
+    if probed is None:
+        todo = "pip install 'edge-vln[cpu]' (or [gpu])"
+        yield Finding(
+            level_if_missing, "onnxruntime is not installed, so no neural detector can run", todo
+        )
+        return
+    what = f"onnxruntime {probed.version}".strip()
+    if not probed.fault:
+        names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
+        yield ok(f"{what} runs a model; execution providers: {names}")
+    elif CPU in probed.ran:  # so the fault is in another provider
+        yield warn(
+            f"{what} {probed.fault}", "check the GPU driver and CUDA, or use CPUExecutionProvider"
+        )
+    else:
+        todo = (
+            "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
+            "must be on (Jetson: sudo nvpmodel -m 0; not under qemu): docs/install.md"
+        )
+        yield Finding(level_if_missing, f"{what} {probed.fault}", todo)
+        return
+    for name in wanted:
+        if name != TENSORRT and name not in probed.providers:
+            todo = (
+                "install an onnxruntime with this provider, or change perception.detector.providers"
+            )
+            yield fail(
+                f"perception.detector.providers: {name} is not in the installed onnxruntime", todo
+            )
+
+
+def _sessions_crash() -> bool:
+    """Return True if onnxruntime is installed but fails, as `check_onnxruntime` reports.
+
+    Then no check may open a session in this process.
+    """
+    probed = probe()
+    return probed is not None and CPU not in probed.ran
+
+
+def check_tensorrt(config: Config) -> Iterator[Finding]:
+    """Check that TensorRT works, if the detector uses it."""
+    detector = config.perception.detector
+    if detector.kind != "onnx" or TENSORRT not in detector.providers:
+        return
+    try:
+        version = tensorrt.load().__version__
+        cuda.Device(detector.device_id)
+    except UserError as error:
+        yield finding_of(error)
+    else:
+        yield ok(f"TensorRT {version}, on GPU {detector.device_id}")
+
+
+def check_models(config: Config) -> Iterator[Finding]:
+    """Check the files of all models that are here or that the configuration names."""
+    from edge.perception.runtime.cards import ModelError, card_names, check_installed, load_card
+
+    needed = {model.name for model in named_models(config)}
+    names = sorted({*card_names(), *needed})
+    if not names:
+        yield warn("no model cards: the package's folder models/ is missing", "reinstall edge-vln")
+    n_absent = 0
+    for name in names:
+        try:
+            card = load_card(name)
+            served = [file.server for file in card.files if file.server is not None]
+            try:
+                check_installed(card)
+            except ModelError:
+                if name in needed:
+                    raise
+                n_absent += 1
+                continue
+            paths = [_verify(file) for file in card.files if file.server is None]
+        except ModelError as error:
+            yield finding_of(error, "fail" if name in needed else "warn")
+        else:
+            yield from (ok(f"model {name}: {path}") for path in paths)
+            yield from (_server_finding(name, server.url) for server in served)
+    if n_absent:
+        what = (
+            f"{n_absent} other models are not on this machine, and this configuration needs none "
+            "of them"
+        )
+        yield ok(f"{what} (`edge models list`)")
+
+
+def _verify(file: FileCard | ChoiceCard) -> Path:
+    """Check the hash of a model file, and return its path."""
+    from edge.perception.runtime.cards import verify_model, verify_parts
+
+    if not isinstance(file, ChoiceCard):
+        return verify_model(file)
+    verify_parts(file)
+    return file.path
+
+
+def _server_finding(name: str, url: str) -> Finding:
+    """Return the finding on the server of a model that does not run on this machine."""
+    shown = redact(url)
+    if _listens(url):
+        return ok(f"model {name}: a server listens at {shown}")
+    todo = "start the server, or correct its URL in the model card"
+    return warn(f"model {name}: no server listens at {shown}", todo)
+
+
+def _targets(config: Config) -> tuple[str, ...]:
+    """Return the targets of the mission; of a refused mission only `mission.target`."""
+    from edge.mission.spec import prepare
+
+    try:
+        return prepare(config.mission).prompts
+    except UserError:
+        return (config.mission.target,)
+
+
+def check_vocabulary(config: Config) -> Iterator[Finding]:
+    """Check that the detector's text encoder knows the targets and the background words."""
+    from edge.perception.embedding.encoders import make_text_encoder
+    from edge.perception.embedding.text import TextEmbeddings, TextEncoder, words_for
+    from edge.perception.runtime.cards import load_detector_card
+
+    detector = config.perception.detector
+    if detector.kind == "onnx" and _sessions_crash():
+        return
+    encoder: TextEncoder
+    try:
+        if detector.kind == "onnx":
+            encoder = make_text_encoder(load_detector_card(detector.model), detector.vocabulary)
+            encoder.embed(_targets(config))
+        else:
+            encoder = TextEmbeddings(None)
+    except UserError as error:
+        yield finding_of(error, "fail" if detector.kind == "onnx" else "warn")
+    else:
+        yield ok(f"text embeddings: {encoder!r}")
+        if detector.kind == "onnx":
+            known = words_for(detector.background, encoder.resolve)
+            unknown = [word for word in detector.background if word not in known]
+            if unknown:
+                what = (
+                    f"model {detector.model} does not know {len(unknown)} of the "
+                    f"{len(detector.background)} words of perception.detector.background"
+                )
+                yield warn(what, f"remove or replace these words: {', '.join(unknown)}")
+
+
+def check_scorers(config: Config) -> Iterator[Finding]:
+    """Check that the configured scorers can be made, and that their server listens."""
+    from edge.loop.scorers import make_scorers
+
+    uses_onnx = config.perception.similarity is not None or config.perception.choice.kind == "onnx"
+    if uses_onnx and _sessions_crash():
+        return
+    try:
+        scorers = make_scorers(config, _targets(config))
+    except UserError as error:
+        yield finding_of(error)
+        return
+    if scorers is None:
+        return
+    names = scorers.names()
+    scorers.close()
+    yield ok(f"scorers: {', '.join(names)}")
+    choice = config.perception.choice
+    if choice.kind in ("openai", "text") and not _listens(choice.url):
+        todo = "start the server, or correct the URL; until then no model chooses among frontiers"
+        yield warn(f"perception.choice.url: no server listens at {redact(choice.url)}", todo)
+
+
+def _listens(url: str) -> bool:
+    """Return True if a TCP connection to the server of a URL can be opened."""
+    parts = urlsplit(url)
+    port = parts.port or {"http": 80, "https": 443}[parts.scheme]
+    try:
+        socket.create_connection((parts.hostname, port), SERVER_S).close()
+    except (OSError, UnicodeError):  # UnicodeError: an invalid label in the host name
+        return False
+    return True
