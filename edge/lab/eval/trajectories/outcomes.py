@@ -162,8 +162,9 @@ def outcome_of(
         episode.id, method, writer, scores.success and not result.refused,
         *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
         round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
-        _plain(resample_evenly(path_m, _DRAWN_M)), not result.refused and end_m <= wanted_m + _AT_M,
-        round(contact_depth_m(path_m, solid_m, robot_m), 4),
+        _plain(resample_evenly(path_m, _DRAWN_M)),
+        at_thing=not result.refused and end_m <= wanted_m + _AT_M,
+        true_depth_m=round(contact_depth_m(path_m, solid_m, robot_m), 4),
     )  # fmt: skip
 
 
