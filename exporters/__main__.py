@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import math
 import re
 import sys
 from collections.abc import Mapping
@@ -31,12 +30,14 @@ import yaml
 from edge.host import resources
 from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
+from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import VOCABULARY_FILE
-from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard
+from edge.perception.runtime.card_types import Card, ChoiceCard, DetectCard, TextCard
 from edge.perception.runtime.cards import read_card
+from exporters.encoder_parity import EmbeddingReport
 from exporters.files import ExportError, exit_on_user_error
 from exporters.fp16 import write_fp16
-from exporters.images import TextEmbeddings, digest_of, load_text_embeddings
+from exporters.images import PROMPTS, TextEmbeddings, digest_of, load_text_embeddings
 from exporters.parity import (
     FP16_LIMITS,
     FP32_LIMITS,
@@ -57,12 +58,15 @@ from exporters.quantize import (
 from exporters.recipes import recipe_of
 from exporters.sidecar import write_sidecar
 
-FAMILIES = ("yolo-world-s",)
+FAMILIES = ("yolo-world-s", "yoloe-11s")
 """Families of detectors that are made from a checkpoint."""
+MOBILECLIP = "mobileclip-b"
+"""Family of text encoders that are made from TorchScript."""
 NAME = r"[a-z0-9][a-z0-9.-]*"
 """Pattern of a new card's name."""
 FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
+    "owlv2": "exporters.owlv2",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
 }  # fmt: skip
 """Module that exports a Hugging Face folder, by the folder's `model_type`."""
@@ -98,7 +102,7 @@ def export_card(card: DetectCard, args: argparse.Namespace) -> ParityReport | No
         raise ExportError(f"{card.name}: --weights is missing; give the checkpoint (a .pt file)")
     text = _prompts(card, args)
     report = _export(card, args, text)
-    if args.vocabulary is None:
+    if args.vocabulary is None and card.text_encoder is None:
         keep_vocabulary(text, args.cache / VOCABULARY_FILE)
     return report
 
@@ -121,11 +125,24 @@ def _export(
     return _export_derived(card, fp32, args, text)
 
 
+def _export_text(card: TextCard, args: argparse.Namespace) -> EmbeddingReport:
+    """Make the file of a text encoder in TorchScript."""
+    from exporters.mobileclip import export_text
+
+    if args.weights is None:
+        raise ExportError(f"{card.name}: --weights is missing; give mobileclip_blt.ts")
+    return export_text(card, trusted_sha256(card, args), args)
+
+
 def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
     """Return the prompts to calibrate and compare with.
 
-    They are household words of a vocabulary file, or the COCO names inside the checkpoint.
+    They are household words, by the detector's own text encoder or of a vocabulary file, or the
+    COCO names inside the checkpoint.
     """
+    if card.text_encoder is not None:
+        words = tuple(PROMPTS.split(","))
+        return TextEmbeddings(words, make_text_encoder(card, None).embed(words)[0])
     if args.vocabulary is not None:
         return load_text_embeddings(args.vocabulary)
     if args.weights is None:
@@ -134,7 +151,19 @@ def _prompts(card: DetectCard, args: argparse.Namespace) -> TextEmbeddings:
         )
     from exporters.yolo_world import coco_prompts
 
-    return coco_prompts(args.weights, card.weights_sources()[0].sha256)
+    return coco_prompts(args.weights, trusted_sha256(card, args))
+
+
+def trusted_sha256(card: DetectCard | TextCard, args: argparse.Namespace) -> str:
+    """Return the hash that the weights must have: by the card, else by the user (`--sha256`)."""
+    if sources := card.weights_sources():
+        return sources[0].sha256
+    if args.sha256 is None:
+        raise ExportError(
+            f"{card.name}: its card knows no hash of the weights; give --sha256 HASH, from a place "
+            "that you trust, because a checkpoint can run code"
+        )
+    return args.sha256.lower()
 
 
 def keep_vocabulary(text: TextEmbeddings, out: Path) -> None:
@@ -154,7 +183,7 @@ def _export_fp32(
 
     out = args.cache / card.file
     print(f"{card.name}: exporting {out}", file=sys.stderr)
-    detector = load_detector(args.weights, card.weights_sources()[0].sha256)
+    detector = load_detector(args.weights, trusted_sha256(card, args))
     report = None
     with replace_atomically(out) as temporary:  # a file that fails its limits is discarded
         export_onnx(detector, card.input.height, card.input.width, temporary)
@@ -197,25 +226,13 @@ def _check_step(
     if not args.no_gate:
         check_parity(report, limits, card.name)
     if args.update_card:
-        _update_card(args.cards / f"{card.name}.yaml", card_parity(report, reference))
+        _update_card(args.cards / f"{card.name}.yaml", report.for_card(reference))
 
 
 def _update_card(path: Path, parity: dict) -> None:
     """Replace the card's measured parity; the other keys keep their order."""
     card = {**yaml.safe_load(path.read_text(encoding="utf-8")), "parity": parity}
     write_atomically(path, yaml.safe_dump(card, sort_keys=False, width=110).encode())
-
-
-def card_parity(report: ParityReport, reference: str) -> dict:
-    """Return the figures of a report that a card keeps; an unknown score error is null."""
-    unknown = math.isnan(report.score_error)
-    return {
-        "reference": reference,
-        "images": report.images,
-        "recall": round(report.recall, 3),
-        "precision": round(report.precision, 3),
-        "score_error": None if unknown else round(report.score_error, 3),
-    }
 
 
 def _write_sidecar(
@@ -227,7 +244,7 @@ def _write_sidecar(
 ) -> None:
     """Write the sidecar of a detector's file; see `exporters.sidecar`."""
     weights = next((source.sha256 for source in card.weights_sources()), None)
-    parity = card_parity(report, reference) if report else None
+    parity = report.for_card(reference) if report else None
     write_sidecar(out, card.name, parity, weights, calibration)
 
 
@@ -274,6 +291,9 @@ def main(argv: list[str] | None) -> None:
         type=Path,
         help="weights to export: a .pt file, or a model folder of Hugging Face (default: quantize "
         "the FP32 file in --cache)",
+    )
+    parser.add_argument(
+        "--sha256", help="hash that a .pt or .ts file must have, if the card names none"
     )
     parser.add_argument(
         "--precision",
@@ -331,8 +351,10 @@ def main(argv: list[str] | None) -> None:
 
         print_reports(quantize_card(card_of_name, args))
         return
-    card = load_card(args.card, args.cards)
-    report = export_card(card, args)
+    if isinstance(card_of_name, TextCard) and card_of_name.family == MOBILECLIP:
+        report = _export_text(card_of_name, args)
+    else:
+        report = export_card(load_card(args.card, args.cards), args)
     if report is not None:
         print(json.dumps(report.figures()))
 

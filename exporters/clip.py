@@ -303,7 +303,7 @@ class _TowerExporter:
         }
         # The original's embeddings, by task. `compare` ranks images by texts, and texts by images.
         self._reference = {
-            task: _embed_torch(tower, self._tests[task])
+            task: embed_torch(tower, self._tests[task])
             for task, tower in zip(("image", "text"), towers, strict=True)
         }
 
@@ -383,7 +383,39 @@ def derive(fp32: Path, out: Path, feeds: list[dict[str, np.ndarray]], precision:
         check_format(out)
 
 
-def _embed_torch(tower: nn.Module, inputs: list[np.ndarray]) -> np.ndarray:
+def make_text_encoder(
+    card: dict[str, Any], tower: nn.Module, tokens: np.ndarray, weights_sha256: str, args: Any
+) -> EmbeddingReport:
+    """Make the file and the sidecar of a detector's text encoder.
+
+    Args:
+        card: its text card; a precision other than FP32 is made from the FP32 file in the cache.
+        tower: the original.
+        tokens: (n, context) int64, texts to trace, calibrate and compare with.
+        weights_sha256: hash of the original weights.
+        args: cache, no_gate: see `exporters.__main__`.
+
+    Raises:
+        ExportError: the parity misses its limits.
+    """
+    out, precision, source = args.cache / card["file"], card["precision"], card["derived_from"]
+    rows = [row[None] for row in tokens]
+    print(f"{card['name']}: exporting {out}", file=sys.stderr)
+    with replace_atomically(out) as temporary:
+        if source is None:
+            export_tower(tower, temporary, "text", torch.from_numpy(tokens[:2]))
+        else:
+            feeds = [{"tokens": row} for row in rows]
+            derive(args.cache / f"{source}.onnx", temporary, feeds, precision)
+        report = compare(embed_torch(tower, rows), embed_onnx(temporary, rows))
+        print(f"{card['name']} against torch:\n{report.table()}", file=sys.stderr)
+        if not args.no_gate:
+            check_limits(report, LIMITS[precision], card["name"])
+    write_sidecar(out, card["name"], report.for_card("torch"), weights_sha256)
+    return report
+
+
+def embed_torch(tower: nn.Module, inputs: list[np.ndarray]) -> np.ndarray:
     """Return (n, d): one embedding for each input."""
     with torch.inference_mode():
         rows = [tower(torch.from_numpy(batch)).numpy() for batch in inputs]

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+from onnxruntime import InferenceSession
 
 from edge.host.files import replace_atomically
 from edge.host.progress import with_progress
-from exporters.calibration import Feed, float_tensors, tensor_session
+from exporters.calibration import Feed, float_tensors
 from exporters.files import ExportError
-from exporters.onnx_format import check_format
+from exporters.onnx_format import check_format, cpu_session
 from exporters.recipes import Recipe, nodes_like
 
 SAFE_LIMIT = float(np.finfo(np.float16).max) / 8
 """Nodes with larger values on the calibration images stay in float32."""
+_SMALL = "small?"  # prefix of the outputs of `_range_session`
 
 
 def write_fp16(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe) -> None:
@@ -70,16 +72,36 @@ def overflowing_nodes(
 ) -> set[str]:
     """Return the names of nodes that read or write a value beyond ±`limit` (or NaN) on `feeds`."""
     names = float_tensors(model)
-    session = tensor_session(model, names)
+    session = _range_session(model, names, limit)
     large: set[str] = set()
     for feed in with_progress("pictures: values", feeds):
-        found = session.run(names, feed) if names else []  # an empty list means all outputs
-        for name, value in (*feed.items(), *zip(names, found, strict=True)):
-            if not np.abs(value).max(initial=0.0) <= limit:  # also True for NaN
-                large.add(name)
+        large.update(k for k, v in feed.items() if not np.abs(v).max(initial=0.0) <= limit)
+        is_small = session.run([_SMALL + name for name in names], feed) if names else []
+        large.update(name for name, small in zip(names, is_small, strict=True) if not small)
     return {
         node.name for node in model.graph.node if large.intersection((*node.input, *node.output))
     }
+
+
+def _range_session(model: onnx.ModelProto, names: list[str], limit: float) -> InferenceSession:
+    """Return a session that outputs, for each of `names`, 1 if its values are within ±`limit`.
+
+    The session compares the values itself: those of a large transformer together fill 20 GB.
+    """
+    augmented = onnx.ModelProto()
+    augmented.CopyFrom(model)
+    graph, node, uint8 = augmented.graph, onnx.helper.make_node, onnx.TensorProto.UINT8
+    graph.initializer.append(onnx.helper.make_tensor("limit?", onnx.TensorProto.FLOAT, (), [limit]))
+    for name in names:
+        magnitude, within, number = (f"{what}?{name}" for what in ("abs", "within", "number"))
+        graph.node.extend([
+            node("Abs", [name], [magnitude]),
+            node("LessOrEqual", [magnitude, "limit?"], [within]),  # False for NaN
+            node("Cast", [within], [number], to=uint8),
+            node("ReduceMin", [number], [_SMALL + name], keepdims=0),
+        ])  # fmt: skip
+        graph.output.append(onnx.helper.make_tensor_value_info(_SMALL + name, uint8, ()))
+    return cpu_session(augmented.SerializeToString())
 
 
 def drop_round_trips(model: onnx.ModelProto) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,8 +15,21 @@ from edge.perception.embedding.text import PromptError, load_vocabulary
 from exporters.files import ExportError
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
-LETTERBOX_PAD = 114
-"""Grey value around an image whose aspect ratio is not the input's, as YOLO was trained with."""
+
+
+class Border(NamedTuple):
+    """The border of an image whose aspect ratio is not the input's.
+
+    Attributes:
+        grey: its value, 0 to 255.
+        centred: True: the image lies in the middle; False: in the upper left corner.
+    """
+
+    grey: int
+    centred: bool
+
+
+CENTRED = Border(114, centred=True)  # as YOLO was trained with
 PROMPTS = (
     "chair,armchair,sofa,bed,dining table,coffee table,desk,nightstand,cabinet,bookcase,"
     "refrigerator,microwave oven,oven,sink,toilet,bathtub,television,lamp,chandelier,vase,"
@@ -57,9 +71,9 @@ def digest_of(paths: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def load_input(path: Path, hw: tuple[int, int]) -> np.ndarray:
+def load_input(path: Path, hw: tuple[int, int], border: Border = CENTRED) -> np.ndarray:
     """Return an image file as the detector's `images` input, (1, 3, H, W) float32 RGB 0..1."""
-    return as_input(letterbox(read_rgb(path), hw))
+    return as_input(letterbox(read_rgb(path), hw, border))
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -76,13 +90,13 @@ def as_input(rgb: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(rgb.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
 
 
-def letterbox(rgb: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
-    """Scale (h, w, 3) uint8 to fit H×W, centred on grey; return (H, W, 3) uint8."""
+def letterbox(rgb: np.ndarray, hw: tuple[int, int], border: Border = CENTRED) -> np.ndarray:
+    """Scale (h, w, 3) uint8 to fit H×W, on grey; return (H, W, 3) uint8."""
     scale = min(hw[0] / rgb.shape[0], hw[1] / rgb.shape[1])
     height, width = round(rgb.shape[0] * scale), round(rgb.shape[1] * scale)
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    canvas = np.full((*hw, 3), LETTERBOX_PAD, np.uint8)
-    top, left = (hw[0] - height) // 2, (hw[1] - width) // 2
+    canvas = np.full((*hw, 3), border.grey, np.uint8)
+    top, left = ((hw[0] - height) // 2, (hw[1] - width) // 2) if border.centred else (0, 0)
     canvas[top : top + height, left : left + width] = cv2.resize(
         rgb, (width, height), interpolation=interpolation
     )

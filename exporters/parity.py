@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from edge.host.progress import with_progress
 from edge.lab.bench.boxes import DetectedBoxes, match_to_reference, overlaps
 from exporters.files import ExportError
-from exporters.images import TextEmbeddings, load_input
+from exporters.images import CENTRED, Border, TextEmbeddings, load_input
 from exporters.onnx_format import check_format, cpu_session
 from exporters.reports import Report, check_limits
 
@@ -54,6 +55,17 @@ class ParityReport(Report):
     score_error: float
     score_bias: float
     max_abs_diff: float
+
+    def for_card(self, reference: str) -> dict:
+        """Return the figures that a card keeps (`card_types.Parity`)."""
+        unknown = math.isnan(self.score_error)
+        return {
+            "reference": reference,
+            "images": self.images,
+            "recall": round(self.recall, 3),
+            "precision": round(self.precision, 3),
+            "score_error": None if unknown else round(self.score_error, 3),
+        }
 
 
 def select_boxes(
@@ -168,11 +180,15 @@ def torch_model(detector: object) -> Model:
 
 
 def measure(
-    reference: Model | Path, candidate: Path, images: list[Path], text: TextEmbeddings
+    reference: Model | Path,
+    candidate: Path,
+    images: list[Path],
+    text: TextEmbeddings,
+    border: Border = CENTRED,
 ) -> ParityReport:
     """Compare an ONNX file with a reference model or ONNX file, on image files."""
     run, hw = onnx_model(candidate)
     if isinstance(reference, Path):
         reference, _ = onnx_model(reference)
-    inputs = (load_input(path, hw) for path in with_progress("pictures: compared", images))
+    inputs = (load_input(path, hw, border) for path in with_progress("pictures: compared", images))
     return compare(reference, run, inputs, text.emb[None])

@@ -31,7 +31,7 @@ from exporters.calibration import (
 )
 from exporters.files import ExportError
 from exporters.fp16 import kept_nodes, to_fp16
-from exporters.images import TextEmbeddings, list_images, load_input
+from exporters.images import CENTRED, Border, TextEmbeddings, list_images, load_input
 from exporters.onnx_format import check_format
 from exporters.recipes import Recipe, nodes_like
 from exporters.rounding import round_weights
@@ -118,7 +118,11 @@ def input_hw(model: onnx.ModelProto) -> tuple[int, int]:
 
 
 def calibration_feeds(
-    images: list[Path], text: TextEmbeddings, hw: tuple[int, int], seed: int = 0
+    images: list[Path],
+    text: TextEmbeddings,
+    hw: tuple[int, int],
+    seed: int = 0,
+    border: Border = CENTRED,
 ) -> list[Feed]:
     """Return one feed per image, alternately with all prompts and with a random few."""
     rng = np.random.default_rng(seed)
@@ -127,7 +131,7 @@ def calibration_feeds(
         rows = np.arange(len(text.names))
         if index % 2 and len(rows) > FEW_PROMPTS:
             rows = rng.choice(rows, FEW_PROMPTS, replace=False)
-        feeds.append({"images": load_input(path, hw), "txt_feats": text.emb[rows][None]})
+        feeds.append({"images": load_input(path, hw, border), "txt_feats": text.emb[rows][None]})
     return feeds
 
 

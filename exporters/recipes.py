@@ -36,6 +36,7 @@ class Recipe:
 _YOLO_HEAD = r"^/model\.22/(?!cv\d)"  # /model.22/Sigmoid, not /model.22/cv2.0/…/Conv
 """The head without its convolutions: text contrast and box decoding. Class scores vanish in 8 bits,
 and a coordinate above 512 px has only half-pixel steps in float16."""
+_YOLOE_HEAD = r"^/model\.23/(?!cv\d)"  # the same of YOLOE-11, with its network for text embeddings
 
 RECIPES = {
     "yolo-world-s": Recipe(
@@ -52,6 +53,10 @@ RECIPES = {
         not_symmetric=(r"^/model\.2/cv1/", r"^/model\.(12|15|18|21)/cv2/"),
         not_fp16=(_YOLO_HEAD,),
     ),
+    "yoloe-11s": Recipe(
+        not_int8=(r"^/model\.[01]/", r"/attn/(?!qkv/|proj/|pe/)", _YOLOE_HEAD),
+        not_fp16=(_YOLOE_HEAD,),
+    ),
     "mini-house": Recipe(
         not_int8=(
             r"^/trunk/stem/",  # 3 channels fill an integer kernel badly: float is faster
@@ -63,6 +68,14 @@ RECIPES = {
 
 TRANSFORMER = Recipe(matrices_only=True)
 """Recipe of every image encoder that is a vision transformer."""
+
+OWL = Recipe(
+    matrices_only=True,
+    not_int8=(r"^/(class|box)_head/",),
+    not_fp16=(r"^/(?!vision_model/|box_head/|class_head/dense0/)",),
+)
+"""Recipe of OWLv2: a vision transformer whose heads are 3 % of the work and whose boxes and scores
+need more than 8 bits. The text contrast and the boxes in pixels stay in float32."""
 
 
 def recipe_of(family: str) -> Recipe:

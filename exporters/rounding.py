@@ -9,6 +9,7 @@ inputs on the calibration images.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import onnx
@@ -31,9 +32,10 @@ CLIP_SHARES = np.linspace(0.7, 1.0, 13)
 """Ends of the range to try for a channel of a weight, as shares of its largest magnitude."""
 
 
-def attribute(node: onnx.NodeProto, name: str, default: list[int]) -> list[int]:
-    """Return an integer-list attribute of a node."""
-    return next((list(a.ints) for a in node.attribute if a.name == name), default)
+def attribute(node: onnx.NodeProto, name: str, default: Any) -> Any:
+    """Return an attribute of a node: an integer, or a list of integers."""
+    found = (onnx.helper.get_attribute_value(a) for a in node.attribute if a.name == name)
+    return next(found, default)
 
 
 def inputs_of_cells(
@@ -76,7 +78,7 @@ def _sampled_inputs(
 
 
 class InputStatistics:
-    """Statistics of a layer's inputs, over all images.
+    """Statistics of the inputs of a layer, or of one group of its channels, over all images.
 
     Args:
         size: d, the number of inputs that one output depends on.
@@ -119,8 +121,8 @@ def input_statistics(
     feeds: list[Feed],
     limits: Mapping[str, float],
     seed: int = 0,
-) -> dict[str, InputStatistics]:
-    """Return the statistics of each layer's input, by node name.
+) -> dict[str, list[InputStatistics]]:
+    """Return the statistics of each layer's input, one for each group of channels, by node name.
 
     Args:
         model: the float32 model.
@@ -133,16 +135,20 @@ def input_statistics(
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
     session = tensor_session(model, names)
     random = np.random.default_rng(seed)
-    statistics: dict[str, InputStatistics] = {}
+    statistics: dict[str, list[InputStatistics]] = {}
     for feed in with_progress("pictures: inputs of layers", feeds):
         made = session.run(names, feed) if names else []  # an empty list means all outputs
         values = {**feed, **dict(zip(names, made, strict=True))}
         for node in layers:
             inputs = _sampled_inputs(node, values[node.input[0]], weights[node.input[1]], random)
-            if node.name not in statistics:
-                limit = limits.get(node.input[0])
-                statistics[node.name] = InputStatistics(inputs.shape[1], limit)
-            statistics[node.name].add(inputs)
+            groups = statistics.setdefault(node.name, [])
+            if not groups:
+                # A depthwise convolution has as many groups as input channels; a matrix has one.
+                n = attribute(node, "group", 1)
+                size, limit = inputs.shape[1] // n, limits.get(node.input[0])
+                groups.extend(InputStatistics(size, limit) for _ in range(n))
+            for group, part in zip(groups, np.split(inputs, len(groups), axis=1), strict=True):
+                group.add(part)
     return statistics
 
 
@@ -225,18 +231,24 @@ def round_weights(
     by_name = {init.name: init for init in model.graph.initializer}
     scales: dict[str, np.ndarray] = {}
     for node in with_progress("layers: weights", layers):
-        initializer, inputs = by_name[node.input[1]], statistics[node.name]
+        initializer, groups = by_name[node.input[1]], statistics[node.name]
         array = numpy_helper.to_array(initializer)
         is_product = node.op_type == "MatMul"  # its output channels are columns
         weight = array.T if is_product else array.reshape(len(array), -1)
         scale = channel_scales(weight)
-        rounded = gptq(weight, inputs.moment, scale) * scale
+        of_group = [np.split(rows, len(groups)) for rows in (weight, scale)]
+        exact = list(zip(groups, *of_group, strict=True))
+        rounded_parts = [gptq(w, g.moment, s) * s for g, w, s in exact]
+        rounded = np.concatenate(rounded_parts)
         values = np.ascontiguousarray(rounded.T) if is_product else rounded.reshape(array.shape)
         initializer.CopyFrom(numpy_helper.from_array(values, initializer.name))
         scales[initializer.name] = scale[:, 0]
         if limits and node.input[0] in limits and len(node.input) > 2:
             bias = by_name[node.input[2]]
-            shift = weight @ inputs.mean - rounded @ inputs.rounded_mean
-            corrected = numpy_helper.to_array(bias) + shift
+            shift = [
+                w @ g.mean - r @ g.rounded_mean
+                for (g, w, _), r in zip(exact, rounded_parts, strict=True)
+            ]
+            corrected = numpy_helper.to_array(bias) + np.concatenate(shift)
             bias.CopyFrom(numpy_helper.from_array(corrected.astype(np.float32), bias.name))
     return scales

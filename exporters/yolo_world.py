@@ -1,4 +1,4 @@
-"""Export of YOLO-World v2 from its PyTorch checkpoint to one ONNX file with prompts as input.
+"""Export of YOLO-World v2 or YOLOE from a checkpoint to one ONNX file with prompts as input.
 
 All detector ONNX files of this project have the same inputs and outputs: `INPUTS`, `OUTPUTS`.
 """
@@ -34,7 +34,7 @@ TEXT_DIM = 512
 
 
 class YoloWorldDetector(nn.Module):
-    """YOLO-World with its text embeddings as an input, and boxes and scores as two outputs.
+    """YOLO-World or YOLOE with text embeddings as an input, and boxes and scores as two outputs.
 
     Ultralytics' own forward fixes the number of classes in the graph; here it is free.
     """
@@ -64,17 +64,23 @@ def _gather(sources: list[int], latest: Tensor, outputs: list[Tensor | None]) ->
 
 
 class WorldHead(nn.Module):
-    """Detection head at strides 8, 16, 32: Ultralytics' WorldDetect layers, fully decoded."""
+    """Detection head at strides 8, 16, 32: Ultralytics' WorldDetect layers, fully decoded.
+
+    YOLOE's head also has a network for text embeddings, RepRTA, which its own export folds into the
+    last convolution. Here it runs in the graph, so that prompts may change. Masks are left out.
+    """
 
     def __init__(self, head: nn.Module):
         super().__init__()
         self.cv2, self.cv3, self.cv4, self.dfl = head.cv2, head.cv3, head.cv4, head.dfl
+        self.reprta = getattr(head, "reprta", nn.Identity())
         self.f, self.i = head.f, head.i
         self.strides_px = [float(stride) for stride in head.stride]
 
     def forward(self, features: list[Tensor], txt_feats: Tensor) -> tuple[Tensor, Tensor]:
         """Map features (1, C, rows, columns) per level to boxes (1, A, 4) and scores (1, A, n)."""
-        logits = [self._logits(i, x, txt_feats) for i, x in enumerate(features)]
+        text = nn.functional.normalize(self.reprta(txt_feats), dim=-1).transpose(1, 2)
+        logits = [self._logits(i, x, text) for i, x in enumerate(features)]
         return self._boxes(features), torch.cat(logits, dim=1).sigmoid()
 
     def _boxes(self, features: list[Tensor]) -> Tensor:
@@ -85,11 +91,10 @@ class WorldHead(nn.Module):
         corners = torch.cat((centres - ltrb[..., :2], centres + ltrb[..., 2:]), dim=2)
         return corners * strides
 
-    def _logits(self, level: int, x: Tensor, txt_feats: Tensor) -> Tensor:
-        """Return class logits of one level, (1, cells, n): image features times text embeddings."""
+    def _logits(self, level: int, x: Tensor, text: Tensor) -> Tensor:
+        """Return logits of one level, (1, cells, n): image features times `text` (1, d, n)."""
         contrast = self.cv4[level]
         embedding = contrast.norm(self.cv3[level](x)).flatten(2).transpose(1, 2)
-        text = nn.functional.normalize(txt_feats, dim=-1).transpose(1, 2)
         # Scale the text: n is far smaller than the number of cells.
         return embedding @ (text * contrast.logit_scale.exp()) + contrast.bias
 

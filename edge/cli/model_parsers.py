@@ -25,6 +25,11 @@ def _add_list_options(action: argparse.ArgumentParser) -> None:
     option("name", nargs="?", help=f"{_CARD} (default: all)")
     option("--json", action="store_true", help="print the cards as JSON")
     option(
+        "--licence", metavar="L",
+        help="list only models under this licence (as the table names it), or under any permissive "
+        "one (`permissive`)",
+    )  # fmt: skip
+    option(
         "--check",
         action="store_true",
         help="check the hash, inputs and outputs of each model file, and run the file once",
@@ -42,7 +47,7 @@ def _add_list_options(action: argparse.ArgumentParser) -> None:
         lazy_handler("edge.models.listing", "run"),
     )
     dispatch_on_option(
-        action, "--check", on=check, on_only=("--file",), off=show, off_only=("--json",)
+        action, "--check", on=check, on_only=("--file",), off=show, off_only=("--json", "--licence")
     )
 
 
@@ -96,7 +101,11 @@ def _add_export_options(action: argparse.ArgumentParser) -> None:
         lazy_handler("edge.models.make", "export"),
         lazy_handler("edge.models.make", "quantize"),
     )
-    only_export = ("--weights", "--family", "--license")
+    option(
+        "--sha256", metavar="HASH",
+        help="hash that the file of --weights must have, if its card names none",
+    )  # fmt: skip
+    only_export = ("--weights", "--sha256", "--family", "--license")
     dispatch_on_option(
         action, "--quantize", on=quantize, on_only=(), off=export, off_only=only_export
     )

@@ -154,6 +154,11 @@ class GoalTracker:
         return self.goal_status is not None and self.goal_status.state == "reached"
 
     @property
+    def _has_viewpoint(self) -> bool:
+        """True if the current goal is a viewpoint."""
+        return self._tracked is not None and self._tracked.view is not None
+
+    @property
     def candidates_exhausted(self) -> bool:
         """True if all candidates are used up.
 
@@ -231,7 +236,11 @@ class GoalTracker:
         elif new_goal is not None or not self._search.exhausted:
             if new_goal is not self._tracked:
                 self._next_view.abandon()
-        elif not self._search.retry(context, grid, self._pool, self._tracker):
+        elif not self._has_viewpoint and self._search.retry(
+            context, grid, self._pool, self._tracker
+        ):
+            self._next_view.abandon()  # the map changes: look for viewpoints again
+        else:
             new_goal = self._next_viewpoint(context, grid, images)
         self._tracked = new_goal
         return self.goal

@@ -139,14 +139,18 @@ def _lockstep(running: RunningService, stop: threading.Event) -> Iterator[None]:
     This clock stops while no observations come. The mission fails if they stop for longer than its
     time limit, in real time; before the first observation there is no such limit. If the clock of
     the observations jumps, the loop time continues from its last value.
+
+    Of two cameras, one may be late: its stamps then do not set the clock.
     """
-    observed_s, now_ns, stamp_ns = math.inf, 0, 0
+    observed_s, now_ns, stamp_ns, clock = math.inf, 0, 0, 0  # `clock`: the camera that sets it
     while not stop.is_set():
         observation = _read_inputs(running, now_ns) if _has_message(running, now_ns) else None
         if observation is not None:
             observed_s = time.monotonic()
-            now_ns = _advanced(now_ns, observation.stamp_ns - stamp_ns)
-            stamp_ns = observation.stamp_ns
+            passed_ns = observation.stamp_ns - stamp_ns
+            now_ns = _advanced(now_ns, passed_ns)
+            if passed_ns >= 0 or observation.camera_index == clock:
+                stamp_ns, clock = observation.stamp_ns, observation.camera_index
         running.now_ns = now_ns
         _serve_requests(running, now_ns)
         if observation is not None:

@@ -165,7 +165,8 @@ class SearchState:
         """Retry discarded candidates and blocked places; return True while that may help.
 
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
-        the map, up to twice.
+        the map, up to twice. So are cells in which something arrived, each time: a person who was
+        seen there may have gone.
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
@@ -176,16 +177,18 @@ class SearchState:
             if grid.travel_cost.generation < generation or context.now_ns < until_ns:
                 return True
             self._retry = None
-        if self._retries == _RETRIES or not grid.bumps.closed_m:
+        may_open = self._retries < _RETRIES and bool(grid.bumps.closed_m)
+        if context.now_ns < self._next_retry_ns:
+            return is_first or may_open
+        self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
+        opened = may_open and grid.bumps.open_all()
+        self._retries += opened
+        if not (grid.forget_arrivals() or opened):
             return is_first
-        if context.now_ns >= self._next_retry_ns:  # doors open, and people go
-            grid.bumps.open_all()
-            pool.unblock_all()
-            self._retries += 1
-            self._next_retry_ns = context.now_ns + _PAUSE_NS
-            # The travel-cost field that is growing now may have started before the opening. The
-            # next one includes the place.
-            self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
+        pool.unblock_all()
+        # The travel-cost field that is growing now may have started before the opening. The next
+        # one includes the place.
+        self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
 
 
@@ -214,7 +217,7 @@ class NextBestView:
         self._images_at_arrival: int | None = None  # the detector's number of images at the arrival
 
     def choose(self, grid: RollingMap, images: int) -> Viewpoint | None:
-        """Return the viewpoint to go to; None while the search runs, and if there is none.
+        """Return the viewpoint to go to; None after the last one, during the search, or if none.
 
         Args:
             grid: The map.
@@ -226,7 +229,7 @@ class NextBestView:
             grid.coverage.write_off(self._view)
             self.views += not self._unreachable
             self.abandon()
-        if self._view is None and not self.done:
+        elif self._view is None and not self.done:
             self._search(grid)
         return self._view
 

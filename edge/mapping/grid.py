@@ -38,6 +38,8 @@ _FOOTPRINT_M = 0.3  # unknown cells this near to the robot's centre are free
 _OFF_CENTRE_CELLS = 0.7
 # Weight of a new measurement of the floor's height.
 _FLOOR_GAIN = 0.2
+# Obstacles this near to the robot are never forgotten unseen.
+_KEEP_M = 1.0
 # Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 FRONTIER_MIN_CELLS = 6
@@ -219,6 +221,22 @@ class RollingMap:
     ) -> None:
         """Replace the zones; frontiers follow with the next update. See `Zones.set`."""
         self.zones.set(keep_out_m, stay_inside_m, self._changed)
+
+    def forget_arrivals(self) -> bool:
+        """Free all cells in which something arrived, such as a person; return True if any was.
+
+        What is still there is occupied again as soon as it is seen. Cells next to the robot stay:
+        the sensor may not see them. The cost grows with the window, so not for each tick.
+        """
+        (ox, oy), n, raw = self.window.origin, self.window.n, self._layers.raw
+        row, column = np.nonzero((raw >= ly.ARRIVED) & (raw < ly.BUMPED))
+        x, y = ox + (column - ox) % n, oy + (row - oy) % n
+        if self._robot_cell is not None:
+            away_m = self.resolution_m * np.hypot(x - self._robot_cell[0], y - self._robot_cell[1])
+            x, y = x[away_m > _KEEP_M], y[away_m > _KEEP_M]
+        for cell in zip(x.tolist(), y.tolist(), strict=True):
+            self._write(*cell, ly.FREE)
+        return len(x) > 0
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """Return -1 for unknown or outside the window, 0 for free, 100 for occupied or inflated."""

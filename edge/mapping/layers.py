@@ -22,8 +22,9 @@ from edge.jit import jit
 
 WORD = 64
 """Cells in a word of a bit plane."""
-UNSEEN, FREE, OCCUPIED = 0, 1, 2
-"""Values of `Layers.raw`; all values from `OCCUPIED` on are occupied."""
+UNSEEN, FREE, OCCUPIED, ARRIVED = 0, 1, 2, 128
+"""Values of `Layers.raw`; all values from `OCCUPIED` on are occupied. From `ARRIVED` on, the cell
+was surely free before: something came there, and may go again."""
 ZONE = np.uint16(0x8000)
 """Bit of `Layers.near`: a zone closes the cell (see `edge.mapping.zones`). The rest is a count."""
 BUMPED = 255
@@ -35,10 +36,12 @@ class Layers(NamedTuple):
 
     Attributes:
         raw: (N, N) uint8, observed state: 0 unseen, 1 free, 2 + k occupied and seen through in the
-            last k updates, 255 the robot was blocked there.
+            last k updates, 128 + k the same if it was surely free before, 255 the robot was blocked
+            there.
         near: (N, N) uint16, number of occupied cells within the inflation disc, and the bit `ZONE`.
         top: (N, N) uint8, height of the obstacle over the local ground, as a code (see
-            `edge.mapping.points.HEIGHT_CODES`).
+            `edge.mapping.points.HEIGHT_CODES`). In a free cell, the number of updates that saw its
+            floor (see `edge.mapping.update.SURELY_FREE`).
         label: (N, N) int16, frontier cluster; 0 none, -1 not in a cluster yet.
         known: (N, N / 64) uint64 bits, raw != 0.
         blocked: (N, N / 64) uint64 bits, near != 0.

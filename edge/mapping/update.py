@@ -8,11 +8,23 @@ from __future__ import annotations
 import numpy as np
 
 from edge.jit import jit
-from edge.mapping.layers import BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
+from edge.mapping.layers import (
+    ARRIVED,
+    BUMPED,
+    FREE,
+    OCCUPIED,
+    UNSEEN,
+    add_disc,
+    bit_set,
+    set_free,
+)
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 MOST_FLOOR_UPDATES = 10
 """`Layers.top` of a bumped cell counts the updates in a row that saw only floor, up to this."""
+SURELY_FREE = 3
+"""`Layers.top` of a free cell counts the updates that saw its floor, up to this. An obstacle that
+comes after so many arrived there; after fewer, it may be a wall that was missed from afar."""
 
 
 @jit
@@ -64,6 +76,9 @@ def apply_scan(
                 ):  # fmt: skip
                     flipped[n_flipped] = (cy << 16) | cx
                     n_flipped += 1
+            elif state == FREE:
+                if code == FLOOR and layers.top[sy, sx] < SURELY_FREE:
+                    layers.top[sy, sx] += 1
             elif state == UNSEEN:
                 free = code != 0
                 if not free and distance_m[cy, cx] < reach_m[sector_of[cy, cx]]:
@@ -120,23 +135,25 @@ def _update_obstacle(
     below_ray_m = sensor_z + slope * polar.distance_m[cy, cx] - scan.ground_m[sector, ring]
     m_per_code = coded_m / HEIGHT_CODES
     top = layers.top[sy, sx]
+    arrived = state >= ARRIVED or (state == FREE and top >= SURELY_FREE)
+    occupied = ARRIVED if arrived else OCCUPIED
     if code >= LOWEST_OBSTACLE:
         if state >= OCCUPIED and top > code:
             # Keep the greater height, unless a ray has just passed below it.
             highest_code = LOWEST_OBSTACLE + int(min(max(below_ray_m / m_per_code, 0.0), 252.0))
             code = max(code, min(top, highest_code))
         layers.top[sy, sx] = code
-        layers.raw[sy, sx] = OCCUPIED
+        layers.raw[sy, sx] = occupied
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
     # Codes are rounded down, and beams of a planar LiDAR are as high as their hits: add one code.
     if below_ray_m >= min((top - LOWEST_OBSTACLE + 1) * m_per_code, obstacle_max_m):
         return False
-    if state - OCCUPIED + 1 < clear_after:
+    if state - occupied + 1 < clear_after:
         layers.raw[sy, sx] = state + 1
         return False
     layers.raw[sy, sx] = FREE
-    layers.top[sy, sx] = 0
+    layers.top[sy, sx] = SURELY_FREE if arrived else 0
     return True
 
 

@@ -11,12 +11,20 @@ from edge.perception.runtime.card_types import ChoiceCard, EmbeddingParity, File
 from edge.perception.runtime.cards import Card, all_cards, load_card, made_parity
 from edge.text import format_table, one_line, redact
 
+PERMISSIVE = {
+    "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-0",
+    "unlicense", "zlib",
+}  # fmt: skip
+"""Licences (SPDX, in lower case) that ask for no more than a notice."""
 _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
 
 def run(args: argparse.Namespace) -> int:
     """Handle `edge models list`."""
     cards = all_cards() if args.name is None else [load_card(args.name)]
+    if args.licence is not None:
+        wanted = PERMISSIVE if args.licence == "permissive" else {args.licence.lower()}
+        cards = [card for card in cards if card.license.lower() in wanted]
     print(as_json(cards) if args.json else as_table(cards))
     return 0
 

@@ -27,6 +27,10 @@ TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",
 }
 """Family of models that are not exported from weights → command that trains them."""
+FROM_FOLDER = {"owlv2-base": "google/owlv2-base-patch16-ensemble"}
+"""Family that is exported from a folder → the folder's name on Hugging Face.
+
+All cards of the family are made at once, so the export takes the family's name."""
 # Modules that the exporters need, by kind of export.
 _QUANTIZE_NEEDS = ("onnx", "onnxruntime")
 _CHOICE_NEEDS = ("PIL", "tokenizers")
@@ -56,6 +60,8 @@ def export(args: argparse.Namespace) -> int:
         raise ModelError(
             f"models export: {card.name} is trained, not exported: {how_to_make(card)}"
         )
+    if card.family in FROM_FOLDER:
+        raise ModelError(f"models export: {card.name}: {how_to_make(card)}")
     weights = args.weights or pulled_weights(card)
     if weights is None:
         pull = f"run `edge models pull {card.name}`, or " if card.weights_sources() else ""
@@ -106,7 +112,9 @@ def quantize(args: argparse.Namespace) -> int:
         )
     verify_model(load_card(card.derived_from))
     require_modules("quantize", _QUANTIZE_NEEDS)
-    vocabulary = args.vocabulary or find_vocabulary(None)
+    vocabulary = args.vocabulary
+    if vocabulary is None and card.text_encoder is None:
+        vocabulary = find_vocabulary(None)
     return _run_exporters(card.name, args, vocabulary=vocabulary, cards=_folder_of(card))
 
 
@@ -136,6 +144,11 @@ def how_to_make(card: FileCard) -> str:
     """Return how to make a model's file, as a clause for messages."""
     if card.task == "segment":
         return "the exporter of its project makes it"
+    if published := FROM_FOLDER.get(card.family):
+        return (
+            f"`edge models export {card.family} --weights FOLDER` makes it, from a folder of "
+            f"{published}"
+        )
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
@@ -178,6 +191,7 @@ def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) ->
         "cards": files.get("cards"),
         "family": args.family,
         "license": args.license,
+        "sha256": args.sha256,
     }
     # Pairs of option and value, joined to one list of arguments below.
     given = [(f"--{key}", str(value)) for key, value in options.items() if value is not None]

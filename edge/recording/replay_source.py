@@ -6,7 +6,7 @@ The loop gives a worker a question (an item), and polls its answer in a later ti
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -188,12 +188,12 @@ class ReplaySource(InputLog):
             return None
         return self._detect(observation)
 
-    def _decode_similarity(self, answer: dict[str, Any], questions: Iterable[Any]) -> Any:
+    def _decode_similarity(self, answer: dict[str, Any], questions: deque[Any]) -> Any:
         similarity = journal.similarity_of(answer)
         question = _find_question(questions, similarity.stamp_ns)
         return None if question is None else (question, similarity)
 
-    def _decode_choice(self, answer: dict[str, Any], questions: Iterable[Any]) -> Any:
+    def _decode_choice(self, answer: dict[str, Any], questions: deque[Any]) -> Any:
         """Return the recorded choice; None if other settings led to another question."""
         choice = journal.choice_of(answer)
         question = _find_question(questions, choice.stamp_ns)
@@ -202,6 +202,14 @@ class ReplaySource(InputLog):
         return question, choice
 
 
-def _find_question(questions: Iterable[Any], stamp_ns: int) -> Any:
-    """Return the question about the observation of this stamp; None if there was none."""
-    return next((q for q in questions if q.observation.stamp_ns == stamp_ns), None)
+def _find_question(questions: deque[Any], stamp_ns: int) -> Any:
+    """Return the question about the observation of this stamp; None if there was none.
+
+    Questions up to this one are forgotten: answers come in order, and two cameras may have equal
+    stamps.
+    """
+    while questions:
+        question = questions.popleft()
+        if question.observation.stamp_ns == stamp_ns:
+            return question
+    return None

@@ -8,7 +8,8 @@ sensor is dropped and counted. In lockstep it waits forever, so that a run can b
 Of several complete observations the newest is used.
 
 Each camera has a synchronizer of its own, with depth that leads; they share poses and counters. If
-both cameras have an observation, they take turns. Stamps of observations never go back.
+both cameras have an observation, they take turns. If one sends later than the other, stamps of
+observations go back and forth.
 """
 
 from __future__ import annotations
@@ -202,7 +203,6 @@ class TimeSynchronizer:
         self._clock = clock
         # All cameras, the one whose turn it is first; for the second camera: none.
         self._turns: list[TimeSynchronizer] = []
-        self._newest_ns = -1  # stamp of the newest observation of two cameras
         if first is None:
             self.odometry = _make_odometry(config, wait_ns)
             totals = ("received", "observations", "old_pose")
@@ -273,11 +273,10 @@ class TimeSynchronizer:
         i = message.camera_index
         # A cloud is joined with the images of each camera.
         for camera in self._cameras if isinstance(message, Cloud) else self._cameras[i : i + 1]:
-            if camera._take(message) == "clock_reset":
-                self._newest_ns = -1
+            camera._take(message)
 
-    def _take(self, message: Message) -> str:
-        """Process a message of this camera, or of none; return a reason of `REASONS`, or ""."""
+    def _take(self, message: Message) -> None:
+        """Process a message of this camera, or of none."""
         reason = ""
         if isinstance(message, Odometry):
             reason = self.odometry.push(message.stamp_ns, message.T_map_base, message.age_ns)
@@ -293,10 +292,9 @@ class TimeSynchronizer:
                 self._camera_frame = message.frame_id
             # A frame of another sensor that no leading frame needed is no drop.
             if reason == "superseded" and message.field != self._leader:
-                return reason
+                return
         if reason:
             self.count(message.topic, reason)
-        return reason
 
     def _use_camera_info(self, message: CameraInfo) -> None:
         """Use new camera info: plan the rectification, and drop the pool, whose size may change."""
@@ -346,10 +344,7 @@ class TimeSynchronizer:
         if len(self._turns) == 1:
             return self._poll_camera()
         for camera in self._turns:
-            leading = camera.streams[camera._leader]
-            self.counters["superseded"] += leading.drop_through(self._newest_ns)
             if (observation := camera._poll_camera()) is not None:
-                self._newest_ns = observation.stamp_ns
                 self._turns.remove(camera)
                 self._turns.append(camera)
                 return observation

@@ -17,7 +17,7 @@ from edge.perception.runtime.model_file import ModelError
 from edge.perception.runtime.onnx_file import MAX_IR, MAX_OPSET
 from exporters.__main__ import load_card
 from exporters.files import ExportError, check_sha256, sha256_of
-from exporters.images import letterbox, list_images, load_input, load_text_embeddings
+from exporters.images import Border, letterbox, list_images, load_input, load_text_embeddings
 from exporters.onnx_format import check_format
 
 pytestmark = pytest.mark.export
@@ -45,6 +45,12 @@ def test_letterbox_centres_on_grey(size_hw, rows, columns):
     inside[rows, columns] = True
     assert (out[inside] == 255).all()
     assert (out[~inside] == 114).all()
+
+
+def test_letterbox_in_the_corner():
+    out = letterbox(np.full((50, 200, 3), 255, np.uint8), (64, 96), Border(128, centred=False))
+    assert (out[:24] == 255).all()
+    assert (out[24:] == 128).all()
 
 
 def test_load_input_is_rgb_in_0_to_1(tmp_path: Path):

@@ -82,10 +82,8 @@ def test_a_model_with_values_that_are_not_finite_is_refused(candidate, says):
 
 
 def test_a_card_is_told_no_score_error_where_there_is_none():
-    from exporters.__main__ import card_parity
-
-    assert card_parity(report(score_error=NAN), "fp32")["score_error"] is None
-    assert card_parity(report(), "fp32")["score_error"] == 0.1
+    assert report(score_error=NAN).for_card("fp32")["score_error"] is None
+    assert report().for_card("fp32")["score_error"] == 0.1
 
 
 def report(**changed: float) -> ParityReport:

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("onnx", reason="onnx is not installed (extra `quantize`)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `cpu`)")
 
-from onnx import helper
+from onnx import helper, numpy_helper
 
 from exporters import rounding
 
@@ -102,3 +102,29 @@ def plain_gptq(weight, moment, scale):
         weight -= np.outer(error, inverse[k])
         inverse -= np.outer(inverse[:, k], inverse[k]) / inverse[k, k]
     return levels
+
+
+def test_groups_of_channels_are_rounded_each_by_itself():
+    """A convolution with groups is as many convolutions next to each other."""
+    random = np.random.default_rng(2)
+    weight = random.normal(0, 0.1, (6, 2, 3, 3)).astype(np.float32)
+    images = random.normal(0.2, 1.0, (3, 1, 4, 8, 8)).astype(np.float32)
+
+    def rounded(weight, images, groups):
+        made = helper.make_node("Conv", ["x", "w", "b"], ["y"], name="conv", group=groups)
+        shape = [1, images.shape[2], 8, 8]
+        constants = {"w": weight, "b": np.zeros(len(weight), np.float32)}
+        graph = helper.make_graph(
+            [made], "g", [helper.make_tensor_value_info("x", 1, shape)],
+            [helper.make_tensor_value_info("y", 1, None)],
+            [numpy_helper.from_array(value, name) for name, value in constants.items()],
+        )  # fmt: skip
+        opset = helper.make_opsetid("", 17)
+        model = helper.make_model(graph, opset_imports=[opset], ir_version=8)
+        feeds = [{"x": image} for image in images]
+        scales = rounding.round_weights(model, list(model.graph.node), feeds, {"x": 2.0})
+        return [scales["w"], *map(numpy_helper.to_array, model.graph.initializer)]
+
+    halves = [rounded(weight[i : i + 3], images[:, :, c : c + 2], 1) for i, c in ((0, 0), (3, 2))]
+    for found, *parts in zip(rounded(weight, images, 2), *halves, strict=True):
+        np.testing.assert_allclose(found, np.concatenate(parts), atol=1e-6)

@@ -164,3 +164,34 @@ def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
     (folder / "chat_template.jinja").write_text(TEMPLATE % IMAGE[kind])
     (folder / "README.md").write_text(README)
     return folder
+
+
+def write_owlv2(folder: Path, seed: int = 0, config: dict | None = None) -> Path:
+    """Write OWLv2: two layers of 64 in each half and 6 x 6 patches, or as `config` says.
+
+    Its class head finds something in a part of the patches, so that detections can be compared.
+    """
+    import torch
+    from transformers import Owlv2Config, Owlv2ForObjectDetection
+
+    folder.mkdir(parents=True, exist_ok=True)
+    tokens = write_tokenizer(folder, lowercase=False)
+    size = {
+        "hidden_size": 64, "intermediate_size": 128, "num_hidden_layers": 2,
+        "num_attention_heads": 4,
+    }  # fmt: skip
+    text = {**size, "vocab_size": tokens, "bos_token_id": 1, "eos_token_id": tokens - 1}
+    text["max_position_embeddings"] = 32
+    vision = {**size, "image_size": 48, "patch_size": 8}
+    if config is None:
+        config = {"text_config": text, "vision_config": vision, "projection_dim": 64}
+    torch.manual_seed(seed)
+    model = _alive(Owlv2ForObjectDetection(Owlv2Config(**config)))
+    with torch.no_grad():
+        model.class_head.logit_shift.weight.mul_(0.01)
+        model.class_head.logit_shift.bias.fill_(-0.05)
+        model.class_head.logit_scale.bias.fill_(9.0)
+    model.save_pretrained(folder)
+    side = model.config.vision_config.image_size
+    _write_preprocessor(folder, {"height": side, "width": side}, crop=None)
+    return folder

@@ -26,6 +26,7 @@ class Map:
     """All cells are free and can be reached, but for those near to a point in `walled`.
 
     Attributes:
+        arrived: True if something came into the way, which may go again.
         asked: where to stop for an instance: how near, to how many points; nowhere is nearer than
             `least_m`, nor near to more than `most_points`.
         view_m2: area that the view shows.
@@ -35,6 +36,7 @@ class Map:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
         self.generation, self.closed_m, self.known_m = 7, [], []
+        self.arrived = False
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.view_m2 = 0.0
         self.travel_cost = self.coverage = self.bumps = self
@@ -61,6 +63,10 @@ class Map:
     def open_all(self) -> bool:
         closed, self.closed_m = self.closed_m, []
         return bool(closed)
+
+    def forget_arrivals(self) -> bool:
+        arrived, self.arrived = self.arrived, False
+        return arrived
 
     def restart_search(self) -> None:
         """Nothing was seen badly, but for `view`."""
@@ -389,7 +395,8 @@ def test_what_was_seen_badly_is_looked_at_again_from_one_view():
     case.answer("reached")
     case.judge(images=60)
     assert case.tick(images=60) is goal
-    assert case.tick(images=60 + simulated().perception.confirm_hits) is None
+    for _ in range(2):  # the end of this view, and the search for the next
+        assert case.tick(images=60 + simulated().perception.confirm_hits) is None
     assert (case.goals.views, case.goals.exhausted) == (1, True)
 
 
@@ -464,6 +471,29 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
     assert not case.goals.exhausted
     case.tick((3.0, 0.0))
     assert case.tick((3.0, 0.0), after_s=2.5).candidate_xy_m == (3.0, 0.0)
+
+
+def test_who_came_into_the_way_may_have_gone_before_the_end():
+    """Each time that nothing is left, but not while the robot goes to a viewpoint."""
+    case = Case()
+    case.turn_round()
+    for _ in range(3):
+        case.tick(after_s=11.0)
+        case.map.arrived = True
+        assert case.tick(after_s=11.0) is None
+        assert (case.map.arrived, case.goals.exhausted) == (False, False)
+        case.map.generation += 2
+        case.tick(after_s=4.0)
+        assert case.goals.exhausted
+    case.map.arrived = True
+    case.tick()
+    assert case.map.arrived, "ten seconds between two tries"
+    case.map.view = Viewpoint(1.0, 2.0, 0.5)
+    case.goals.abandon()
+    view = case.tick()
+    assert view.kind == "spin"
+    assert case.tick(after_s=11.0) is view
+    assert case.map.arrived
 
 
 # -- arriving -------------------------------------------------------------------------------

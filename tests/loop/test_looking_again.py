@@ -60,6 +60,8 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
         assert case.choose() is A
     case.images = 103
     assert case.choose() is None
+    assert not case.survey.done, "the search for the next view comes after this one's end"
+    assert case.choose() is None
     assert (case.survey.done, case.survey.views, case.coverage.left) == (True, 1, [])
 
 

@@ -94,6 +94,21 @@ def run_out(run: RunningService, seen: list[Observation]) -> None:
     loop(run, stop, each=lambda: None if seen else stop.set())
 
 
+def test_in_lockstep_a_late_second_camera_does_not_set_the_clock():
+    """Its stamps are two seconds old; a second of the first one is a second of the loop."""
+    run = running(lockstep=True)
+    seen = blanks(ClosedLoop(run.config), 21)
+    for i in range(1, 21, 2):
+        late_ns = seen[i].stamp_ns - 2 * 10**9
+        seen[i] = replace(seen[i], camera_index=1, stamp_ns=late_ns)
+    run.source.observations = seen
+    times_ns = []
+    stop = threading.Event()
+    loop(run, stop, each=lambda: times_ns.append(run.now_ns) or (seen or stop.set()))
+    assert run.now_ns - times_ns[0] == 2 * 10**9
+    assert times_ns == sorted(times_ns)
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 @pytest.mark.parametrize("frames", [1, 2])
 def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
@@ -131,10 +146,10 @@ def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)
     stamp_ns = 2 * 10**9
-    seen = [SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None)]
+    seen = [SimpleNamespace(seq=0, camera_index=0, stamp_ns=stamp_ns, release=lambda: None)]
     for step_s in steps_s:
         stamp_ns += int(step_s * 1e9)
-        seen.append(SimpleNamespace(seq=0, stamp_ns=stamp_ns, release=lambda: None))
+        seen.append(SimpleNamespace(seq=0, camera_index=0, stamp_ns=stamp_ns, release=lambda: None))
     run.source.observations = seen
     loop(run, stop, each=lambda: stop.set() if len(times) == 4 else None)
     assert times[:2] == [2 * 10**9, 3 * 10**9]

@@ -72,6 +72,31 @@ def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
         assert grid.state_at(1.52, 0.0) == (100 if closed else 0)
 
 
+@pytest.mark.parametrize(
+    ("floor_looks", "x_m", "forgotten"),
+    [
+        (0, 1.5, False),
+        (update.SURELY_FREE, 1.5, False),  # the first look frees the cell
+        (update.SURELY_FREE + 1, 1.5, True),
+        (update.SURELY_FREE + 1, 0.8, False),  # next to the robot
+    ],
+)
+def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forgotten):
+    grid, walls = RollingMap(SMALL), room(2.5)
+    assert not grid.forget_arrivals()
+    with_person = [*walls, (x_m, -0.15, 0.0, x_m + 0.3, 0.15, 1.7)]
+    for boxes in [*floor_looks * [walls], with_person]:
+        look(grid, ORIGIN, boxes)
+    assert grid.state_at(x_m + 0.02, 0.0) == 100
+    before = np.count_nonzero(twins.window(grid, "raw") >= layers.OCCUPIED)
+    assert grid.forget_arrivals() == forgotten
+    assert grid.state_at(x_m + 0.02, 0.0) == (0 if forgotten else 100)
+    assert (np.count_nonzero(twins.window(grid, "raw") >= layers.OCCUPIED) < before) == forgotten
+    assert grid.state_at(2.52, 1.0) == 100, "the walls stay"
+    look(grid, ORIGIN, with_person)
+    assert grid.state_at(x_m + 0.02, 0.0) == 100
+
+
 def test_a_low_obstacle_stays_while_it_is_below_the_view():
     """Seen from afar, then under the camera's blind zone: nothing flew low enough to clear it."""
     grid = RollingMap(SMALL)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from edge.cli.main import main
 from edge.host import resources
 
@@ -60,3 +62,19 @@ def test_json_has_all_that_the_cards_say_and_where_files_are(put_card, capsys):
     assert (scorer["detector"], scorer["path"]) == ("d", None)
     assert words["path"] == str(path)
     assert words["measured"]["held-out"] == {"ap50": 0.9, "seed": 1, "made by": "train"}
+
+
+def test_models_are_chosen_by_licence(put_card, capsys):
+    for name, licence in {"a": "apache-2.0", "b": "AGPL-3.0", "c": "MIT", "d": "unknown"}.items():
+        put_card({**TEXT, "name": name, "license": licence})
+
+    def listed(*words):
+        assert main(["models", "list", "--json", *words]) == 0
+        return [card["name"] for card in json.loads(capsys.readouterr().out)]
+
+    assert listed("--licence", "permissive") == ["a", "c"]
+    assert listed("--licence", "agpl-3.0") == ["b"]
+    assert listed("b", "--licence", "permissive") == []
+    with pytest.raises(SystemExit):
+        main(["models", "list", "--check", "--licence", "permissive"])
+    assert "--licence: not allowed with --check" in capsys.readouterr().err

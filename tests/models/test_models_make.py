@@ -182,3 +182,28 @@ def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, w
         assert error == ""
     else:
         assert re.search(said, error)
+
+
+def test_a_hash_of_the_user_is_handed_on(started):
+    words = ["--weights", "w.pt", "--sha256", "ab" * 32]
+    assert main(["models", "export", "big", *words]) == 0
+    at = started[0].index("--sha256")
+    assert started[0][at + 1] == "ab" * 32
+
+
+def test_a_family_that_comes_as_a_folder_names_the_folder(put_card, capsys):
+    put_card({**ORIGINAL, "family": "owlv2-base", "sources": []})
+    for action in ("export", "pull"):
+        assert main(["models", action, "big"]) == os.EX_UNAVAILABLE
+        error = capsys.readouterr().err
+        assert (
+            "`edge models export owlv2-base --weights FOLDER` makes it, from a folder of " in error
+        )
+
+
+def test_a_detector_with_its_own_text_encoder_needs_no_vocabulary(started, put_card, monkeypatch):
+    put_card({**DERIVED, "text_encoder": "rows"})
+    monkeypatch.setattr(make, "verify_model", lambda card: None)
+    monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
+    assert main(["models", "export", "--quantize", "small", "--calibration", "pictures"]) == 0
+    assert "--vocabulary" not in started[0]

@@ -8,10 +8,9 @@ import numpy as np
 
 from edge.geometry import CameraModel
 from edge.lab.sim.people import PERSON_RADIUS_M, PeopledWorld, person_clearance_m
-from edge.mapping.compose import OCCUPIED
 from edge.mapping.grid import RollingMap
+from edge.mapping.layers import OCCUPIED
 
-_CELL_M = 0.1
 _LEFT_M = 0.15  # a person farther away than this has left the cell
 _FREE_M = 0.15  # cells nearer to furniture are not judged: it may occupy them, too
 _RANGE_M = 3.0  # farther floor is not judged
@@ -21,7 +20,8 @@ _SAME_M = 0.1  # largest difference between measured and expected depth of visib
 class GhostClock:
     """Longest time for which a cell that a person left stayed occupied in view.
 
-    It needs odometry without drift, so that the service's map and the world agree.
+    Cells that are closed only because an occupied one is near do not count: that one may be out of
+    view. It needs odometry without drift, so that the service's map and the world agree.
 
     Args:
         world: the world with its people.
@@ -43,23 +43,24 @@ class GhostClock:
         dt_s: float,
     ) -> None:
         """Judge the map after a tick: `depth_m` (h, w) is its image, `dt_s` the time of a step."""
-        people, plan = self._world.people, self._world.plan
-        n = math.ceil(PERSON_RADIUS_M / _CELL_M)
+        people, plan, cell_m = self._world.people, self._world.plan, grid.resolution_m
+        raw, size = grid.layers.raw, grid.window.n
+        n = math.ceil(PERSON_RADIUS_M / cell_m)
         for person in people:
-            col, row = (int(v // _CELL_M) for v in person.xy_m)
+            col, row = grid.window.cell_of(*person.xy_m.tolist())
             for dr in range(-n, n + 1):
                 for dc in range(-n, n + 1):
-                    x_m, y_m = _CELL_M * (col + dc + 0.5), _CELL_M * (row + dr + 0.5)
+                    x_m, y_m = cell_m * (col + dc + 0.5), cell_m * (row + dr + 0.5)
                     inside = math.dist(person.xy_m, (x_m, y_m)) < PERSON_RADIUS_M
                     cell = plan.grid.cell_of(x_m, y_m)
                     if inside and cell is not None and plan.clearance_m[cell] > _FREE_M:
                         self._in_view_s[row + dr, col + dc] = 0.0
         R, at = T_map_camera[:3, :3], T_map_camera[:3, 3]
         for (row, col), seconds in list(self._in_view_s.items()):
-            x_m, y_m = _CELL_M * (col + 0.5), _CELL_M * (row + 0.5)
+            x_m, y_m = cell_m * (col + 0.5), cell_m * (row + 0.5)
             if person_clearance_m(people, x_m, y_m) < _LEFT_M:
                 continue
-            if grid.state_at(x_m, y_m) != OCCUPIED:
+            if raw[row % size, col % size] < OCCUPIED:
                 del self._in_view_s[row, col]
             elif _shows_floor(camera, R.T @ (np.array([x_m, y_m, 0.0]) - at), depth_m):
                 self._in_view_s[row, col] = seconds + dt_s

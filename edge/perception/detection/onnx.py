@@ -339,12 +339,14 @@ class OnnxDetector:
         kernels.to_planes(rgb, self._scale, place.top, place.left, self._images[0])
 
     def _placement(self, width_px: int, height_px: int) -> _Placement:
-        """Fit the image into the input, scaled and centred as in training."""
+        """Fit the image into the input, scaled and placed as in training."""
         h, w = self.card.input.height, self.card.input.width
         scale = min(w / width_px, h / height_px)
         new_w, new_h = max(1, round(width_px * scale)), max(1, round(height_px * scale))
         resized = None if scale == 1.0 else np.empty((new_h, new_w, 3), np.uint8)
         top, left = (h - new_h) // 2, (w - new_w) // 2
+        if self.card.preprocess.letterbox_at == "corner":
+            top, left = 0, 0
         return _Placement(width_px, height_px, scale, top, left, resized)
 
     def _select_boxes(

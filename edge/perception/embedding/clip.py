@@ -62,7 +62,8 @@ class ClipTextEncoder:
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
         """See `TextEncoder.embed`."""
-        return self.encode([self.resolve(prompt) for prompt in check_prompts(prompts)])[None]
+        sentence = self.card.tokenizer.sentence
+        return self.encode([sentence.format(self.resolve(p)) for p in check_prompts(prompts)])[None]
 
     def encode(self, texts: Sequence[str]) -> np.ndarray:
         """Return one unit row per text, without resolving it as a prompt.

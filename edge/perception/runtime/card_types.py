@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from edge.host import resources
 from edge.text import split_url
 
-# Types of fields. An image side is a multiple of 32, the step of the networks.
+# Types of fields. An image side is a multiple of 16, the smallest step of the networks.
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
 OnnxName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.onnx$")]
@@ -24,7 +24,7 @@ FilePath = Annotated[
 ]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Positive = Annotated[int, Field(ge=1)]
-Side = Annotated[int, Field(ge=32, multiple_of=32)]
+Side = Annotated[int, Field(ge=32, multiple_of=16)]
 Precision = Literal["fp32", "fp16", "int8-cpu", "int8-trt", "int8", "q4"]
 """Number format of a network.
 
@@ -107,11 +107,13 @@ class Preprocess(_Part):
     """Preprocessing of pixels: the value of a channel is `rgb * scale`, with rgb from 0 to 255.
 
     The image is scaled to fit into the input. The border around it has the grey `letterbox_pad`.
+    The image lies in the middle (`centre`, YOLO), or in the upper left corner (`corner`, OWLv2).
     """
 
     color: Literal["rgb"]
     scale: Annotated[float, Field(gt=0)]
     letterbox_pad: Annotated[int, Field(ge=0, le=255)]
+    letterbox_at: Literal["centre", "corner"] = "centre"
 
 
 class Normalise(_Part):
@@ -132,7 +134,8 @@ class ClipTokenizer(_Part):
     """Byte-pair encoding, or SentencePiece, from a file next to the ONNX file.
 
     A text is filled up to `context` tokens with `pad`: SigLIP reads the padding, too. `sha256` is
-    the hash of the tokenizer's file; None: it is not checked.
+    the hash of the tokenizer's file; None: it is not checked. `sentence` is the text that the model
+    reads for a prompt, which stands in place of `{}`.
     """
 
     kind: Literal["clip"] = "clip"
@@ -140,6 +143,7 @@ class ClipTokenizer(_Part):
     sha256: Sha256 | None
     context: Positive = 77
     pad: Annotated[int, Field(ge=0)] = 0
+    sentence: Annotated[str, Field(pattern=r"^[^{}]*\{\}[^{}]*$")] = "{}"
 
 
 class AttributesTokenizer(_Part):
