@@ -157,10 +157,10 @@ def outcome_of(
         for at_m in (path_m[-1], episode.task.reference_m[-1])
     )
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
-    numbers = (scores.error_m, scores.frechet_m, scores.ndtw)
     return TrajectoryOutcome(
         episode.id, method, writer, scores.success and not result.refused,
-        *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
+        round(scores.error_m, 4), round(scores.frechet_m, 4), round(scores.ndtw, 4),
+        scores.contacts, true_contacts,
         round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
         at_thing=not result.refused and end_m <= wanted_m + _AT_M,
