@@ -52,6 +52,7 @@ class ReachableGround:
     reachable: np.ndarray
     _costmaps: dict[frozenset[int], CostMap] = field(default_factory=dict)
     _outlines: dict[int, Outline] = field(default_factory=dict)
+    _gaps_m: dict[int, np.ndarray] = field(default_factory=dict)  # by object: of each cell
     _workspace: Workspace = field(default_factory=Workspace)
 
     def is_free(self, x_m: float, y_m: float) -> bool:
@@ -144,22 +145,20 @@ class ReachableGround:
         self, obj: SceneObject, from_m: tuple[float, float], cells: np.ndarray
     ) -> tuple[tuple[float, float] | None, float]:
         """Do the work of `stopping_point` for some cells, (h, w) bool."""
-        centres_m = self.scene.occupancy.centres_m(*np.nonzero(cells))
-        if not len(centres_m):
-            return None, math.inf
-        gaps_m = self.outline(obj).gaps_m(centres_m).round(6)  # 0.7 m may be 0.7000000001 m
-        near = np.flatnonzero(gaps_m <= REACH_M + ABOUT_M)
-        by_gap = near[np.argsort(gaps_m[near], kind="stable")]
-        nearest = self._first_with_view(obj, centres_m, by_gap)
+        if obj.id not in self._gaps_m:
+            # 0.7 m may be 0.7000000001 m.
+            self._gaps_m[obj.id] = self.outline(obj).gaps_by_cell_m(self.scene.occupancy).round(6)
+        by_cell_m = self._gaps_m[obj.id]
+        rows, columns = np.nonzero(cells & (by_cell_m <= REACH_M + ABOUT_M))
+        gaps_m, centres_m = by_cell_m[rows, columns], self.scene.occupancy.centres_m(rows, columns)
+        nearest = self._first_with_view(obj, centres_m, np.argsort(gaps_m, kind="stable"))
         if nearest is None or gaps_m[nearest] > REACH_M:
-            return None, float(gaps_m.min())
+            return None, float(by_cell_m[cells].min(initial=math.inf))
         nearest_m = float(gaps_m[nearest])
-        equally_near = near[gaps_m[near] <= nearest_m + ABOUT_M]
-        away_m = np.hypot(*(centres_m[equally_near] - from_m).T)
-        first = self._first_with_view(
-            obj, centres_m, equally_near[np.argsort(away_m, kind="stable")]
-        )
-        assert first is not None  # `equally_near` is not empty
+        near = np.flatnonzero(gaps_m <= nearest_m + ABOUT_M)
+        away_m = np.hypot(*(centres_m[near] - from_m).T)
+        first = self._first_with_view(obj, centres_m, near[np.argsort(away_m, kind="stable")])
+        assert first is not None  # `near` is not empty
         x_m, y_m = centres_m[first].tolist()
         return (x_m, y_m), nearest_m
 

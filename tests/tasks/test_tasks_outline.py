@@ -65,6 +65,17 @@ def test_the_robot_arrives_at_what_was_seen_of_a_thing():
     assert got.point_at(0.0, 1.0) == pytest.approx((13.0, 0.0), abs=0.01), "it is passed behind"
 
 
+@given(st.integers(0, 99), st.floats(-30.0, 30.0))
+def test_distances_of_all_cells_are_those_of_their_centres(seed, x_m):
+    scene = street(SOFA)
+    points_m = np.random.default_rng(seed).uniform(-3.0, 3.0, (40, 3)).astype(np.float32) + x_m
+    got = outline_of(replace(scene.objects[1], points_m=points_m), scene.occupancy)
+    by_cell_m = got.gaps_by_cell_m(scene.occupancy)
+    rows, columns = np.indices(by_cell_m.shape)[:, ::9, ::7]
+    wanted_m = got.gaps_m(scene.occupancy.centres_m(rows, columns).reshape(-1, 2))
+    assert by_cell_m[rows, columns].ravel() == pytest.approx(wanted_m, abs=1e-4)
+
+
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())
 def test_a_point_next_to_it_is_so_far_from_the_hull(angle_rad, distance_m, corner):
     got = outline(SOFA, *([(6.0, 8.8, 0.0, 2.8)] if corner else []))

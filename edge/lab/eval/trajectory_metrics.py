@@ -150,6 +150,15 @@ def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) 
     return int((touches[1:] & ~touches[:-1]).sum())
 
 
+def contact_depth_m(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> float:
+    """Return how much nearer than `clearance_m` a path comes to any obstacle point; 0: nowhere.
+
+    See `point_contacts` for the arguments.
+    """
+    away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(resample(_points(path_m), 0.05))
+    return max(clearance_m - float(away_m.min()), 0.0)
+
+
 def _points(path_m: np.ndarray) -> np.ndarray:
     """Return the points as float64, contiguous.
 

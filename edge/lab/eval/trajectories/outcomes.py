@@ -20,6 +20,7 @@ from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
 from edge.lab.eval.trajectories.references import CATEGORIES
 from edge.lab.eval.trajectory_metrics import (
+    contact_depth_m,
     contacts,
     point_contacts,
     resample_evenly,
@@ -30,7 +31,11 @@ from edge.text import bounded_repr, one_line
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
 _OUTLINE_M = 0.05  # largest error of a simplified outline
+DEEP_M = 0.2
+"""Depth of a deep contact: less may be an error of map and poses."""
 _UPSAMPLING = 4  # an outline leads through the middles of cells, so make them smaller first
+_AT_M = 0.5
+"""A path that ends farther from the object than the reference by at most this ends at it."""
 _MARGIN_M = 4.0  # obstacles are saved within this distance of a reference
 
 Polyline = list[list[float]]
@@ -87,6 +92,10 @@ class TrajectoryOutcome:
         reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and refining.
         path: the trajectory.
+        at_thing: it ends as near to the object as the reference (`_AT_M`), on any side; False in
+            files of older versions.
+        true_depth_m: how much nearer than the robot's radius it comes to a true obstacle; 0 in
+            files of older versions.
     """
 
     episode: str
@@ -103,6 +112,8 @@ class TrajectoryOutcome:
     reason: str
     seconds: float
     path: Polyline
+    at_thing: bool = False
+    true_depth_m: float = 0.0
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -136,15 +147,24 @@ def outcome_of(
     # `solid_m` are the true obstacles as points; without them, the grid `truth` is exact.
     if episode.solid_m is None:
         true_contacts = contacts(path_m, episode.truth, robot_m)
+        solid_m = episode.truth.centres_m(*np.nonzero(episode.truth.cells > 0))
     else:
         true_contacts = point_contacts(path_m, episode.solid_m, robot_m)
+        solid_m = episode.solid_m
+    outline_m = {one.id: one.outline_m for one in episode.landmarks}[episode.task.landmarks[-1]]
+    end_m, wanted_m = (
+        float(np.hypot(*(outline_m - at_m).T).min())
+        for at_m in (path_m[-1], episode.task.reference_m[-1])
+    )
     length_m = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
-    numbers = (scores.error_m, scores.frechet_m, scores.ndtw)
     return TrajectoryOutcome(
         episode.id, method, writer, scores.success and not result.refused,
-        *(round(x, 4) for x in numbers), scores.contacts, true_contacts,
+        round(scores.error_m, 4), round(scores.frechet_m, 4), round(scores.ndtw, 4),
+        scores.contacts, true_contacts,
         round(length_m, 2), result.refused, result.reason, round(result.seconds, 4),
         _plain(resample_evenly(path_m, _DRAWN_M)),
+        at_thing=not result.refused and end_m <= wanted_m + _AT_M,
+        true_depth_m=round(contact_depth_m(path_m, solid_m, robot_m), 4),
     )  # fmt: skip
 
 
@@ -244,6 +264,8 @@ _NUMBERS = {
     "ndtw": lambda o: o.ndtw,
     "collided": lambda o: float(o.contacts > 0),
     "truly collided": lambda o: float(o.true_contacts > 0),
+    "deeply collided": lambda o: float(o.true_depth_m > DEEP_M),
+    "at it": lambda o: float(o.at_thing),
     "refused": lambda o: float(bool(o.refused)),
     "seconds": lambda o: o.seconds,
 }

@@ -11,7 +11,7 @@ import numpy as np
 from edge.lab.eval.comparison.tables import DASH, ReportTable, bounded
 from edge.lab.eval.intervals import Interval, bootstrap, wilson
 from edge.lab.eval.trajectories.methods import METHODS, REFUSALS
-from edge.lab.eval.trajectories.outcomes import TrajectoryResults
+from edge.lab.eval.trajectories.outcomes import DEEP_M, TrajectoryResults
 from edge.lab.eval.trajectories.references import CATEGORIES
 from edge.text import one_line
 
@@ -91,34 +91,38 @@ def by_thing(results: TrajectoryResults) -> ReportTable:
     """Return a table of success by the class of the object at the end, the most frequent first."""
     labels = np.array([facts.label for facts in results.facts], str)
     wanted = [m for m, name in enumerate(results.method_names) if METHODS[name].ends]
-    head = ["to", "n", *(f"{one_line(results.methods[m])}: SR, %" for m in wanted)]
+    head = ["to", "n"]
+    for m in wanted:
+        head += [f"{one_line(results.methods[m])}: SR, %", "at it, %"]
     rows = []
     for label in sorted(filter(None, set(labels)), key=lambda one: (-(labels == one).sum(), one)):
         rows.append([one_line(label), str(int((labels == label).sum()))])
         for m in wanted:
             kept = (labels == label) & results.ran[m]
-            reached = int(results.numbers["success"][m, kept].sum())
-            rows[-1].append(bounded(wilson(reached, int(kept.sum())), 0, 100.0))
-    return ReportTable("things", "By kind of thing", head, rows, _unit_words(results))
+            for key in ("success", "at it"):
+                reached = int(results.numbers[key][m, kept].sum())
+                rows[-1].append(bounded(wilson(reached, int(kept.sum())), 0, 100.0))
+    note = "At it: ends as near to the thing as the reference, on any side of it. "
+    return ReportTable("things", "By kind of thing", head, rows, note + _unit_words(results))
 
 
 def shapes(results: TrajectoryResults) -> ReportTable:
     """Return a table of similarity to the references, one row for each method (table II)."""
-    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "refused", "SR, %",
+    head = ("method", "n", "Fréchet, m", "NDTW", "collided", "in truth", "deep", "refused", "SR, %",
             "NE, m", "time, s", "paper: Fréchet", "NDTW", "collided")  # fmt: skip
     rows = []
     for m, name in enumerate(results.methods):
         ran = results.ran[m]
         n = int(ran.sum())
-        counts = {key: int(results.numbers[key][m, ran].sum())
-                  for key in ("success", "collided", "truly collided", "refused")}  # fmt: skip
+        keys = ("success", "collided", "truly collided", "deeply collided", "refused")
+        counts = {key: int(results.numbers[key][m, ran].sum()) for key in keys}
         paper = PAPER_SHAPES.get(results.method_names[m])
         rows.append([
             one_line(name), str(n),
             bounded(_means(results, "frechet_m", m, ran), 2),
             bounded(_means(results, "ndtw", m, ran), 2),
             f"{counts['collided']}/{n}", f"{counts['truly collided']}/{n}",
-            f"{counts['refused']}/{n}",
+            f"{counts['deeply collided']}/{n}", f"{counts['refused']}/{n}",
             bounded(wilson(counts["success"], n), 0, 100.0),
             bounded(_means(results, "error_m", m, ran), 2),
             f"{np.median(results.numbers['seconds'][m, ran]):.2f}",
@@ -126,9 +130,9 @@ def shapes(results: TrajectoryResults) -> ReportTable:
         ])  # fmt: skip
     note = (
         "Collided: trajectories that come nearer to an obstacle than the robot's radius, in the "
-        "map that they were made on. In truth: the same, with all true obstacles. If a trajectory "
-        "was refused, the robot's place counts as the trajectory. Time: median of writing and "
-        "refining. " + _unit_words(results)
+        "map that they were made on. In truth: the same, with all true obstacles; deep: by more "
+        f"than {DEEP_M:g} m. If a trajectory was refused, the robot's place counts as the "
+        "trajectory. Time: median of writing and refining. " + _unit_words(results)
     )
     return ReportTable("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
 

@@ -57,9 +57,16 @@ def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
     there = episode("go to the elephant", to_m=(0.5, 0.0))
     for outcome in ran([there], list(methods_of(RULES)), folder):
         assert (outcome.success, outcome.refused) == (False, "not understood")
+        assert not outcome.at_thing
         assert outcome.path == [[0.0, 0.0]]
         assert outcome.error_m == pytest.approx(0.5)
         assert "elephant" in outcome.reason
+
+
+def test_an_end_on_another_side_of_the_object_is_at_it(tmp_path):
+    there = episode("go to the van", to_m=(8.0, 1.6))
+    (outcome,) = ran([there], ["ours"], ResultsFolder(tmp_path))
+    assert (outcome.success, outcome.at_thing, outcome.true_depth_m) == (False, True, 0.0)
 
 
 def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):

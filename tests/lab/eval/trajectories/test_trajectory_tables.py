@@ -41,9 +41,17 @@ def test_a_task_a_row_next_to_the_paper():
 def test_a_thing_a_row_with_the_most_frequent_first():
     of = [replace(one, label="van" if k < 8 else "fence") for k, one in enumerate(FACTS)]
     assert table("things", OURS) is None, "files of older versions name none"
-    rows = [list(row.values()) for row in table("things", OURS, of)]
+    outcomes = [replace(one, at_thing=k < 4) for k, one in enumerate(OURS)]
+    rows = [list(row.values()) for row in table("things", outcomes, of)]
     assert [row[:2] for row in rows] == [["van", "8"], ["fence", "4"]]
+    assert [row[3].split()[0] for row in rows] == ["50", "0"]
     assert rows[0][2].startswith("25 [")
+
+
+def test_deep_contacts_are_counted():
+    driven = [replace(one, true_contacts=k % 2, true_depth_m=0.1 * k) for k, one in enumerate(OURS)]
+    (row,) = table("shapes", driven)
+    assert [row[5], row[6]] == ["6/12", "9/12"]
 
 
 def test_pairs_are_of_the_episodes_that_both_ran():
