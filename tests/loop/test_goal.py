@@ -474,7 +474,7 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
 
 
 def test_who_came_into_the_way_may_have_gone_before_the_end():
-    """Each time that nothing is left, but not while the robot goes to a viewpoint."""
+    """Forget arrivals whenever nothing is left, but not on the way to a viewpoint."""
     case = Case()
     case.turn_round()
     for _ in range(3):
