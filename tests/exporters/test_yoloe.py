@@ -146,7 +146,7 @@ def test_float_files_find_the_boxes_of_the_original(models, precision, least):
 
 @pytest.mark.parametrize("precision", ["int8-cpu", "int8-trt"])
 def test_int8_files_are_sound_and_keep_the_head(models, published, precision):
-    """How many boxes they find says nothing: random layers multiply the error of each other."""
+    """Random layers multiply the error of each other, so the number of boxes is no measure."""
     path = models / f"yoloe-11s-480x640-{precision}.onnx"
     verify_file(read_card(published / f"yoloe-11s-480x640-{precision}.yaml"), path)
     graph = onnx.load(path).graph
