@@ -35,8 +35,10 @@ HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
 # All that can be sent but "goal", which the action replaces, and what is off by default.
 _OFF = {"goal", "detections", "objects", "keepout_mask", "keepout_info", "answer"}
+# All but those of a second camera, and the stop button.
+N_SUBSCRIBED = sum(not name.startswith("camera2/") for name in SUBSCRIBED) + 1
 READY = (
-    f"passing up to {len(SUBSCRIBED) + 1} topics from ROS 2 to edge, "  # and the stop button
+    f"passing up to {N_SUBSCRIBED} topics from ROS 2 to edge, "
     f"and {len(PUBLISHED.keys() - _OFF)} from edge to ROS 2"
 )
 
