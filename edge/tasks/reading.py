@@ -203,7 +203,7 @@ def _read_ground(reader: TokenReader, scene: Scene | UnseenScene) -> str:
     if isinstance(scene, Scene):
         kinds = dict.fromkeys(ground_kind(region.label) for region in scene.regions.values())
         if kind not in kinds:
-            there = ", ".join(kinds) or "none told apart"
+            there = ", ".join(kinds) or "no named ground"
             reader.refuse(f"no ground here has that name; there is {there}", token)
     return kind
 

@@ -136,9 +136,9 @@ def test_fewer_bits_are_in_the_backbone_and_not_in_the_decoding(models):
 
 def test_a_folder_that_needs_other_images_is_refused(folder, tmp_path, capsys):
     changed = shutil.copytree(folder, tmp_path / "changed")
-    told = json.loads((changed / "preprocessor_config.json").read_text())
+    settings = json.loads((changed / "preprocessor_config.json").read_text())
     for change in ({"size": {"height": 64, "width": 64}}, {"rescale_factor": 1.0}):
-        (changed / "preprocessor_config.json").write_text(json.dumps(told | change))
+        (changed / "preprocessor_config.json").write_text(json.dumps(settings | change))
         assert main(["x", "--weights", str(changed), "--cache", str(tmp_path / "cache")]) == 1
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert "size and rescale_factor must be 48 px and 1/255" in line
