@@ -21,8 +21,6 @@ from edge.config import (
     load,
     parse,
 )
-from edge.config.explain import models_in
-from edge.config.removed import REMOVED, RENAMED
 from edge.config.yaml_text import parse_yaml
 from edge.geometry import MIN_FOCAL
 from edge.host import resources
@@ -212,89 +210,6 @@ FAULTS = [
     ),
     ({1: 2}, "f.yaml: 1: keys should be strings"),
 ]
-
-
-GONE = ": this key was removed, its value is ignored: delete it"
-
-
-def test_a_file_with_a_key_that_was_removed_is_read_with_a_warning(write, caplog):
-    data = {**SIM, "mapping": {"clear_after": 3, "range_m": 4.0}, "report": {"frames": 3}}
-    path = write(yaml.safe_dump(data))
-    assert load(path, {"EDGE__MOTION__STUCK_M": "0.1"}).mapping.range_m == 4.0
-    assert [record.message for record in caplog.records] == [
-        f"{path}: mapping.clear_after{GONE}",
-        f"{path}: report.frames{GONE}",
-        f"environment EDGE__MOTION__STUCK_M: motion.stuck_m{GONE}",
-    ]
-
-
-LEVELS = [{"pause": "choice"}, {"model": "small"}]
-CHOICE = {"kind": "text", "url": "http://localhost:1", "model": "m"}
-OLD_NAMES = [
-    ({"perception": {"choice": {"pause_s": 2.0, **CHOICE}}},
-     {"perception": {"choice": {"rest_s": 2.0, **CHOICE}}},
-     [("perception.choice.rest_s", "pause_s")]),
-    ({"perception": {"choice": CHOICE, "load_shedding": {"levels": LEVELS}}},
-     {"perception": {"choice": CHOICE, "governor": {"ladder": [{"rest": "choice"}, LEVELS[1]]}}},
-     [("perception.governor", "load_shedding"), ("perception.load_shedding.ladder", "levels"),
-      ("perception.load_shedding.levels.[].rest", "pause")]),
-    ({"perception": {"back_projection": "cloud", "back_projection_max_range_m": 50.0,
-                     "back_projection_min_points": 4, "reject_radius_m": 0.7}},
-     {"perception": {"lift": "cloud", "lift_max_range_m": 50.0, "lift_min_points": 4,
-                     "refute_radius_m": 0.7}},
-     [("perception.lift", "back_projection"),
-      ("perception.lift_max_range_m", "back_projection_max_range_m"),
-      ("perception.lift_min_points", "back_projection_min_points"),
-      ("perception.refute_radius_m", "reject_radius_m")]),
-    ({"policy": {"kind": "hvl", "spin": True}}, {"policy": {"kind": "hvl", "look_round": True}},
-     [("policy.look_round", "spin")]),
-    ({"tasks": {"pipeline": {"kind": "a:b"}, "planner": {"kind": "model", "max_attempts": 2}}},
-     {"tasks": {"chain": {"kind": "a:b"}, "planner": {"kind": "model", "rounds": 2}}},
-     [("tasks.chain", "pipeline"), ("tasks.planner.rounds", "max_attempts")]),
-]  # fmt: skip
-
-
-def test_the_table_has_every_old_name():
-    rows = [(old.replace(".[]", "[]"), new) for _, _, rows in OLD_NAMES for old, new in rows]
-    assert sorted(rows) == sorted(RENAMED.items())
-
-
-@pytest.mark.parametrize(("new", "old", "rows"), OLD_NAMES)
-def test_a_file_with_an_old_name_is_read_with_a_warning(write, caplog, new, old, rows):
-    onnx = {"kind": "onnx", "model": "large"}
-    read = [
-        load(write(yaml.safe_dump({**data, "perception": {"detector": onnx, **perception}})), {})
-        for data in (new, old)
-        for perception in [data.get("perception", {})]
-    ]
-    assert read[0].model_dump(exclude={"path"}) == read[1].model_dump(exclude={"path"})
-    path = read[1].path
-    assert sorted(record.message for record in caplog.records) == sorted(
-        f"{path}: {key} is now called {name}: rename it" for key, name in rows
-    )
-
-
-def test_an_old_name_in_a_variable_is_read_with_a_warning_and_named_in_errors(write, caplog):
-    path = write(yaml.safe_dump({**SIM, "policy": {"kind": "hvl"}}))
-    assert load(path, {"EDGE__POLICY__LOOK_ROUND": "true"}).policy.spin
-    (record,) = caplog.records
-    variable = "environment EDGE__POLICY__LOOK_ROUND: policy.look_round"
-    assert record.message == f"{variable} is now called spin: rename it"
-    with pytest.raises(ConfigError, match=r"^environment EDGE__PERCEPTION__GOVERNOR__LADDER: "):
-        load(path, {"EDGE__PERCEPTION__GOVERNOR__LADDER": "7"})
-    both = write(yaml.safe_dump({**SIM, "policy": {"kind": "hvl", "look_round": 1, "spin": 1}}))
-    with pytest.raises(ConfigError, match=r"look_round is the old name of spin, .*: remove look_"):
-        load(both, {})
-
-
-@pytest.mark.parametrize("key", sorted(REMOVED))
-def test_a_key_that_was_removed_is_no_key_of_its_section(key):
-    *sections, leaf = key.split(".")
-    models = [Config]
-    for name in sections:
-        models = models_in(models[0].model_fields[name].annotation)
-    assert models
-    assert all(leaf not in model.model_fields for model in models)
 
 
 SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
@@ -631,39 +546,3 @@ def test_every_key_of_the_built_in_files_is_used():
     """A built-in file says what differs from the defaults, in keys that exist."""
     for path in BUILT_IN:
         assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)
-
-
-def keys_of(schema: dict, node: dict, above: str = "", seen: tuple[str, ...] = ()) -> set[str]:
-    """Return the dotted keys below a node of a JSON Schema; `[]` stands for the items of a list."""
-    if name := node.get("$ref", "").rpartition("/")[2]:
-        return (
-            set() if name in seen else keys_of(schema, schema["$defs"][name], above, (*seen, name))
-        )
-    found = set()
-    for part in [p for kind in ("anyOf", "oneOf", "allOf") for p in node.get(kind, ())]:
-        found |= keys_of(schema, part, above, seen)
-    if isinstance(node.get("items"), dict):
-        found |= keys_of(schema, node["items"], f"{above}[]", seen)
-    for name, below in node.get("properties", {}).items():
-        key = f"{above}.{name}".lstrip(".")
-        found |= {key} | keys_of(schema, below, key, seen)
-    return found
-
-
-def present_name(key: str) -> str:
-    """Return the present name of a key that may be old; see `RENAMED`."""
-    parts: list[str] = []
-    for part in key.split("."):
-        new = RENAMED.get(".".join([*parts, part.removesuffix("[]")]))
-        parts.append(part if new is None else new + "[]" * part.endswith("[]"))
-    return ".".join(parts)
-
-
-def test_every_key_of_before_the_renaming_is_still_read():
-    """`tests/data/config_keys.txt` has the keys of commit 6253ad9f."""
-    before = (Path(__file__).parent / "data" / "config_keys.txt").read_text().split()
-    schema = Config.model_json_schema()
-    now = keys_of(schema, schema)
-    assert len(before) == 252
-    assert [key for key in before if present_name(key) not in now and key not in REMOVED] == []
-    assert set(RENAMED).isdisjoint(now)

@@ -16,7 +16,6 @@ import sys
 from functools import partial
 
 from edge.cli.parsers import make_parser
-from edge.cli.renamed import translate_renamed
 from edge.errors import Stopped, UserError
 from edge.host.interruptible import any_detached_thread
 from edge.host.kernel_cache import kernel_cache
@@ -40,11 +39,8 @@ def main(argv: list[str] | None = None) -> int:
     Args:
         argv: arguments, such as `["config", "demo"]`; None: those of the process.
     """
-    argv, renamed = translate_renamed(sys.argv[1:] if argv is None else argv)
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
-    for warning in renamed:
-        log.warning("%s; the old name will not work in the next release", warning)
     # Python's last garbage collection at exit takes 0.3 s in a service.
     atexit.register(gc.freeze)
     if args.trust_cache:  # set in the environment, so that model processes inherit it

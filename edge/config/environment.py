@@ -48,16 +48,6 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         """
         return ", ".join(dict.fromkeys(name for key in keys for name in self._sources(path, key)))
 
-    def rename(self, key: tuple[str, ...], name: str) -> None:
-        """Rename the last part of a key; keys below this key are renamed accordingly."""
-        size, new = len(key), (*key[:-1], name)
-        renamed = {old: (*new, *old[size:]) for old in self if old[:size] == key}
-        for old, now in renamed.items():
-            self[now] = self.pop(old)
-        self.added_sections = {
-            (*new, *old[size:]) if old[:size] == key else old for old in self.added_sections
-        }
-
     def _sources(self, path: str, key: tuple[str, ...]) -> list[str]:
         """Return the sources of one key: an override of it, else the file and related overrides."""
         starts = [key[:n] for n in range(len(key), 0, -1)]  # the key, then the sections around it

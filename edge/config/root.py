@@ -26,7 +26,6 @@ from edge.config.mcp import McpConfig
 from edge.config.mission import MissionConfig
 from edge.config.perception import PerceptionConfig
 from edge.config.policy import UNKNOWN_RADIUS_M, Policy, PolicyAdaptive, PolicyHvl, PolicyPlugin
-from edge.config.removed import drop_removed_keys
 from edge.config.robot import Camera, MotionConfig, RobotConfig, SensorsConfig
 from edge.config.ros2 import Ros2Config
 from edge.config.section import Section
@@ -267,7 +266,6 @@ def parse(
         0.2
     """
     origins = KeyOrigins() if origins is None else origins
-    data = drop_removed_keys(data, path, origins)
     try:
         # An empty section, so that the error names the missing key, not the missing section.
         config = Config.model_validate({"perception": {}, **data, "path": path})

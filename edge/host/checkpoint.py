@@ -21,7 +21,6 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -36,7 +35,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION, OLDEST_VERSION = 5, 4  # of the format: written, and oldest that can be read
+VERSION = 5  # of the format
 MAX_STATE_BYTES = 8 << 20  # of the line of JSON
 _MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
 _ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment
@@ -96,7 +95,6 @@ class CheckpointFormat(Generic[State]):
         state: dataclass of the state, which pydantic validates.
         max_bytes: largest file.
         check: raises ValueError if a state with valid types is inconsistent.
-        renamed: array names of older versions → present ones.
 
     Attributes:
         begins: first bytes of every file of this format.
@@ -109,12 +107,10 @@ class CheckpointFormat(Generic[State]):
         state: type[State],
         max_bytes: int,
         check: Callable[[State], None] = lambda state: None,
-        renamed: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.title, self.max_bytes = title, max_bytes
         self.begins = b'{"format":"%s",' % name.encode()
         self._adapter, self._check = TypeAdapter(state), check
-        self._renamed = renamed
 
     def encode(self, checkpoint: Checkpoint[State]) -> bytes:
         """Return the file's content.
@@ -150,10 +146,9 @@ class CheckpointFormat(Generic[State]):
         head = re.match(re.escape(self.begins) + _HEAD_PATTERN, content)
         if head is None:
             raise ValueError(f"not a complete {self.title}")
-        if not OLDEST_VERSION <= (version := int(head[1])) <= VERSION:
+        if (version := int(head[1])) != VERSION:
             raise ValueError(
-                f"written in version {version} of the format; this edge reads versions "
-                f"{OLDEST_VERSION} to {VERSION}"
+                f"written in version {version} of the format; this edge reads version {VERSION}"
             )
         if _sha256(memoryview(content)[head.end() :]) != head[2]:
             raise ValueError("damaged: the checksum does not match")
@@ -161,8 +156,6 @@ class CheckpointFormat(Generic[State]):
         if rest is None:
             raise ValueError(f"not a complete {self.title}")
         arrays = _read_archive(content[rest.end() :])
-        if version < VERSION:
-            arrays = {self._renamed.get(name, name): array for name, array in arrays.items()}
         return Checkpoint(self._read_state(rest[3]), arrays, rest[1].decode(), int(rest[2]))
 
     def _read_state(self, text: bytes) -> State:

@@ -92,12 +92,7 @@ class MapState:
     value_side: Annotated[int, Field(ge=1, le=64)]
 
 
-RENAMED = {
-    "instances/doubted": "instances/contested",
-    "instances/rival_sum": "instances/competing_sum",
-}
-"""Arrays of version 4 → their present names."""
-MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20, renamed=RENAMED)
+MAP = CheckpointFormat("edge-map", "map", MapState, 96 << 20)
 """Format of the map's file: at most 96 MiB."""
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated
 
-from pydantic import AliasChoices, BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from edge.errors import UserError
 from edge.host.checkpoint import CheckpointFormat
-from edge.mission.destinations import Destination, upgrade_places
+from edge.mission.destinations import Destination
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.logic.ltl import parse, propositions
 from edge.mission.repetition import Repetition
@@ -31,11 +31,10 @@ class MissionState:
         instruction: see `edge.mission.translate.Translation`, which also describes `backend`,
             `english`, `reading`, `readings` and `implied`.
         repeat: see `edge.mission.translate.Translation`; `round` is the current round.
-        destinations: see `edge.mission.run.MissionRun`; older files call them `places`.
+        destinations: see `edge.mission.run.MissionRun`.
         formula: text of the automaton's formula.
-        trace: reached propositions and `NOTHING`, oldest first; older files call it `word`. The
-            automaton's state is not saved. It follows from the trace, even if a later compiler
-            numbers states differently.
+        trace: reached propositions and `NOTHING`, oldest first. The automaton's state is not
+            saved. It follows from the trace, even if a later compiler numbers states differently.
         reached: R of ViTL III; a subset of the formula's propositions, like `failed` and
             `detected`.
         failed: B of ViTL III.
@@ -58,7 +57,7 @@ class MissionState:
     formula: str
     backend: ShortText
     english: str
-    trace: Annotated[Letters, Field(validation_alias=AliasChoices("trace", "word"))]
+    trace: Letters
     reached: Letters
     failed: Letters
     detected: Letters
@@ -71,11 +70,9 @@ class MissionState:
     reading: Annotated[int, Field(ge=1)] | None = None
     readings: tuple[str, ...] = ()
     implied: bool = False
-    destinations: Annotated[
-        dict[ShortText, Destination],
-        BeforeValidator(upgrade_places),
-        Field(max_length=100, validation_alias=AliasChoices("destinations", "places")),
-    ] = field(default_factory=dict)
+    destinations: Annotated[dict[ShortText, Destination], Field(max_length=100)] = field(
+        default_factory=dict
+    )
     id: ShortText = ""
     task: bool = False
     exempt_s: NotNegative = 0.0

@@ -254,26 +254,8 @@ def destinations_json(destinations: Mapping[str, Destination]) -> dict[str, Any]
 
 
 def destinations_of_json(data: Any) -> dict[str, Destination]:
-    """Return destinations from JSON, also from that of older recordings."""
-    return _DESTINATIONS.validate_python(upgrade_places(data))
-
-
-def upgrade_places(data: Any) -> Any:
-    """Return the JSON of destinations, from that or from the JSON of places of older recordings."""
-    if not isinstance(data, dict):
-        return data
-
-    def upgrade(name: str, pose: Any) -> Any:
-        """Return the JSON of one destination; a place was a pose, `explored` had none."""
-        if isinstance(pose, dict) and "kind" in pose:
-            return pose
-        if name == EXPLORED and pose is None:
-            return {"kind": "explore"}
-        if isinstance(pose, list):
-            pose = dict(zip(("x_m", "y_m", "yaw_rad"), pose, strict=True))
-        return {"kind": "place", "pose": pose}
-
-    return {name: upgrade(name, pose) for name, pose in data.items()}
+    """Return destinations from JSON."""
+    return _DESTINATIONS.validate_python(data)
 
 
 def duration_s(text: str) -> float:

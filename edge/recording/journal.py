@@ -1,8 +1,7 @@
 """The journal of a recording, as JSON: inputs of the loop, observations and decisions.
 
 A page is one message of the journal: the inputs since the last page, and the observation and
-decisions of the tick after them. docs/recording.md has the schema. Some JSON keys are older than
-the names in the code (`mistakable`, `upto`), so that old recordings stay readable.
+decisions of the tick after them. docs/recording.md has the schema.
 
 Numbers are exact to the last bit: arrays are base64, and JSON floats are the shortest that give the
 same number.
@@ -27,7 +26,7 @@ from edge.loop.input_log import LoopInput
 from edge.loop.map_checkpoint import MAP
 from edge.loop.result import TickResult
 from edge.mapping.regions import RegionMap
-from edge.memory import LostRoom, RoomSurvey, Site, outline_rooms, site_of
+from edge.memory import LostRoom, RoomSurvey, outline_rooms, site_of
 from edge.mission.checkpoint import MISSION
 from edge.mission.destinations import destinations_json, destinations_of_json
 from edge.mission.logic import ltl
@@ -35,16 +34,13 @@ from edge.mission.repetition import Repetition
 from edge.mission.translate import Translation
 from edge.perception.scoring.choice.question import FrontierChoice
 from edge.policies.base import ImageSimilarity
-from edge.recording.version1 import present_page
 from edge.tasks.legs import Leg
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.write import PlanAttempt
 from edge.text import bounded_repr, read_json, redact
 from edge.types import ContextBoxes, Detections, Goal, GoalStatus, Observation
 
-FORMAT, VERSION = "edge-recording", 2
-VERSIONS = ("1", "2")
-"""Versions that can be read."""
+FORMAT, VERSION = "edge-recording", 3
 MAX_VALUES = 1 << 20
 """Largest number of JSON values in one message; a base64 array counts as one."""
 
@@ -96,7 +92,7 @@ def decode_page(payload: bytes) -> JournalPage:
     Raises:
         Exception: any, if the payload is damaged.
     """
-    page = present_page(read_json(payload, MAX_VALUES))
+    page = read_json(payload, MAX_VALUES)
     entries = []
     for entry in page["entries"]:
         n, kind = entry.pop("n"), entry.pop("kind")
@@ -203,13 +199,12 @@ def observation_of(
     return Observation(
         stored["seq"], stored["stamp_ns"], _array_of(stored["T_map_base"]), rgb, depth_m,
         None if camera is None else CameraModel(**camera), _array_of(rig["T_base_camera"]),
-        cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(stored.get("pose_age_ns", 0)),
+        cloud_m, _array_of(rig["T_base_lidar"]), pose_age_ns=int(stored["pose_age_ns"]),
         camera_index=int(stored.get("camera_index", 0)),
     )  # fmt: skip
 
 
 # -- entries: `_x` encodes to JSON, `_x_of` or `x_of` decodes the stored JSON --------------------
-# Parts that may be missing in old recordings are read with `get`.
 
 
 def _array(array: np.ndarray) -> dict[str, Any]:
@@ -239,10 +234,9 @@ def _translation(t: Translation) -> dict[str, Any]:
 def _translation_of(stored: dict[str, Any]) -> Translation:
     return Translation(
         stored["instruction"], ltl.parse(stored["formula"]), stored["english"], stored["backend"],
-        reading=stored.get("reading"), readings=tuple(stored.get("readings", ())),
-        implied=stored.get("implied", False),
-        destinations=destinations_of_json(stored.get("destinations", stored.get("places", {}))),
-        repeat=None if stored.get("repeat") is None else Repetition(**stored["repeat"]),
+        reading=stored["reading"], readings=tuple(stored["readings"]), implied=stored["implied"],
+        destinations=destinations_of_json(stored["destinations"]),
+        repeat=None if stored["repeat"] is None else Repetition(**stored["repeat"]),
     )  # fmt: skip
 
 
@@ -263,17 +257,13 @@ def _start(fields: dict[str, Any]) -> dict[str, Any]:
 
 def _start_of(stored: dict[str, Any]) -> dict[str, Any]:
     files = {name: _file_of(stored[name]) for name in ("mission_checkpoint", "map_checkpoint")}
-    site = site_of(stored["site"]) if "site" in stored else Site()
-    return {**stored, "translation": _translation_of(stored["translation"]), "site": site, **files}
+    translation, site = _translation_of(stored["translation"]), site_of(stored["site"])
+    return {**stored, "translation": translation, "site": site, **files}
 
 
 def _file_of(stored: str | None) -> bytes | None:
     """Decode the content of a checkpoint file; None if there was none."""
-    if stored is None:
-        return None
-    if stored.startswith("{"):  # JSON of a mission, written by older versions
-        return stored.encode()
-    return base64.b64decode(stored)
+    return None if stored is None else base64.b64decode(stored)
 
 
 def _boxes(found: Detections) -> dict[str, Any]:
@@ -303,12 +293,12 @@ def detections_of(stored: dict[str, Any], observation: Observation) -> Detection
             _array_of(c["xyxy_px"]), _array_of(c["score"]), _array_of(c["class_id"]),
             tuple(c["words"]),
         ),
-        stored["model"], stored["latency_ns"], _masks_of(stored.get("mask")),
+        stored["model"], stored["latency_ns"], _masks_of(stored["mask"]),
     )  # fmt: skip
 
 
 def _masks_of(stored: dict[str, Any] | None) -> np.ndarray | None:
-    """Decode masks; None if there are none, as in older recordings."""
+    """Decode masks; None if there are none."""
     return None if stored is None else np.unpackbits(_array_of(stored), axis=-1).astype(np.bool_)
 
 
@@ -323,14 +313,13 @@ def _rooms(found: RoomSurvey) -> dict[str, Any]:
 
 
 def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
-    """Decode a survey of the rooms; in older recordings the rooms have no ids."""
+    """Decode a survey of the rooms."""
     origin = stored["origin_xy_m"]
     grid = Grid(_array_of(stored["cells"]), (origin[0], origin[1]), stored["resolution_m"])
     wall, label = _array_of(stored["wall"]), _array_of(stored["label"])
     regions = RegionMap(grid, wall, label, stored["n"], _array_of(stored["border"]))
-    ids = _array_of(stored["ids"]) if "ids" in stored else np.zeros(stored["n"] + 1, np.int64)
-    lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in stored.get("lost", ()))
-    return outline_rooms(regions, ids, stored.get("next_id", 1), lost)
+    lost = tuple(LostRoom(int(i), float(x), float(y)) for i, x, y in stored["lost"])
+    return outline_rooms(regions, _array_of(stored["ids"]), stored["next_id"], lost)
 
 
 # Workers of scorers answer with (question, result); the question is not recorded.
@@ -390,31 +379,27 @@ def _refined_of(stored: dict[str, Any]) -> RefinedTrajectory:
 def _plan_result(d: PlanResult) -> dict[str, Any]:
     return {
         "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "hopeless": d.hopeless, "mistakable": d.ambiguous, "speed_mps": d.speed_mps,
+        "hopeless": d.hopeless, "ambiguous": d.ambiguous, "speed_mps": d.speed_mps,
         "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "stops": d.stops, "upto": d.n_done,
+        "stops_at": d.stops_at, "stops": d.stops, "n_done": d.n_done,
         "understood": d.understood, "prompt": d.prompt,
         "rounds": [asdict(r) for r in d.rounds],
     }  # fmt: skip
 
 
 def plan_result_of(stored: dict[str, Any]) -> PlanResult:
-    """Decode a `PlanResult`; older recordings have no `mistakable`, or no `stops`."""
+    """Decode a `PlanResult`."""
     refined, coarse_m, stops_at = stored["refined"], stored["coarse_m"], stored["stops_at"]
     same = {name: stored[name] for name in ("error", "hopeless", "understood", "prompt")}
     return PlanResult(
         refined=None if refined is None else _refined_of(refined),
-        ambiguous=tuple(stored.get("mistakable", ())),
+        ambiguous=tuple(stored["ambiguous"]),
         coarse_m=None if coarse_m is None else _array_of(coarse_m),
         speed_mps=stored["speed_mps"],
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
-        # By step, (number, label) of each object; without `stops`: one step with one object.
-        stops=tuple(
-            tuple((number, label) for number, label in step)
-            for step in stored.get("stops", () if stops_at is None else ((stops_at,),))
-        ),
+        stops=tuple(tuple((number, label) for number, label in step) for step in stored["stops"]),
         rounds=tuple(PlanAttempt(**r) for r in stored["rounds"]),
-        n_done=stored["upto"],
+        n_done=stored["n_done"],
         **same,
     )
 

@@ -19,7 +19,7 @@ from edge.config.section import plugin_kinds
 from edge.errors import ConfigError
 from edge.recording import channels, journal
 from edge.recording.file import McapReader, RecordedMessage, RecordingError
-from edge.recording.journal import FORMAT, VERSIONS, JournalPage
+from edge.recording.journal import FORMAT, VERSION, JournalPage
 from edge.recording.rolling import files_of
 from edge.text import one_line, read_json
 from edge.types import Observation
@@ -75,11 +75,11 @@ def read_header(path: Path) -> RecordingHeader:
             f"{path}: an MCAP file, but not of the sink `mcap`, so there is no journal to replay; "
             "`edge play FILE CONFIG` plays the recording of any robot"
         )
-    if metadata.get("version") not in VERSIONS:
+    if metadata.get("version") != str(VERSION):
         raise RecordingError(
             f"{path}: recorded by edge {one_line(metadata.get('edge', '?'), 40)} in version "
-            f"{one_line(metadata.get('version', '?'), 20)} of the format; this edge reads versions "
-            f"{' and '.join(VERSIONS)}"
+            f"{one_line(metadata.get('version', '?'), 20)} of the format; this edge reads version "
+            f"{VERSION}"
         )
     try:
         config = dict(read_json(metadata["config"], journal.MAX_VALUES).items())

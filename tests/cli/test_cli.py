@@ -23,7 +23,6 @@ from edge.cli import commands as run_commands
 from edge.cli import main as cli
 from edge.cli.main import main
 from edge.cli.parsers import make_parser
-from edge.cli.renamed import OPTIONS, RENAMED, translate_renamed
 from edge.errors import EXIT_CODES, FAILED, Stopped, UserError
 from edge.host.ports import free_port
 
@@ -322,41 +321,6 @@ def test_output_that_nobody_reads_on_is_no_error():
     command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("{", "")
-
-
-@pytest.mark.parametrize("old", RENAMED)
-def test_an_old_name_of_a_command_is_taken_with_a_warning(old, monkeypatch):
-    argv, told = translate_renamed(["--log-level", "error", *old.split(), "--help"])
-    assert argv == ["--log-level", "error", *RENAMED[old].split(), "--help"]
-    assert told == [f"edge {old} is now: edge {RENAMED[old]}"]
-    assert " ".join(word for word in RENAMED[old].split() if word[0] != "-") in COMMANDS
-    assert old not in COMMANDS
-    assert translate_renamed(["run", old]) == (["run", old], [])
-
-
-@pytest.mark.parametrize("old", OPTIONS)
-def test_an_old_name_of_an_option_is_taken_with_a_warning(old, capsys):
-    *words, option = old.split()
-    new, command = OPTIONS[old], " ".join(words)
-    for given, expected in ([option, "a"], [new, "a"]), ([f"{option}=a"], [f"{new}=a"]):
-        argv, told = translate_renamed([*words, *given])
-        assert argv == [*words, *expected]
-        assert told == [f"edge {command} {option} is now: {new}"]
-    assert translate_renamed([*words, "--", option]) == ([*words, "--", option], [])
-    assert translate_renamed(["run", option]) == (["run", option], [])
-    with pytest.raises(SystemExit):
-        main([*words, "--help"])
-    shown = capsys.readouterr().out.split()
-    assert (new in shown, option in shown) == (True, False)
-
-
-def test_several_old_names_give_several_warnings():
-    argv, told = translate_renamed(["fleet", "new", "demo", "bed", "--anew", "--anew"])
-    assert argv == ["mission", "new", "--fleet", "demo", "bed", "--restart", "--restart"]
-    assert told == [
-        "edge fleet new is now: edge mission new --fleet",
-        "edge mission new --anew is now: --restart",
-    ]
 
 
 @pytest.mark.parametrize(

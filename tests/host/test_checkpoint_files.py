@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 
 from edge.host import checkpoint
 from edge.host.checkpoint import (
-    OLDEST_VERSION,
     VERSION,
     Checkpoint,
     CheckpointError,
@@ -139,17 +138,6 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     assert same(load(path, NOTE)[0], BEGUN)
 
 
-def test_arrays_of_an_older_version_get_their_present_names():
-    old = BEGUN.arrays | {"part/points_m": np.zeros(2)}
-    current = CheckpointFormat("edge-note", "note", Note, MAX_BYTES, no_secret)
-    content = current.encode(replace(BEGUN, arrays=old))
-    older = content.replace(b'"version":%d' % VERSION, b'"version":%d' % OLDEST_VERSION, 1)
-    names = {"part/points_m": "part/surface_m"}
-    renaming = CheckpointFormat("edge-note", "note", Note, MAX_BYTES, no_secret, names)
-    assert set(renaming.decode(older).arrays) == {*BEGUN.arrays, "part/surface_m"}
-    assert set(renaming.decode(content).arrays) == set(old)
-
-
 DAMAGED = {
     "head": (BEGINS, "not a complete note"),
     "cut": (WHOLE[:-1], "checksum"),
@@ -160,7 +148,7 @@ DAMAGED = {
     "earlier": (b'%s"version":2,"sha256":"%064d","note":{}}\n' % (BEGINS, 0), "version 2 of the"),
     "later": (
         forged(STATE, archive(), VERSION + 1),
-        f"written in version {VERSION + 1} of the format; this edge reads versions ",
+        f"written in version {VERSION + 1} of the format; this edge reads version ",
     ),
     "too long": (BEGINS + b" " * MAX_BYTES, "more than"),
     "no archive": (forged(STATE, b""), "the list of arrays"),

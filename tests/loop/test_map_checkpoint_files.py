@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_map_checkpoint import Run, config
 
-from edge.host.checkpoint import OLDEST_VERSION, VERSION, Arrays, Checkpoint, save
-from edge.loop.map_checkpoint import MAP, RENAMED, MapCheckpoint, MapState
+from edge.host.checkpoint import Arrays, Checkpoint, save
+from edge.loop.map_checkpoint import MAP, MapCheckpoint, MapState
 
 SETTINGS = config("hvl", source={"localised": True})
 
@@ -131,18 +131,3 @@ def test_a_bomb_in_a_tile_takes_no_memory(tmp_path, saved):
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert most[1] < most[0] + (8 << 20)
-
-
-def test_a_file_of_an_older_version_is_read(tmp_path, saved):
-    """The renamed arrays are those of `RENAMED`; all others have kept their names."""
-    path, old = tmp_path / "m.json.map", {new: old for old, new in RENAMED.items()}
-    assert set(RENAMED.values()) <= set(saved.arrays)
-    arrays = {old.get(name, name): array for name, array in saved.arrays.items()}
-    content = MAP.encode(replace(saved, arrays=arrays))
-    newest = b'"version":%d' % VERSION
-    path.write_bytes(content.replace(newest, b'"version":%d' % OLDEST_VERSION, 1))
-    assert set(MAP.decode(path.read_bytes()).arrays) == set(saved.arrays)
-    checkpoint = MapCheckpoint(SETTINGS, path)
-    checkpoint.prepare()
-    checkpoint.close()
-    assert checkpoint.waiting is not None

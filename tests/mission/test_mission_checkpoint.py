@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import asdict, replace
 
@@ -11,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from edge.host.checkpoint import OLDEST_VERSION, Checkpoint
+from edge.host.checkpoint import Checkpoint
 from edge.mission.checkpoint import MISSION, MissionState
 
 BEGUN = MissionState(
@@ -45,18 +44,6 @@ states = st.builds(
 @given(states)
 def test_every_state_comes_back_as_it_was(state):
     assert MISSION.decode(MISSION.encode(Checkpoint(state))).state == state
-
-
-@pytest.mark.parametrize(("new", "old"), [("trace", "word"), ("destinations", "places")])
-def test_the_old_name_of_a_field_is_read(new, old):
-    content = MISSION.encode(Checkpoint(BEGUN))
-    body = content[content.index(b'"config"') :].replace(
-        b'"%s":' % new.encode(), b'"%s":' % old.encode()
-    )
-    digest = hashlib.sha256(body).hexdigest().encode()
-    older = MISSION.begins + b'"version":%d,"sha256":"%s",' % (OLDEST_VERSION, digest) + body
-    assert older != content
-    assert MISSION.decode(older).state == BEGUN
 
 
 @pytest.mark.parametrize(

@@ -87,10 +87,3 @@ destinations = st.one_of(
 @given(st.dictionaries(st.text(max_size=20), destinations, max_size=4))
 def test_json_gives_the_same_destinations(given):
     assert destinations_of_json(json.loads(json.dumps(destinations_json(given)))) == given
-
-
-def test_places_of_older_files_are_read():
-    pose = {"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.5}
-    meant = {"dock": PlaceTarget(DOCK), "here": PlaceTarget(), "explored": ExploreTarget()}
-    for dock in (pose, [1.0, 2.0, 0.5]):
-        assert destinations_of_json({"dock": dock, "here": None, "explored": None}) == meant

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
@@ -118,15 +117,6 @@ def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
         np.testing.assert_array_equal(back.mask, found.mask)
 
 
-def test_recordings_of_before_there_were_masks_are_read():
-    one = np.ones(1, np.float32)
-    found = Detections(Observation(5, 7, np.eye(4)), np.ones((1, 4), np.float32), one,
-                       np.zeros(1, np.int32), ("bed",))  # fmt: skip
-    (entry,) = again(LoopInput(0, "result", {"worker": "detector", "result": found}))
-    del entry.fields["result"]["mask"]
-    assert journal.detections_of(entry.fields["result"], found.observation).mask is None
-
-
 def test_what_was_found_in_the_background_comes_back():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
@@ -155,8 +145,6 @@ def test_what_was_found_in_the_background_comes_back():
     assert again_rooms[1:4] == (pytest.approx([0, 1, 2]), 3, ((7, 0.1, 0.2),))
     np.testing.assert_array_equal(again_rooms.depth_m, rooms.depth_m)
     assert [one.doors for one in again_rooms.shapes] == [one.doors for one in rooms.shapes]
-    old = {key: v for key, v in back["rooms"].items() if key not in ("ids", "next_id", "lost")}
-    assert journal.rooms_of(old).shapes == ()
     similarity = journal.similarity_of(back["similarity"])
     assert (similarity.stamp_ns, similarity.pose, similarity.targets) == (stamp, pose, ("a", "b"))
     choice = journal.choice_of(back["choice"])
@@ -213,38 +201,3 @@ def test_the_mounts_are_written_only_when_they_change():
         assert back.T_base_camera.tobytes() == mount.tobytes()
         assert (back.camera, back.pose_age_ns) == (camera, 7 * k)
     assert told == [True, False, True]
-
-
-GOAL = {"pose": [0.0, 1.0, 2.0], "score": 0.5, "kind": "spin", "id": 0, "target": "bed"}
-VERSION_1 = [
-    ({"kind": "asked", "worker": "surveyor"}, "request", {"worker": "travel_cost"}),
-    ({"kind": "asked", "worker": "prior"}, "request", {"worker": "rooms"}),
-    ({"kind": "found", "worker": "choice", "what": {"p": 1}}, "result",
-     {"worker": "choice", "result": {"p": 1}}),
-    ({"kind": "found", "worker": "detector", "what": {"rival": None}}, "result",
-     {"worker": "detector", "result": {"competing_score": None}}),
-    ({"kind": "decided", "what": "use", "said": "map"}, "decision",
-     {"name": "use", "value": "map"}),
-    ({"kind": "answer", "stamp_ns": 1, "state": "failed", "reason": "", "blocked": None},
-     "goal_status", {"goal_status": GoalStatus(1, "failed")}),
-    ({"kind": "tick", "now_ns": 1}, "tick", {"now_ns": 1}),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("old", "kind", "fields"), VERSION_1)
-def test_an_entry_of_version_1_is_read(old, kind, fields):
-    page = {"entries": [{"n": 7, **old}], "observation": None, "said": None}
-    assert decode_page(json.dumps(page).encode()).entries == [LoopInput(7, kind, fields)]
-
-
-def test_a_start_and_decisions_of_version_1_are_read():
-    (page,) = [json.loads(encode_page([START], result(), None, {}))]
-    (start,) = page["entries"]
-    for new, old in (("mission_checkpoint", "saved"), ("map_checkpoint", "places")):
-        start[old] = start.pop(new)
-    page["said"] = {"target": "bed", "phase": "searching", "goal": {**GOAL, "kind": "look"},
-                    "sent": [{**GOAL, "kind": "look"}]}  # fmt: skip
-    del page["decisions"]
-    back = decode_page(json.dumps(page).encode())
-    assert back.entries[0].fields.keys() == START.fields.keys()
-    assert (back.decisions["goal"], back.decisions["sent"]) == (GOAL, [GOAL])

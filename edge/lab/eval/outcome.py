@@ -190,14 +190,5 @@ class OutcomeFile:
         self.known[outcome.key] = outcome
 
 
-RENAMED = {"column": "arm", "column_id": "arm_id"}
-"""Old names of fields in files that older versions wrote → present names."""
-
-
-def present_names(data: dict[str, Any]) -> dict[str, Any]:
-    """Return a line of the file with the present names of its fields."""
-    return {RENAMED.get(name, name): value for name, value in data.items()}
-
-
 def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
-    return {**present_names(data), "start": tuple(data["start"])}
+    return {**data, "start": tuple(data["start"])}

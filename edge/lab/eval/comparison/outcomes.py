@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
-from edge.lab.eval.outcome import FAILURES, MAX_BYTES, present_names
+from edge.lab.eval.outcome import FAILURES, MAX_BYTES
 from edge.text import bounded_repr, one_line, read_json_object
 
 OTHER = "other"
@@ -126,7 +126,7 @@ def read_records(path: Path) -> list[Record]:
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         if line.strip():
             try:
-                records.append(_check(present_names(read_json_object(line))))
+                records.append(_check(read_json_object(line)))
             except (KeyError, TypeError, ValueError) as error:
                 what = (
                     f"the field {error} is missing"

@@ -11,7 +11,6 @@ from made_outcomes import failure, record
 
 from edge.errors import FileError, UserError
 from edge.lab.eval.comparison.outcomes import clusters, gather, read_records, with_rooms
-from edge.lab.eval.outcome import OUTCOMES_NAME, RENAMED, OutcomeFile
 
 
 def written(tmp_path, *lines) -> list[dict]:
@@ -95,13 +94,3 @@ def test_the_newest_of_a_column_counts():
 def test_columns_on_different_episodes_of_one_name_are_not_compared(changes):
     with pytest.raises(UserError, match="run both arms on the same file of episodes"):
         gather([record(arm="a"), record(arm="b", **changes)])
-
-
-@pytest.mark.parametrize("old", RENAMED)
-def test_a_file_with_an_old_name_of_a_field_is_read(tmp_path, old):
-    line = record()
-    (tmp_path / OUTCOMES_NAME).write_text(json.dumps(line) + "\n")
-    new = OutcomeFile(tmp_path).known, read_records(tmp_path / OUTCOMES_NAME)
-    line[old] = line.pop(RENAMED[old])
-    (tmp_path / OUTCOMES_NAME).write_text(json.dumps(line) + "\n")
-    assert (OutcomeFile(tmp_path).known, read_records(tmp_path / OUTCOMES_NAME)) == new
