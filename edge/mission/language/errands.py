@@ -389,7 +389,7 @@ def _refuse_unknown_names(text: str) -> None:
         if _NO_OBJECT.match(phrase):
             continue
         for name in _BETWEEN_NAMES.split(phrase.removeprefix(f"{CHECK} ")):
-            if not _is_name(name):
+            if name.strip() and not _is_name(name):
                 words = name.split()
                 odd = words[nouns.unknown_in(words) or 0]
                 slip = f" ({meant}?)" if (meant := nouns.suggest_word(odd)) else ""
