@@ -17,7 +17,7 @@ from urllib.parse import SplitResult
 
 import httpx
 
-from edge.config import TranslatorLlm, WriterModel
+from edge.config import ChoiceOpenai, ChoiceText, TranslatorLlm, WriterModel
 from edge.errors import UnavailableError
 from edge.host.http import (
     CancellableRequest,
@@ -28,7 +28,7 @@ from edge.host.http import (
 )
 from edge.text import bounded_repr, one_line, split_url
 
-MAX_ANSWER_BYTES = 256 * 1024  # limit of an HTTP body for the clients of `make_chat_client`
+MAX_ANSWER_BYTES = 256 * 1024  # limit of an HTTP body
 MOST_TOKENS = 20  # most log-probabilities that OpenAI and vLLM return for one position
 ROUNDING = 1e-3  # tolerance of a log-probability above 0
 LIFE_PERIOD_S, LIFE_S = 0.5, 1.0  # between two short requests, and for the answer to one
@@ -90,7 +90,7 @@ class ChatClient:
         model: str,
         api_key: str | None = None,
         time_limit_s: float = 30.0,
-        max_answer_bytes: int = 65536,
+        max_answer_bytes: int = MAX_ANSWER_BYTES,
         must_live: bool = False,
     ) -> None:
         parts = _split(url)
@@ -337,7 +337,9 @@ def _reason(error: Exception) -> str:
     raise error
 
 
-def make_chat_client(config: TranslatorLlm | WriterModel, must_live: bool = False) -> ChatClient:
+def make_chat_client(
+    config: TranslatorLlm | WriterModel | ChoiceOpenai | ChoiceText, must_live: bool = False
+) -> ChatClient:
     """Return the client that a configuration describes; the API key comes from the environment.
 
     `must_live`: see `ChatClient`.
@@ -346,6 +348,4 @@ def make_chat_client(config: TranslatorLlm | WriterModel, must_live: bool = Fals
         ChatError: the URL or the key cannot be used.
     """
     api_key = os.environ.get(config.api_key_env)
-    return ChatClient(
-        config.url, config.model, api_key, config.time_limit_s, MAX_ANSWER_BYTES, must_live
-    )
+    return ChatClient(config.url, config.model, api_key, config.time_limit_s, must_live=must_live)

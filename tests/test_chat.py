@@ -171,7 +171,7 @@ def test_a_long_answer_is_not_kept():
     with serving(talkative) as server:
         tracemalloc.start()
         try:
-            with pytest.raises(ChatError, match="more than 64 KB"):
+            with pytest.raises(ChatError, match="more than 256 KB"):
                 ChatClient(server.url, "m").ask(HELLO)
             assert tracemalloc.get_traced_memory()[1] < 8_000_000
         finally:

@@ -173,10 +173,8 @@ class ChoiceNone(Section):
     kind: Literal["none"] = "none"
 
 
-class ChoiceOpenai(Section):
-    """A vision-language model on an OpenAI-compatible server scores the frontiers (ViTL eq. 4, 5).
-
-    The server must take images and return logprobs.
+class ChoiceServer(Section):
+    """A model on an OpenAI-compatible server, which must return logprobs.
 
     Attributes:
         url: base URL of the server.
@@ -184,39 +182,32 @@ class ChoiceOpenai(Section):
         api_key_env: environment variable that holds the API key.
         time_limit_s: time for one answer.
         pause_s: pause after an answer, to limit the cost of a paid server.
-        max_image_px: longer side of the image that is sent.
         fallback: card of a choice model on this computer, which answers while the server does not.
+    """
+
+    url: str
+    model: str
+    api_key_env: str = "OPENAI_API_KEY"
+    time_limit_s: Positive = 5.0
+    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    fallback: str | None = None
+
+
+class ChoiceOpenai(ChoiceServer):
+    """A vision-language model scores the frontiers (ViTL eq. 4, 5).
+
+    Attributes:
+        max_image_px: longer side of the image that is sent.
     """
 
     kind: Literal["openai"] = "openai"
-    url: str
-    model: str
-    api_key_env: str = "OPENAI_API_KEY"
-    time_limit_s: Positive = 5.0
-    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     max_image_px: Annotated[int, Field(ge=64, le=4096)] = 640
-    fallback: str | None = None
 
 
-class ChoiceText(Section):
-    """A language model without images scores the frontiers, from a list of detected objects.
-
-    Attributes:
-        url: base URL of the server.
-        model: name of the model on the server.
-        api_key_env: environment variable that holds the API key.
-        time_limit_s: time for one answer.
-        pause_s: pause after an answer, to limit the cost of a paid server.
-        fallback: card of a choice model on this computer, which answers while the server does not.
-    """
+class ChoiceText(ChoiceServer):
+    """A language model without images scores the frontiers, from a list of detected objects."""
 
     kind: Literal["text"] = "text"
-    url: str
-    model: str
-    api_key_env: str = "OPENAI_API_KEY"
-    time_limit_s: Positive = 5.0
-    pause_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    fallback: str | None = None
 
 
 class ChoiceOnnx(Section):

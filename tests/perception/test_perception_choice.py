@@ -289,7 +289,7 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
         (model(direction={"A": float("nan")}), "an invalid logprob"),
         (model(scene={}), "no logprobs"),
         (lambda handler: send(handler, b"[]"), "no logprobs"),
-        (lambda handler: send(handler, b"x" * 100_000), "more than 64 KB"),
+        (lambda handler: send(handler, b"x" * 300_000), "more than 256 KB"),
         (lambda handler: send(handler, b"", 500), "HTTP 500"),
         (lambda handler: handler.stopping.wait(), "no complete answer within 0.3 s"),
     ],

@@ -5,7 +5,6 @@ Each mark (a frontier in view) has a letter in the image or the text, and the mo
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from edge.chat import ChatClient, ChatError
+from edge.chat import ChatClient, ChatError, make_chat_client
 from edge.config import ChoiceOpenai, ChoiceText
 from edge.perception.scoring.choice.picture import data_url, draw
 from edge.perception.scoring.choice.question import (
@@ -149,12 +148,8 @@ def make_server_scorer(config: ChoiceOpenai | ChoiceText) -> ServerFrontierScore
     Raises:
         ChatError: the URL or the key cannot be used.
     """
-    key = os.environ.get(config.api_key_env)
     try:
-        client = ChatClient(
-            config.url, config.model, key, config.time_limit_s,
-            must_live=config.fallback is not None,
-        )  # fmt: skip
+        client = make_chat_client(config, must_live=config.fallback is not None)
     except ChatError as error:
         raise ChatError(f"perception.choice: {error}") from None
     if config.kind == "openai":
