@@ -41,9 +41,9 @@ from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
 from edge.mission.logic.ltl import Formula
 from edge.mission.planning.planner import make_planner
+from edge.mission.read_back import orders_of
 from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
-from edge.mission.told_back import orders_of
 from edge.mission.translate import Translation, TranslationError, make_translator
 from edge.text import one_line
 

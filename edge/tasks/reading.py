@@ -395,12 +395,12 @@ def _read_step(
             return _read_destination(reader, scene, before)
         case "its left" | "its right":
             return InstructionStep(
-                "beside",
+                "next to",
                 (object_of_last_step(scene, before, reader, relation),),
                 _SIDE_OF[relation.kind],
             )
     thing = read_object(reader, scene, before)
-    return InstructionStep("beside", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+    return InstructionStep("next to", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
 
 
 def _check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> None:
@@ -489,7 +489,7 @@ def _read_destination(
     elif not (side or distance_m):
         distance_m = _read_stop_before_it(reader)
     if side:
-        return InstructionStep("beside", (thing,), side)
+        return InstructionStep("next to", (thing,), side)
     return InstructionStep("to", (thing,), distance_m=distance_m)
 
 
@@ -526,7 +526,7 @@ def _read_counted(
     if relation := reader.take("behind", "left of", "right of"):
         side = _SIDE_OF.get(relation.kind, relation.kind)
         thing = read_object(reader, scene, before)
-        return InstructionStep("beside", (thing,), side, distance_m)
+        return InstructionStep("next to", (thing,), side, distance_m)
     reader.refuse("say in which direction, as '3 metres straight on'")
 
 
@@ -541,7 +541,7 @@ _MOTIONS = ("circle", "across")
 """Kinds of relations that are verbs, too: "circle the tree", "cross the road"."""
 _PASSED = ("past", "around", "along", "across")
 """Kinds of steps after which a destination needs no joint: "past the van to the gate"."""
-_STOPPED_AT = ("to", "beside", "between", "straight")
+_STOPPED_AT = ("to", "next to", "between", "straight")
 """Kinds of steps after which "there" is clear."""
 _TURN_SIDES = {
     "left": "left", "right": "right", "on the left": "left", "on the right": "right",

@@ -104,7 +104,7 @@ def plan_by_rules(
 
 def _facing(last: InstructionStep, at: Point) -> float | None:
     """Return the robot's heading at the end: towards the object it was sent to, else None."""
-    if last.kind not in ("to", "beside") or at == centre_m(last.things[0]):
+    if last.kind not in ("to", "next to") or at == centre_m(last.things[0]):
         return None
     (x, y), (tx, ty) = at, centre_m(last.things[0])
     return math.atan2(ty - y, tx - x)
@@ -146,7 +146,7 @@ def _plan_step(
             return [path]
         case "to":
             points = [functions.stopping_point(step.things[0].id, at)]
-        case "beside":
+        case "next to":
             places = [step.distance_m / PASSING_DISTANCE_M] if step.distance_m else PLACES
             points = [_place_next_to(step.things[0], step.side, at, functions, places)]
         case "halfway":

@@ -13,7 +13,7 @@ OF_SUFFIX = {"left": " of", "right": " of"}
 """Side → word after it: "left of the van", but "behind the van"."""
 
 Kind = Literal[
-    "to", "past", "along", "around", "circle", "beside", "between", "straight", "halfway", "turn",
+    "to", "past", "along", "around", "circle", "next to", "between", "straight", "halfway", "turn",
     "onto", "across", "stop",
 ]  # fmt: skip
 
@@ -50,7 +50,7 @@ class InstructionStep:
         things: two objects for "between", none for "turn", "onto", "across", a "straight" with a
             distance and a bare "stop", else one.
         side: one of `edge.tasks.functions.SIDES_RAD`; "" if none is given.
-        distance_m: length of "straight"; gap to the object for "to" and "beside"; 0.0 if none is
+        distance_m: length of "straight"; gap to the object for "to" and "next to"; 0.0 if none is
             given.
         turn_rad: angle of "turn", counter-clockwise.
         ground: kind of ground of "onto" and "across"; see `edge.tasks.phrases.GROUNDS`.
@@ -86,7 +86,7 @@ class InstructionStep:
                 return f"halfway to {listed}"
             case "past" | "along" | "around" if self.side:
                 return f"{self.kind} the {self.side} of {listed}"
-            case "beside":
+            case "next to":
                 away = f"{self.distance_m:g} m " if self.distance_m else ""
                 return f"{away}{self.side}{OF_SUFFIX.get(self.side, '')} {listed}"
         return f"{self.kind} {listed}{gap}".strip()

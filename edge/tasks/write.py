@@ -163,7 +163,7 @@ def _ends_close(step: InstructionStep) -> bool:
 
 def _stop_ids(step: InstructionStep) -> tuple[int, ...]:
     """Return the ids of the objects that the robot stops at in a step."""
-    stops = step.kind in ("to", "beside", "between")
+    stops = step.kind in ("to", "next to", "between")
     return tuple(thing.id for thing in step.things) if stops else ()
 
 

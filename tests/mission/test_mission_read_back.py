@@ -1,4 +1,4 @@
-"""Missions told back as orders."""
+"""Missions read back as orders."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from edge.config import MissionConfig
 from edge.lab.eval.everyday import SITE
 from edge.mission.logic.ltl import parse
+from edge.mission.read_back import orders_of
 from edge.mission.spec import prepare
-from edge.mission.told_back import orders_of
 
 
 @pytest.mark.parametrize(
@@ -40,6 +40,6 @@ def test_other_forms_are_no_orders(formula):
         ("find the mug and the book", "Reach the mug and the book in any order."),
     ],
 )  # fmt: skip
-def test_an_instruction_is_told_back(said, told):
+def test_an_instruction_is_read_back(said, told):
     english = prepare(MissionConfig(), said, site=SITE).translation.english
     assert english.replace('"', "") == told
