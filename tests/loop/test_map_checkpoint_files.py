@@ -118,7 +118,7 @@ def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, sav
 
 
 def test_a_bomb_in_a_tile_takes_no_memory(tmp_path, saved):
-    bomb = np.frombuffer(zlib.compress(bytes(1 << 28), 9), np.uint8)
+    bomb = np.frombuffer(zlib.compress(bytes(1 << 25)), np.uint8)
     n_bytes, packed = saved.arrays["tiles/n_bytes"], saved.arrays["tiles/packed"]
     tiles = {
         "tiles/n_bytes": np.array([len(bomb), *n_bytes[1:]], np.int32),

@@ -24,7 +24,7 @@ from edge.recording.session import RecordedRun, RecordingError
 from edge.sources.recording import read
 from edge.text import read_json
 
-MANY = 1 << 28
+MANY = 1 << 27
 """Bytes that a small file stands for."""
 FEW = 1 << 24
 
