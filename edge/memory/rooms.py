@@ -6,7 +6,7 @@ that has a row in this table, such as "bed".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from edge.host.checkpoint import Arrays, check_arrays
 from edge.mapping.regions import RegionMap
 from edge.memory.objects import known_objects
 from edge.memory.room_kinds import kind_of_room
-from edge.memory.room_shapes import NO_SURVEY, LostRoom, Passage, RoomShape, RoomSurvey
+from edge.memory.room_shapes import NO_SURVEY, LostRoom, RoomShape, RoomSurvey
 from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kind_model
 from edge.perception.prior.table import ObjectPrior, load
@@ -121,36 +121,22 @@ def kinds_by_region(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MappedRoom:
-    """A room of the map.
+class MappedRoom(RoomShape):
+    """A room of the map: its shape, and what the service knows about it.
 
     Attributes:
-        id: number of the room; it stays while the map grows.
         name: name that a person gave; "" for none.
         kinds: kinds of the room that are certain enough. An open-plan room may be kitchen and
             living room.
         chance: probability of each kind of the prior's table; 1 for a kind that a person named.
         held: (things,) float32, confidence that each thing of the prior's table is in the room.
-        polygon_m: (k, 2) float64, outline in `map`.
-        area_m2: area of the known floor, with furniture.
-        xy_m: the point of the room that is farthest from the border.
-        inside_m: the robot counts as inside from this distance to the border on.
-        points_m: (j, 2) float32, points to stand at.
-        doors: passages to other rooms.
         is_visited: True if the robot was inside.
     """
 
-    id: int
     name: str
     kinds: tuple[str, ...]
     chance: dict[str, float]
     held: np.ndarray
-    polygon_m: np.ndarray
-    area_m2: float
-    xy_m: tuple[float, float]
-    inside_m: float
-    points_m: np.ndarray
-    doors: tuple[Passage, ...]
     is_visited: bool
 
     @property
@@ -451,9 +437,10 @@ class RoomMemory:
         found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
         if (by_person := kind_of_room(name)) is not None:
             found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
+        of_shape = {field.name: getattr(shape, field.name) for field in fields(shape)}
         return MappedRoom(
-            shape.id, name, found, by_kind, held, shape.polygon_m, shape.area_m2, shape.xy_m,
-            shape.inside_m, shape.points_m, shape.doors, shape.id in self._visited,
+            **of_shape, name=name, kinds=found, chance=by_kind, held=held,
+            is_visited=shape.id in self._visited,
         )  # fmt: skip
 
 
