@@ -29,8 +29,6 @@ class MappingConfig(Section):
         obstacle_min_m: points lower than this above the floor are floor.
         obstacle_max_m: the robot passes under points higher than this above the floor. Default: its
             height plus 0.2 m, or plus a quarter of its height if that is less.
-        bump_memory_s: the map stays closed for this time where an obstacle that no sensor shows
-            stopped the robot (a door sill, glass).
     """
 
     input: Literal["depth", "cloud"] = "depth"
@@ -41,7 +39,6 @@ class MappingConfig(Section):
     inflation_m: NonNegative = 0.2
     obstacle_min_m: Positive = 0.10
     obstacle_max_m: Positive = 1.0
-    bump_memory_s: Positive = 600.0
 
     @model_validator(mode="after")
     def _check_sizes(self) -> MappingConfig:

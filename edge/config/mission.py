@@ -82,14 +82,12 @@ class PlannerVitl(Section):
 
     Attributes:
         weights: cost of a step to an object. `constant`: 0.01 if it was detected, else 1, as in
-            the paper. `distance`: the driving distance to a known object, `explore_m` for an
-            unknown one; the plan then also changes when another plan is clearly shorter.
-        explore_m: assumed driving distance to an object that was not found yet.
+            the paper. `distance`: the driving distance to a known object, 10 m for an unknown
+            one; the plan then also changes when another plan is clearly shorter.
     """
 
     kind: Literal["vitl"] = "vitl"
     weights: Literal["constant", "distance"] = "constant"
-    explore_m: Positive = 10.0
 
 
 class PlannerInOrder(Section):

@@ -30,7 +30,10 @@ _SAME_SILL_M = 1.5
 _MAX_COSINE = 0.7
 # A sill is assumed to extend beyond two bumps by the distance between them, at most by this.
 _MAX_EXTENSION_M = 1.0
-# A first touch may have been a passer-by, so it is kept only for this share of `bump_memory_s`.
+MEMORY_S = 600.0
+"""Time for which the map stays closed where an obstacle that no sensor shows stopped the robot."""
+_MEMORY_NS = int(MEMORY_S * 1e9)
+# A first touch may have been a passer-by, so it is kept only for this share of `MEMORY_S`.
 _FIRST_TOUCH_SHARE = 0.2
 
 Cell = tuple[int, int]
@@ -91,8 +94,8 @@ class ContactObstacles:
     closed at a known obstacle, or so near to the robot's trail that the way back would be blocked.
 
     A bump opens if the robot stands there, if the sensors see floor there, after a fifth of
-    `bump_memory_s`, or by `open_all`. If the robot is then blocked there again, the sensors cannot
-    see the obstacle: the bump stays for all of `bump_memory_s`.
+    `MEMORY_S`, or by `open_all`. If the robot is then blocked there again, the sensors cannot see
+    the obstacle: the bump stays for all of `MEMORY_S`.
 
     Args:
         layers: layers of the map.
@@ -109,7 +112,6 @@ class ContactObstacles:
         write: Callable[[int, int, int, int], None],
     ) -> None:
         self._layers, self._window, self._write = layers, window, write
-        self._memory_ns = int(config.bump_memory_s * 1e9)
         self._inflation_m = config.inflation_m
         # Cells this far from the trail leave its middle open: see `layers.on_trail`.
         body_cells = config.inflation_m / config.resolution_m - ROUNDING_CELLS
@@ -152,7 +154,7 @@ class ContactObstacles:
             to_close += [b._replace(again=True) for b in near]
             same = [b for b in self._bumps if b.felt <= bump.felt]  # the new bump replaces these
             again = bump.again or bool(near) or any(b.again for b in same)
-            memory_ns = self._memory_ns if again else int(_FIRST_TOUCH_SHARE * self._memory_ns)
+            memory_ns = _MEMORY_NS if again else int(_FIRST_TOUCH_SHARE * _MEMORY_NS)
             guessed = bump.guessed.union(*(b.guessed for b in same))
             self._close(bump._replace(until_ns=now_ns + memory_ns, guessed=guessed, again=again))
             for b in same:

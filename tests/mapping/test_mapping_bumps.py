@@ -20,7 +20,7 @@ from edge.mapping.update import MOST_FLOOR_UPDATES
 HOME = SE2(0.0, 0.0, 0.0)
 RADIUS_M = 0.2
 PLACE = (1.02, 0.03)
-MEMORY_NS = int(SMALL.bump_memory_s * 1e9)
+MEMORY_NS = int(bumps.MEMORY_S * 1e9)
 FIRST_NS = MEMORY_NS // 5  # a first touch is remembered for so long
 SILL = [(1.0, -0.6, 0.0, 1.05, 0.6, 0.085)]  # too low for an obstacle, too high to drive over
 

@@ -141,7 +141,7 @@ def test_reasons(knowledge, reason):
 
 # --- distances ---
 
-METRES = PlannerVitl(weights="distance", explore_m=10.0)
+METRES = PlannerVitl(weights="distance")
 
 
 def test_no_way_leads_back_to_what_was_just_reached_because_a_detour_seems_shorter():

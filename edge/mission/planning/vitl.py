@@ -25,6 +25,8 @@ W_FAIL = 1000.0
 """Weight of a failed object in the reported costs."""
 REPLAN_MARGIN_M = 1.0
 """With distances, the target changes only if another path is shorter by more than this."""
+EXPLORE_M = 10.0
+"""Assumed driving distance to an object that was not found yet."""
 W_NOTHING = 1e-6
 """Weight of a step that reaches nothing: nearly free, but positive so that it is never wasted."""
 
@@ -37,9 +39,9 @@ class VitlPlanner:
     (the paper's "sum >= w_fail", for paths of any length). Weights are multiples of 1e-6.
 
     Distances: a known object weighs the metres from the object before it, an unknown one
-    `explore_m`. The distance from the robot to an object is never more than by way of other
+    `EXPLORE_M`. The distance from the robot to an object is never more than by way of other
     objects. From an object at an unknown place, the distance to a known object is the hypotenuse of
-    `explore_m` and its distance from the robot. The current target is kept unless another path is
+    `EXPLORE_M` and its distance from the robot. The current target is kept unless another path is
     better by more than `REPLAN_MARGIN_M`. With constant weights the target changes at once.
 
     Letters that keep the state are never planned. The planner reuses its buffers: use it from one
@@ -61,7 +63,6 @@ class VitlPlanner:
         self.known_reached = known_reached
         k, n = len(automaton.propositions), automaton.n_states
         self._by_distance = config.weights == "distance"
-        self._explore_m = config.explore_m
         # A place is one of the k objects, or the robot's position, which is the last one; see
         # `plan_kernels` for the arrays.
         places = k + 1 if self._by_distance else 1
@@ -165,9 +166,7 @@ class VitlPlanner:
         if self.known_reached:
             known = known | knowledge.reached
         if self._by_distance:
-            metres = _weights_m(
-                knowledge.distance_m, [x in known for x in letters], self._explore_m
-            )
+            metres = _weights_m(knowledge.distance_m, [x in known for x in letters])
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
         else:
             near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
@@ -179,13 +178,12 @@ class VitlPlanner:
         weight[-1] = round(W_NOTHING * kernels.SCALE)
 
 
-def _weights_m(distance_m: np.ndarray | None, known: list[bool], explore_m: float) -> np.ndarray:
+def _weights_m(distance_m: np.ndarray | None, known: list[bool]) -> np.ndarray:
     """Return the weight in metres of each letter from each place; see `VitlPlanner`.
 
     Args:
         distance_m: see `MissionKnowledge.distance_m`; None if no distance is known.
         known: True for each letter whose object is known.
-        explore_m: weight of an unknown object.
 
     Returns:
         (k + 1, k) float64.
@@ -194,7 +192,7 @@ def _weights_m(distance_m: np.ndarray | None, known: list[bool], explore_m: floa
         ValueError: the matrix has a wrong shape.
     """
     k = len(known)
-    metres = np.full((k + 1, k), float(explore_m))
+    metres = np.full((k + 1, k), EXPLORE_M)
     if distance_m is None:
         return metres
     if distance_m.shape != (k + 1, k):
@@ -204,7 +202,7 @@ def _weights_m(distance_m: np.ndarray | None, known: list[bool], explore_m: floa
         from_robot = distance_m[-1, j]
         between = distance_m[:-1, j]
         metres[:-1, j] = np.where(
-            placed & np.isfinite(between), between, math.hypot(explore_m, from_robot)
+            placed & np.isfinite(between), between, math.hypot(EXPLORE_M, from_robot)
         )
         metres[-1, j] = from_robot
     metres = np.maximum(metres, 0.0)
