@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "loop")]
+sys.path += [str(Path(__file__).parents[1] / "tests" / folder) for folder in ("", "drives")]
 from test_loop_task import closed, until
 
 

@@ -40,7 +40,8 @@ LIVE = ("integration", "attacks")
 LIVE_LIMIT_S = 900
 # Folders with tests that wait for a service or a part of it, in a process or on a thread.
 SERVICES = {
-    *LIVE, "lab", "live", "loop", "perception", "recording", "ros2_adapter", "sinks", "sources",
+    *LIVE, "drives", "lab", "live", "loop", "perception", "recording", "ros2_adapter", "sinks",
+    "sources",
 }  # fmt: skip
 
 # pytest-timeout ends a test by an exception in its main thread: it does nothing for a kernel or a
