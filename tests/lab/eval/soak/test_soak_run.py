@@ -62,7 +62,7 @@ def test_seconds_with_two_faults(edge, tmp_path):
 @pytest.mark.slow
 def test_minutes_of_all_faults(edge, tmp_path):
     out = tmp_path / "out"
-    soak = edge("soak", "--minutes", "3", "--out", out)
+    soak = edge("soak", "--minutes", "2", "--out", out)
     assert soak.wait(900) == 0, soak.output
     assert len({fault["name"] for fault in of("fault", rows(out))}) > 6
 
