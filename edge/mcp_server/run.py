@@ -12,6 +12,7 @@ from edge.host.credentials import read_token
 from edge.host.signals import stop_on_signals
 from edge.host.stop_latch import stop_file
 from edge.mcp_server.audit import AuditLog, CallLimit
+from edge.types import CAMERAS
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
             name = config.zenoh.key(key)  # type: ignore[arg-type]
             return client.send_request(session, name, request, args.timeout, "mcp")
 
-        server = AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute))
+        cameras = CAMERAS[: len(config.sensors.cameras)]
+        server = AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute), cameras)
         if token is None:
             server.run("stdio")
         else:

@@ -27,7 +27,6 @@ from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.sources.inputs import InputTable, group_of
 from edge.sources.messages import (
-    CAMERAS,
     CameraInfo,
     Cloud,
     DepthImage,
@@ -44,7 +43,7 @@ from edge.sources.pool import FramePool, PoolSlot
 from edge.sources.rectify import LensPlan, make_lens_plan
 from edge.sources.streams import Stream
 from edge.text import one_line
-from edge.types import Observation
+from edge.types import CAMERAS, Observation
 
 log = logging.getLogger("edge.sources")
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from edge.loop.agent_requests import MAX_WAITING, agent_handlers
 from edge.loop.requests import mission_verbs
 from edge.memory import Place, Site
 from edge.tasks.mission_spec import prepare_mission
+from edge.types import CAMERAS
 
 pytest.importorskip("mcp", reason="the extra [mcp] is not installed")
 
@@ -46,7 +48,7 @@ class Robot:
         now_ns: loop time.
     """
 
-    def __init__(self, motion: str, folder: Path) -> None:
+    def __init__(self, motion: str, folder: Path, cameras: Sequence[str] = CAMERAS[:1]) -> None:
         config = simulated({
             "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},
             "sensors": {"camera": {"width_px": 160, "height_px": 128}},
@@ -63,14 +65,14 @@ class Robot:
             service,
             settings,
             prepare["new"].prepare,
-            lambda of: {"png": "bWFw", "jpeg": "cGhvdG8="},
+            lambda of: {"png": "bWFw", "jpeg": base64.b64encode(of.encode()).decode()},
         )
         self._queues: dict[str, Any] = {
             key: RequestQueue(key, verbs, handle) for key, (verbs, handle) in handlers.items()
         } | stop_requests(self.latch)
         log = AuditLog(folder / "audit.jsonl", "test")
         self.log, self.limit = log, CallLimit(10_000)
-        self.server = AgentServer(self.ask, log, self.limit)
+        self.server = AgentServer(self.ask, log, self.limit, cameras)
 
     def _prepare(self, **fields: Any) -> Any:
         return prepare_mission(self.loop.config, site=self.loop.service.site.known, **fields)
@@ -127,12 +129,12 @@ class Robot:
 
 
 @pytest.fixture
-def make(tmp_path, monkeypatch) -> Iterator[Callable[[str], Robot]]:
+def make(tmp_path, monkeypatch) -> Iterator[Callable[..., Robot]]:
     monkeypatch.setattr(stop_latch, "WITHDRAWN_S", 0.0)
     made = []
 
-    def make(motion: str) -> Robot:
-        made.append(Robot(motion, tmp_path))
+    def make(motion: str, *cameras: str) -> Robot:
+        made.append(Robot(motion, tmp_path, cameras or CAMERAS[:1]))
         return made[-1]
 
     yield make
@@ -140,21 +142,24 @@ def make(tmp_path, monkeypatch) -> Iterator[Callable[[str], Robot]]:
         robot.close()
 
 
-def test_an_agent_sees_its_tools_and_resources(make):
-    robot = make("ask")
+@pytest.mark.parametrize("cameras", [CAMERAS[:1], CAMERAS])
+def test_an_agent_sees_its_tools_and_resources(make, cameras):
+    robot = make("ask", *cameras)
 
-    async def run() -> tuple[list[str], list[str]]:
+    async def run() -> tuple[list[str], dict[str, bytes]]:
         async with Client(robot.server) as client:
             tools = (await client.list_tools()).tools
-            resources = (await client.list_resources()).resources
-            return [tool.name for tool in tools], [str(one.uri) for one in resources]
+            uris = [one.uri for one in (await client.list_resources()).resources]
+            read = {uri: (await client.read_resource(uri)).contents[0].blob for uri in uris}
+            return [tool.name for tool in tools], {k: base64.b64decode(v) for k, v in read.items()}
 
     tools, resources = asyncio.run(run())
-    assert robot.call("snapshot") == (False, NOTE)
+    assert robot.call("snapshot") == (False, NOTE + "".join(cameras))
     assert sorted(tools) == [
         "cancel", "explore", "find", "go", "patrol", "place", "snapshot", "status", "stop",
     ]  # fmt: skip
-    assert resources == ["edge://map", "edge://camera"]
+    pictures = {f"edge://{name}": name.encode() for name in cameras}
+    assert resources == {"edge://map": b"map", **pictures}
 
 
 @pytest.mark.parametrize(
