@@ -183,7 +183,8 @@ class LiveSink:
             self._boxed_s[detections.observation.camera_index] = now_s
             self._copy_image(detections.observation, result, now_s)
         if (newest := result.observation) is not None:
-            if now_s - self._boxed_s.get(newest.camera_index, -math.inf) > _UNBOXED_S:
+            boxed_s = self._boxed_s.get(newest.camera_index, -math.inf)
+            if now_s - boxed_s > _UNBOXED_S:
                 self._copy_image(newest, result, now_s)
 
     def close(self) -> None:
