@@ -323,7 +323,7 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
         **{key: {0: "batch", 1: "images"} for key in image}, "image_features": {0: "all_images"},
     }  # fmt: skip
     if networks.threefold:
-        rows = dict.fromkeys(("image_features", *deepstack), {0: "rows"})
+        rows = {key: {0: "rows"} for key in ("image_features", *deepstack)}
         vision_axes = {"pixel_values": {0: "patches"}, **rows}
     tokens = {"input_ids": torch.zeros(1, n, dtype=torch.int64)}
     presents = tuple(present_prefix + name for name in cached_names)

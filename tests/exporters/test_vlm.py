@@ -21,11 +21,11 @@ from onnx import numpy_helper
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.runtime.cards import load_card
 from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
-from exporters import vlm, vlm_files, vlm_quantize
+from exporters import hugging_face, vlm, vlm_files, vlm_quantize
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
 from exporters.images import read_rgb
-from exporters.vlm_parity import OnnxPipeline, position_ids_of, questions
+from exporters.vlm_parity import OnnxPipeline, Question, position_ids_of, questions
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
 
@@ -300,6 +300,25 @@ def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
         assert p.shape == (len(one.answers),)
         assert p.sum() == pytest.approx(1.0, abs=1e-5)
     model.close()
+
+
+@pytest.mark.parametrize("kind", ["qwen2_vl", "qwen3_vl"])
+def test_the_service_answers_as_the_model(cache, folders, originals, monkeypatch, rgb, kind):
+    """Positions of three numbers, features of the image, DeepStack; a second question reads on."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
+    asked = [MultipleChoice(f"{word}? A, B or C", tuple("ABC")) for word in ("Where", "Which way")]
+    service = LanguageModel(load_card(f"{name_of(kind)}-fp32"), asked)
+    (original, _), rgb = originals[kind], rgb[:40, :48]
+    tokenizer = hugging_face.open_tokenizer(folders[kind] / "tokenizer.json")
+    image = tokenizer.token_to_id(tiny_folders.IMAGE[kind])
+    letters = [tokenizer.token_to_id(letter) for letter in "ABC"]
+    for p, one in zip(service.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):
+        parts = ("system: Be brief.user: ", one.question)
+        before, after = (tokenizer.encode(part, add_special_tokens=False).ids for part in parts)
+        question = Question(tuple(before), tuple(after), tuple(letters), image)
+        logits = original.logits(question, original.show(rgb))[letters]
+        np.testing.assert_allclose(p, np.exp(logits) / np.exp(logits).sum(), atol=1e-5)
+    service.close()
 
 
 # -- what goes wrong ---------------------------------------------------------------------------
