@@ -35,6 +35,8 @@ def run(args: argparse.Namespace) -> int:
             "configuration of the service, and start it again"
         )
     token = None
+    if args.http is None and (args.host is not None or args.token_file is not None):
+        raise ConfigError("mcp: --host and --token-file are of --http PORT: give that, too")
     if args.http is not None:
         if args.token_file is None:
             raise ConfigError(
@@ -69,6 +71,6 @@ def run(args: argparse.Namespace) -> int:
         else:
             from edge.mcp_server.http import serve
 
-            serve(server, args.host, args.http, token, stop_on_signals())
+            serve(server, args.host or "127.0.0.1", args.http, token, stop_on_signals())
     audit.close()
     return 0
