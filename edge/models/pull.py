@@ -290,15 +290,18 @@ def _pull_part(
         return f"{card.name}: already here: {target}"
     reason: FetchError | str = "the model card names no address"
     url = card.url if isinstance(card, ChoiceCard) else None
-    for place in (*options.places, *([] if url is None else [url])):
+    places = (*options.places, *([] if url is None else [url]))
+    # `n_left` places remain after this one.
+    for n_left, place in zip(reversed(range(len(places))), places, strict=True):
         exported = {} if known else _export_data(place, f"{file.file}.json", options)
         published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None
         with PartialFile(target, known or published, size) as part:
             try:
                 _take_part(place, file, part, options)
             except FetchError as error:
-                _print_failure(card.name, error)
                 reason = error
+                if n_left:
+                    _print_failure(card.name, error)
                 continue
         if known is None:
             data = exported if published else {"sha256": part.digest, "bytes": part.have}
