@@ -204,7 +204,7 @@ def test_inputs_and_outputs_are_the_published_ones(cache, kind):
     single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
     vision, embedding, decoder = (ends_of(path) for path in files_of(cache, kind, "fp32"))
     second = "grid_thw" if kind.startswith("qwen") else "pixel_attention_mask"
-    deepstack = ["deepstack_features_0"] if kind == "qwen3_vl" else []
+    deepstack = ["deepstack_features_0", "deepstack_features_1"] if kind == "qwen3_vl" else []
     features = ["image_features", *deepstack]
     assert (list(vision[0]), list(vision[1])) == (["pixel_values", second], features)
     assert embedding[0] == {"input_ids": (whole, ("batch", "tokens"))}

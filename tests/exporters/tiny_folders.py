@@ -137,7 +137,7 @@ def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
             text |= {"head_dim": 16}
             vision |= {
                 "intermediate_size": 128, "out_hidden_size": 64, "num_position_embeddings": 25,
-                "deepstack_visual_indexes": [0],
+                "deepstack_visual_indexes": [0, 1],
             }  # fmt: skip
         ids |= {"vision_start_token_id": 1, "video_token_id": 2}
         prefix = {"qwen2_vl": "Qwen2VL", "qwen3_vl": "Qwen3VL"}[kind]
