@@ -12,6 +12,9 @@ import numpy as np
 
 from edge.geometry import SE2, CameraModel, se2_of
 
+CAMERAS = ("camera", "camera2")
+"""First part of the topics of each camera, by `Observation.camera_index`."""
+
 
 class Slot(Protocol):
     """A reference-counted slot in a frame pool (see `edge.sources.pool`)."""

@@ -68,6 +68,7 @@ FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
     "owlv2": "exporters.owlv2",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
+    "qwen3_vl": "exporters.vlm",
 }  # fmt: skip
 """Module that exports a Hugging Face folder, by the folder's `model_type`."""
 

@@ -15,6 +15,7 @@ from exporters.clip import make_text_encoder, tokens_of
 from exporters.encoder_parity import EmbeddingReport
 from exporters.files import ExportError, check_sha256
 from exporters.images import PROMPTS
+from exporters.sidecar import write_sidecar
 
 
 def export_text(card: TextCard, sha256: str, args: Any) -> EmbeddingReport:
@@ -26,6 +27,7 @@ def export_text(card: TextCard, sha256: str, args: Any) -> EmbeddingReport:
     """
     tokens = tokens_of(card, args.cache, PROMPTS.split(","))
     check_sha256(args.weights, sha256)
+    write_sidecar(args.cache / card.tokenizer.file, card.name, None, None)
     try:
         script = torch.jit.load(str(args.weights), map_location="cpu").float().eval()
     except RuntimeError as error:

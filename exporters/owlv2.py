@@ -125,6 +125,7 @@ def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
     text = hugging_face.tokenizer_text(args.weights, lowercase=True)
     write_atomically(tokenizer, text.encode())
     digest = hugging_face.weights_sha256(args.weights)
+    write_sidecar(tokenizer, args.card, None, digest)
     reports: dict[str, ParityReport | EmbeddingReport | None] = {}
     for precision in wanted:
         detect_card, text_card = cards = make_cards(args, precision, detector, tower)

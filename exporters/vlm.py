@@ -24,6 +24,7 @@ import torch
 from torch import nn
 
 from edge.host.files import read_regular, write_atomically
+from edge.perception.scoring.vlm.decoder import DEEPSTACK
 from edge.text import one_line
 from exporters import hugging_face
 from exporters.files import ExportError
@@ -41,7 +42,13 @@ from exporters.vlm_files import (
     save_network,
     write_card,
 )
-from exporters.vlm_networks import Decoder, Embedding, Idefics3Vision, Qwen2Vision
+from exporters.vlm_networks import (
+    Decoder,
+    Embedding,
+    Idefics3Vision,
+    Qwen2Vision,
+    Qwen3Vision,
+)
 from exporters.vlm_parity import EncodedImage, LetterComparison, LetterReport, Question, questions
 
 OTHER_FILES = (
@@ -63,6 +70,7 @@ class Networks(NamedTuple):
         prepare: (h, w, 3) uint8 → inputs of the vision encoder, by name.
         text: configuration of the language model.
         threefold: True if position ids have three numbers (M-RoPE).
+        deepstack: number of the decoder's layers that get features of the image, too.
     """
 
     vision: nn.Module
@@ -71,6 +79,7 @@ class Networks(NamedTuple):
     prepare: Callable[[np.ndarray], dict[str, np.ndarray]]
     text: Any
     threefold: bool
+    deepstack: int
 
 
 @dataclass(frozen=True)
@@ -82,18 +91,21 @@ class Family:
         vision: module of its vision encoder.
         text: attribute of the model that holds its language model.
         threefold: True if position ids have three numbers (M-RoPE).
+        processor: prefix of the name of its image processor, if it has another.
     """
 
     prefix: str
     vision: type[nn.Module]
     text: str
     threefold: bool = False
+    processor: str = ""
 
 
 FAMILIES = {
     "idefics3": Family("Idefics3", Idefics3Vision, "text_model"),
     "smolvlm": Family("SmolVLM", Idefics3Vision, "text_model"),
     "qwen2_vl": Family("Qwen2VL", Qwen2Vision, "language_model", threefold=True),
+    "qwen3_vl": Family("Qwen3VL", Qwen3Vision, "language_model", True, processor="Qwen2VL"),
 }
 """Architectures by `model_type`; SmolVLM 2 has `smolvlm`, SmolVLM has `idefics3`."""
 
@@ -115,9 +127,12 @@ class TorchReference:
         """Preprocess and encode an image, (h, w, 3) uint8."""
         feeds = self.prepare(rgb)
         with torch.inference_mode():
-            found = self._model.model.get_image_features(**_inputs(feeds)).pooler_output
-        rows = found if torch.is_tensor(found) else torch.cat(tuple(found))
-        return EncodedImage(feeds, rows.reshape(-1, rows.shape[-1]).numpy())
+            output = self._model.model.get_image_features(**_inputs(feeds))
+        parts = [output.pooler_output, *(getattr(output, "deepstack_features", None) or ())]
+        # Releases of transformers differ: rows of all images, or a tuple with those of each.
+        rows = [part if torch.is_tensor(part) else torch.cat(tuple(part)) for part in parts]
+        features = torch.cat([one.reshape(-1, one.shape[-1]) for one in rows], dim=-1)
+        return EncodedImage(feeds, features.numpy())
 
     def logits(self, question: Question, shown: EncodedImage) -> np.ndarray:
         """Return logits (v,) float32 of the token after the question; v tokens exist."""
@@ -187,9 +202,12 @@ def load_model(folder: Path) -> tuple[nn.Module, Networks]:
         mask = found["pixel_attention_mask"].astype(bool)
         return {"pixel_values": found["pixel_values"], "pixel_attention_mask": mask}
 
+    visual = getattr(model.model, "visual", None)
+    deepstack = len(getattr(visual, "deepstack_merger_list", ()))
     networks = Networks(
         family.vision(model.model).eval(), Embedding(model.get_input_embeddings()).eval(),
-        Decoder(text, model.lm_head).eval(), prepare, text.config, family.threefold,
+        Decoder(text, model.lm_head, deepstack).eval(), prepare, text.config, family.threefold,
+        deepstack,
     )  # fmt: skip
     return model, networks
 
@@ -198,7 +216,7 @@ def _image_processor(folder: Path, family: Family) -> Any:
     """Return the model's image processor, in its Pillow version; the other needs torchvision."""
     import transformers
 
-    kind = getattr(transformers, f"{family.prefix}ImageProcessorPil")
+    kind = getattr(transformers, f"{family.processor or family.prefix}ImageProcessorPil")
     try:
         return kind.from_pretrained(folder, local_files_only=True)
     except Exception as error:  # transformers raises many types
@@ -282,10 +300,13 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     positions = torch.arange(n_past, n_past + n)[None]
     past_prefix, present_prefix = CACHED
     batch_and_tokens = {0: "batch", 1: "tokens"}  # names of the dynamic axes
+    deepstack = [f"{DEEPSTACK}{i}" for i in range(networks.deepstack)]
+    embedded = torch.zeros(1, n, networks.text.hidden_size)
     decoder = {
-        "inputs_embeds": torch.zeros(1, n, networks.text.hidden_size),
+        "inputs_embeds": embedded,
         "attention_mask": torch.ones(1, n_past + n, dtype=torch.int64),
         "position_ids": positions[None].expand(3, 1, n) if networks.threefold else positions,
+        **dict.fromkeys(deepstack, embedded),
         **{past_prefix + name: torch.zeros(1, heads, n_past, size) for name in cached_names},
     }
     decoder_axes = {
@@ -293,6 +314,7 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
         "attention_mask": {0: "batch", 1: "all_tokens"},
         "position_ids": {1: "batch", 2: "tokens"} if networks.threefold else batch_and_tokens,
         "logits": {0: "batch"},
+        **dict.fromkeys(deepstack, batch_and_tokens),
         **{past_prefix + name: {0: "batch", 2: "past_tokens"} for name in cached_names},
         **{present_prefix + name: {0: "batch", 2: "all_tokens"} for name in cached_names},
     }
@@ -301,12 +323,13 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
         **{key: {0: "batch", 1: "images"} for key in image}, "image_features": {0: "all_images"},
     }  # fmt: skip
     if networks.threefold:
-        vision_axes = {"pixel_values": {0: "patches"}, "image_features": {0: "rows"}}
+        rows = {key: {0: "rows"} for key in ("image_features", *deepstack)}
+        vision_axes = {"pixel_values": {0: "patches"}, **rows}
     tokens = {"input_ids": torch.zeros(1, n, dtype=torch.int64)}
     presents = tuple(present_prefix + name for name in cached_names)
     # Network, example inputs, names of the outputs, dynamic axes.
     jobs = {
-        VISION: (networks.vision, image, ("image_features",), vision_axes),
+        VISION: (networks.vision, image, ("image_features", *deepstack), vision_axes),
         EMBEDDING: (
             networks.embedding, tokens, ("inputs_embeds",),
             {"input_ids": batch_and_tokens, "inputs_embeds": batch_and_tokens},

@@ -6,6 +6,8 @@ are written here, because tracing cannot follow the originals.
 
 from __future__ import annotations
 
+from inspect import signature
+
 import torch
 from torch import Tensor, nn
 
@@ -18,23 +20,28 @@ class Decoder(nn.Module):
     """Language model that continues from cached tokens.
 
     Inputs: `inputs_embeds` (b, n, d) of n new tokens, `attention_mask` (b, past + n),
-    `position_ids` (b, n), or (3, b, n) for positions of three numbers, and for each layer keys and
-    values (b, heads, past, size). Outputs: `logits` (b, 1, v) of the last token, and keys and
-    values (b, heads, past + n, size).
+    `position_ids` (b, n), or (3, b, n) for positions of three numbers, for each of the first
+    `deepstack` layers (b, n, d) that is added to its output, and for each layer keys and values
+    (b, heads, past, size). Outputs: `logits` (b, 1, v) of the last token, and keys and values
+    (b, heads, past + n, size).
 
     Published decoders give the logits of every token. Only the last ones are used, and for a long
     prompt the others cost much time and memory.
     """
 
-    def __init__(self, text_model: nn.Module, lm_head: nn.Module) -> None:
+    def __init__(self, text_model: nn.Module, lm_head: nn.Module, deepstack: int = 0) -> None:
         super().__init__()
+        self.deepstack = deepstack
+        # The name of the cache differs between transformers' releases.
+        known = signature(text_model.layers[0].forward).parameters
+        self.cache_name = "cache" if "cache" in known else "past_key_values"
         self.layers, self.norm = text_model.layers, text_model.norm
         self.rotary_emb, self.lm_head = text_model.rotary_emb, lm_head
 
     def forward(
-        self, inputs_embeds: Tensor, attention_mask: Tensor, position_ids: Tensor, *past: Tensor
+        self, inputs_embeds: Tensor, attention_mask: Tensor, position_ids: Tensor, *more: Tensor
     ) -> tuple[Tensor, ...]:
-        cache = _Cache(past)
+        added, cache = more[: self.deepstack], _Cache(more[self.deepstack :])
         total, n = attention_mask.shape[1], inputs_embeds.shape[1]
         positions = torch.arange(total)
         # (n, total): a new token sees itself and all tokens before it.
@@ -43,9 +50,15 @@ class Decoder(nn.Module):
         mask = torch.where(seen, 0.0, MASKED)
         rotation = self.rotary_emb(inputs_embeds, position_ids)
         hidden = inputs_embeds
-        for layer in self.layers:
-            # The cache is the fourth argument; its name differs between transformers' releases.
-            hidden = layer(hidden, mask, None, cache, position_embeddings=rotation)
+        for i, layer in enumerate(self.layers):
+            hidden = layer(
+                hidden,
+                attention_mask=mask,
+                position_embeddings=rotation,
+                **{self.cache_name: cache},
+            )
+            if i < self.deepstack:
+                hidden = hidden + added[i]
         logits = self.lm_head(self.norm(hidden[:, -1:]))
         return logits, *cache.present
 
@@ -164,6 +177,47 @@ class Qwen2Vision(nn.Module):
         return merger.mlp(merger.ln_q(hidden).reshape(1, -1, merger.hidden_size))[0]
 
 
+class Qwen3Vision(nn.Module):
+    """Vision encoder of Qwen3-VL, for one still image.
+
+    Inputs as `Qwen2Vision`. Outputs: `image_features` (n / merge², d), and of each layer that the
+    configuration names another array of this shape (DeepStack), for the first layers of the
+    language model.
+    """
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.visual = model.visual
+        self.places = _Qwen3Places(self.visual)
+
+    def forward(self, pixel_values: Tensor, grid_thw: Tensor) -> tuple[Tensor, ...]:
+        visual, proj, deepstack = self.visual, self.visual.patch_embed.proj, []
+        rotation, corners, weights = self.places(grid_thw)
+        learned = (visual.pos_embed(corners) * weights[..., None]).sum(dim=0)
+        # A matrix product in place of the convolution: see `Qwen2Vision`.
+        hidden = nn.functional.linear(pixel_values[None], proj.weight.flatten(1), proj.bias)
+        hidden = hidden + learned
+        mergers = dict(
+            zip(visual.deepstack_visual_indexes, visual.deepstack_merger_list, strict=True)
+        )
+        for i, block in enumerate(visual.blocks):
+            hidden = hidden + _attend(block.attn, block.norm1(hidden), rotation)
+            hidden = hidden + block.mlp(block.norm2(hidden))
+            if i in mergers:
+                deepstack.append(_merged(mergers[i], hidden))
+        return _merged(visual.merger, hidden), *deepstack
+
+
+def _merged(merger: nn.Module, x: Tensor) -> Tensor:
+    """Return the tokens of Qwen3-VL's merger, (1, n, d) → (n / merge², out)."""
+    if not merger.use_postshuffle_norm:
+        x = merger.norm(x)
+    x = x.reshape(1, -1, merger.hidden_size)
+    if merger.use_postshuffle_norm:
+        x = merger.norm(x)
+    return merger.linear_fc2(merger.act_fn(merger.linear_fc1(x)))[0]
+
+
 class _Qwen2Rotation(nn.Module):
     """Rotary embedding: `grid_thw` → cosines and sines per patch, (n, 1, head size) each."""
 
@@ -173,14 +227,45 @@ class _Qwen2Rotation(nn.Module):
         self.register_buffer("inv_freq", visual.rotary_pos_emb.inv_freq, persistent=False)
 
     def forward(self, grid_thw: Tensor) -> tuple[Tensor, Tensor]:
+        return self._rotation(self._places(grid_thw))
+
+    def _places(self, grid_thw: Tensor) -> Tensor:
+        """Return (n, 2) int64, row and column of each patch, in the order of the patches."""
         rows, columns, m = grid_thw[0, 1], grid_thw[0, 2], self.merge
         row = torch.arange(rows)[:, None].expand(rows, columns)
         column = torch.arange(columns)[None, :].expand(rows, columns)
         squares = (rows // m, m, columns // m, m)  # patches come in the order of their squares
         ordered = [part.reshape(squares).transpose(1, 2).flatten() for part in (row, column)]
-        angles = (torch.stack(ordered, dim=-1)[..., None].float() * self.inv_freq).flatten(1)
+        return torch.stack(ordered, dim=-1)
+
+    def _rotation(self, places: Tensor) -> tuple[Tensor, Tensor]:
+        angles = (places[..., None].float() * self.inv_freq).flatten(1)
         angles = torch.cat((angles, angles), dim=-1)[:, None]
         return angles.cos(), angles.sin()
+
+
+class _Qwen3Places(_Qwen2Rotation):
+    """`grid_thw` → rotary embedding, and where each patch lies in the grid of learned positions.
+
+    The grid is stretched over the image: a patch lies between four learned positions, (4, n) int64,
+    with weights (4, n).
+    """
+
+    def __init__(self, visual: nn.Module) -> None:
+        super().__init__(visual)
+        self.side = visual.num_grid_per_side
+
+    def forward(self, grid_thw: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+        places, last = self._places(grid_thw), self.side - 1
+        # With one row of patches, all lie at 0.
+        scaled = places.float() * last / (grid_thw[0, 1:] - 1).clamp(min=1)
+        low = scaled.floor().clamp(max=last)
+        share, low = scaled - low, low.to(torch.int64)
+        high = (low + 1).clamp(max=last)
+        taken = [(low, 1.0 - share), (high, share)]
+        corners = [row[:, 0] * self.side + column[:, 1] for row, _ in taken for column, _ in taken]
+        weights = [row[:, 0] * column[:, 1] for _, row in taken for _, column in taken]
+        return self._rotation(places), torch.stack(corners), torch.stack(weights)
 
 
 def _attend(attention: nn.Module, x: Tensor, rotation: tuple[Tensor, Tensor]) -> Tensor:

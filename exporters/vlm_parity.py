@@ -14,6 +14,7 @@ import numpy as np
 
 from edge.host.progress import with_progress
 from edge.perception.scoring.choice.question import LETTERS, SYSTEM, direction_question
+from edge.perception.scoring.vlm.decoder import DEEPSTACK
 from exporters import hugging_face
 from exporters.encoder_parity import rank_agreement
 from exporters.files import ExportError
@@ -149,13 +150,17 @@ class OnnxPipeline:
         return [value.name for value in self._vision.get_inputs()]
 
     def features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """Return (tokens, d) of a preprocessed image."""
-        (found,) = self._vision.run(["image_features"], feeds)
-        return found.reshape(-1, found.shape[-1])
+        """Return (tokens, d) of a preprocessed image; DeepStack's arrays are next to each other."""
+        found = self._vision.run(None, feeds)
+        return np.concatenate([one.reshape(-1, one.shape[-1]) for one in found], axis=-1)
 
     def rows(self, ids: np.ndarray, image: int, features: np.ndarray) -> np.ndarray:
-        """Return (1, n, d): embeddings, with the image's features in its placeholders."""
+        """Return (1, n, d): embeddings, with the image's features in its placeholders.
+
+        With DeepStack, the rows of text end with zeros.
+        """
         (rows,) = self._embedding.run(["inputs_embeds"], {"input_ids": ids})
+        rows = np.pad(rows, ((0, 0), (0, 0), (0, features.shape[-1] - rows.shape[-1])))
         rows[ids == image] = features
         return rows
 
@@ -190,8 +195,10 @@ class OnnxPipeline:
         """Return the decoder's inputs for more tokens; for the arguments see `read`."""
         past = self._empty_cache() if past is None else past
         before = next(iter(past.values())).shape[2]  # number of tokens so far
+        names = [value.name for value in self._decoder.get_inputs()]
+        names = ["inputs_embeds", *(name for name in names if name.startswith(DEEPSTACK))]
         return {
-            "inputs_embeds": rows,
+            **dict(zip(names, np.split(rows, len(names), axis=-1), strict=True)),
             "attention_mask": np.ones((1, before + rows.shape[1]), np.int64),
             "position_ids": positions,
             **past,

@@ -66,7 +66,7 @@ PRECISIONS = {
 RECIPES = {
     VISION: Recipe(not_fp16=(r"^/places/",)),
     EMBEDDING: Recipe(),
-    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"layernorm/", r"^/norm/")),
+    DECODER: Recipe(not_fp16=(r"^/rotary_emb/", r"norm/")),
 }
 """Nodes that stay in float32, by the network. In float16 the rotary angle of position 1000 has no
 fraction left, and the square of a decoder's hidden value overflows."""

@@ -94,3 +94,9 @@ def healthy(port: int) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, ROOT / "docker" / "healthy"]
     environ = {"EDGE__HTTP__PORT": str(port)}
     return subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+
+
+def test_the_tests_of_kernels_on_aarch64_exist():
+    listed = (ROOT / "tests/arm64/kernels").read_text().split()
+    assert listed
+    assert not [path for path in listed if not (ROOT / path).exists()]

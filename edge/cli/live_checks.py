@@ -15,7 +15,7 @@ from edge.geometry import FARTHEST_M
 from edge.loop.plausibility import FailedCheck, Plausibility
 from edge.loop.source import InputStatus, Source, missing_inputs
 from edge.sources import find_source
-from edge.types import Observation
+from edge.types import CAMERAS, Observation
 
 _WAIT_S = 0.1  # for one observation
 _SLOWEST, _FASTEST = 0.7, 1.5  # tolerated rates, as shares of the configured rate
@@ -118,8 +118,7 @@ class _SensorMeasurements:
             mount = _describe_mount(observation.T_base_camera, observation.T_base_camera[:3, 2])
             size = f"{camera.width_px}x{camera.height_px} px, {np.degrees(camera.hfov_rad):.0f}°"
             lens = _LENS[observation.distortion]
-            name = "camera2" if observation.camera_index else "camera"
-            yield ok(f"{name}: {size} wide{lens}; {mount}")
+            yield ok(f"{CAMERAS[observation.camera_index]}: {size} wide{lens}; {mount}")
         if observation.cloud_m is not None:
             mount = _describe_mount(observation.T_base_lidar, observation.T_base_lidar[:3, 0])
             yield ok(f"lidar: {len(observation.cloud_m)} points; {mount}")

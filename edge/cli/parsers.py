@@ -349,8 +349,8 @@ def _add_mcp(commands) -> None:  # type: ignore[no-untyped-def]
     mcp.add_argument("config", help=CONFIG)
     mcp.add_argument("--http", type=port, metavar="PORT", help="serve agents over HTTP at this "
                      "port; needs --token-file")  # fmt: skip
-    mcp.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="with --http: address "
-                     "to listen on (default: %(default)s)")  # fmt: skip
+    mcp.add_argument("--host", metavar="ADDRESS", help="with --http: address to listen on "
+                     "(default: 127.0.0.1)")  # fmt: skip
     mcp.add_argument("--token-file", type=Path, metavar="FILE", help="with --http: file with the "
                      "token that agents must send")  # fmt: skip
     mcp.add_argument("--audit", type=Path, metavar="FILE", help="log of all calls, JSON lines "

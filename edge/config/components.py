@@ -69,7 +69,8 @@ def component_factory(
     try:
         signature.bind(**dict.fromkeys(takes), **options)
     except TypeError as error:
-        raise ConfigError(f"{where}.options: {one_line(error)}") from None
+        choices = ", ".join(name for name in signature.parameters if name not in given) or "none"
+        raise ConfigError(f"{where}.options: {one_line(error)} (choices: {choices})") from None
 
     if (check := getattr(make, "check_options", None)) is not None:
         takes_known = inspect.signature(check).parameters.keys() & known.keys()

@@ -138,8 +138,7 @@ class SensorsConfig(Section):
 
     Attributes:
         camera: the camera, colour and depth.
-        second_camera: another camera, such as one that looks back; null: none. Needs
-            `mapping.input: depth`.
+        second_camera: another camera, such as one that looks back; null: none.
         lidar: the LiDAR; null: none.
         odometry_hz: rate of the odometry.
     """

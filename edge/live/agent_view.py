@@ -8,19 +8,20 @@ from typing import Any
 from edge.errors import UserError
 from edge.live.pictures import grid_json, shot_json
 from edge.live.sink import LiveSink
+from edge.types import CAMERAS
 
 _WAIT_S = 2.0  # longest wait for the loop to make a picture
 _POLL_S = 0.05
 
 
 class AgentView(LiveSink):
-    """A sink that keeps map and camera image while an agent asks for pictures."""
+    """A sink that keeps map and camera images while an agent asks for pictures."""
 
     def picture(self, of: str) -> dict[str, Any]:
         """Return the picture as JSON with base64; waits, so not for the loop's thread.
 
         Args:
-            of: `map` or `camera`.
+            of: `map`, `camera`, or `camera2` for the second camera.
 
         Raises:
             UserError: there is no picture yet.
@@ -28,10 +29,10 @@ class AgentView(LiveSink):
         until_s = time.monotonic() + _WAIT_S
         while time.monotonic() < until_s:
             self.mark_watched()
-            snapshot, shot = self.snapshot, self.shot
-            if of == "camera" and shot is not None:
-                return shot_json(shot)
+            snapshot, shots = self.snapshot, self.shots
             if of == "map" and snapshot is not None:
                 return grid_json(snapshot.result.snapshot())
+            if of != "map" and (shot := shots.get(CAMERAS.index(of))) is not None:
+                return shot_json(shot)
             time.sleep(_POLL_S)
         raise UserError(f"no {of} picture within {_WAIT_S:g} s: has the robot sensors?")

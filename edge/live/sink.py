@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -130,17 +130,18 @@ class LiveSink:
 
     Attributes:
         snapshot: the newest state; None while nobody views the page.
-        shot: the newest image; None if there was none, or nobody views the page.
+        shots: the newest image of each camera, by `camera_index`; empty if nobody views the page.
         ticked_s: time of the loop's last tick, on the clock; None: never.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self.snapshot: LiveSnapshot | None = None
-        self.shot: CameraShot | None = None
+        self.shots: Mapping[int, CameraShot] = {}
         self.ticked_s: float | None = None
-        self._viewed_s = self._boxed_s = -math.inf
-        self._due_s = self._shot_due_s = self._objects_due_s = -math.inf
+        self._viewed_s = self._due_s = self._objects_due_s = -math.inf
+        self._boxed_s: dict[int, float] = {}  # by camera: time of the last image with boxes
+        self._shot_due_s: dict[int, float] = {}
         self._trail = DrivenPath(_TRAIL_POSES)
         self._events: tuple[Event, ...] = ()
         self._objects: Sequence[KnownObject] = ()
@@ -173,13 +174,18 @@ class LiveSink:
             self._beat_hz = (self._n_ticks - self._window_ticks) / (now_s - self._window_s)
             self._window_s, self._window_ticks = now_s, self._n_ticks
         if now_s - self._viewed_s > WATCHED_S:
-            self.snapshot = self.shot = None  # free the map that a snapshot holds
+            self.snapshot, self.shots = None, {}  # free the map that a snapshot holds
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
             self.snapshot = self._make_snapshot(result, now_s)
-        if now_s >= self._shot_due_s:
-            self._copy_image(result, now_s)
+        if (detections := result.detections) is not None:
+            self._boxed_s[detections.observation.camera_index] = now_s
+            self._copy_image(detections.observation, result, now_s)
+        if (newest := result.observation) is not None:
+            boxed_s = self._boxed_s.get(newest.camera_index, -math.inf)
+            if now_s - boxed_s > _UNBOXED_S:
+                self._copy_image(newest, result, now_s)
 
     def close(self) -> None:
         """Do nothing; see `edge.loop.result.Sink`."""
@@ -217,27 +223,24 @@ class LiveSink:
             n_events=self._n_events,
         )
 
-    def _copy_image(self, result: TickResult, now_s: float) -> None:
-        """Copy the image of the newest detections; if they stay away, the newest image."""
+    def _copy_image(self, observation: Observation, result: TickResult, now_s: float) -> None:
+        """Copy an image, with the boxes that were found in it, if its camera's next one is due."""
+        index = observation.camera_index
+        if observation.rgb is None or now_s < self._shot_due_s.get(index, -math.inf):
+            return
+        self._shot_due_s[index] = now_s + PERIOD_S
         detections, boxes = result.detections, ()
-        if detections is not None and detections.observation.camera_index == 0:
-            observation, self._boxed_s = detections.observation, now_s
+        if detections is not None and detections.observation is observation:
             boxes = _boxes(detections, result.targets)
-        elif result.observation is not None and now_s - self._boxed_s > _UNBOXED_S:
-            observation = result.observation
-        else:
-            return
-        if observation.rgb is None or observation.camera_index:  # shows the first camera
-            return
-        self._shot_due_s = now_s + PERIOD_S
         stride = math.ceil(max(observation.rgb.shape[:2]) / MAX_SHOT_PX)
         self._n_shots += 1
-        self.shot = CameraShot(
+        shot = CameraShot(
             self._n_shots,
             np.array(observation.rgb[::stride, ::stride]),
             boxes,
             _visible_letters(observation, result),
         )
+        self.shots = {**self.shots, index: shot}  # a new one: other threads read the old one
 
 
 def _letters_by_candidate(choice: FrontierChoice) -> dict[int, tuple[str, float]]:

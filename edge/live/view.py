@@ -30,6 +30,7 @@ from edge.live.page_json import (
 from edge.live.pictures import grid_json, shot_json
 from edge.live.sink import LiveSink, LiveSnapshot
 from edge.loop.service_health import ServiceHealth
+from edge.types import CAMERAS
 
 ANSWER_S = 120.0
 """Timeout of a request: a language model may have to process it."""
@@ -85,7 +86,7 @@ class LiveView:
             "/live/site": self._site,
             "/live/memory": self._memory,
             "/live/map": self._map,
-            "/live/camera": self._camera,
+            **{f"/live/{name}": partial(self._camera, i) for i, name in enumerate(CAMERAS)},
             **layers,
         }
 
@@ -98,7 +99,7 @@ class LiveView:
     def _now(self) -> HttpResponse:
         """Return the data that change all the time; `moment` is the newest snapshot."""
         now_s = self.sink.mark_watched()
-        snapshot, shot, ticked_s = self.sink.snapshot, self.sink.shot, self.sink.ticked_s
+        snapshot, shots, ticked_s = self.sink.snapshot, self.sink.shots, self.sink.ticked_s
         why = self._health.problems()
         return _json(
             {
@@ -107,7 +108,7 @@ class LiveView:
                 "service": {"state": self._health.state, "ready": not why, "why": why},
                 "controls": self._config.http.token_file is not None,
                 "silent_s": None if ticked_s is None else round(now_s - ticked_s, 1),
-                "shot": None if shot is None else shot.seq,
+                "shots": {CAMERAS[i]: shot.seq for i, shot in shots.items()},
                 "moment": None if snapshot is None else snapshot_json(snapshot),
             }
         )
@@ -148,11 +149,11 @@ class LiveView:
         layers = [] if snapshot is None else list(snapshot.layers.items())
         return self._grid(*layers[index]) if index < len(layers) else _json(None)
 
-    def _camera(self) -> HttpResponse:
+    def _camera(self, index: int) -> HttpResponse:
         self._watched_snapshot()
-        if (shot := self.sink.shot) is None:
+        if (shot := self.sink.shots.get(index)) is None:
             return _json(None)
-        return self._cached_response("camera", shot.seq, lambda: _json(shot_json(shot)))
+        return self._cached_response(CAMERAS[index], shot.seq, lambda: _json(shot_json(shot)))
 
     def _watched_snapshot(self) -> LiveSnapshot | None:
         """Record that somebody views the page, and return the newest snapshot, if any."""

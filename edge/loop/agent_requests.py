@@ -23,6 +23,7 @@ from edge.loop.said_requests import carry_out
 from edge.mission.language.said import MemoryQuestion
 from edge.mission.spec import MissionSpec
 from edge.text import one_line
+from edge.types import CAMERAS
 
 if TYPE_CHECKING:
     from edge.loop.service import Service
@@ -35,7 +36,7 @@ _MAX_ENDED = 32
 _MAX_NAME_CHARS = 40
 _PREFIX = "agent."  # of the ids of missions that agents began
 Pictures = Callable[[str], dict[str, Any]]
-"""Returns the picture `map` or `camera` as JSON; called on a request's thread."""
+"""Returns the picture `map`, `camera` or `camera2` as JSON; called on a request's thread."""
 
 
 @dataclass(eq=False)
@@ -202,8 +203,8 @@ def _check_id(fields: dict) -> dict:
 
 
 def _check_picture(fields: dict) -> dict:
-    if fields.get("of") not in ("map", "camera"):
-        raise ValueError("of: expected map or camera")
+    if fields.get("of") not in ("map", *CAMERAS):
+        raise ValueError(f"of: expected {', '.join(('map', *CAMERAS))}")
     return {"of": fields["of"]}
 
 

@@ -108,7 +108,7 @@ class DataCheck:
         highest: The check fails above this value.
         permits: Use of the observation that a failure still permits. "" if a failure only warns or
             degrades; a check with `stand` gives another value.
-        camera_index: Camera whose observations are checked.
+        camera_index: Camera whose observations are checked; None: each camera's.
     """
 
     name: str
@@ -119,7 +119,7 @@ class DataCheck:
     lowest: float = -math.inf
     highest: float = math.inf
     permits: Use = ""
-    camera_index: int = 0
+    camera_index: int | None = 0
 
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
@@ -187,7 +187,9 @@ def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
     unused = {"depth", "cloud"} - {mapped, back_projected}
     checks = [check for check in table if check.name.partition("_")[0] not in unused]
     if config.sensors.second_camera is not None:
-        checks += [_for_second_camera(check) for check in checks if "cloud" not in check.name]
+        images = [check for check in checks if "cloud" not in check.name]
+        clouds = [replace(check, camera_index=None) for check in checks if check not in images]
+        checks = [*images, *clouds, *map(_for_second_camera, images)]
     return tuple(checks)
 
 
@@ -271,7 +273,7 @@ class Plausibility:
         use: Use = ""
         changed = False
         for i, check in enumerate(self.checks):
-            if check.camera_index != observation.camera_index:
+            if check.camera_index not in (None, observation.camera_index):
                 continue
             value, found = check.measured(self.facts), self._found[i]
             if not (value < check.lowest or value > check.highest):

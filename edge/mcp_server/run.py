@@ -12,6 +12,7 @@ from edge.host.credentials import read_token
 from edge.host.signals import stop_on_signals
 from edge.host.stop_latch import stop_file
 from edge.mcp_server.audit import AuditLog, CallLimit
+from edge.types import CAMERAS
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,6 +35,8 @@ def run(args: argparse.Namespace) -> int:
             "configuration of the service, and start it again"
         )
     token = None
+    if args.http is None and (args.host is not None or args.token_file is not None):
+        raise ConfigError("mcp: --host and --token-file are of --http PORT: give that, too")
     if args.http is not None:
         if args.token_file is None:
             raise ConfigError(
@@ -61,12 +64,13 @@ def run(args: argparse.Namespace) -> int:
             name = config.zenoh.key(key)  # type: ignore[arg-type]
             return client.send_request(session, name, request, args.timeout, "mcp")
 
-        server = AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute))
+        cameras = CAMERAS[: len(config.sensors.cameras)]
+        server = AgentServer(ask, audit, CallLimit(config.mcp.calls_per_minute), cameras)
         if token is None:
             server.run("stdio")
         else:
             from edge.mcp_server.http import serve
 
-            serve(server, args.host, args.http, token, stop_on_signals())
+            serve(server, args.host or "127.0.0.1", args.http, token, stop_on_signals())
     audit.close()
     return 0

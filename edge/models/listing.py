@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from edge.perception.runtime.card_types import ChoiceCard, EmbeddingParity, FileCard
-from edge.perception.runtime.cards import Card, all_cards, load_card, made_parity
-from edge.text import format_table, one_line, redact
+from edge.perception.runtime.cards import Card, ModelError, all_cards, load_card, made_parity
+from edge.text import bounded_repr, format_table, one_line, redact
 
 PERMISSIVE = {
     "0bsd", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "isc", "mit", "mit-0",
@@ -20,10 +20,20 @@ _HEADINGS = ("name", "task", "input", "precision", "licence", "file", "parity")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Handle `edge models list`."""
+    """Handle `edge models list`.
+
+    Raises:
+        ModelError: no such card, or no card has the licence.
+    """
     cards = all_cards() if args.name is None else [load_card(args.name)]
     if args.licence is not None:
         wanted = PERMISSIVE if args.licence == "permissive" else {args.licence.lower()}
+        known = sorted({card.license for card in all_cards()})
+        if wanted.isdisjoint(licence.lower() for licence in known):
+            raise ModelError(
+                f"--licence: no card has {bounded_repr(args.licence)} (choices: "
+                f"{', '.join(map(one_line, ('permissive', *known)))})"
+            )
         cards = [card for card in cards if card.license.lower() in wanted]
     print(as_json(cards) if args.json else as_table(cards))
     return 0

@@ -16,6 +16,7 @@ from edge.perception.runtime.card_types import ChoiceCard, DetectCard, SegmentCa
 from edge.perception.runtime.cards import (
     FileCard,
     ModelError,
+    card_names,
     card_path,
     install_hint,
     load_card,
@@ -55,6 +56,8 @@ def export(args: argparse.Namespace) -> int:
     if args.weights is not None and args.weights.is_dir():
         require_modules("transformers", _FOLDER_NEEDS)
         return _run_exporters(args.name, args, weights=args.weights)
+    if args.weights is not None and not args.weights.exists() and args.name not in card_names():
+        raise ModelError(f"models export: --weights {args.weights}: no such folder")
     card = load_single_file_card(args.name)
     if card.family in TRAINED:
         raise ModelError(

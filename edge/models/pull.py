@@ -29,6 +29,7 @@ from edge.models.partial_file import FetchError, PartialFile
 from edge.perception.runtime.card_types import (
     Card,
     ChoiceCard,
+    ClipTokenizer,
     FileCard,
     FolderFile,
     Source,
@@ -124,7 +125,8 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
         ModelError: no source gives a file.
     """
     if isinstance(card, ChoiceCard):
-        return [f"{card.name}: {_pull_part(card, part, options)}" for part in card.parts]
+        paths = [card.path_of(part) for part in card.parts]
+        return [_pull_part(card, *one, options) for one in zip(card.parts, paths, strict=True)]
     if card.server is not None:
         return [f"{card.name}: nothing to download, {install_hint(card)}"]
     if card.path.parent == resources.data_dir("models"):
@@ -134,6 +136,8 @@ def pull(card: FileCard | ChoiceCard, options: PullOptions = DEFAULT_OPTIONS) ->
     if card.sha256 is None and (path := _take_export(card, options)):
         lines.append(f"{card.name}: model: {path}")
         files = [file for file in files if file.what != "weights"]
+        if isinstance(card, TextCard) and not any(file.what == "tokenizer" for file in files):
+            lines += _pull_tokenizer(card, options)
     elif not files:
         raise ModelError(
             f"model {card.name!r}: its card names no sources; {how_to_make(card)}, "
@@ -164,6 +168,17 @@ def _take_export(card: FileCard, options: PullOptions) -> Path | None:
         except FetchError as error:
             _print_failure(card.name, error)
     return None
+
+
+def _pull_tokenizer(card: TextCard, options: PullOptions) -> list[str]:
+    """Take the tokenizer of an exported model, if it needs one; return a line about it."""
+    path, tokenizer = card.tokenizer_path, card.tokenizer
+    if path is None or not isinstance(tokenizer, ClipTokenizer):
+        return []
+    file = FolderFile(file=tokenizer.file, sha256=tokenizer.sha256)
+    if expected_of_part(file, path)[0] is None and path.is_file():
+        return [f"{card.name}: tokenizer: here, of an unknown hash: {path}"]
+    return [_pull_part(card, file, path, options)]
 
 
 def _take_export_from(card: FileCard, place: str, options: PullOptions) -> Path | None:
@@ -259,7 +274,9 @@ def fetch(name: str, file: WantedFile, options: PullOptions = DEFAULT_OPTIONS) -
     )
 
 
-def _pull_part(card: ChoiceCard, file: FolderFile, options: PullOptions) -> str:
+def _pull_part(
+    card: ChoiceCard | TextCard, file: FolderFile, target: Path, options: PullOptions
+) -> str:
     """Download one file of a model that has several, if it is missing; return a line about it.
 
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
@@ -268,26 +285,29 @@ def _pull_part(card: ChoiceCard, file: FolderFile, options: PullOptions) -> str:
     Raises:
         ModelError: no source gives the file.
     """
-    target = card.path_of(file)
-    known, size = expected_of_part(card, file)  # hash and size; None if unknown
+    known, size = expected_of_part(file, target)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
-        return f"already here: {target}"
+        return f"{card.name}: already here: {target}"
     reason: FetchError | str = "the model card names no address"
-    for place in (*options.places, *([] if card.url is None else [card.url])):
+    url = card.url if isinstance(card, ChoiceCard) else None
+    places = (*options.places, *([] if url is None else [url]))
+    # `n_left` places remain after this one.
+    for n_left, place in zip(reversed(range(len(places))), places, strict=True):
         exported = {} if known else _export_data(place, f"{file.file}.json", options)
         published = exported.get("sha256") if isinstance(exported.get("sha256"), str) else None
         with PartialFile(target, known or published, size) as part:
             try:
                 _take_part(place, file, part, options)
             except FetchError as error:
-                _print_failure(card.name, error)
                 reason = error
+                if n_left:
+                    _print_failure(card.name, error)
                 continue
         if known is None:
             data = exported if published else {"sha256": part.digest, "bytes": part.have}
             _write_sidecar(target, data)
-            return f"{target}: sha256 {part.digest[:12]}… is valid from now on"
-        return str(target)
+            return f"{card.name}: {target}: sha256 {part.digest[:12]}… is valid from now on"
+        return f"{card.name}: {target}"
     raise ModelError(
         f"{card.name}: its {file.file} could not be downloaded (last reason: {reason}); get the "
         f"model's folder another way, then run `edge models pull {card.name} --from FOLDER`"

@@ -25,7 +25,7 @@ from edge.loop.result import Event, TickResult
 from edge.sinks.drawings import Drawing, PathRing, boxes_of, drawing_of
 from edge.sinks.rate_limiter import RateLimiter
 from edge.text import one_line
-from edge.types import Detections, Observation
+from edge.types import CAMERAS, Detections, Observation
 
 log = logging.getLogger("edge.sinks.rerun")
 
@@ -35,7 +35,7 @@ _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 80]
 _CLOSE_S = 2.0  # longest time to write what is pending at the end
 _MB = 1_000_000
 _ROBOT = "map/robot"
-_CAMERAS = tuple(f"{_ROBOT}/{name}" for name in ("camera", "camera2"))  # by `camera_index`
+_CAMERAS = tuple(f"{_ROBOT}/{name}" for name in CAMERAS)  # by `camera_index`
 
 
 class _Entry(NamedTuple):

@@ -97,6 +97,8 @@ class CameraReader:
         limits = [] if is_device else [
             cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms,
         ]  # fmt: skip
+        # FFmpeg would write lines of its own at each attempt; it reads this at its first use.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         backend = cv2.CAP_V4L2 if is_device else cv2.CAP_FFMPEG
         capture = cv2.VideoCapture(self._address, backend, limits)
         try:

@@ -14,9 +14,6 @@ import numpy as np
 
 from edge.geometry import CameraModel, Lens
 
-CAMERAS = ("camera", "camera2")
-"""First part of the topics of each camera, by `Observation.camera_index`."""
-
 
 class WrongSizeError(ValueError):
     """An image has another size than the camera info."""

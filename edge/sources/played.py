@@ -35,12 +35,11 @@ from edge.sources.contents import (
     read_contents,
 )
 from edge.sources.decoder import KINDS
-from edge.sources.messages import CAMERAS
 from edge.sources.polled import PolledSource
 from edge.sources.synchronizer import streams_of
 from edge.sources.tf import RobotFrames
 from edge.text import format_table, one_line
-from edge.types import Observation
+from edge.types import CAMERAS, Observation
 
 log = logging.getLogger("edge.sources.played")
 

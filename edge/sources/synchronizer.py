@@ -27,7 +27,6 @@ from edge.config import Config, ConfigError
 from edge.geometry import CameraModel
 from edge.sources.inputs import InputTable, group_of
 from edge.sources.messages import (
-    CAMERAS,
     CameraInfo,
     Cloud,
     DepthImage,
@@ -44,7 +43,7 @@ from edge.sources.pool import FramePool, PoolSlot
 from edge.sources.rectify import LensPlan, make_lens_plan
 from edge.sources.streams import Stream
 from edge.text import one_line
-from edge.types import Observation
+from edge.types import CAMERAS, Observation
 
 log = logging.getLogger("edge.sources")
 
@@ -87,21 +86,15 @@ def streams_of(config: Config, camera_index: int = 0) -> dict[str, Stream]:
     """Return the streams that are joined with a camera, by field, the leading one first.
 
     Raises:
-        ConfigError: it needs a cloud but has no `sensors.lidar`, or a cloud leads two cameras.
+        ConfigError: it needs a cloud but has no `sensors.lidar`.
     """
     perception, lidar = config.perception, config.sensors.lidar
     cloud_leads = config.mapping.input == "cloud"
     if lidar is None and (cloud_leads or perception.back_projection == "cloud"):
         key = "mapping.input" if cloud_leads else "perception.back_projection"
         raise ConfigError(f"{config.locate(key)}: cloud needs sensors.lidar (where it is mounted)")
-    cameras = config.sensors.cameras
-    if cloud_leads and len(cameras) > 1:
-        raise ConfigError(
-            f"{config.locate('sensors.second_camera', 'mapping.input')}: two cameras need "
-            "mapping.input: depth; remove sensors.second_camera, or map with depth"
-        )
     needs_images = config.loop.lockstep or not cloud_leads
-    half_frame_ns = int(0.5e9 / cameras[camera_index].rate_hz)
+    half_frame_ns = int(0.5e9 / config.sensors.cameras[camera_index].rate_hz)
     # A frame may come this long before the leading frame, which then waits as long for its pose.
     kept_ns = int(2e9 * config.source.wait_s)
     most_bytes = int(_MAX_LARGE_MESSAGES * 1e6 * config.source.max_message_mb)
@@ -340,12 +333,20 @@ class TimeSynchronizer:
     # -- observations out ---------------------------------------------------------------------
 
     def poll(self) -> Observation | None:
-        """Return the newest complete observation, held once for the caller; cameras take turns."""
+        """Return the newest complete observation, held once for the caller; cameras take turns.
+
+        If clouds lead, each is used once: by the camera whose turn it is, or without an image. In
+        lockstep, each needs an image, so the camera that has one uses it.
+        """
         if len(self._turns) == 1:
             return self._poll_camera()
-        for camera in self._turns:
+        cloud_leads = self._leader == Cloud.field
+        waits = cloud_leads and not self.config.loop.lockstep
+        for camera in self._turns[: 1 if waits else None]:
             if (observation := camera._poll_camera()) is not None:
                 self._turns.remove(camera)
+                if cloud_leads:
+                    self._turns[0].streams[self._leader].drop_through(observation.stamp_ns)
                 self._turns.append(camera)
                 return observation
         return None

@@ -21,17 +21,20 @@ from onnx import numpy_helper
 from edge.host.files import MAX_TEXT_BYTES
 from edge.perception.runtime.cards import load_card
 from edge.perception.scoring.vlm.model import LanguageModel, MultipleChoice
-from exporters import vlm, vlm_files, vlm_quantize
+from exporters import hugging_face, vlm, vlm_files, vlm_quantize
 from exporters.__main__ import main
 from exporters.files import ExportError, sha256_of
 from exporters.images import read_rgb
-from exporters.vlm_parity import OnnxPipeline, position_ids_of, questions
+from exporters.vlm_parity import OnnxPipeline, Question, position_ids_of, questions
 
 pytestmark = [pytest.mark.export, pytest.mark.timeout(600)]
 
-KINDS = ("idefics3", "smolvlm", "qwen2_vl")
+KINDS = ("idefics3", "smolvlm", "qwen2_vl", "qwen3_vl")
 EVERY = ("fp32", *vlm_quantize.PRECISIONS)
-LARGE = [*(("idefics3", p) for p in EVERY), ("qwen2_vl", "fp32"), ("qwen2_vl", "q4f16")]
+LARGE = [
+    *(("idefics3", p) for p in EVERY),
+    *((kind, p) for kind in ("qwen2_vl", "qwen3_vl") for p in ("fp32", "q4f16")),
+]
 MADE = [("smolvlm", "fp32"), *LARGE]
 MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 
@@ -110,7 +113,9 @@ def test_the_three_files_answer_as_the_model(cache, originals, rgb, kind):
 
 
 @pytest.mark.parametrize("cut", [1, -1])
-@pytest.mark.parametrize(("kind", "precision"), [("idefics3", "q4f16"), ("qwen2_vl", "fp32")])
+@pytest.mark.parametrize(
+    ("kind", "precision"), [("idefics3", "q4f16"), ("qwen2_vl", "fp32"), ("qwen3_vl", "fp32")]
+)
 def test_reading_on_is_reading_at_once(cache, originals, rgb, kind, precision, cut):
     original, asked = originals[kind]
     chain, shown = OnnxPipeline(files_of(cache, kind, precision)), original.show(rgb)
@@ -158,11 +163,12 @@ def test_tiles_and_pixels_that_are_not_there(cache, originals):
     np.testing.assert_allclose(found, wanted, atol=2e-5)
 
 
+@pytest.mark.parametrize("kind", ["qwen2_vl", "qwen3_vl"])
 @pytest.mark.parametrize("hw", [(8, 16), (40, 24)])
-def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw):
-    original, _ = originals["qwen2_vl"]
+def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw, kind):
+    original, _ = originals[kind]
     shown = original.show(np.random.default_rng(0).integers(0, 256, (*hw, 3), np.uint8))
-    found = OnnxPipeline(files_of(cache, "qwen2_vl", "fp32")).features(shown.feeds)
+    found = OnnxPipeline(files_of(cache, kind, "fp32")).features(shown.feeds)
     np.testing.assert_allclose(found, shown.features, atol=2e-5)
 
 
@@ -197,16 +203,18 @@ def ends_of(path):
 def test_inputs_and_outputs_are_the_published_ones(cache, kind):
     single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
     vision, embedding, decoder = (ends_of(path) for path in files_of(cache, kind, "fp32"))
-    second = "grid_thw" if kind == "qwen2_vl" else "pixel_attention_mask"
-    assert (list(vision[0]), list(vision[1])) == (["pixel_values", second], ["image_features"])
+    second = "grid_thw" if kind.startswith("qwen") else "pixel_attention_mask"
+    deepstack = ["deepstack_features_0", "deepstack_features_1"] if kind == "qwen3_vl" else []
+    features = ["image_features", *deepstack]
+    assert (list(vision[0]), list(vision[1])) == (["pixel_values", second], features)
     assert embedding[0] == {"input_ids": (whole, ("batch", "tokens"))}
     assert embedding[1]["inputs_embeds"] == (single, ("batch", "tokens", 64))
     pasts = [f"{layer}.{part}" for layer in range(2) for part in ("key", "value")]
-    firsts = ["inputs_embeds", "attention_mask", "position_ids"]
+    firsts = ["inputs_embeds", "attention_mask", "position_ids", *deepstack]
     assert list(decoder[0]) == firsts + [f"past_key_values.{name}" for name in pasts]
     assert list(decoder[1]) == ["logits", *(f"present.{name}" for name in pasts)]
     assert decoder[0]["past_key_values.1.value"] == (single, ("batch", 2, "past_tokens", 16))
-    threefold = (3,) if kind == "qwen2_vl" else ()
+    threefold = (3,) if kind.startswith("qwen") else ()
     assert decoder[0]["position_ids"] == (whole, (*threefold, "batch", "tokens"))
 
 
@@ -232,7 +240,7 @@ def test_files_have_the_published_names_and_their_precision(cache, kind, precisi
         assert np.int8 in {table.dtype.type for table in tables}
 
 
-@pytest.mark.parametrize("kind", ["idefics3", "qwen2_vl"])
+@pytest.mark.parametrize("kind", ["idefics3", "qwen3_vl"])
 def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
     for precision in (p for k, p in LARGE if k == kind):
         card = card_of(cache, kind, precision)
@@ -292,6 +300,25 @@ def test_the_service_asks_it(cache, monkeypatch, rgb, kind, precision):
         assert p.shape == (len(one.answers),)
         assert p.sum() == pytest.approx(1.0, abs=1e-5)
     model.close()
+
+
+@pytest.mark.parametrize("kind", ["qwen2_vl", "qwen3_vl"])
+def test_the_service_answers_as_the_model(cache, folders, originals, monkeypatch, rgb, kind):
+    """Positions of three numbers, features of the image, DeepStack; a second question reads on."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
+    asked = [MultipleChoice(f"{word}? A, B or C", tuple("ABC")) for word in ("Where", "Which way")]
+    service = LanguageModel(load_card(f"{name_of(kind)}-fp32"), asked)
+    (original, _), rgb = originals[kind], rgb[:40, :48]
+    tokenizer = hugging_face.open_tokenizer(folders[kind] / "tokenizer.json")
+    image = tokenizer.token_to_id(tiny_folders.IMAGE[kind])
+    letters = [tokenizer.token_to_id(letter) for letter in "ABC"]
+    for p, one in zip(service.ask("Be brief.", rgb, asked, 60.0), asked, strict=True):
+        parts = ("system: Be brief.user: ", one.question)
+        before, after = (tokenizer.encode(part, add_special_tokens=False).ids for part in parts)
+        question = Question(tuple(before), tuple(after), tuple(letters), image)
+        logits = original.logits(question, original.show(rgb))[letters]
+        np.testing.assert_allclose(p, np.exp(logits) / np.exp(logits).sum(), atol=1e-5)
+    service.close()
 
 
 # -- what goes wrong ---------------------------------------------------------------------------

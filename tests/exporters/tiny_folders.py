@@ -97,7 +97,10 @@ def _alive(model):
     return model.eval()
 
 
-IMAGE = {"idefics3": "<image>", "smolvlm": "<image>", "qwen2_vl": "<|image_pad|>"}
+IMAGE = {
+    "idefics3": "<image>", "smolvlm": "<image>",
+    "qwen2_vl": "<|image_pad|>", "qwen3_vl": "<|image_pad|>",
+}  # fmt: skip
 """Token of an image, by `model_type`."""
 TEMPLATE = (
     "{%% for message in messages %%}{{ message['role'] }}: {%% for part in message['content'] %%}"
@@ -122,21 +125,26 @@ def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
     }  # fmt: skip
     ids = {"image_token_id": vocabulary[IMAGE[kind]]}
     torch.manual_seed(seed)
-    if kind == "qwen2_vl":
-        text |= {
-            "rope_parameters": {
-                "rope_type": "default",
-                "rope_theta": 1e4,
-                "mrope_section": [2, 3, 3],
-            }
-        }
+    if kind in ("qwen2_vl", "qwen3_vl"):
+        rope = {"rope_type": "default", "rope_theta": 1e4, "mrope_section": [2, 3, 3]}
         vision = {
-            "embed_dim": 64, "hidden_size": 64, "depth": 2, "num_heads": 4, "mlp_ratio": 2,
+            "hidden_size": 64, "depth": 2, "num_heads": 4,
             "patch_size": 4, "spatial_merge_size": 2, "temporal_patch_size": 2,
         }  # fmt: skip
+        if kind == "qwen2_vl":
+            vision |= {"embed_dim": 64, "mlp_ratio": 2}
+        else:
+            text |= {"head_dim": 16}
+            vision |= {
+                "intermediate_size": 128, "out_hidden_size": 64, "num_position_embeddings": 25,
+                "deepstack_visual_indexes": [0, 1],
+            }  # fmt: skip
         ids |= {"vision_start_token_id": 1, "video_token_id": 2}
-        config = transformers.Qwen2VLConfig(text_config=text, vision_config=vision, **ids)
-        model = transformers.Qwen2VLForConditionalGeneration(config)
+        prefix = {"qwen2_vl": "Qwen2VL", "qwen3_vl": "Qwen3VL"}[kind]
+        config = getattr(transformers, f"{prefix}Config")(
+            text_config={**text, "rope_parameters": rope}, vision_config=vision, **ids
+        )
+        model = getattr(transformers, f"{prefix}ForConditionalGeneration")(config)
         told = {
             "image_processor_type": "Qwen2VLImageProcessor", "patch_size": 4, "merge_size": 2,
             "temporal_patch_size": 2, "min_pixels": 64, "max_pixels": 2560, "resample": 3,

@@ -65,8 +65,9 @@ def test_an_agent_proposes_a_person_allows_and_the_robot_drives(
 ):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     config = write_config(
-        tmp_path, zenoh={"endpoint": endpoint}, mission={"on_request": True}, mcp={"motion": "ask"}
-    )
+        tmp_path, zenoh={"endpoint": endpoint}, mission={"on_request": True}, mcp={"motion": "ask"},
+        sensors={"second_camera": {"width_px": 160, "height_px": 128, "yaw_deg": 180.0}},
+    )  # fmt: skip
     service = edge("run", config).says("ready:")
     edge("sim", config)
     goals: set[bytes] = set()
@@ -88,8 +89,9 @@ def test_an_agent_proposes_a_person_allows_and_the_robot_drives(
                 assert picture.mime_type == "image/jpeg"
                 (picture,) = (await agent.read_resource("edge://map")).contents
                 assert picture.blob.startswith("iVBOR")  # PNG
-                image = (await agent.call_tool("snapshot", {})).content[1]
-                assert image.mime_type == "image/jpeg"
+                first, second = (await agent.call_tool("snapshot", {})).content[2::2]
+                assert first.mime_type == second.mime_type == "image/jpeg"
+                assert first.data != second.data
                 proposed = data(await agent.call_tool("go", {"to": "toilet"}))
                 assert proposed["state"] == "waiting"
                 assert len(goals) <= 1  # the goal to stand still of the start

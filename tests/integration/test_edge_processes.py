@@ -62,6 +62,22 @@ def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, config, tmp
     check_report(tmp_path / "here", "searching")
 
 
+def test_a_service_loads_nothing_that_is_not_configured(edge, config, tmp_path):
+    hook = "import atexit, sys\natexit.register(lambda: print('loaded:', *sys.modules))\n"
+    (tmp_path / "sitecustomize.py").write_text(hook)
+    service = edge("run", config, PYTHONPATH=str(tmp_path)).says("ready:")
+    assert service.stop(signal.SIGTERM) == 0, service.output
+    (line,) = (line for line in service.lines if line.startswith("loaded: "))
+    loaded = line.split()
+    assert {"edge.loop.service", "edge.sources.zenoh"} <= {*loaded}
+    unwanted = (
+        "mcp", "anyio", "uvicorn", "rerun", "foxglove", "zmq", "torch", "transformers",
+        "tokenizers", "edge.mcp_server", "edge.lab", "edge.sources.camera", "edge.sinks.rerun",
+        "edge.perception.detection.fallback", "edge.perception.scoring.vlm.model",
+    )  # fmt: skip
+    assert not [name for name in loaded if name.startswith(unwanted)]
+
+
 @pytest.mark.slow
 def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_path):
     service = edge("run", config, "--report", tmp_path / "report").says("ready:")

@@ -72,10 +72,13 @@ def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path)
     assert list(tmp_path.glob("*.html"))
 
 
-def test_an_episode_with_two_cameras():
+@pytest.mark.parametrize("mapped", ["depth", "cloud"])
+def test_an_episode_with_two_cameras(mapped):
+    second = {"width_px": 160, "height_px": 128, "yaw_deg": 180.0}
+    lidar = {"z_m": 0.4, "pitch_deg": 15.0} if mapped == "cloud" else None
     config = simulated({
-        "mission": {"time_limit_s": 60.0},
-        "sensors": {"second_camera": {"width_px": 160, "height_px": 128, "yaw_deg": 180.0}},
+        "mission": {"time_limit_s": 60.0}, "mapping": {"input": mapped},
+        "sensors": {"second_camera": second, "lidar": lidar},
     })  # fmt: skip
     (there,), (column,) = plan(config, [], ["sofa"], 1, 0, 3.0), make_arms(config, {})
     outcome = run_episode(column, there, over_zenoh)

@@ -75,6 +75,7 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     page.says("#latency", "tick")
     page.says("#log", "target: bed")
     page.until("document.querySelectorAll('#automaton circle').length >= 3")
+    assert page.run("document.getElementById('camera2').hidden")
     for canvas in ("map", "camera"):
         page.until(f"document.getElementById('{canvas}').width > 300")
     assert painted(page, "map") > 20
@@ -345,6 +346,21 @@ def test_what_is_seen_is_approached_and_reached(tab):
         tab.says("#phase", "REACHED")
         tab.says("#log", "seen: sofa")
         assert house.service.status.phase == "reached"
+
+
+def test_a_second_camera_has_its_picture_next_to_the_first(tab):
+    cameras = {"camera": {"width_px": 80, "height_px": 64},
+               "second_camera": {"width_px": 96, "height_px": 64, "yaw_deg": 180.0}}  # fmt: skip
+    with open_house(token=None, sensors=cameras) as house:
+        tab.open(house.url)
+        tab.says("#camera-note", "80 × 64 · 96 × 64")
+        for canvas in ("camera", "camera2"):
+            eventually(lambda canvas=canvas: painted(tab, canvas) > 20)
+        left, right = (
+            tab.run(f"document.getElementById('{name}').getBoundingClientRect().{side}")
+            for name, side in (("camera", "right"), ("camera2", "left"))
+        )
+        assert left <= right
 
 
 def test_without_sensors_it_says_what_to_look_at(page, house):

@@ -46,7 +46,7 @@ def seen(rgb: np.ndarray, **fields: Any) -> Observation:
 
 
 def test_before_the_first_tick_there_is_nothing(sink):
-    assert (sink.snapshot, sink.shot, sink.ticked_s) == (None, None, None)
+    assert (sink.snapshot, sink.shots, sink.ticked_s) == (None, {}, None)
     sink.mark_watched()
     sink.close()
     assert sink.snapshot is None
@@ -56,7 +56,7 @@ def test_while_nobody_looks_nothing_dear_is_asked_for(sink, clock):
     dear = {name: lambda: pytest.fail("gathered for nobody") for name in DEAR}
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), **dear))
-    assert (sink.snapshot, sink.shot) == (None, None)
+    assert (sink.snapshot, sink.shots) == (None, {})
     assert sink.ticked_s == clock.now_s
     sink.mark_watched()
     clock.now_s += WATCHED_S + 0.1
@@ -98,10 +98,26 @@ def test_boxes_come_with_the_image_that_they_were_found_in(sink):
         np.zeros(1, np.int32), ("chair",), context=around,
     )  # fmt: skip
     sink.tick(result(observation=newest, detections=detections))
-    assert sink.shot.rgb.max() == 7
-    chair, rug = sink.shot.boxes
+    assert sink.shots[0].rgb.max() == 7
+    chair, rug = sink.shots[0].boxes
     assert (chair.label, chair.wanted, chair.xyxy) == ("chair", True, (0.25, 0.5, 0.5, 1.0))
     assert (rug.label, rug.wanted, rug.xyxy) == ("rug", False, (0.0, 0.0, 1.0, 1.0))
+
+
+def test_each_camera_has_its_newest_image_at_its_own_pace(sink, clock):
+    """The cameras take turns; only the second one's images go through the detector."""
+    sink.mark_watched()
+    empty = np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.int32)
+    seqs = []
+    for value in range(1, 9):
+        rgb = np.full((30, 40, 3), value, np.uint8)
+        newest = seen(rgb, camera_index=1 - value % 2)
+        found = Detections(newest, *empty, ("chair",)) if newest.camera_index else None
+        sink.tick(result(observation=newest, detections=found))
+        seqs.append({i: shot.seq for i, shot in sink.shots.items()})
+        clock.now_s += 0.55 * PERIOD_S
+    assert seqs[:3] == [{0: 1}, {0: 1, 1: 2}, {0: 3, 1: 2}]
+    assert {i: shot.rgb.max() for i, shot in sink.shots.items()} == {0: 7, 1: 8}
 
 
 def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
@@ -117,7 +133,7 @@ def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
     )
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), choice=choice, candidates=lambda: there))
-    ((letter, u, v),) = sink.shot.marks
+    ((letter, u, v),) = sink.shots[0].marks
     assert (letter, u) == ("B", pytest.approx(0.5, abs=0.02))
     assert 0.5 < v < 1.0
     assert sink.snapshot.mark_letters[6] == ("C", pytest.approx(0.3))

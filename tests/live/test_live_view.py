@@ -72,8 +72,8 @@ def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view
     view._health.starting("compiling")
     now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
-    assert (now["moment"], now["shot"], now["silent_s"]) == (None, None, None)
-    for path in ("story", "task", "site", "memory", "map", "camera", "layers/0"):
+    assert (now["moment"], now["shots"], now["silent_s"]) == (None, {}, None)
+    for path in ("story", "task", "site", "memory", "map", "camera", "camera2", "layers/0"):
         assert fetch(view, f"/live/{path}") is None
     answer = view.forms()["/mission/request"](b'{"do": "pause"}')
     assert (int(answer.status), json.loads(answer.body)) == (

@@ -142,6 +142,18 @@ def test_of_two_cameras_the_robot_drives_by_the_first(frozen_camera):
     assert any(event.startswith(f"{topic}/depth: no pixel") for event in loop.notes.events)
 
 
+def test_a_lidar_that_freezes_is_noticed_with_each_camera():
+    sensors = {"camera": SMALL, "second_camera": {**SMALL, "yaw_deg": 180.0},
+               "lidar": {"z_m": 0.4, "pitch_deg": 15.0}}  # fmt: skip
+    loop = driving(sensors=sensors, mapping={"input": "cloud"})
+    freeze, begun_s, begun_m = frozen("cloud_m")(), loop.seconds, loop.drive.motion.path_m
+    tampered(loop, freeze)
+    while loop.seconds < begun_s + 5.0:
+        loop.step()
+    assert loop.drive.motion.path_m - begun_m < 0.6
+    assert [found.name for found in loop.service.plausibility.failed] == ["cloud_frozen"]
+
+
 @pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
 def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
     """While the robot drives straight on nothing tells; by the next turn, or stop, it does."""

@@ -135,6 +135,12 @@ def test_a_port_needs_a_good_token(tmp_path, content, why):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("given", [{"host": "0.0.0.0"}, {"token_file": Path("token")}])
+def test_what_belongs_to_http_needs_a_port(tmp_path, given):
+    with pytest.raises(UserError, match=r"^mcp: --host and --token-file are of --http PORT"):
+        command.run(arguments(tmp_path, **{"http": None, "host": None, **given}))
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "no.such.host.invalid"])
 def test_an_address_that_cannot_be_used(host, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as other:

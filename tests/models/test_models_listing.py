@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
@@ -75,6 +76,9 @@ def test_models_are_chosen_by_licence(put_card, capsys):
     assert listed("--licence", "permissive") == ["a", "c"]
     assert listed("--licence", "agpl-3.0") == ["b"]
     assert listed("b", "--licence", "permissive") == []
+    assert main(["models", "list", "--licence", "gpl"]) == os.EX_UNAVAILABLE
+    error = "--licence: no card has 'gpl' (choices: permissive, AGPL-3.0, MIT, apache-2.0, unknown)"
+    assert capsys.readouterr().err.strip() == error
     with pytest.raises(SystemExit):
         main(["models", "list", "--check", "--licence", "permissive"])
     assert "--licence: not allowed with --check" in capsys.readouterr().err

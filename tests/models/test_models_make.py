@@ -63,6 +63,11 @@ def test_no_weights_here(started, put_card, capsys, sources):
     assert started == []
 
 
+def test_a_folder_that_is_not_there(started, capsys):
+    assert main(["models", "export", "new", "--weights", "nowhere"]) == os.EX_UNAVAILABLE
+    assert capsys.readouterr().err == "models export: --weights nowhere: no such folder\n"
+
+
 def test_weights_that_were_pulled_are_exported(started):
     path = weights_path(load_card("small").sources[0])
     path.parent.mkdir(parents=True)

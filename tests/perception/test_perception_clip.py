@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import numpy as np
@@ -110,9 +111,13 @@ def test_a_tokenizer_that_is_missing_or_none_is_an_error(text_card, monkeypatch)
         ClipTextEncoder(card)
 
 
-def test_another_tokenizer_than_the_cards_is_refused(text_card, cards):
-    text_card()
-    tokenizer = {**tiny_clip.TEXT["tokenizer"], "sha256": "0" * 64}
+@pytest.mark.parametrize("where", ["card", "record"])
+def test_another_tokenizer_than_the_cards_is_refused(text_card, cards, where):
+    made, other = text_card(), "0" * 64
+    tokenizer = {**tiny_clip.TEXT["tokenizer"], "sha256": other if where == "card" else None}
+    if where == "record":
+        record = made.tokenizer_path.with_name(f"{made.tokenizer_path.name}.json")
+        record.write_text(json.dumps({"sha256": other}))
     path = resources.models_dir() / "tiny-text.onnx"
     tiny_clip.write_card(cards, {**tiny_clip.TEXT, "tokenizer": tokenizer}, path)
     with pytest.raises(ModelError, match="another tokenizer"):

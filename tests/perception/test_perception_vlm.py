@@ -334,6 +334,11 @@ def lose_tensor(graph):
     del graph.initializer[0]
 
 
+def want_deepstack(graph):
+    shape = ["b", "n", HIDDEN]
+    graph.input.append(helper.make_tensor_value_info("deepstack_features_0", F32, shape))
+
+
 def lie_about(*dims):
     """Change the size of the largest tensor."""
 
@@ -411,6 +416,9 @@ WRONG = {
     "fewer logits than tokens": (network("decoder", short_decoder), "50 logits, fewer than"),
     "a decoder that keeps nothing": (
         network("decoder", without_past), "decoder has no output present.0.key",
+    ),
+    "a decoder that wants more of an image": (
+        change_network("decoder", want_deepstack), "encoder has no output deepstack_features_0",
     ),
     **{
         f"a tensor of the {part} is missing": (

@@ -57,10 +57,14 @@ def drive(tmp_path_factory) -> Path:
     return recording.steps(30).close()
 
 
-def test_a_run_with_two_cameras(tmp_path):
+@pytest.mark.parametrize("mapped", ["depth", "cloud"])
+def test_a_run_with_two_cameras(tmp_path, mapped):
     """Each observation comes back with its own image size and mount."""
     second = {"width_px": 64, "height_px": 48, "yaw_deg": 170.0}
-    config = small(sensors={"camera": {"width_px": 80, "height_px": 64}, "second_camera": second})
+    sensors = {"camera": {"width_px": 80, "height_px": 64}, "second_camera": second}
+    if mapped == "cloud":
+        sensors["lidar"] = {"z_m": 0.4, "pitch_deg": 15.0}
+    config = small(sensors=sensors, mapping={"input": mapped})
     path = Recording(tmp_path, config, rgb_hz=100.0).steps(60).close()
     same(path, 60)
     seen = [step.observation for step in RecordedRun(path).steps() if step.observation]

@@ -155,11 +155,26 @@ def test_one_camera_goes_on_without_the_other_and_after_a_clock_reset():
     assert states["camera2/rgb"] == states["camera2/info"] == ("ok", True)
 
 
-def test_a_cloud_cannot_lead_two_cameras():
-    sensors = {**CLOUD["sensors"], **PAIR["sensors"]}
-    message = r"sensors\.second_camera: two cameras need mapping\.input: depth"
-    with pytest.raises(ConfigError, match=message):
-        Robot({**CLOUD, "sensors": sensors})
+@pytest.mark.parametrize("silent", [None, 0, 1], ids=["", "no camera", "no camera2"])
+def test_clouds_go_to_the_cameras_in_turn_and_each_is_mapped_once(silent):
+    """Images of the second camera come later than those of the first."""
+    robot = Pair(**{**CLOUD, "sensors": {**CLOUD["sensors"], **PAIR["sensors"]}}).odom(0)
+    seen = []
+    for k in range(1, 11):
+        stamp_ns = k * 100 * MS
+        robot.odom(stamp_ns + MS).cloud(stamp_ns)
+        for send in (robot.rgb, robot.frame2):
+            if silent is None or send != (robot.rgb, robot.frame2)[silent]:
+                send(stamp_ns)
+            if (observation := robot.wait(30 * MS).poll()) is not None:
+                seen.append(observation)
+                observation.release()
+        robot.wait(40 * MS)
+    assert [o.camera_index for o in seen] == [0, 1] * 5
+    assert [o.stamp_ns // (100 * MS) for o in seen] == list(range(1, 11))
+    assert all(len(o.cloud_m) == 5 for o in seen)
+    assert {o.camera_index for o in seen if o.rgb is None} == {silent} - {None}
+    assert not robot.drops
 
 
 def test_a_frame_with_its_interpolated_pose():

@@ -82,12 +82,7 @@ async function memory() {
 }
 
 async function shots() {
-  const newest = state.now?.shot ?? 0;
-  if (newest !== 0 && newest !== camera.seq()) {
-    const shot = await get("live/camera");
-    if (shot) await camera.show(shot);
-  }
-  camera.age();
+  await camera.update(state.now?.shots ?? {}, get);
 }
 
 async function story() {
@@ -148,7 +143,6 @@ $("scheme").addEventListener("click", () => {
 });
 dark.addEventListener("change", scheme);
 scheme();
-new ResizeObserver(camera.draw).observe($("camera"));
 
 every(NOW_MS, now);
 every(NOW_MS, shots);

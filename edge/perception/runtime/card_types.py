@@ -134,8 +134,8 @@ class ClipTokenizer(_Part):
     """Byte-pair encoding, or SentencePiece, from a file next to the ONNX file.
 
     A text is filled up to `context` tokens with `pad`: SigLIP reads the padding, too. `sha256` is
-    the hash of the tokenizer's file; None: it is not checked. `sentence` is the text that the model
-    reads for a prompt, which stands in place of `{}`.
+    the hash of the tokenizer's file; None: `FILE.json` next to it has the hash. `sentence` is the
+    text that the model reads for a prompt, which stands in place of `{}`.
     """
 
     kind: Literal["clip"] = "clip"

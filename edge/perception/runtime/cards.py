@@ -22,6 +22,7 @@ from edge.perception.runtime.card_types import (
     BaseCard,
     Card,
     ChoiceCard,
+    ClipTokenizer,
     DetectCard,
     EmbeddingParity,
     FileCard,
@@ -197,7 +198,7 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
         path = card.path_of(part)
         if not os.path.isfile(path):
             raise ModelError(f"{path}: model {card.name} is not there; {install_hint(card)}")
-        sha256, size = expected_of_part(card, part)
+        sha256, size = expected_of_part(part, path)
         if sha256 is None:
             raise ModelError(
                 f"{sidecar(path)}: no sha256 to check the file against; {install_hint(card)}"
@@ -210,14 +211,14 @@ def verify_parts(card: ChoiceCard, believe_cache: bool = False) -> None:
         check_network(card.path_of(part), lambda file, d=folder: os.path.join(d, file) in covered)
 
 
-def expected_of_part(card: ChoiceCard, part: FolderFile) -> tuple[str | None, int | None]:
+def expected_of_part(part: FolderFile | ClipTokenizer, path: Path) -> tuple[str | None, int | None]:
     """Return (sha256, size in bytes) of a file from its card, else from its `sidecar`.
 
     The sidecar was written when the file was made or first pulled.
     """
     if part.sha256 is not None:
         return part.sha256, None
-    return _recorded_hash_and_size(card.path_of(part))
+    return _recorded_hash_and_size(path)
 
 
 def verify_file(card: FileCard, path: Path) -> bool:

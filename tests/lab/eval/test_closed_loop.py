@@ -47,12 +47,17 @@ def test_it_replays_the_same_and_gets_there(tmp_path, sections):
 BACK = {"width_px": 96, "height_px": 64, "yaw_deg": 180.0, "x_m": -0.1, "pitch_deg": 10.0}
 
 
-@pytest.mark.parametrize("second", [None, BACK], ids=["one camera", "two cameras"])
-def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second):
+@pytest.mark.parametrize(
+    ("second", "mapped"), [(None, "depth"), (BACK, "depth"), (None, "cloud"), (BACK, "cloud")]
+)
+def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second, mapped):
     """The robot stands with its back to the bed, then drives there."""
+    lidar = {"z_m": 0.4, "pitch_deg": 15.0} if mapped == "cloud" else None
     config = small_house(
         tmp_path, mission={"target": "bed"}, sim={"start": [4.8, 2.0, math.pi]},
-        sensors={"camera": {"width_px": 80, "height_px": 64}, "second_camera": second},
+        sensors={"camera": {"width_px": 80, "height_px": 64}, "second_camera": second,
+                 "lidar": lidar},
+        mapping={"input": mapped},
     )  # fmt: skip
     loop = ClosedLoop(config, colour=False)
     service = loop.service
@@ -66,7 +71,7 @@ def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second):
     grid = service.map.grid.snapshot()
     x_m = grid.origin_xy_m[0] + grid.resolution_m * np.nonzero(grid.cells == 100)[1]
     assert x_m.min() < 4.1, "the wall ahead"
-    assert (x_m.max() > 5.6) == (second is not None), "the bed, in the same map"
+    assert (x_m.max() > 5.6) == bool(second or lidar), "the bed, in the same map"
     service.pause(False, loop.drive.motion.stamp_ns)
     loop.run(60.0)
     assert (service.status.phase, service.plausibility.failed) == ("reached", ())

@@ -18,6 +18,9 @@ from edge.perception.scoring.vlm.files import ModelFiles
 
 # Names, or beginnings of names, of the decoder's inputs and outputs.
 _PAST, _PRESENT, _LOGITS = "past_key_values.", "present.", "logits"
+DEEPSTACK = "deepstack_features_"
+"""Beginning of the names of the vision encoder's outputs that are inputs of the decoder, too: its
+first layers add them to the image's tokens (DeepStack, Qwen3-VL)."""
 
 
 class KeyValueCache(NamedTuple):
@@ -50,6 +53,8 @@ class Decoder:
 
     Attributes:
         takes_ids: True if the decoder embeds tokens itself.
+        deepstack: names of the inputs for DeepStack. A row then has the embedding and after it, for
+            each of these, as many numbers.
         nothing: the empty cache.
 
     Raises:
@@ -64,6 +69,7 @@ class Decoder:
         self._inputs = {value.name: value for value in session.get_inputs()}
         self._outputs = [value.name for value in session.get_outputs()]
         self.takes_ids = embedding is None
+        self.deepstack = sorted(name for name in self._inputs if name.startswith(DEEPSTACK))
         self._check()
         self._presents = [name for name in self._outputs if name.startswith(_PRESENT)]
         self.nothing = KeyValueCache(0, dict(self._empty_arrays()))
@@ -72,7 +78,8 @@ class Decoder:
         """Raise ModelError if inputs and outputs are not those of a published decoder."""
         first = "input_ids" if self.takes_ids else "inputs_embeds"
         pasts = {name for name in self._inputs if name.startswith(_PAST)}
-        known = {first, "attention_mask", "position_ids", "num_logits_to_keep"} | pasts
+        known = {first, "attention_mask", "position_ids", "num_logits_to_keep", *self.deepstack}
+        known |= pasts
         needed = {_LOGITS, *(_PRESENT + name.removeprefix(_PAST) for name in pasts)}
         if first not in self._inputs or not pasts:
             fault = f"has no input {first if pasts else _PAST + 'N.key'}"
@@ -115,7 +122,8 @@ class Decoder:
         if self._embedding is None:
             return ids
         name = self._embedding.get_inputs()[0].name
-        return self._embedding.run(None, {name: ids[None]}, self._deadline.options)[0][0]
+        rows = self._embedding.run(None, {name: ids[None]}, self._deadline.options)[0][0]
+        return np.pad(rows, ((0, 0), (0, len(self.deepstack) * rows.shape[1])))
 
     def read(self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache) -> KeyValueCache:
         """Read more tokens.
@@ -153,9 +161,10 @@ class Decoder:
             ModelError: the cache has another length than the tokens read.
         """
         n, length = len(rows), past.length + len(rows)
+        parts = np.split(rows[None], 1 + len(self.deepstack), axis=-1)
         offered = {
             "input_ids": rows[None],
-            "inputs_embeds": rows[None],
+            **dict(zip(("inputs_embeds", *self.deepstack), parts, strict=True)),
             "attention_mask": np.ones((1, length), np.int64),
             "position_ids": self._as_position_ids(places),
             "num_logits_to_keep": np.array(1, np.int64),

@@ -197,9 +197,15 @@ class LanguageModel:
                     f"but its image processor makes only {', '.join(feeds)}; take another model"
                 )
             inputs[value.name] = feeds[value.name].astype(DTYPES[value.type], copy=False)
-        first = self._vision.get_outputs()[0].name
-        features = self._vision.run([first], inputs, self._deadline.options)[0]
-        return features.reshape(-1, features.shape[-1])
+        names = [value.name for value in self._vision.get_outputs()]
+        if lacking := sorted(set(self._decoder.deepstack) - set(names)):
+            raise ModelError(
+                f"model {self.name}: its vision encoder has no output {lacking[0]}, which its "
+                "decoder needs: the files are of two models"
+            )
+        names = [names[0], *self._decoder.deepstack]
+        found = self._vision.run(names, inputs, self._deadline.options)
+        return np.concatenate([one.reshape(-1, one.shape[-1]) for one in found], axis=-1)
 
     def _check_sizes(self, ids: Sequence[np.ndarray], features: np.ndarray) -> None:
         """Raise ModelError if a question is too long, or image tokens and features do not match."""
