@@ -101,6 +101,7 @@ class SimConfig(Section):
             per m).
         drift_rad_per_rad: standard deviation of the odometry's scale error of turns.
         people: number of people who walk or stand in the world; their walks depend on `seed`.
+        doors: share of a house's doorways that have a door which opens and closes; 0 to 1.
     """
 
     world: Annotated[
@@ -115,3 +116,4 @@ class SimConfig(Section):
     drift_m_per_m: NonNegative = 0.0
     drift_rad_per_rad: NonNegative = 0.0
     people: Annotated[int, Field(ge=0, le=50)] = 0
+    doors: Annotated[float, Field(ge=0, le=1)] = 0.0

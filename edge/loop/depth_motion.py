@@ -15,14 +15,14 @@ from edge.geometry import FARTHEST_M, CameraModel
 
 MISFIT = 0.45
 """Largest share of informative points in the wrong place. It is usually below 0.1."""
-RETRY_NS, MOST_RETRY_NS = 10_000_000_000, 80_000_000_000
+RETRY_NS, MOST_RETRY_NS = 2_000_000_000, 64_000_000_000
 """Shortest and longest time between retries after a failure. A standing robot cannot measure
 whether images and poses fit again, so it retries at growing intervals."""
 # Distances between views; 1 rad of turn counts as 1 m.
 _APART_M = 0.08  # a view is kept if it is this far from the last one
 _BASELINE_M, _FARTHEST_M = 0.2, 0.6  # views within this range are compared
 _VIEWS = 4  # number of views that are kept
-_SCORES = 3  # the check uses the mean of so many scores
+_SCORES = 5  # the check uses the mean of so many scores: somebody may fill the view for a moment
 _GOOD_SCORES = 12  # after so many good scores, retries start again at `RETRY_NS`
 _STRIPS = 8  # vertical strips of an image
 # A score needs so many strips, each with so many informative points.

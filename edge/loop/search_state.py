@@ -33,6 +33,9 @@ _RETRY_NS = LASTING_NS + 1_000_000_000
 _RETRIES = 2
 # Shortest time between two retries: a person in the way may leave in this time.
 _PAUSE_NS = 10_000_000_000
+# Largest number of retries of cells in which something arrived, when no candidate is left: a door
+# may stay closed.
+_WAITS = 6
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
@@ -82,7 +85,11 @@ class SearchState:
     _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
+    _waits: int = 0
     _next_retry_ns: int = 0
+    # The last goal that was excused, and the time from which another one may be.
+    _excused_m: tuple[float, float] | None = None
+    _next_excuse_ns: int = 0
 
     def state_dict(self) -> Arrays:
         """Return the failed attempts by place, but no state that lasts only seconds."""
@@ -128,6 +135,19 @@ class SearchState:
         self._failures[instance_id] += 1
         return min(self._failures[instance_id] - 1, 6)
 
+    def excuse(self, grid: RollingMap, goal_m: tuple[float, float], now_ns: int) -> bool:
+        """Return True if people may be the reason that a goal failed, so that it stays a candidate.
+
+        What arrived in the map is then forgotten: a person who was seen there may have gone. No
+        goal is excused twice in a row.
+        """
+        last, self._excused_m = self._excused_m, goal_m
+        same = last is not None and math.dist(last, goal_m) < _SAME_FRONTIER_M
+        if same or now_ns < self._next_excuse_ns or not grid.forget_arrivals():
+            return False
+        self._next_excuse_ns = now_ns + _PAUSE_NS
+        return True
+
     def on_candidate(self) -> None:
         """Record that there is a candidate."""
         self._idle_since_ns = None
@@ -165,8 +185,8 @@ class SearchState:
         """Retry discarded candidates and blocked places; return True while that may help.
 
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
-        the map, up to twice. So are cells in which something arrived, each time: a person who was
-        seen there may have gone.
+        the map, up to twice. So are cells in which something arrived, up to `_WAITS` times: a
+        person who was seen there may have gone.
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
@@ -183,7 +203,9 @@ class SearchState:
         self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        if not (grid.forget_arrivals() or opened):
+        forgot = self._waits < _WAITS and grid.forget_arrivals()
+        self._waits += forgot
+        if not (forgot or opened):
             return is_first
         pool.unblock_all()
         # The travel-cost field that is growing now may have started before the opening. The next

@@ -39,7 +39,7 @@ _OFF_CENTRE_CELLS = 0.7
 # Weight of a new measurement of the floor's height.
 _FLOOR_GAIN = 0.2
 # Obstacles this near to the robot are never forgotten unseen.
-_KEEP_M = 1.0
+_KEEP_M = 0.5
 # Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 FRONTIER_MIN_CELLS = 6
@@ -235,7 +235,7 @@ class RollingMap:
             away_m = self.resolution_m * np.hypot(x - self._robot_cell[0], y - self._robot_cell[1])
             x, y = x[away_m > _KEEP_M], y[away_m > _KEEP_M]
         for cell in zip(x.tolist(), y.tolist(), strict=True):
-            self._write(*cell, ly.FREE)
+            self._write(*cell, ly.FREE, update.SURELY_FREE)  # what is there has arrived, again
         return len(x) > 0
 
     def state_at(self, x_m: float, y_m: float) -> int:

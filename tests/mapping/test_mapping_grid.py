@@ -78,7 +78,7 @@ def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
         (0, 1.5, False),
         (update.SURELY_FREE, 1.5, False),  # the first look frees the cell
         (update.SURELY_FREE + 1, 1.5, True),
-        (update.SURELY_FREE + 1, 0.95, False),  # next to the robot
+        (update.SURELY_FREE + 1, 0.3, False),  # next to the robot
     ],
 )
 def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forgotten):
@@ -95,6 +95,7 @@ def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forg
     assert grid.state_at(2.52, 1.0) == 100, "the walls stay"
     look(grid, ORIGIN, with_person)
     assert grid.state_at(x_m + 0.02, 0.0) == 100
+    assert grid.forget_arrivals() == forgotten, "again"
 
 
 def test_a_low_obstacle_stays_while_it_is_below_the_view():

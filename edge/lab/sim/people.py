@@ -1,7 +1,8 @@
-"""People who walk through a simulated world, around the robot.
+"""People who walk through a simulated world, around the robot, and the world's doors.
 
 They appear in images, depth, object ids and LiDAR, and the robot can touch them. Any world can have
-them, meshes too; their bodies are plain solids. They pass through each other.
+people, meshes too; their bodies are plain solids. They pass through each other, and doors open for
+them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.sim import kernels
 from edge.lab.sim.base import FloorPlan, LidarRays, World, WorldError, WorldObject
 from edge.lab.sim.boxworld import BoxWorld, Primitive
+from edge.lab.sim.doors import Door, door_clearance_m, make_doors
 from edge.trajectory.astar import Workspace, plan
 from edge.trajectory.costmap import CostMap
 
@@ -67,15 +69,18 @@ class Person:
 
 
 class _PeopledPlan(FloorPlan):
-    """Floor plan of a world with its people: only `clearance_at` includes them."""
+    """Floor plan of a world with its people and doors: only `clearance_at` includes them."""
 
-    def __init__(self, plan: FloorPlan, people: Sequence[Person]) -> None:
-        self.grid, self.clearance_m, self._people = plan.grid, plan.clearance_m, people
+    def __init__(self, plan: FloorPlan, people: Sequence[Person], doors: Sequence[Door]) -> None:
+        self.grid, self.clearance_m = plan.grid, plan.clearance_m
+        self._people, self._doors = people, doors
 
     def clearance_at(self, x_m: float, y_m: float) -> float:
-        """See `FloorPlan.clearance_at`; people are obstacles, too."""
+        """See `FloorPlan.clearance_at`; people and doors are obstacles, too."""
         return min(
-            FloorPlan.clearance_at(self, x_m, y_m), person_clearance_m(self._people, x_m, y_m)
+            FloorPlan.clearance_at(self, x_m, y_m),
+            person_clearance_m(self._people, x_m, y_m),
+            door_clearance_m(self._doors, x_m, y_m),
         )
 
 
@@ -86,23 +91,27 @@ def person_clearance_m(people: Sequence[Person], x_m: float, y_m: float) -> floa
 
 
 class PeopledWorld:
-    """World with people in it; see `edge.lab.sim.base.World`.
+    """World with people and moving doors in it; see `edge.lab.sim.base.World`.
 
-    The people's walks depend only on `sim.seed`, simulated time and the robot's poses.
+    They depend only on `sim.seed`, simulated time and the robot's poses.
 
     Args:
         world: the world without people; it is not changed.
         config: gives `sim.people`, the robot and the camera.
         start: pose at which the robot starts.
+        doors: the doors that move.
 
     Attributes:
         people: the people.
+        doors: see `Args`.
 
     Raises:
         WorldError: no free floor for people.
     """
 
-    def __init__(self, world: World, config: Config, start: SE2) -> None:
+    def __init__(
+        self, world: World, config: Config, start: SE2, doors: Sequence[Door] = ()
+    ) -> None:
         self._world, self._robot_radius_m = world, config.robot.radius_m
         self.name, self.start = world.name, world.start
         self.rooms, self.room_kinds = world.rooms, world.room_kinds
@@ -111,15 +120,17 @@ class PeopledWorld:
         self.people: list[Person] = []
         for k in range(config.sim.people):
             self.people.append(self._new_person(k, config.sim.seed))
-        self.plan: FloorPlan = _PeopledPlan(world.plan, self.people)
+        self.doors = doors
+        self.plan: FloorPlan = _PeopledPlan(world.plan, self.people, self.doors)
         first_id = len(world.objects) + 1
         bodies = [_body(first_id + p.number, p) for p in self.people]
         camera = config.sensors.camera
         self._crowd = BoxWorld(
-            "people", [], bodies, start, config.robot.height_m,
+            "people", [door.body() for door in self.doors], bodies, start, config.robot.height_m,
             (camera.depth_min_m, camera.depth_max_m),
         )  # fmt: skip
-        self._person_of = self._crowd.owner.astype(int) - first_id
+        self._person_of = self._crowd.owner[len(self.doors) :].astype(int) - first_id
+        self._place_bodies()
         self.objects = [*world.objects, *self._crowd.objects]
         self._images: tuple[np.ndarray | None, np.ndarray, np.ndarray] | None = None
         self._ranges_m: np.ndarray | None = None
@@ -139,7 +150,7 @@ class PeopledWorld:
             self._images = rgb, np.empty_like(out_depth_m), np.empty_like(out_ids)
         rgb, depth_m, ids = self._images
         self._crowd.render(camera, T_map_camera, rgb, depth_m, ids)
-        nearer = (ids > 0) & np.isfinite(depth_m) & ~(out_depth_m <= depth_m)
+        nearer = np.isfinite(depth_m) & ~(out_depth_m <= depth_m)
         out_depth_m[nearer], out_ids[nearer] = depth_m[nearer], ids[nearer]
         if out_rgb is not None and rgb is not None:
             out_rgb[nearer] = rgb[nearer]
@@ -153,12 +164,21 @@ class PeopledWorld:
         np.fmin(out_ranges_m, self._ranges_m, out=out_ranges_m)
 
     def advance(self, dt_s: float, robot: SE2) -> None:
-        """Let the people walk for `dt_s`. Nobody walks into the robot."""
+        """Let people walk and doors move for `dt_s`. Nobody walks into the robot."""
         for person in self.people:
             if not person.stands:
                 self._walk(person, dt_s, robot)
-        xy_m = np.array([p.xy_m for p in self.people])
-        self._crowd.geometry[:, : kernels.Y + 1] = xy_m[self._person_of]
+        for door in self.doors:
+            door.advance(dt_s, robot, self._robot_radius_m, (p.xy_m for p in self.people))
+        self._place_bodies()
+
+    def _place_bodies(self) -> None:
+        """Write the places of people and doors to the solids that are rendered."""
+        geometry, n = self._crowd.geometry, len(self.doors)
+        for door, row in zip(self.doors, geometry, strict=False):  # the doors come first
+            door.place(row)
+        xy_m = np.array([p.xy_m for p in self.people]).reshape(-1, 2)
+        geometry[n:, : kernels.Y + 1] = xy_m[self._person_of]
 
     def _walk(self, person: Person, dt_s: float, robot: SE2) -> None:
         """Move a person along their path, or choose the next path after a pause."""
@@ -230,8 +250,13 @@ class PeopledWorld:
 
 
 def with_people(world: World, config: Config, start: SE2) -> World:
-    """Return the world with `sim.people` people in it; without any, the world itself."""
-    return PeopledWorld(world, config, start) if config.sim.people else world
+    """Return the world with `sim.people` people and `sim.doors` in it; without any, the world.
+
+    Raises:
+        WorldError: no free floor for people, or `sim.doors` in a mesh.
+    """
+    doors = make_doors(world, config.sim.doors, config.sim.seed, start)
+    return PeopledWorld(world, config, start, doors) if config.sim.people or doors else world
 
 
 def _walking_costs(plan: FloorPlan) -> CostMap:

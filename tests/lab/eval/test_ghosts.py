@@ -35,7 +35,7 @@ def test_a_ghost_lasts_until_the_map_is_free_again(comes, images_late, longest_s
     plan = FloorPlan(Grid(np.zeros((200, 200), np.uint8), (-5.0, -5.0), 0.05))
     plan.clearance_m[:] = 5.0
     person = SimpleNamespace(xy_m=np.array([AWAY_M + 0.15, 0.0]))
-    world = SimpleNamespace(people=[person] if comes else [], plan=plan)
+    world = SimpleNamespace(people=[person] if comes else [], plan=plan, doors=[])
     clock, grid = GhostClock(world), RollingMap(config.MappingConfig(extent_m=12.0))
 
     def look(person: bool, update: bool = True) -> None:
