@@ -6,6 +6,7 @@ import numpy as np
 
 from edge.geometry import CameraModel
 from edge.tasks import scan_kernels as kernels
+from edge.tasks.objects import clusters
 from edge.types import MASK_SIDE
 
 MARGIN_SHARE = 0.25
@@ -20,11 +21,13 @@ cut where the returns of one column are too far apart: at 20 m below 4 deg with 
 deg, as a LiDAR of 64 rings has, and below 13 deg with a column every 0.5 deg.
 """
 LEAST_SPAN = 0.2
-"""Smallest share of a box's width and height that the points must cover.
+"""Smallest share of a box's width and height that the points must cover, without a mask.
 
 Fewer points belong to something else in the box, such as the hedge in front of a house that is
 higher than the LiDAR's field of view.
 """
+ON_MASK_SHARE = 0.5
+"""A cluster in the window belongs to the object if this share of its points is on the mask."""
 _NO_MASKS = np.zeros((0, MASK_SIDE, MASK_SIDE), np.bool_)
 
 
@@ -39,8 +42,9 @@ def points_of_masks(
     """Return the points of each object in a picture: the points in its mask without the background.
 
     A mask also shows some background. The points are split where their depth jumps. The part whose
-    picture fits the mask best is taken (see `scan_kernels.best_surface`), unless it covers only a
-    corner of the box.
+    picture fits the mask best is taken (see `scan_kernels.best_surface`). Trees before a building
+    cut it into several parts, so each cluster that lies mostly on the mask is taken, too. A box
+    without a mask has one part, and none if that covers only a corner of the box.
 
     Args:
         cloud_m: (n, 3) float32; points that are not finite are ignored.
@@ -57,9 +61,10 @@ def points_of_masks(
     k, n = len(xyxy_px), len(cloud_m)
     if k == 0 or n == 0:
         return [np.zeros(0, np.int32) for _ in range(k)]
-    masks = _NO_MASKS
+    masks, has_mask = _NO_MASKS, np.zeros(k, np.bool_)
     if mask is not None:
-        masks = np.where(mask.any(axis=(1, 2), keepdims=True), mask, True)
+        has_mask = mask.any(axis=(1, 2))
+        masks = np.where(has_mask[:, None, None], mask, True)
     intrinsics = (
         float(camera.width_px), float(camera.height_px),
         camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px,
@@ -94,9 +99,18 @@ def points_of_masks(
     for i in range(k):
         in_window = order[ends[i] : ends[i + 1]]
         first, last = kernels.best_surface(depth_m[in_window], on_mask[in_window], GAP_M, GAP_SHARE)
-        part = in_window[first:last]
-        points = np.sort(point_of[part[on_mask[part]]])
-        covers = len(points) and _covers_box(cloud_m[points], T_camera_cloud, camera, boxes[i])
+        chosen = np.zeros(len(in_window), np.bool_)
+        chosen[first:last] = True
+        if has_mask[i] and len(in_window):
+            depth = depth_m[in_window]
+            right_m = cloud_m[point_of[in_window]] @ T_camera_cloud[0, :3].astype(np.float32)
+            reach_m = GAP_M + GAP_SHARE * float(np.median(depth))
+            for group in clusters(np.column_stack((right_m, depth)), reach_m):
+                chosen[group] |= on_mask[in_window[group]].mean() >= ON_MASK_SHARE
+        points = np.sort(point_of[in_window[chosen & on_mask[in_window]]])
+        covers = has_mask[i] or (
+            len(points) and _covers_box(cloud_m[points], T_camera_cloud, camera, boxes[i])
+        )
         out.append(points if covers else points[:0])
     return out
 

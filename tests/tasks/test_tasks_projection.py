@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scans import CAMERA, LIDAR, MODEL, Box, found_in, street
+from scans import CAMERA, LIDAR, MODEL, Box, found_in, picture, street
 
 from edge.geometry import CameraModel, invert
 from edge.tasks import scan_kernels as kernels
@@ -87,6 +87,32 @@ def test_a_mask_leaves_out_what_its_box_holds_too():
     assert set(hit[points]) == {0}
     (whole,) = points_of_masks(cloud, T_CAMERA_LIDAR, MODEL, both, np.zeros_like(mask), above)
     assert set(hit[whole]) == {0, 1}, "an empty mask is none"
+
+
+@pytest.mark.parametrize("T_camera_cloud", [T_CAMERA_LIDAR, np.eye(4)], ids=["lidar", "depth"])
+def test_a_mask_keeps_each_part_of_a_building_behind_a_tree(T_camera_cloud):
+    """Two wings at different depths, a trunk before each: all of the building, nothing else."""
+    wings = [Box(16.0, 6.0, (1, 9, 4)), Box(24.0, -5.0, (1, 9, 4))]
+    trunks = [Box(8.0, 3.0, (0.3, 0.3, 3)), Box(9.0, -2.0, (0.3, 0.3, 3))]
+    observation, hit = street([*wings, *trunks])
+    _, shown = picture([*wings, *trunks], np.eye(4))
+    building = np.isin(shown, (0, 1))
+    v, u = np.nonzero(building)
+    x0, y0, x1, y1 = u.min(), v.min(), u.max() + 1, v.max() + 1
+    rows = np.linspace(y0, y1, MASK_SIDE, endpoint=False).astype(int)
+    columns = np.linspace(x0, x1, MASK_SIDE, endpoint=False).astype(int)
+    cloud = observation.cloud_m @ T_CAMERA_LIDAR[:3, :3].T + T_CAMERA_LIDAR[:3, 3]
+    if T_camera_cloud is T_CAMERA_LIDAR:
+        cloud = observation.cloud_m
+    (points,) = points_of_masks(
+        cloud.astype(np.float32), T_camera_cloud, MODEL, np.array([[x0, y0, x1, y1]], np.float32),
+        building[np.ix_(rows, columns)][None], hit >= 0,
+    )  # fmt: skip
+    assert {0, 1} <= set(hit[points])
+    assert np.isin(hit[points], (0, 1)).mean() > 0.95
+    _, inside = in_picture(observation.cloud_m, T_CAMERA_LIDAR, MODEL)
+    for wing in (0, 1):
+        assert (hit[points] == wing).sum() > 0.8 * (inside & (hit == wing)).sum()
 
 
 def test_a_corner_of_a_box_is_not_its_thing():

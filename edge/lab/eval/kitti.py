@@ -258,17 +258,21 @@ def label_pipeline(frames: Sequence[KittiFrame]) -> PerceptionPipeline:
 
 
 def objects_shown(frame: KittiFrame) -> list[tuple[str, np.ndarray]]:
-    """Return the objects of `objects_in` that are in the picture."""
+    """Return the objects in the picture: name, and those points that the picture shows.
+
+    A building next to the robot may be known only by its far end.
+    """
     return [(name, points) for name, points, _, _ in _in_picture(frame)]
 
 
 def _in_picture(frame: KittiFrame) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield (name, points, (k, 2) pixels of the points in the picture, their bounding box)."""
+    """Yield (name, k points in the picture, their (k, 2) pixels, their bounding box)."""
     seen = frame.observation
     T = invert(seen.T_base_camera) @ seen.T_base_lidar
     at_px, shown = in_picture(seen.cloud_m, T, seen.camera)  # pixel of each point; bool
     for name, points in objects_in(frame):
-        pixels = at_px[points[shown[points]]]
+        points = points[shown[points]]
+        pixels = at_px[points]
         if len(pixels) < MIN_POINTS:
             continue
         box = np.concatenate((np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0) + 1e-3)))

@@ -15,12 +15,13 @@ from edge.lab.eval.kitti import (
     frames_in,
     kitti_scene,
     objects_in,
+    objects_shown,
     read_frame,
     solid_m,
     true_boxes,
 )
 from edge.tasks import terrain
-from edge.tasks.projection import points_of_masks
+from edge.tasks.projection import in_picture, points_of_masks
 from edge.tasks.scene_builder import OFF_GROUND_M
 
 
@@ -159,6 +160,10 @@ def test_masks_have_the_points_that_the_labels_give_them(sequence):
     assert above[is_road].mean() < 0.01
     found = true_boxes(frame)
     T_camera_lidar = invert(seen.T_base_camera) @ seen.T_base_lidar
+    _, in_view = in_picture(seen.cloud_m, T_camera_lidar, seen.camera)
+    objects = objects_shown(frame)
+    assert len(objects) == len(found)
+    assert all(in_view[points].all() for _, points in objects)
     for mask in (found.mask, None):
         shown = points_of_masks(
             seen.cloud_m, T_camera_lidar, seen.camera, found.xyxy_px, mask, above
