@@ -6,7 +6,6 @@ import threading
 from dataclasses import replace
 
 import pytest
-from small_house import small_house
 
 from edge.errors import Stopped, UserError
 from edge.lab.eval.arms import make_arms, with_and_without_memory
@@ -16,13 +15,6 @@ from edge.lab.eval.outcome import to_json_line
 from edge.lab.eval.runs import run_all
 from edge.lab.eval.sessions import plan_sessions, run_session
 from edge.text import read_json_object
-
-
-@pytest.fixture(scope="module")
-def config(tmp_path_factory):
-    """With a camera of 5 Hz, which sees enough."""
-    folder = tmp_path_factory.mktemp("house")
-    return small_house(folder, mission={"time_limit_s": 60.0}, sim={"step_s": 0.2})
 
 
 @pytest.fixture(scope="module")

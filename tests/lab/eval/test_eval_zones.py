@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_house import small_house
 
 from edge.errors import UserError
 from edge.lab.eval.arms import make_arms
@@ -59,12 +58,6 @@ def test_the_distance_is_that_of_opencv(polygon, x, y):
     (found,) = distance_m(points.astype(np.float64), np.array([(float(x), float(y))]))
     if signed >= 0 or not math.isclose(found, 0.0):  # on an edge, OpenCV and we may differ
         assert found == pytest.approx(max(0.0, -signed), abs=1e-3)
-
-
-@pytest.fixture(scope="module")
-def config(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("house")
-    return small_house(folder, mission={"time_limit_s": 60.0}, sim={"step_s": 0.2})
 
 
 def test_no_episode_gets_no_zone(config):

@@ -9,7 +9,6 @@ from collections import deque
 from typing import Any
 
 import pytest
-from small_house import small_house
 
 from edge.cli.main import main
 from edge.lab.eval import drive, runs, workers
@@ -26,13 +25,6 @@ ARMS = {"hvl": {}, "near": {"policy": {"kind": "nearest_frontier"}}}
 def exact(outcome: EpisodeOutcome) -> dict[str, Any]:
     """All that does not depend on how fast the computer is."""
     return {k: v for k, v in dataclasses.asdict(outcome).items() if k not in TIMINGS}
-
-
-@pytest.fixture(scope="module")
-def config(tmp_path_factory):
-    """With a camera of 5 Hz, which sees enough."""
-    folder = tmp_path_factory.mktemp("house")
-    return small_house(folder, mission={"time_limit_s": 60.0}, sim={"step_s": 0.2})
 
 
 @pytest.fixture(scope="module")
