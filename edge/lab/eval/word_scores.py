@@ -67,7 +67,7 @@ def score_for(count: WordCount, precision: float, default: float) -> float | Non
     Args:
         count: the word's detections.
         precision: wanted share of right detections.
-        default: lowest score to return.
+        default: lowest score to return; no detection is weaker.
 
     Returns:
         A multiple of 0.05 over `default`; `NEVER` if no score is high enough; None if there are
@@ -80,7 +80,7 @@ def score_for(count: WordCount, precision: float, default: float) -> float | Non
         >>> score_for(WordCount(), 0.95, 0.3)
     """
     scores, right = np.array(count.scores), np.array(count.right, bool)
-    if (scores >= default).sum() < MIN_DETECTIONS:
+    if len(scores) < MIN_DETECTIONS:
         return None
     for score in np.arange(default, 0.95 + 1e-9, _STEP).round(2).tolist():
         kept = right[scores >= score]
@@ -151,7 +151,7 @@ def count_words(
         for word in sorted(known.intersection(image.words)):
             detector.set_prompts([word])
             found = detector.detect(_observation(rig, number)).without_suppressed()
-            yield word, image.count(word, found)
+            yield word, image.count(word, found.above(config.perception.confirm_score))
 
 
 def _observation(rig: CameraRig, number: int) -> Observation:
@@ -187,8 +187,7 @@ def _table(counts: dict[str, WordCount], precision: float, default: float) -> st
     """Return a table of the words, most views first, and the lines for the configuration."""
     rows, lines = [("word", "views", "recall", "right", "score", "mistaken for it")], []
     for word, count in sorted(counts.items(), key=lambda item: (-item[1].views, item[0])):
-        usable = np.array(count.scores) >= default
-        n, n_right = int(usable.sum()), int(np.array(count.right, bool)[usable].sum())
+        n, n_right = len(count.right), sum(count.right)
         score = score_for(count, precision, default)
         mistaken = ", ".join(f"{name} {k}" for name, k in count.mistaken.most_common(3))
         recall = f"{n_right / count.views:.2f}" if count.views else "–"

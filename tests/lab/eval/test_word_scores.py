@@ -13,7 +13,6 @@ from edge.types import Detections, Observation
         ([], [], None),
         ([], [0.9] * 7, None),
         ([], [0.4] * 8, 0.3),
-        ([0.2] * 20, [0.4] * 8, 0.3),  # too weak to confirm anything
         ([0.42], [0.8] * 10, 0.45),
         ([0.8] * 2, [0.8] * 10, NEVER),
         ([0.5], [0.4] * 10 + [0.8] * 7, NEVER),  # only seven are left from 0.55 on
