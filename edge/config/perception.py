@@ -286,8 +286,7 @@ class PerceptionConfig(Section):
             not found, the robot looks again only at the other places.
         confirm_hits: number of images that confirm an object.
         confirm_mean: lowest mean score over all views from nearby for a confirmed object.
-        confirm_lead: the summed score must be this many times that of any other name, and the
-            confidence this many times that of any other object at its place.
+        confirm_lead: the summed score must be this many times that of any other name.
         reject_radius_m: an object of the same name within this distance of a rejected one is
             rejected, too.
     """

@@ -293,15 +293,6 @@ def test_a_word_has_a_score_of_its_own(scene, scores, at, state):
     assert chair.state == state
 
 
-@pytest.mark.parametrize(("lead", "state"), [(1.0, "confirmed"), (2.0, "tentative")])
-def test_an_object_at_the_place_needs_to_be_outdone_by_the_lead(memory, lead, state):
-    s = memory(confirm_lead=lead)
-    for _ in range(10):
-        tracker = s.look(("desk", 2, 0, 0.6), around=[("sofa", 2, 0, 0.45)])
-    (desk,) = tracker.of("desk", doubted=False)  # it is worth driving to all the same
-    assert desk.state == state
-
-
 def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     s = memory()
     for _ in range(10):

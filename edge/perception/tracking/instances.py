@@ -557,7 +557,7 @@ class InstanceTracker:
         - it had at least `confirm_hits` good hits;
         - its mean score over all near views is at least `confirm_mean`;
         - its mean score is at least `confirm_lead` times that of its competing classes;
-        - no other object at its place has more than 1 / `confirm_lead` of its confidence.
+        - it is not contested (`_update_contested`).
 
         So neither a rare false positive nor a bed that is also a fair sofa is confirmed. A
         confirmed instance needs no lead to stay confirmed: from near by the object is only partly
@@ -566,32 +566,26 @@ class InstanceTracker:
         c, instance = self.config, track.instance
         if instance.state not in ("tentative", "confirmed"):
             return
-        is_tentative = instance.state == "tentative"
-        lead = c.confirm_lead if is_tentative else 1.0  # over competing classes
+        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead  # over competing classes
         is_confirmed = (
             track.good_hits >= c.confirm_hits
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= lead * track.competing_sum
-            and not self._has_competing_object(track, 1.0 / lead if is_tentative else SURER)
+            and not self._update_contested(track)
         )
         instance.state = "confirmed" if is_confirmed else "tentative"
         if track.views >= REJECT_VIEWS and track.competing_sum > track.target_sum:
             self.reject(instance.id)
 
-    def _update_contested(self, track: _Track) -> None:
-        """Update `contested`: True if another object explains the place better."""
-        surer = SURER if track.instance.state == "confirmed" else 1.0
-        track.contested = self._has_competing_object(track, surer)
-
-    def _has_competing_object(self, track: _Track, surer: float) -> bool:
-        """Return True if another object at the place has `surer` times the instance's confidence.
-
-        Among the objects are such that look almost alike, as a nightstand and a chest of drawers,
-        which do not compete for boxes.
-        """
-        return self._objects is not None and self._objects.has_competing_object(
-            track.name, track.instance.points_m, track.radius_m, surer
-        )
+    def _update_contested(self, track: _Track) -> bool:
+        """Update and return `contested`: True if another object explains the place better."""
+        if self._objects is not None:
+            instance = track.instance
+            surer = SURER if instance.state == "confirmed" else 1.0
+            track.contested = self._objects.has_competing_object(
+                track.name, instance.points_m, track.radius_m, surer
+            )
+        return track.contested
 
     def _merge_overlapping(self, instance_id: int) -> None:
         """Merge an instance with those of its name that overlap it; the oldest one stays."""
