@@ -30,6 +30,7 @@ def add_eval(commands) -> None:  # type: ignore[no-untyped-def]
     _add_translate(kinds)
     _add_trajectories(kinds)
     _add_rooms(kinds)
+    _add_words(kinds)
 
 
 def _add_episodes(  # type: ignore[no-untyped-def]
@@ -287,6 +288,27 @@ def _add_rooms(kinds) -> None:  # type: ignore[no-untyped-def]
     )
     option("--seed", type=int, default=0, help="seed of the start poses (default: %(default)s)")
     rooms.set_defaults(handler=lazy_handler("edge.lab.eval.rooms", "run", extra="lab"))
+
+
+def _add_words(kinds) -> None:  # type: ignore[no-untyped-def]
+    words = kinds.add_parser(
+        "words", help="measure from which score on a detector's words are right, for confirm_scores"
+    )
+    words.add_argument(
+        "config", nargs="?", default="textured", help=f"{CONFIG} (default: textured)"
+    )
+    option = words.add_argument
+    option(
+        "--worlds", nargs="+", required=True, metavar="WORLDS",
+        help="worlds as of `edge eval episodes`, such as furnished[100:150]",
+    )  # fmt: skip
+    option("--poses", type=count, default=20, help="images of each world (default: %(default)s)")
+    option(
+        "--precision", type=share, default=0.95, metavar="SHARE",
+        help="wanted share of right detections, 0 to 1 (default: %(default)s)",
+    )  # fmt: skip
+    option("--seed", type=seed, default=0, help="seed of the poses (default: %(default)s)")
+    words.set_defaults(handler=lazy_handler("edge.lab.eval.word_scores", "run", extra="lab"))
 
 
 def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Union
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from edge.config.section import Fraction, NonNegative, Positive, Section
+from edge import names
+from edge.config.section import Fraction, Name, NonNegative, Positive, Section
 
 
 class DetectorOnnx(Section):
@@ -268,6 +269,9 @@ class PerceptionConfig(Section):
         merge_m: a detection within this distance of an object of its name belongs to that object.
         min_hits: an object counts as seen after detections in this many images.
         confirm_score: detections with a lower score do not count for `confirm_hits`.
+        confirm_scores: lowest score by word, in place of `confirm_score`, for words that the
+            detector takes other objects for; 1: such an object is never confirmed.
+            `edge eval words` measures them.
         confirm_range_m: detections from farther away do not confirm an object. A place that
             was closer than this in `confirm_hits` images was seen well. Before a target is declared
             not found, the robot looks again only at the other places.
@@ -306,11 +310,21 @@ class PerceptionConfig(Section):
     merge_m: Positive = 0.6
     min_hits: Annotated[int, Field(ge=1)] = 2
     confirm_score: Fraction = 0.35
+    confirm_scores: dict[Name, Fraction] = Field(default_factory=dict)
     confirm_range_m: Positive = 3.0
     confirm_hits: Annotated[int, Field(ge=1)] = 3
     confirm_mean: Fraction = 0.12
     confirm_lead: Annotated[float, Field(ge=1)] = 1.5
     reject_radius_m: NonNegative = 0.6
+
+    @field_validator("confirm_scores")
+    @classmethod
+    def _with_canonical_names(cls, scores: dict[str, float]) -> dict[str, float]:
+        return {names.canonical(word): score for word, score in scores.items()}
+
+    def confirm_score_of(self, name: str) -> float:
+        """Return the lowest score that confirms an object of a canonical name."""
+        return self.confirm_scores.get(name, self.confirm_score)
 
     @model_validator(mode="after")
     def _check_isolation(self) -> PerceptionConfig:

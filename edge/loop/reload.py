@@ -38,6 +38,7 @@ LIVE = (
     "perception.merge_m",
     "perception.min_hits",
     "perception.confirm_score",
+    "perception.confirm_scores",
     "perception.confirm_range_m",
     "perception.confirm_hits",
     "perception.confirm_mean",

@@ -275,6 +275,24 @@ def test_what_was_confirmed_stays_so_while_nothing_does_better(
     assert chair.state == state
 
 
+@pytest.mark.parametrize(
+    ("scores", "at", "state"),
+    [
+        ({}, 0.6, "confirmed"),
+        ({"office chair": 0.7}, 0.6, "tentative"),  # the canonical name is chair
+        ({"office chair": 0.7}, 0.75, "confirmed"),
+        ({"desk": 0.7}, 0.6, "confirmed"),
+        ({"chair": 1.0}, 0.99, "tentative"),
+    ],
+)
+def test_a_word_has_a_score_of_its_own(scene, scores, at, state):
+    s = scene(confirm_scores=scores)
+    for _ in range(10):
+        (chair,) = s.see(("chair", 2, 0, at))
+        s.expire(s.last)
+    assert chair.state == state
+
+
 def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     s = memory()
     for _ in range(10):

@@ -529,7 +529,7 @@ class InstanceTracker:
     ) -> None:
         """Count a detection as a good hit if it is good enough and from near by."""
         c, instance = self.config, track.instance
-        if instance.state in ("rejected", "reached") or score < c.confirm_score:
+        if instance.state in ("rejected", "reached") or score < c.confirm_score_of(track.name):
             return
         if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
             return

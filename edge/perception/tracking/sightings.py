@@ -434,7 +434,7 @@ class ObjectTracker:
                 continue
             s.hits[at] += 1
             near = math.hypot(x_m - pose.x_m, y_m - pose.y_m) <= c.confirm_range_m
-            s.near_hits[at] += near and score >= c.confirm_score
+            s.near_hits[at] += near and score >= c.confirm_score_of(s.words[word])
             reach_m = kernels.add_view(
                 self._index, s.xyz_m, s.points_m, s.n_points, self._cursor, s.reach_m, at,
                 boxes.center_m, boxes.points_m, boxes.n_points, i,
