@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edge.geometry import CameraModel, Grid
-from edge.lab.sim.doors import Door
+from edge.lab.sim.doors import SlidingDoor
 from edge.lab.sim.people import PERSON_RADIUS_M, PeopledWorld
 from edge.mapping.grid import RollingMap
 from edge.mapping.layers import OCCUPIED
@@ -51,7 +51,7 @@ class GhostClock:
         people, plan, cell_m = self._world.people, self._world.plan.grid, grid.resolution_m
         raw, size = grid.layers.raw, grid.window.n
         n = math.ceil(PERSON_RADIUS_M / cell_m)
-        around = np.stack(np.mgrid[-n : n + 1, -n : n + 1], axis=-1).reshape(-1, 2)
+        around = np.argwhere(np.ones((2 * n + 1, 2 * n + 1), bool)) - n
         for person in people:
             col, row = grid.window.cell_of(*person.xy_m.tolist())
             cells = around + np.array([row, col])
@@ -76,10 +76,10 @@ class GhostClock:
             self.longest_s = max(self.longest_s, self._in_view_s[cell])
 
 
-def _near_door(plan: Grid, door: Door) -> np.ndarray:
+def _near_door(plan: Grid, door: SlidingDoor) -> np.ndarray:
     """Return (rows, columns) bool: cells of a floor plan that a door may occupy in the map."""
-    rows, columns = np.indices(plan.cells.shape)
-    dx, dy = (plan.centres_m(rows, columns) - door.jamb_m).transpose(2, 0, 1)
+    indices = np.indices(plan.cells.shape)
+    dx, dy = (plan.centres_m(indices[0], indices[1]) - door.jamb_m).transpose(2, 0, 1)
     along, across = dx * door.along[0] + dy * door.along[1], dy * door.along[0] - dx * door.along[1]
     return (along > -_FREE_M) & (along < door.width_m + _FREE_M) & (np.abs(across) < _FREE_M)
 

@@ -27,7 +27,7 @@ _AWAY_M = -100.0  # height of an open door: nothing sees it
 
 
 @dataclass(eq=False, slots=True)
-class Door:
+class SlidingDoor:
     """A door that slides into the wall at one side of its doorway.
 
     Attributes:
@@ -74,7 +74,7 @@ class Door:
         """Open or close for `dt_s`. A door that is not shut yet does not close on anybody."""
         self.clock_s = (self.clock_s + dt_s) % (self.open_s + self.shut_s)
         opens = self.clock_s < self.open_s or any(
-            self.distance_m(*xy_m, self.width_m) < OPENS_M for xy_m in people_m
+            self.distance_m(xy_m[0], xy_m[1], self.width_m) < OPENS_M for xy_m in people_m
         )
         robot_m = self.distance_m(robot.x_m, robot.y_m, self.width_m) - robot_radius_m
         opens |= self.shut_m < self.width_m and robot_m < _ROBOT_GAP_M
@@ -83,10 +83,11 @@ class Door:
 
     def body(self) -> Primitive:
         """Return the door as a solid, shut."""
-        middle = [a + 0.5 * self.width_m * u for a, u in zip(self.jamb_m, self.along, strict=True)]
+        half_m = 0.5 * self.width_m
         size_m = (self.width_m, _THICK_M, self.height_m)
         yaw_rad = math.atan2(self.along[1], self.along[0])
-        at = (*middle, 0.5 * self.height_m)
+        x_m, y_m = self.jamb_m[0] + half_m * self.along[0], self.jamb_m[1] + half_m * self.along[1]
+        at = (x_m, y_m, 0.5 * self.height_m)
         return Primitive(kernels.BOX, at, size_m, _COLOR, yaw_rad=yaw_rad)
 
     def place(self, row: np.ndarray) -> None:
@@ -98,7 +99,7 @@ class Door:
         row[kernels.HALF_X] = half_m
 
 
-def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[Door]:
+def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[SlidingDoor]:
     """Return doors for a share of the doorways of a house. No door is shut where the robot is.
 
     Raises:
@@ -125,7 +126,7 @@ def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[Door]:
         open_s, shut_s = float(rng.uniform(*_OPEN_S)), float(rng.uniform(*_SHUT_S))
         height_m = float(row[kernels.Z] - row[kernels.HALF_Z])
         clock_s = float(rng.uniform(0.0, open_s + shut_s))
-        door = Door(jamb_m, along, 2.0 * half_m, height_m, open_s, shut_s, clock_s)
+        door = SlidingDoor(jamb_m, along, 2.0 * half_m, height_m, open_s, shut_s, clock_s)
         is_shut = (
             clock_s >= open_s and door.distance_m(robot.x_m, robot.y_m, door.width_m) > OPENS_M
         )
@@ -134,7 +135,7 @@ def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[Door]:
     return doors
 
 
-def door_clearance_m(doors: Iterable[Door], x_m: float, y_m: float) -> float:
+def door_clearance_m(doors: Iterable[SlidingDoor], x_m: float, y_m: float) -> float:
     """Return the distance from a point to the nearest door; inf if all are open."""
     return min((door.distance_m(x_m, y_m) for door in doors), default=math.inf)
 

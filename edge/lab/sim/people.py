@@ -18,7 +18,7 @@ from edge.geometry import SE2, CameraModel, Grid
 from edge.lab.sim import kernels
 from edge.lab.sim.base import FloorPlan, LidarRays, World, WorldError, WorldObject
 from edge.lab.sim.boxworld import BoxWorld, Primitive
-from edge.lab.sim.doors import Door, door_clearance_m, make_doors
+from edge.lab.sim.doors import SlidingDoor, door_clearance_m, make_doors
 from edge.trajectory.astar import Workspace, plan
 from edge.trajectory.costmap import CostMap
 
@@ -71,7 +71,9 @@ class Person:
 class _PeopledPlan(FloorPlan):
     """Floor plan of a world with its people and doors: only `clearance_at` includes them."""
 
-    def __init__(self, plan: FloorPlan, people: Sequence[Person], doors: Sequence[Door]) -> None:
+    def __init__(
+        self, plan: FloorPlan, people: Sequence[Person], doors: Sequence[SlidingDoor]
+    ) -> None:
         self.grid, self.clearance_m = plan.grid, plan.clearance_m
         self._people, self._doors = people, doors
 
@@ -110,7 +112,7 @@ class PeopledWorld:
     """
 
     def __init__(
-        self, world: World, config: Config, start: SE2, doors: Sequence[Door] = ()
+        self, world: World, config: Config, start: SE2, doors: Sequence[SlidingDoor] = ()
     ) -> None:
         self._world, self._robot_radius_m = world, config.robot.radius_m
         self.name, self.start = world.name, world.start

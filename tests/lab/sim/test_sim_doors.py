@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from edge.config import Config, parse
 from edge.geometry import SE2
 from edge.lab.sim.base import World, WorldError
-from edge.lab.sim.doors import Door, make_doors
+from edge.lab.sim.doors import SlidingDoor, make_doors
 from edge.lab.sim.people import PeopledWorld, with_people
 from edge.lab.sim.robot import DriveTrain
 from edge.lab.sim.sensors import CameraRig
@@ -37,12 +37,12 @@ def house() -> World:
     return load_world(_config(0.0))
 
 
-def _door() -> Door:
+def _door() -> SlidingDoor:
     """Return an open door along x, from the origin, that is to close at once."""
-    return Door((0.0, 0.0), (1.0, 0.0), 0.9, 2.0, open_s=10.0, shut_s=10.0, clock_s=10.0)
+    return SlidingDoor((0.0, 0.0), (1.0, 0.0), 0.9, 2.0, open_s=10.0, shut_s=10.0, clock_s=10.0)
 
 
-def _shut_m(door: Door, seconds: float, robot: SE2 = FAR, people: tuple = ()) -> float:
+def _shut_m(door: SlidingDoor, seconds: float, robot: SE2 = FAR, people: tuple = ()) -> float:
     for _ in range(round(seconds / STEP_S)):
         door.advance(STEP_S, robot, RADIUS_M, people)
     return door.shut_m
