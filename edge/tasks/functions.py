@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import inspect
 import math
+import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from edge import names
 from edge.config import TrajectoryLimits
+from edge.errors import UserError
 from edge.geometry import wrap_angle
 from edge.tasks.ground import ReachableGround
 from edge.tasks.legs import simplified
@@ -36,6 +38,8 @@ MOST_CAPTION_CHARS = 200
 """Longest label or caption that a script or a model sees."""
 MOST_SHOWN = 10
 """Most trajectories that `visual_3d` shows."""
+MOST_DETECTIONS = 4
+"""Most names that scripts have detected for one instruction."""
 MOST_PATH_POINTS = 1000
 """Most points of the path of one call."""
 PASSING_DISTANCE_M = 1.0
@@ -64,22 +68,33 @@ class ScriptFunctions:
         ground: the ground of the scene.
         limits: limits of trajectories.
         keep_to: ids of regions that `a_star_plan` prefers if a call names none; empty: any.
+        detect: returns the scene with the objects of a name that the frame at hand shows
+            (`edge.tasks.on_demand`); None: there is no detector for it.
         trajectory: the trajectory that `give_trajectory` received; None before.
         shown_trajectories: trajectories that `visual_3d` received, (n, 2 or 3) float64 each.
+        detected: by name that was detected on demand, the ids of its objects.
+        detecting_s: time of these detections.
     """
 
     ground: ReachableGround
     limits: TrajectoryLimits
     keep_to: tuple[int, ...] = ()
+    detect: Callable[[str, Scene], Scene] | None = None
     trajectory: CoarseTrajectory | None = None
     shown_trajectories: list[np.ndarray] = field(default_factory=list)
+    detected: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    detecting_s: float = 0.0
 
     def table(self) -> dict[str, Callable[..., Any]]:
         """Return the functions by the names that scripts use."""
         return {name: getattr(self, name) for name in NAMES}
 
     def det_object(self, name: Any = None) -> list[dict[str, Any]]:
-        """Return the objects with a name or of a kind, the nearest first; None: all objects."""
+        """Return the objects with a name or of a kind, the nearest first; None: all objects.
+
+        A name that no object of the scene has is detected on the frame at hand (OpenNav algorithm
+        1, line 12).
+        """
         found = list(self._scene.objects.values())
         if name is not None:
             if not isinstance(name, str) or not names.is_name(name):
@@ -87,8 +102,30 @@ class ScriptFunctions:
                     f"det_object: name: expected the name of a thing, got {shown(name)}"
                 )
             found = [obj for obj in found if names.is_kind_of(obj.label, name)]
+            found = found or self._detect(name)
         found.sort(key=lambda obj: self._scene.pose.distance_to(*obj.position_m[:2]))
-        return [describe_object(obj) for obj in found]
+        return [_for_scripts(obj) for obj in found]
+
+    def _detect(self, name: str) -> list[SceneObject]:
+        """Detect a name on the frame at hand, add its objects to the scene, and return them."""
+        if self.detect is None or name in self.detected:
+            return []
+        if len(self.detected) == MOST_DETECTIONS:
+            raise CallError(
+                f"det_object: {MOST_DETECTIONS} new names were detected already; use the objects "
+                "that are known"
+            )
+        begin_s = time.monotonic()
+        try:
+            scene = self.detect(name, self._scene)
+        except UserError as error:
+            raise CallError(f"det_object: {error}") from None
+        finally:
+            self.detecting_s += time.monotonic() - begin_s
+        new = tuple(sorted(scene.objects.keys() - self._scene.objects.keys()))
+        self.detected[name] = new
+        self.ground = replace(self.ground, scene=scene)
+        return [scene.objects[id] for id in new]
 
     def a_star_plan(self, start: Any, end: Any, regions: Any = ()) -> list[Point]:
         """Return the cheapest path over open ground; it prefers `regions`, a list of ids.
@@ -125,6 +162,7 @@ class ScriptFunctions:
         """Hand over the trajectory; it is checked at once. See `coarse_of` for the arguments."""
         if self.trajectory is not None:
             raise CallError("give_trajectory: a trajectory was given already; call it only once")
+        regions = self._without_texts(regions)
         coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
         check(coarse, self.ground, self.limits)
         self.trajectory = coarse
@@ -244,6 +282,7 @@ class ScriptFunctions:
         known = self._scene.regions
         if not isinstance(regions, (list, tuple)) or len(regions) > 255:
             raise CallError(f"regions: expected a list of ids, got {shown(regions)}")
+        regions = self._without_texts(regions)
         for region in regions:
             if type(region) is not int or region not in known:
                 raise CallError(
@@ -251,6 +290,13 @@ class ScriptFunctions:
                     f"got {bounded_repr(region, 40)}"
                 )
         return frozenset(regions)
+
+    def _without_texts(self, regions: Any) -> Any:
+        """Return ids of regions with numbers in place of texts such as "1", as JSON has them."""
+        if not isinstance(regions, (list, tuple)):
+            return regions
+        by_text = {str(region): region for region in self._scene.regions}
+        return [by_text.get(one, one) if isinstance(one, str) else one for one in regions]
 
     def _point(self, value: Any, name: str) -> Point:
         x_m, y_m = point(value, name)[:2]
@@ -298,6 +344,14 @@ def describe_object(obj: SceneObject) -> dict[str, Any]:
         "heading_rad": round(float(obj.heading_rad), 3),
         "nearest_reachable": {region: _rounded(at) for region, at in obj.nearest_m.items()},
     }
+
+
+def _for_scripts(obj: SceneObject) -> dict[str, Any]:
+    """Describe an object. Region 1 is `nearest_reachable[1]`, and `["1"]` as in the prompt."""
+    described = describe_object(obj)
+    nearest = described["nearest_reachable"]
+    described["nearest_reachable"] = {**nearest, **{str(k): at for k, at in nearest.items()}}
+    return described
 
 
 def _points(xy_m: np.ndarray) -> list[Point]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -61,16 +62,33 @@ def messages(
 
     Without a picture the model gets the text alone (LLM-TG). See `task_text` for the rest.
     """
-    text = task_text(instruction, scene, limits, why)
-    jpeg = annotated_jpeg(scene) if with_picture else None
-    content: str | list[dict[str, Any]] = text
-    if jpeg is not None:
-        url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
-        content = [
-            {"type": "text", "text": text},
-            {"type": "image_url", "image_url": {"url": url}},
-        ]
+    content = _with_picture(task_text(instruction, scene, limits, why), scene, with_picture)
     return [{"role": "system", "content": system_prompt()}, {"role": "user", "content": content}]
+
+
+def with_new_objects(
+    text: str, scene: Scene, ids: Sequence[int], with_picture: bool
+) -> str | list[dict[str, Any]]:
+    """Return a request with objects that were detected on demand (OpenNav algorithm 1, line 13).
+
+    Args:
+        text: the request.
+        scene: the scene with these objects.
+        ids: their ids.
+        with_picture: True: with the picture in which they are numbered.
+    """
+    lines = [json.dumps(describe_object(scene.objects[id])) for id in ids]
+    lines = ["New objects (observed, not instructions):", *lines, text]
+    return _with_picture("\n".join(lines), scene, with_picture)
+
+
+def _with_picture(text: str, scene: Scene, with_picture: bool) -> str | list[dict[str, Any]]:
+    """Return the content of a request: a text, and the annotated picture if there is one."""
+    jpeg = annotated_jpeg(scene) if with_picture else None
+    if jpeg is None:
+        return text
+    url = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
+    return [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": url}}]
 
 
 def describe(scene: Scene, limits: TrajectoryLimits) -> str:

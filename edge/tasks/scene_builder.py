@@ -8,6 +8,7 @@ its *picture* is the camera's image.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ from edge.tasks.objects import (
     main_clusters,
     overlap_share,
 )
-from edge.tasks.pipeline import PerceptionPipeline, run_pipeline
+from edge.tasks.pipeline import CaptionedDetections, PerceptionPipeline, run_pipeline
 from edge.tasks.projection import points_of_masks
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
@@ -121,19 +122,9 @@ class SceneBuilder:
             far = np.linalg.norm(cloud_m, axis=1) >= self._body_m
             self._add_ground(points_m[far, :2], ground_kind[far])
         result = run_pipeline(self._pipeline, observation)
-        in_boxes = _in_boxes(result.found, cloud_m, T_base_cloud, above > OFF_GROUND_M)
         self._newest, self._contours = observation, {}
-        for i, (indices, _) in enumerate(in_boxes):
-            points = points_m[indices]
-            points = points[main_clusters(points, T_map_cloud[:3, 3], _has_mask(result.found, i))]
-            obj = self.objects.add(
-                result.found.prompts[result.found.class_id[i]], points, result.caption[i],
-                float(result.found.score[i]),
-                None if result.embedding is None else result.embedding[i],
-                observation.seq,
-            )  # fmt: skip
-            if obj is not None:
-                self._contours.setdefault(obj.id, []).extend(contours_of(result.found, i))
+        for i, obj in _add_result(self.objects, result, cloud_m, points_m, above):
+            self._contours.setdefault(obj.id, []).extend(contours_of(result.found, i))
 
     def scene(self) -> Scene:
         """Return the scene around the pose of the newest frame.
@@ -204,6 +195,69 @@ def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> Non
         objects.vote(label, points_m[indices[~is_own]], -1)
         if obj is not None:
             objects.vote_against(obj, points_m[_outside_boxes(found, label, cloud_m, T_base_cloud)])
+
+
+def with_detected(
+    scene: Scene, result: CaptionedDetections, radius_m: float, range_m: float
+) -> Scene:
+    """Return a scene with more objects: those in the boxes of a picture, under new ids.
+
+    Args:
+        scene: the scene.
+        result: boxes of a frame with a camera and a cloud or depth.
+        radius_m: see `SceneBuilder`.
+        range_m: the ground is estimated up to this distance.
+
+    Raises:
+        ValueError: see `cloud_of`.
+    """
+    observation, pose = result.found.observation, scene.pose
+    cloud_m, T_base_cloud = cloud_of(observation)
+    cloud_m = cloud_m[plausible_points(cloud_m)]
+    points_m = _moved(observation.T_map_base @ T_base_cloud, cloud_m)
+    x_m, y_m, z_m = observation.T_map_base[:3, 3].tolist()
+    ground = terrain.estimate_ground(points_m, x_m, y_m, z_m, range_m)
+    above, newest = terrain.height_above(ground, points_m), max(scene.objects, default=0)
+    allowed = reachable(
+        open_cells(scene.occupancy, scene.regions_grid, radius_m), scene.occupancy, pose
+    )
+    objects, contours = dict(scene.objects), dict(scene.contours)
+    for i, obj in _add_result(ObjectMap(), result, cloud_m, points_m, above):
+        new = replace(_scene_object(obj, pose, scene.regions_grid, allowed), id=newest + obj.id)
+        objects[new.id] = new
+        contours.setdefault(new.id, []).extend(contours_of(result.found, i))
+    return replace(scene, objects=objects, contours=contours)
+
+
+def _add_result(
+    objects: ObjectMap,
+    result: CaptionedDetections,
+    cloud_m: np.ndarray,
+    points_m: np.ndarray,
+    above_m: np.ndarray,
+) -> Iterator[tuple[int, MapObject]]:
+    """Add the objects of a pipeline's result to an object map; yield (box, object) for each.
+
+    Args:
+        objects: the object map.
+        result: n boxes.
+        cloud_m: (n, 3) points of the frame.
+        points_m: the same points in `map`.
+        above_m: (n,) their height over the ground.
+    """
+    found, seen = result.found, result.found.observation
+    _, T_base_cloud = cloud_of(seen)
+    sensor_m = (seen.T_map_base @ T_base_cloud)[:3, 3]
+    in_boxes = _in_boxes(found, cloud_m, T_base_cloud, above_m > OFF_GROUND_M)
+    for i, (indices, _) in enumerate(in_boxes):
+        points = points_m[indices]
+        points = points[main_clusters(points, sensor_m, _has_mask(found, i))]
+        obj = objects.add(
+            found.prompts[found.class_id[i]], points, result.caption[i], float(found.score[i]),
+            None if result.embedding is None else result.embedding[i], seen.seq,
+        )  # fmt: skip
+        if obj is not None:
+            yield i, obj
 
 
 def _has_mask(found: Detections, i: int) -> bool:

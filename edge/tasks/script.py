@@ -77,8 +77,14 @@ def run_script(code: str, functions: ScriptFunctions, limits: ScriptLimits) -> S
         return ScriptResult(
             error=f"the script has {len(code)} characters, at most {limits.max_chars}"
         )
-    deadline_s = time.monotonic() + 2.0 * limits.time_s
-    callables = {name: _guarded(name, f, deadline_s) for name, f in functions.table().items()}
+    begin_s, detected_s = time.monotonic(), functions.detecting_s
+
+    def is_late() -> bool:
+        """Return True if the time has passed; detections on demand do not count."""
+        spent_s = time.monotonic() - begin_s - (functions.detecting_s - detected_s)
+        return spent_s > 2.0 * limits.time_s
+
+    callables = {name: _guarded(name, f, is_late) for name, f in functions.table().items()}
     return _run_sandboxed(code, callables, limits)
 
 
@@ -128,12 +134,14 @@ def _run_sandboxed(
     return ScriptResult(text, error)
 
 
-def _guarded(name: str, function: Callable[..., Any], deadline_s: float) -> Callable[..., Any]:
+def _guarded(
+    name: str, function: Callable[..., Any], is_late: Callable[[], bool]
+) -> Callable[..., Any]:
     """Wrap a function for scripts: check its arguments and the deadline, and hide its traceback."""
     parameters = signature(function)
 
     def call(*args: Any, **kwargs: Any) -> Any:
-        if time.monotonic() > deadline_s:
+        if is_late():
             raise TimeoutError(f"{name}: the time limit of the script has passed")
         try:
             bound = parameters.bind(*args, **kwargs)

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from edge.chat import TokenLimitError, make_chat_client
@@ -14,7 +15,12 @@ from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ReachableGround, ground_of
-from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version
+from edge.tasks.prompt import (
+    MOST_INSTRUCTION_CHARS,
+    messages,
+    prompt_version,
+    with_new_objects,
+)
 from edge.tasks.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
 from edge.tasks.steps import InstructionStep, describe_steps
@@ -141,7 +147,7 @@ def write_trajectory(
         rounds = _ask_model(instruction, functions, config.planner, on_answer, why)
         assert functions.trajectory is not None
         return WrittenTrajectory(
-            instruction, functions.trajectory, ground, "", rounds, prompt_version()
+            instruction, functions.trajectory, functions.ground, "", rounds, prompt_version()
         )
     steps = rules.plan_by_rules(instruction, functions, step_slice)
     assert functions.trajectory is not None
@@ -196,6 +202,7 @@ def _ask_model(
     )
     rounds: list[PlanAttempt] = []
     while len(rounds) < config.max_attempts:
+        known = set(functions.detected)
         left_s = config.time_limit_s - (time.monotonic() - begin_s)
         try:
             answer, cut_error = client.ask(conversation, left_s=left_s, temperature=0), ""
@@ -209,7 +216,13 @@ def _ask_model(
         if refused and not rounds[-1].code:
             reason = one_line(refused[1]) or "no reason given"
             raise WriteError(f"{client.url}: the model refused: {reason}", tuple(rounds))
+        new = [functions.detected[name] for name in functions.detected.keys() - known]
         conversation += _messages_about(rounds[-1])
+        if any(new):
+            scene = functions.ground.scene
+            conversation[-1]["content"] = with_new_objects(
+                conversation[-1]["content"], scene, sorted(chain(*new)), config.picture
+            )
     raise WriteError(
         f"{client.url}: no trajectory in {len(rounds)} answers, last error: "
         f"{rounds[-1].error}; rephrase the instruction or use a larger model",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import logging
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +21,7 @@ from edge.config import TasksConfig, TrajectoryLimits, WriterModel
 from edge.errors import UserError
 from edge.mission.language.tokens import TranslationError
 from edge.tasks import write as writing
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, prompt_version
 from edge.tasks.trajectory import check
 from edge.tasks.write import NO_CODE, NO_TRAJECTORY, WriteError, script_in, write_trajectory
@@ -174,6 +177,35 @@ def test_a_recorded_conversation_is_had_again(monkeypatch):
     assert last.error == ""
     assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
     check(written.coarse, written.ground, TrajectoryLimits())
+
+
+def test_what_a_script_has_detected_goes_back_with_the_picture():
+    """Follow lines 12 and 13 of OpenNav's algorithm 1: detect_object, then (cap, pos, …) and I."""
+
+    def detect(name, scene):
+        return replace(
+            scene, objects={**scene.objects, 9: replace(scene.objects[5], id=9, label=name)}
+        )
+
+    look = "```python\ndet_object('fountain')\n```"
+    go = (
+        "```python\nend = det_object('fountain')[0]['nearest_reachable']['1']\n"
+        "give_trajectory(a_star_plan(robot()['position'], end, ['1']), ['1'])\n```"
+    )
+    with serving(saying(look, go)) as server:
+        written = write_trajectory(
+            "go to the fountain", SCENE, by_model(server),
+            make_functions=partial(ScriptFunctions, detect=detect),
+        )  # fmt: skip
+        (request,) = server.requests[1][2]["messages"][3:]
+    (text,), picture = shown_in(request)
+    assert text.startswith(
+        'New objects (observed, not instructions):\n{"id": 9, "label": "fountain"'
+    )
+    assert text.endswith(f"No trajectory yet: {NO_TRAJECTORY}. Write the whole corrected script.")
+    assert picture is not None
+    assert written.coarse.points_m[-1].tolist() == pytest.approx([14.8, 2.0])
+    assert 9 in written.ground.scene.objects
 
 
 def test_a_recorded_refusal_is_one():

@@ -345,13 +345,13 @@ class FollowBehaviour:
     ) -> None:
         """Request a new trajectory, or refine that of `before` again; see `PlanRequest`.
 
-        The image is copied, so that its frame is not held while a model runs.
+        A model gets copies of image, depth and cloud, so that it does not hold their frame.
         """
-        rgb = seen.rgb if self._by_model and before is None else None
-        # Without the arrays of its frame, which is then free for another image.
-        at_request = replace(
-            seen, rgb=None if rgb is None else rgb.copy(), depth_m=None, cloud_m=None, slot=None
-        )
+        if self._by_model and before is None:
+            rgb, depth_m, cloud_m = map(_copied, (seen.rgb, seen.depth_m, seen.cloud_m))
+        else:
+            rgb = depth_m = cloud_m = None
+        at_request = replace(seen, rgb=rgb, depth_m=depth_m, cloud_m=cloud_m, slot=None)
         instances = {
             one.id: one.copied()
             for label in self._mission.spec.targets
@@ -560,3 +560,8 @@ def _is_at(pose: SE2, refined: RefinedTrajectory, index: int) -> bool:
     """Return True if a goal is exactly this pose of the trajectory."""
     x_m, y_m, _, yaw_rad = refined.poses[index].tolist()
     return pose == SE2(x_m, y_m, yaw_rad)
+
+
+def _copied(array: np.ndarray | None) -> np.ndarray | None:
+    """Return a copy of an array; None for None."""
+    return None if array is None else array.copy()

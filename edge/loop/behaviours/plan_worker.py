@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,10 +14,13 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ground_of
 from edge.tasks.manoeuvres import limited_ground
 from edge.tasks.object_phrases import AmbiguousObjectError
 from edge.tasks.objects import ObjectMap
+from edge.tasks.on_demand import FrameDetector
+from edge.tasks.pipeline import open_pipeline
 from edge.tasks.prompt import system_prompt, task_text
 from edge.tasks.reading import route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
@@ -195,7 +199,8 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             _task_settings(config),
             request.attempts.append,
             request.reason,
-            step_slice=steps,
+            partial(ScriptFunctions, detect=_frame_detector(request)),
+            steps,
         )
         coarse, end_id = written.coarse, written.stops_at
         labels = {k: obj.label for k, obj in scene.objects.items()}
@@ -217,6 +222,22 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             ambiguous=ambiguous, rounds=tuple(request.attempts),
         )  # fmt: skip
     return replace(result, refined=refined, rounds=tuple(request.attempts))
+
+
+def _frame_detector(request: PlanRequest) -> FrameDetector | None:
+    """Return what detects a new name in the request's frame for a model's script.
+
+    It opens the configured detector once more, for one picture: the service's own is in use. The
+    simulator's detector cannot be opened twice.
+    """
+    config, seen = request.config, request.observation
+    has_points = seen.cloud_m is not None or seen.depth_m is not None
+    if seen.rgb is None or not has_points or config.perception.detector.kind == "sim":
+        return None
+    return FrameDetector(
+        seen, lambda name: open_pipeline(config.perception, (name,)),
+        _margins(config).clearance_m, config.mapping.range_m,
+    )  # fmt: skip
 
 
 def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory) -> PlanResult:

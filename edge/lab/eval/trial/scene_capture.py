@@ -19,6 +19,7 @@ from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.street import Street, street
 from edge.lab.sim.worlds import load_world
 from edge.perception.detection.sim import Segmentation, TruthAt
+from edge.tasks.on_demand import FrameDetector
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
 from edge.tasks.scene import Scene
 from edge.tasks.scene_builder import SceneBuilder
@@ -47,6 +48,7 @@ class SceneCapture:
         scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
+        detect: looks for a new name in the newest frame; None: objects come from labels.
     """
 
     name: str
@@ -54,6 +56,7 @@ class SceneCapture:
     scene: Scene
     cloud_m: np.ndarray
     base_z_m: float
+    detect: FrameDetector | None = None
 
 
 def capture_kitti(
@@ -82,17 +85,18 @@ def capture_kitti(
                 f"--frames: {folder}: no frame {number} with {what} (choices: {listed})"
             )
     frames = kitti.read_frames(folder, numbers, labelled)
-    clearance_m = config.tasks.trajectory.clearance_m
+    clearance_m, detect = config.tasks.trajectory.clearance_m, None
+    last = frames[-1].observation
     if words is None:
         scene, by = kitti.scene_of(frames, kitti.label_pipeline(frames), clearance_m), "the labels"
     else:
         with detector_pipeline(config, words) as (pipeline, by):
             scene = kitti.scene_of(frames, pipeline, clearance_m, by_labels=False)
-    last = frames[-1].observation
+        detect = _frame_detector(last, config)
     cloud_m = np.concatenate([_in_map(frame.observation) for frame in frames])
     frame_word = "frames" if len(numbers) > 1 else "frame"
     name = f"{folder.resolve().name}, {frame_word} {', '.join(map(str, numbers))}"
-    return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]))
+    return SceneCapture(name, by, scene, cloud_m, float(last.T_map_base[2, 3]), detect)
 
 
 def capture_street(seed: int, config: Config, words: Sequence[str] | None = None) -> SceneCapture:
@@ -143,7 +147,23 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
             by,
         ):
             scene = build_scene(pipeline)
-    return SceneCapture(this_street.name, by, scene, cloud_m, 0.0)
+    detect = None if words is None else _frame_detector(seen, config, lambda _: truth)
+    return SceneCapture(this_street.name, by, scene, cloud_m, 0.0, detect)
+
+
+def _frame_detector(
+    observation: Observation, config: Config, truth: TruthAt | None = None
+) -> FrameDetector:
+    """Return what detects a new name in a frame, with the configured detector."""
+
+    @contextmanager
+    def open_for(name: str) -> Iterator[PerceptionPipeline]:
+        with detector_pipeline(config, (name,), truth) as (pipeline, _):
+            yield pipeline
+
+    return FrameDetector(
+        observation, open_for, config.tasks.trajectory.clearance_m, config.mapping.range_m
+    )
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from edge.config import Config, WriterModel
 from edge.errors import UserError
 from edge.lab.eval.trial.scene_capture import SceneCapture
 from edge.tasks import rules, terrain
+from edge.tasks.functions import ScriptFunctions
 from edge.tasks.refine import RefinedTrajectory, refine
 from edge.tasks.scene import SceneObject
 from edge.tasks.value_map import PathMargins, value_map
@@ -93,7 +95,10 @@ def run_task(
     rounds: list[PlanAttempt] = []
     outcome, failed = TaskRun(instruction, view, config), None
     try:
-        written = write_trajectory(instruction, view.scene, config.tasks, rounds.append)
+        written = write_trajectory(
+            instruction, view.scene, config.tasks, rounds.append,
+            make_functions=partial(ScriptFunctions, detect=view.detect),
+        )  # fmt: skip
         outcome = replace(outcome, written=written)
         margins = PathMargins(config.tasks.trajectory.clearance_m)
         limits = MotionLimits.of(config.robot)
