@@ -19,7 +19,6 @@ from edge.mapping.layers import (
     BUMPED,
     FREE,
     OCCUPIED,
-    UNSEEN,
     ZONE,
     bit_get,
     on_trail,
@@ -43,9 +42,6 @@ _LEVEL, _QUEUED, _ESCAPE2, _START_X, _START_Y, _LOST = range(6)
 # An obstacle this near to a point of an object's surface is the object itself. With more cells, the
 # robot would stop behind the wall that the object stands at: noise puts some points into that wall.
 _OWN_CELLS = 2
-# A line of sight crosses at most this many cells that no sensor has seen. With more, the robot
-# would stop behind a wall that it has not seen yet.
-_UNSEEN_CELLS = 3
 
 
 class Wave(NamedTuple):
@@ -339,17 +335,15 @@ def _sees(layers, x, y, at, radius, points):
 
 @jit
 def _in_sight(layers, x, y, dx, dy):
-    """Return True if neither a wall nor unseen space is between a cell's centre and a point.
+    """Return True if no wall stands between a cell's centre and a point.
 
     Cells near the point do not count, because they are the object itself.
     """
-    n, unseen = layers.raw.shape[0], 0
+    n = layers.raw.shape[0]
     length = math.hypot(dx, dy)
     for k in range(int(length - _OWN_CELLS) + 1):
         f = k / max(length, 1.0)
-        cx, cy = math.floor(x + 0.5 + f * dx) % n, math.floor(y + 0.5 + f * dy) % n
-        unseen += layers.raw[cy, cx] == UNSEEN
-        is_wall = layers.raw[cy, cx] >= OCCUPIED and layers.top[cy, cx] >= TALL
-        if is_wall or unseen > _UNSEEN_CELLS:
+        cx, cy = math.floor(x + 0.5 + f * dx), math.floor(y + 0.5 + f * dy)
+        if layers.raw[cy % n, cx % n] >= OCCUPIED and layers.top[cy % n, cx % n] >= TALL:
             return False
     return True

@@ -149,7 +149,7 @@ class TravelCostField:
         """Return the stopping point for an object: the nearest free cell in sight of its surface.
 
         The cell has the shortest driving distance of all cells that have enough points of the
-        surface near, with neither a wall nor unseen space in between.
+        surface near, with no wall in between.
 
         Args:
             surface_m: (k, 2 or more) float32 in `map`.

@@ -21,8 +21,6 @@ _SUCCESSOR_M = 1.0
 STOP_M = (0.7, 0.85)
 """Stopping distances from the surface of an instance in metres, in order of preference. The second
 one is for an object far back on a table, which the robot cannot get nearer to."""
-_VIEW_M = 1.5
-"""If the robot finds no place to stop at an object, it first looks at it from this distance."""
 _DETOUR = 1.3
 """The way to an object that is not mapped yet stays while it is at most this many times as long as
 the shortest one. Straight lines go through walls, so the shortest one often changes."""
@@ -190,9 +188,9 @@ def _goal_cell(
 ) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none.
 
-    If no free cell is near enough to an instance, the cell is `_VIEW_M` from it and in sight of it,
-    or at the frontier on the way to it if that is shorter. Without both, it is next to the nearest
-    point of its surface. `held` is the current goal, if it is for this candidate.
+    If no free cell is near enough to an instance, the cell is at the frontier on the shortest way
+    to it, or, without such a frontier, next to the nearest point of its surface. `held` is the
+    current goal, if it is for this candidate.
     """
     candidates, pose = context.candidates, context.pose
     kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
@@ -212,23 +210,17 @@ def _goal_cell(
         surface_m = instance.points_m[:, :2]
         away_m = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
         xy_m = surface_m[int(np.argmin(away_m))]
-        frontier, way_m = _frontier_towards(candidates, xy_m, held)
-        view = context.map.stopping_point(instance.points_m, _VIEW_M, 1)
-        if view is not None and view[2] + _VIEW_M < way_m:
-            return view[0], view[1]
+        frontier = _frontier_towards(candidates, xy_m, held)
         if frontier >= 0:
             xy_m, kind = candidates.xy_m[frontier], FRONTIER
     found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), float(SNAP_M[kind]))
     return None if found is None else (found[0], found[1])
 
 
-def _frontier_towards(
-    candidates: Candidates, xy_m: np.ndarray, held: SE2 | None
-) -> tuple[int, float]:
-    """Return the frontier on the shortest path to an unmapped position, and this path in metres.
+def _frontier_towards(candidates: Candidates, xy_m: np.ndarray, held: SE2 | None) -> int:
+    """Return the index of the frontier on the shortest path to an unmapped position; -1 if none.
 
-    The frontier of the goal `held` stays while the path over it is not much longer. Without a
-    frontier the index is -1 and the path inf.
+    The frontier of the goal `held` stays while the path over it is not much longer.
     """
     n = candidates.n
     rest_m = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
@@ -239,9 +231,7 @@ def _frontier_towards(
         kept = candidates.nearest(FRONTIER, (held.x_m, held.y_m), _SUCCESSOR_M)
         if kept >= 0 and total_m[kept] <= _DETOUR * total_m[best]:
             best = kept
-    if best < 0 or not np.isfinite(total_m[best]):
-        return -1, math.inf
-    return best, float(total_m[best])
+    return best if best >= 0 and np.isfinite(total_m[best]) else -1
 
 
 def _goal(context: PolicyInput, index: int, cell: Cell, score: float) -> Goal:

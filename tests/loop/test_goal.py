@@ -282,16 +282,6 @@ def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
     assert (goal.pose.y_m, goal is first) == (at_y_m, at_y_m > 0)
 
 
-@pytest.mark.parametrize(("path_m", "at_m"), [(2.0, (2.0, 1.0)), (6.0, (4.0, 0.0))])
-def test_a_thing_without_a_place_to_stop_is_looked_at_unless_a_frontier_is_on_the_way(path_m, at_m):
-    case = Case()
-    case.map.least_m = 1.0
-    case.pool.candidates.path_m[:1] = path_m
-    goal = case.choose(frontier(1, 2, 0.5, y=1.0), chair(9, 4, 0.8))
-    assert who(goal) == ("instance", 9)
-    assert (goal.pose.x_m, goal.pose.y_m) == at_m
-
-
 @pytest.mark.parametrize(
     ("nearest_m", "place"),
     [

@@ -169,16 +169,6 @@ def test_the_robot_does_not_stop_behind_the_wall_that_a_thing_stands_at():
         assert grid.travel_cost.stopping_point(surface_m, 0.85, points)[0] > 1.25, points
 
 
-@pytest.mark.parametrize(("beyond_m", "stops"), [(0.1, True), (0.5, False)])
-def test_the_robot_does_not_stop_where_it_has_not_seen_the_space_up_to_the_thing(beyond_m, stops):
-    grid = RollingMap(SMALL)
-    look(grid, SE2(0.0, 0.0, 0.0), room(2.5))
-    complete(grid, SE2(0.0, 0.0, 0.0))
-    known = [y for y in np.arange(0.0, 2.0, grid.resolution_m) if grid.state_at(1.5, y) == 0]
-    surface_m = np.array([[1.5, max(known) + beyond_m, 0.4]], np.float32)
-    assert (grid.travel_cost.stopping_point(surface_m, 0.85) is not None) == stops
-
-
 def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     grid = RollingMap(SMALL)
     for x, y in ((0.0, 0.0), (-1.0, 0.0)):
