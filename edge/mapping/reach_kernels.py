@@ -19,6 +19,7 @@ from edge.mapping.layers import (
     BUMPED,
     FREE,
     OCCUPIED,
+    UNSEEN,
     ZONE,
     bit_get,
     on_trail,
