@@ -90,7 +90,7 @@ def score_for(count: WordCount, precision: float, default: float) -> float | Non
 
 
 class LabelledImage:
-    """What one image of a world shows.
+    """The objects that one image of a world shows.
 
     Args:
         ids: (h, w) uint16 object ids.
