@@ -45,9 +45,8 @@ AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of `LOOKAHEAD_M`, tried until the straight l
 SAFE_M = 0.3  # length of path ahead that must be free in the newest map
 DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
-# If the path is blocked, perhaps by a person, wait this long before a path longer by this much. The
-# next wait begins no earlier than `WAIT_AGAIN_NS` after the last: goals may change all the time.
-WAIT_NS, WAIT_AGAIN_NS, DETOUR_M = 4_000_000_000, 20_000_000_000, 2.0
+# If the path is blocked, perhaps by a person, wait this long before a path longer by this much.
+WAIT_NS, DETOUR_M = 4_000_000_000, 2.0
 SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
@@ -119,7 +118,7 @@ class Controller:
         self._path = np.empty((0, 2))
         self._path_index = 0  # of the path's point nearest to the robot
         self._planned_ns: int | None = None  # None: plan at the next step
-        self._wait_began_ns: int | None = None  # of the last wait
+        self._blocked_since_ns: int | None = None  # None: the path is free
 
     @property
     def path_m(self) -> np.ndarray:
@@ -354,12 +353,13 @@ class Controller:
 
     def _waits(self, new_m: float, is_blocked: bool, pose: SE2, now_ns: int) -> bool:
         """Return True while the blocked path is kept, because the new one is much longer."""
-        rest_m = length_m(self._path[self._path_index :])
-        if not is_blocked or not self._leads_to_target(pose) or new_m <= rest_m + DETOUR_M:
+        if not is_blocked or not self._leads_to_target(pose):
+            self._blocked_since_ns = None
             return False
-        if self._wait_began_ns is None or now_ns - self._wait_began_ns >= WAIT_AGAIN_NS:
-            self._wait_began_ns = now_ns
-        return now_ns - self._wait_began_ns < WAIT_NS
+        if self._blocked_since_ns is None:
+            self._blocked_since_ns = now_ns
+        rest_m = length_m(self._path[self._path_index :])
+        return new_m > rest_m + DETOUR_M and now_ns - self._blocked_since_ns < WAIT_NS
 
     def _free_target(self) -> tuple[float, float]:
         """Return x and y of the goal, or of the nearest free cell if a newer map has blocked it."""
