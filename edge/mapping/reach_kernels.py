@@ -1,9 +1,8 @@
 """Kernels of `TravelCostField`: the wavefront, and queries on a complete field.
 
 A *step* is a straight move by one cell, with cost `STRAIGHT`, or a diagonal one, with cost
-`DIAGONAL`. A straight step into a cell that only people close has cost `WAITING`. The wavefront
-takes the queued cells in the order of their cost. A cell that was taken is *settled*: its cost is
-final.
+`DIAGONAL`. The wavefront takes the queued cells in the order of their cost. A cell that was taken
+is *settled*: its cost is final.
 """
 
 from __future__ import annotations
@@ -14,24 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.jit import jit
-from edge.mapping.layers import (
-    ARRIVED,
-    BUMPED,
-    FREE,
-    OCCUPIED,
-    UNSEEN,
-    ZONE,
-    bit_get,
-    on_trail,
-)
+from edge.mapping.layers import FREE, OCCUPIED, ZONE, bit_get, on_trail
 from edge.mapping.points import TALL
 
 # Octile steps as integers: 7 / 5 approximates sqrt 2 (1 % short), so that a few buckets are
 # enough for a priority queue (Dial).
 STRAIGHT, DIAGONAL = 5, 7
-WAITING = 15
-"""Cost of a step through somebody, who may go while the robot comes or waits."""
-BUCKETS = 16
+BUCKETS = 8
 # For each of the eight neighbours in row order: the two straight ones next to a diagonal one.
 _NEXT_TO_DIAGONAL = np.array([[1, 3], [0, 0], [1, 4], [0, 0], [0, 0], [3, 6], [0, 0], [4, 6]])
 UNREACHED = np.int32(0)
@@ -50,8 +38,8 @@ class Wave(NamedTuple):
 
     Attributes:
         distance: (N, N) int32 by storage cell: 1 + cost of the steps; 0 = not reached.
-        bucket: (BUCKETS, m) int32, queued cells by cost mod BUCKETS.
-        filled: (BUCKETS,) int64, number of cells in each bucket.
+        bucket: (8, m) int32, queued cells by cost mod 8.
+        filled: (8,) int64, number of cells in each bucket.
         bounds: (4,) int64, half-open storage rectangle that was written.
         state: (6,) int64, progress of the field; see `_LEVEL` and the entries after it.
     """
@@ -117,26 +105,10 @@ def _escapes(layers, wave, cell):
 
 
 @jit
-def _may_clear(layers, cell, disc):
-    """Return True if only what arrived at free floor closes a cell: people, or doors."""
-    n = layers.raw.shape[0]
-    sy, sx, radius = cell // n, cell % n, len(disc) // 2
-    if layers.raw[sy, sx] == UNSEEN or layers.near[sy, sx] & ZONE:
-        return False
-    for k in range(len(disc)):
-        for dx in range(-disc[k], disc[k] + 1):
-            state = layers.raw[(sy + k - radius) % n, (sx + dx) % n]
-            if OCCUPIED <= state < ARRIVED or state == BUMPED:
-                return False
-    return True
-
-
-@jit
-def grow_wave(layers, wave, body, disc, origin_x, origin_y, x0, y0, x1, y1, budget):
+def grow_wave(layers, wave, body, origin_x, origin_y, x0, y0, x1, y1, budget):
     """Settle up to `budget` cells inside a world rectangle; return True if none are left.
 
     - `body`: see `on_trail`.
-    - `disc`: the inflation, see `edge.mapping.layers.disc_half_widths`.
     - `origin_x`, `origin_y`: world cell of the window's corner.
     - `x0`, `y0`, `x1`, `y1`: the half-open rectangle.
     """
@@ -187,20 +159,15 @@ def grow_wave(layers, wave, body, disc, origin_x, origin_y, x0, y0, x1, y1, budg
                 continue  # no cut corners, as in the planner
             old_cost = distance[neighbour]
             new_cost = level + cost[k]
-            if old_cost != 0 and old_cost <= new_cost:
-                continue
-            if (
+            if old_cost != 0:
+                if old_cost <= new_cost:
+                    continue
+            elif (
                 (near[neighbour] != 0 or raw[neighbour] == 0)
                 and not (escaping and _escapes(layers, wave, neighbour))
                 and not on_trail(layers, neighbour // n, neighbour % n, body)
             ):
-                new_cost = level + WAITING
-                if (
-                    cost[k] == DIAGONAL
-                    or (old_cost != 0 and old_cost <= new_cost)
-                    or not _may_clear(layers, neighbour, disc)
-                ):
-                    continue
+                continue
             new_slot = new_cost & (BUCKETS - 1)
             if filled[new_slot] == bucket.shape[1]:
                 wave.state[_LOST] += 1
@@ -279,8 +246,7 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
             for nx in range(max(x - 1, x0), min(x + 2, x1)):
                 other = distance[ny % n, nx % n]
                 step = DIAGONAL if nx != x and ny != y else STRAIGHT
-                waits = step == STRAIGHT and other + WAITING == cost
-                if other > 0 and (other + step == cost or waits):
+                if other > 0 and other + step == cost:
                     came_x, came_y = nx, ny
         if came_x == x and came_y == y:
             break

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from edge.geometry import SE2
-from edge.mapping.layers import Layers, disc_half_widths
+from edge.mapping.layers import Layers
 from edge.mapping.reach_kernels import (
     BUCKETS,
     STRAIGHT,
@@ -33,8 +33,6 @@ MAX_PATH_CELLS = 4096
 
 class TravelCostField:
     """Driving distance: length of the shortest path from the robot over free cells, 8-connected.
-
-    A cell that only people close, who came to free floor, counts three times: they may go.
 
     There are two fields. The last complete one answers queries while the next one grows by at most
     `per_tick` cells a step. So the cost of a step does not depend on the size of the map.
@@ -66,7 +64,7 @@ class TravelCostField:
         self._layers, self._window = layers, window
         # A robot inside the inflation may leave it: this near to it, inflated cells are crossed.
         self._escape_cells = inflation_cells + 1.0
-        self._body, self._disc = body, disc_half_widths(inflation_cells)
+        self._body = body
         self._per_tick = per_tick
         # Longest contour of equal cost in a window, except in artificial mazes.
         contour = 8192 + 16 * n
@@ -104,9 +102,7 @@ class TravelCostField:
             self._is_growing = True
         x0, y0, x1, y1 = self._valid_rect(growing)
         ox, oy = self._window.origin
-        if grow_wave(
-            self._layers, wave, self._body, self._disc, ox, oy, x0, y0, x1, y1, self._per_tick
-        ):
+        if grow_wave(self._layers, wave, self._body, ox, oy, x0, y0, x1, y1, self._per_tick):
             self._is_growing = False
             self._complete = growing
             self.generation += 1
