@@ -45,8 +45,6 @@ AIM_FRACTIONS = (1.0, 0.6, 0.35)  # of `LOOKAHEAD_M`, tried until the straight l
 SAFE_M = 0.3  # length of path ahead that must be free in the newest map
 DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
-# If the path is blocked, perhaps by a person, wait this long before a path longer by this much.
-WAIT_NS, DETOUR_M = 4_000_000_000, 2.0
 SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
@@ -118,7 +116,6 @@ class Controller:
         self._path = np.empty((0, 2))
         self._path_index = 0  # of the path's point nearest to the robot
         self._planned_ns: int | None = None  # None: plan at the next step
-        self._blocked_since_ns: int | None = None  # None: the path is free
 
     @property
     def path_m(self) -> np.ndarray:
@@ -343,23 +340,11 @@ class Controller:
             self._no_path_since_ns = None
             path = smoothing.smooth(self._map, found.path_m)
             is_better = smoothing.polyline_cost_m(self._map, path) < BETTER_SHARE * old_cost
-            if self._waits(length_m(path), math.isinf(old_cost), pose, now_ns):
-                return
             if is_better or found.escape_m:  # the path begins in blocked cells
                 self._path, self._path_index = path, 0
         elif math.isinf(old_cost):
             self._path, self._path_index = np.empty((0, 2)), 0
             self._on_no_path(found.reason, now_ns)
-
-    def _waits(self, new_m: float, is_blocked: bool, pose: SE2, now_ns: int) -> bool:
-        """Return True while the blocked path is kept, because the new one is much longer."""
-        if not is_blocked or not self._leads_to_target(pose):
-            self._blocked_since_ns = None
-            return False
-        if self._blocked_since_ns is None:
-            self._blocked_since_ns = now_ns
-        rest_m = length_m(self._path[self._path_index :])
-        return new_m > rest_m + DETOUR_M and now_ns - self._blocked_since_ns < WAIT_NS
 
     def _free_target(self) -> tuple[float, float]:
         """Return x and y of the goal, or of the nearest free cell if a newer map has blocked it."""
@@ -378,17 +363,11 @@ class Controller:
 
         It is inf if the path is empty, blocked, far away, or leads to another target.
         """
-        if not self._leads_to_target(pose):
+        if not len(self._path) or math.dist(self._path[-1], self._target) > 1e-6:
+            return math.inf
+        if pose.distance_to(*self._path[self._path_index]) > DRIFT_M:
             return math.inf
         return smoothing.polyline_cost_m(self._map, self._path[self._path_index :])
-
-    def _leads_to_target(self, pose: SE2) -> bool:
-        """Return True if there is a path, it ends at the target, and the robot is near it."""
-        return (
-            len(self._path) > 0
-            and math.dist(self._path[-1], self._target) <= 1e-6
-            and pose.distance_to(*self._path[self._path_index]) <= DRIFT_M
-        )
 
     # -- failures and recovery --------------------------------------------------------------------
 
