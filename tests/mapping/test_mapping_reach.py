@@ -186,28 +186,6 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     assert grid.travel_cost.stopping_point(surface_m, 0.7, len(surface_m) + 1) is None
 
 
-@pytest.mark.parametrize(("floor_looks", "extra_m"), [(0, math.inf), (4, 0.9)])
-def test_the_way_leads_through_people_who_came_at_three_times_the_cost(floor_looks, extra_m):
-    walls = [(-1.0, 0.5, 0.0, 2.6, 0.6, 1.0), (-1.0, -0.6, 0.0, 2.6, -0.5, 1.0)]
-    person = (1.4, -0.5, 0.0, 1.5, 0.5, 1.7)  # as wide as the corridor
-    grid = RollingMap(SMALL)
-    for _ in range(4):
-        look(grid, SE2(0, 0, 0), walls if floor_looks else [*walls, person])
-    if not floor_looks:  # the floor behind it was seen from the other side
-        for _ in range(4):
-            look(grid, SE2(2.8, 0, math.pi), [*walls, person])
-    look(grid, SE2(0, 0, 0), [*walls, person])
-    complete(grid, SE2(0, 0, 0))
-    assert grid.state_at(1.45, 0.0) == 100
-    away_m = grid.travel_cost.distance_m(2.5, 0.0)
-    assert away_m == (math.inf if math.isinf(extra_m) else pytest.approx(2.5 + extra_m, abs=0.15))
-    way_m = grid.travel_cost.path_xy_m(2.5, 0.0)
-    assert len(way_m) == (0 if math.isinf(extra_m) else 51)
-    goal = grid.travel_cost.nearest(1.45, 0.0, 0.5)
-    assert goal is not None
-    assert grid.state_at(goal[0], goal[1]) == 0, "no goal where one stands"
-
-
 def test_without_a_field_there_is_no_way():
     assert RollingMap(SMALL).travel_cost.path_xy_m(0.0, 0.0).shape == (0, 2)
 

@@ -207,27 +207,6 @@ def test_a_path_that_closes_is_planned_again_at_once():
     walk.assert_kept_off(inflated(one_door))
 
 
-@pytest.mark.parametrize("goes", [True, False])
-def test_before_a_long_way_around_the_robot_waits_for_a_person(goes):
-    far_door = wall(room(8.0, 6.0), 4.0, (1.6, 2.4))
-    far_door[100:116, 80:83] = 0
-    with_person = far_door.copy()
-    with_person[32:48, 80:83] = 100
-    walk = Walk(SE2(3.0, 2.0, 0.0))
-    walk.map(inflated(far_door))
-    walk.goal(1, SE2(7.0, 2.0, 0.0))
-    walk.run(0.5)
-    walk.map(inflated(with_person))
-    walk.run(2.0)
-    assert walk.pose.distance_to(3.5, 2.0) < 0.5, "it waits"
-    if goes:
-        walk.map(inflated(far_door))
-    walk.run(60)
-    assert walk.states[-1] == (1, "reached")
-    assert (max(at.y_m for at in walk.track) > 4.0) != goes
-    walk.assert_kept_off(inflated(far_door if goes else with_person))
-
-
 def test_a_wall_across_the_way_stops_the_robot():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(inflated(DOORWAY))
