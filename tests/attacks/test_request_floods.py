@@ -40,6 +40,8 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         """Return the answer to each request: its text, or its error."""
         asked = []
         with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
+            # A new session may not know the service yet; `send_request` then tries again.
+            send_request(session, KEY, {"do": "status"}, PATIENCE_S, "mission")
             while not stop.is_set():
                 payload = json.dumps(asked_for[len(asked) % len(asked_for)])
                 asked.append(session.get(KEY, payload=payload, timeout=PATIENCE_S))
