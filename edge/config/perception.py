@@ -270,7 +270,7 @@ class PerceptionConfig(Section):
         min_hits: an object counts as seen after detections in this many images.
         confirm_score: detections with a lower score do not count for `confirm_hits`.
         confirm_scores: lowest score by word, in place of `confirm_score`, for words that the
-            detector takes other objects for; 1: such an object is never confirmed.
+            detector takes other objects for; 1: practically no detection confirms one.
             `edge eval words` measures them.
         confirm_range_m: detections from farther away do not confirm an object. A place that
             was closer than this in `confirm_hits` images was seen well. Before a target is declared

@@ -50,7 +50,7 @@ class Eye:
         self.now_ns = 0
 
     def see(
-        self, true: SE2, told: SE2, change: Callable[[np.ndarray], object] = lambda d: d
+        self, true: SE2, reported: SE2, change: Callable[[np.ndarray], object] = lambda d: d
     ) -> float:
         """Return the misfit of the image from one pose under another."""
         self.now_ns += TICK_NS
@@ -58,14 +58,14 @@ class Eye:
         depth_m = self.rig.depth_m.copy()
         change(depth_m)
         sample_m = depth_m[STRIDE // 2 :: STRIDE, STRIDE // 2 :: STRIDE]
-        T = told.matrix() @ self.rig.T_base_camera
+        T = reported.matrix() @ self.rig.T_base_camera
         return self.motion.misfit(
             depth_m, sample_m, (STRIDE, STRIDE), self.rig.model, T, 0.0, self.now_ns, self.now_ns,
             False,
         )  # fmt: skip
 
-    def worst(self, true: Drive, told: Drive, **options) -> float:
-        found = [self.see(true(0.1 * i), told(0.1 * i), **options) for i in range(20)]
+    def worst(self, true: Drive, reported: Drive, **options) -> float:
+        found = [self.see(true(0.1 * i), reported(0.1 * i), **options) for i in range(20)]
         return max((m for m in found if not math.isnan(m)), default=math.nan)
 
 
@@ -85,7 +85,7 @@ def test_images_from_where_the_robot_is_fit(house, drive):
 
 
 @pytest.mark.parametrize(
-    ("true", "told"),
+    ("true", "reported"),
     [
         (ahead, turning),
         (turning, ahead),
@@ -95,8 +95,8 @@ def test_images_from_where_the_robot_is_fit(house, drive):
     ],
     ids=["turns instead", "drives instead", "stands", "turns the other way", "mounted askew"],
 )
-def test_images_from_elsewhere_do_not(house, true, told):
-    assert Eye(house).worst(true, told) > MISFIT
+def test_images_from_elsewhere_do_not(house, true, reported):
+    assert Eye(house).worst(true, reported) > MISFIT
 
 
 def _turned(pose: SE2, yaw_rad: float) -> tuple[float, float, float]:

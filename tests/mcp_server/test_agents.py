@@ -337,8 +337,8 @@ def test_hostile_calls_move_nothing_without_leave(make, motion, over_http):
         with httpx.Client(headers=robot.headers, timeout=PATIENCE_S) as attacker:
             for body in BODIES:
                 for headers in ({}, {"Mcp-Session-Id": "1"}, {"Content-Type": "text/plain"}):
-                    told = {"Content-Type": "application/json", "Accept": "*/*", **headers}
-                    answer = attacker.post(robot.url, content=body, headers=told)
+                    sent = {"Content-Type": "application/json", "Accept": "*/*", **headers}
+                    answer = attacker.post(robot.url, content=body, headers=sent)
                     assert answer.status_code < 500, (body[:80], answer.text)
                     tries += 1
     calls = [call for name in CHAINS for call in (("go", {"to": name}), ("place", {"name": name}))]

@@ -19,7 +19,7 @@ def test_other_forms_are_no_orders(formula):
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("said", "text"),
     [
         ("go to the dock and wait there for two minutes", "Go to the dock, then wait 2 min."),
         ("look around the kitchen for 90 seconds, then come back",
@@ -40,6 +40,6 @@ def test_other_forms_are_no_orders(formula):
         ("find the mug and the book", "Reach the mug and the book in any order."),
     ],
 )  # fmt: skip
-def test_an_instruction_is_read_back(said, told):
+def test_an_instruction_is_read_back(said, text):
     english = prepare(MissionConfig(), said, site=SITE).translation.english
-    assert english.replace('"', "") == told
+    assert english.replace('"', "") == text

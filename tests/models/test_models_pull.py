@@ -148,10 +148,10 @@ def test_an_export_brings_its_tokenizer_whose_hash_counts(
     put_card(text_card(words=words))
     folder = tmp_path / "exported"
     folder.mkdir()
-    for name, content, told in (("tiny.onnx", MODEL, MODEL), ("words.json", TOKENS, record)):
+    for name, content, hashed in (("tiny.onnx", MODEL, MODEL), ("words.json", TOKENS, record)):
         (folder / name).write_bytes(content)
-        if told is not None:
-            (folder / f"{name}.json").write_text(json.dumps({"sha256": sha(told)}))
+        if hashed is not None:
+            (folder / f"{name}.json").write_text(json.dumps({"sha256": sha(hashed)}))
     pull = ["models", "pull", "tiny", "--offline", "--from", str(folder)]
     wrong = words is None and record == b"other"
     assert main(pull) == (os.EX_UNAVAILABLE if wrong else 0)

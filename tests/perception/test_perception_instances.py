@@ -345,6 +345,15 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
         assert instance.hits == looks
 
 
+@pytest.mark.parametrize(("score", "state"), [(0.55, "confirmed"), (0.65, "tentative")])
+def test_what_was_seen_as_context_is_confirmed_by_the_score_of_its_word(memory, score, state):
+    s = memory(confirm_scores={"desk": score})
+    for _ in range(5):
+        s.look(around=[("desk", 2, 0, 0.6)])
+    s.tracker.promote_context(["desk"])
+    assert [instance.state for instance in s.tracker.of("desk")] == [state]
+
+
 def test_without_a_memory_nothing_is_recalled(scene):
     s = scene()
     s.tracker.promote_context(["desk"])

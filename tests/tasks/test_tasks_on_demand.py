@@ -23,7 +23,7 @@ OBSERVATION, _ = seen_street([CAR, BIN])
 
 
 def detector(*boxes, names_asked=None):
-    """Return a detector of made boxes, and the scene in which it was asked for nothing."""
+    """Return a detector of made boxes, and a scene without objects."""
 
     def find(observation, tags):
         if names_asked is not None:
@@ -43,7 +43,7 @@ def detector(*boxes, names_asked=None):
 
 @pytest.fixture(scope="module")
 def scene():
-    """Return the scene of a detector that was asked for cars alone."""
+    """Return the scene in which only cars were looked for."""
     found = found_in(OBSERVATION, [CAR, BIN]).only(np.array([0]))
     builder = SceneBuilder(
         PerceptionPipeline(lambda _: ("car",), lambda *_: found, lambda found: found)

@@ -1,7 +1,7 @@
 """Scores from which on a detector's words can be relied on, measured in simulated worlds.
 
-`edge eval words` looks at worlds from random poses, asks the detector for each word that an image
-shows, and compares its boxes with what is there. A detector that takes chairs for armchairs at any
+`edge eval words` looks at worlds from random poses, runs the detector for each word that an image
+shows, and compares its boxes with the objects. A detector that takes chairs for armchairs at any
 score then confirms no armchair, and a trash can only at a high score.
 """
 
@@ -23,8 +23,10 @@ from edge.lab.eval.recall import MIN_VIEW_PX, iou, visible_boxes
 from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.perception.detection.detector import Detector
-from edge.perception.embedding.text import find_vocabulary, load_vocabulary
+from edge.perception.embedding.encoders import make_text_encoder
+from edge.perception.embedding.text import TextEncoder, words_for
 from edge.perception.factory import make_detector
+from edge.perception.runtime.cards import load_detector_card
 from edge.text import format_table
 from edge.types import Detections, Observation
 
@@ -42,13 +44,15 @@ class WordCount:
     """The detections of a word.
 
     Attributes:
-        views: number of views of such an object.
+        views: number of views of such an object or of a kind of it.
+        seen: number of these views that have a box.
         scores: score of each box that covers an object.
         right: for each of them, True if the object has this name or is a kind of it.
         mistaken: names of the other objects that were taken for it.
     """
 
     views: int = 0
+    seen: int = 0
     scores: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     mistaken: Counter[str] = field(default_factory=Counter)
@@ -56,6 +60,7 @@ class WordCount:
     def add(self, other: WordCount) -> None:
         """Add the detections of other images."""
         self.views += other.views
+        self.seen += other.seen
         self.scores += other.scores
         self.right += other.right
         self.mistaken += other.mistaken
@@ -74,7 +79,7 @@ def score_for(count: WordCount, precision: float, default: float) -> float | Non
         fewer than `MIN_DETECTIONS`.
 
     Example:
-        >>> found = WordCount(20, [0.4] * 5 + [0.8] * 20, [False] * 5 + [True] * 20)
+        >>> found = WordCount(20, 20, [0.4] * 5 + [0.8] * 20, [False] * 5 + [True] * 20)
         >>> score_for(found, 0.95, 0.3)
         0.45
         >>> score_for(WordCount(), 0.95, 0.3)
@@ -99,7 +104,7 @@ class LabelledImage:
         range_m: an object farther away is no view.
 
     Attributes:
-        words: name of each object that is in view.
+        words: names of the objects in view.
     """
 
     def __init__(
@@ -108,15 +113,25 @@ class LabelledImage:
         near, anywhere = np.zeros((2, max(labels, default=0) + 1, 5), np.int64)
         visible_boxes(ids, depth_m, range_m, near)
         visible_boxes(ids, depth_m, np.inf, anywhere)
-        self.words = [label for id_, label in labels.items() if near[id_, 4] >= MIN_VIEW_PX]
         shown = [id_ for id_ in labels if anywhere[id_, 4] >= _LEAST_PX]
+        self._is_view = [near[id_, 4] >= MIN_VIEW_PX for id_ in shown]
         self._boxes = anywhere[shown, :4].astype(float)
         self._labels = [labels[id_] for id_ in shown]
+        self.words = {label for label, view in self._shown() if view}
+
+    def _shown(self) -> Iterator[tuple[str, bool]]:
+        """Yield the name of each object in the image, and True if it is in view."""
+        return zip(self._labels, self._is_view, strict=True)
 
     def count(self, word: str, found: Detections) -> WordCount:
         """Compare the detections of a word with the objects; boxes that cover none are left out."""
-        count = WordCount(self.words.count(word))
-        for box, score in zip(found.xyxy_px.astype(float), found.score.tolist(), strict=True):
+        is_meant = np.array(
+            [v and names.is_kind_of(label, word) for label, v in self._shown()], bool
+        )
+        boxes = found.xyxy_px.astype(float)
+        has_box = (iou(self._boxes, boxes) >= _MIN_IOU).any(axis=1)
+        count = WordCount(int(is_meant.sum()), int((is_meant & has_box).sum()))
+        for box, score in zip(boxes, found.score.tolist(), strict=True):
             overlaps = iou(box[None], self._boxes)[0]
             covered = [self._labels[k] for k in np.flatnonzero(overlaps >= _MIN_IOU).tolist()]
             if not covered:
@@ -130,15 +145,15 @@ class LabelledImage:
 
 
 def count_words(
-    config: Config, world: World, detector: Detector, known: set[str], poses: int, seed: int
+    config: Config, world: World, detector: Detector, text: TextEncoder, poses: int, seed: int
 ) -> Iterator[tuple[str, WordCount]]:
     """Yield the counts of each word that an image of a world shows.
 
     Args:
         config: camera and ranges.
         world: the world.
-        detector: is asked for one word at a time, as in a search.
-        known: canonical names that the detector knows.
+        detector: looks for one word at a time, as in a search.
+        text: encoder of the detector's words; words that it does not know are left out.
         poses: number of images.
         seed: of the poses.
     """
@@ -148,7 +163,7 @@ def count_words(
     for number, pose in enumerate(free_poses(world, poses, seed, config.robot.radius_m)):
         rig.look(pose)
         image = LabelledImage(rig.ids, rig.depth_m, labels, range_m)
-        for word in sorted(known.intersection(image.words)):
+        for word in words_for(sorted(image.words), text.resolve):
             detector.set_prompts([word])
             found = detector.detect(_observation(rig, number)).without_suppressed()
             yield word, image.count(word, found.above(config.perception.confirm_score))
@@ -170,14 +185,15 @@ def run(args: argparse.Namespace) -> int:
             f"{config.locate('perception.detector.kind')}: got "
             f"{config.perception.detector.kind}; `edge eval words` measures a detector of kind onnx"
         )
-    known = {names.canonical(word) for word in load_vocabulary(find_vocabulary(None))[0]}
+    chosen = config.perception.detector
+    text = make_text_encoder(load_detector_card(chosen.model), chosen.vocabulary)
     detector = make_detector(config.perception, ["chair"])
     counts: dict[str, WordCount] = defaultdict(WordCount)
     for section in world_list.world_sections(args.worlds):
         data: Data = merged(data_of(config), {"sim": {"world": section}})
         house = parse(data, config.path)
         world = world_list.load(house)
-        for word, more in count_words(house, world, detector, known, args.poses, args.seed):
+        for word, more in count_words(house, world, detector, text, args.poses, args.seed):
             counts[word].add(more)
     print(_table(counts, args.precision, config.perception.confirm_score))
     return 0
@@ -190,7 +206,7 @@ def _table(counts: dict[str, WordCount], precision: float, default: float) -> st
         n, n_right = len(count.right), sum(count.right)
         score = score_for(count, precision, default)
         mistaken = ", ".join(f"{name} {k}" for name, k in count.mistaken.most_common(3))
-        recall = f"{n_right / count.views:.2f}" if count.views else "–"
+        recall = f"{count.seen / count.views:.2f}" if count.views else "–"
         shown = "–" if score is None else f"{score:g}"
         rows.append((word, str(count.views), recall, f"{n_right}/{n}", shown, mistaken))
         if score is not None and score > default:

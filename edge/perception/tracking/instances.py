@@ -99,7 +99,7 @@ class _Track:
         instance: the instance, as other modules see it.
         name: canonical form of the label.
         evidence_ns: newest stamp of any detection of the instance, weak ones included.
-        good_hits: number of frames from near by with a score of `confirm_score` or more.
+        good_hits: number of frames from near by whose score confirms (`confirm_score_of`).
         views: number of views from near by that should show the instance; a partial view counts
             less than 1.
         good_ns: stamp of the newest frame in `good_hits`; -1: there is none.

@@ -66,7 +66,7 @@ class TrackedObjects:
         id: (capacity,) int64, never reused.
         hits: (capacity,) int32, number of images with a detection.
         near_hits: (capacity,) int32, number of these images that were taken at most
-            `confirm_range_m` away and gave a score of at least `confirm_score`.
+            `confirm_range_m` away and gave a score of at least `confirm_score_of` the word.
         points_m: (capacity, POINTS, 3) float32 in `map`, surface points of the newest voxels; the
             first `n_points[i]` of row i count.
         n_points: (capacity,) int32, number of surface points.

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edge.cli.main import main
 from edge.lab.eval.word_scores import NEVER, LabelledImage, WordCount, score_for
 from edge.types import Detections, Observation
 
@@ -19,27 +20,28 @@ from edge.types import Detections, Observation
     ],
 )
 def test_the_lowest_score_at_which_enough_detections_are_right(wrong, right, score):
-    count = WordCount(0, [*wrong, *right], [False] * len(wrong) + [True] * len(right))
+    count = WordCount(0, 0, [*wrong, *right], [False] * len(wrong) + [True] * len(right))
     assert score_for(count, 0.95, 0.3) == score
 
 
 BED, SOFA, SOFA_BED = (10, 10, 40, 30), (50, 40, 70, 55), (0, 40, 20, 60)
 CASES = {
-    "nothing found": ((), 1, [], []),
+    "nothing found": ((), 0, [], []),
     "found": ((BED,), 1, [True], []),
-    "taken for it": ((SOFA,), 1, [False], ["sofa"]),
-    "a kind of it": ((SOFA_BED,), 1, [True], []),
-    "no object": (((60, 0, 80, 20),), 1, [], []),
+    "taken for it": ((SOFA,), 0, [False], ["sofa"]),
+    "a kind of it, out of range": ((SOFA_BED,), 0, [True], []),
+    "no object": (((60, 0, 80, 20),), 0, [], []),
 }
 
 
-@pytest.mark.parametrize(("boxes", "views", "right", "mistaken"), CASES.values(), ids=CASES)
-def test_boxes_of_a_word_against_what_is_there(boxes, views, right, mistaken):
+@pytest.mark.parametrize(("boxes", "seen", "right", "mistaken"), CASES.values(), ids=CASES)
+def test_boxes_of_a_word_against_the_objects(boxes, seen, right, mistaken):
     labels = {1: "sofa bed", 2: "sofa", 3: "bed"}  # a sofa bed is a bed
     ids, depth_m = image(SOFA_BED, SOFA, BED)
     depth_m[ids == 1] = 9.0  # out of range: no view, but it may be what a box shows
     count = LabelledImage(ids, depth_m, labels, 6.0).count("bed", found(*boxes))
-    assert (count.views, count.right, list(count.mistaken)) == (views, right, mistaken)
+    assert (count.views, count.seen) == (1, seen)
+    assert (count.right, list(count.mistaken)) == (right, mistaken)
 
 
 def found(*boxes: tuple[int, int, int, int]) -> Detections:
@@ -55,3 +57,13 @@ def image(*boxes: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
     for k, (x0, y0, x1, y1) in enumerate(boxes, start=1):
         ids[y0:y1, x0:x1] = k
     return ids, depth_m
+
+
+def test_the_command_prints_words_of_the_detector_and_what_to_configure(capsys):
+    arguments = ["eval", "words", "demo", "--worlds", "generated[3]", "--poses", "3"]
+    assert main([*arguments, "--precision", "1"]) == 0
+    table, lines = capsys.readouterr().out.split("\n\n")
+    words = [row.split("  ")[0] for row in table.splitlines()]
+    assert words[0] == "word"
+    assert {"bed", "chair"}.intersection(words)
+    assert lines.startswith("perception:\n  confirm_scores:")
