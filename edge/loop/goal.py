@@ -538,7 +538,7 @@ class GoalTracker:
         if tracked is not None and tracked.goal.kind == "place":
             self._check_place(tracked, pose, mission, now_ns)
         elif tracked is not None and verdict is None:
-            self._check_drive(tracked, grid, pose, now_ns, images)
+            self._check_drive(tracked, pose, now_ns, images)
         # If no controller drives the robot, its standstill is not the candidate's fault.
         driven_to = self.goal if self.client.is_driven(pose) else None
         stuck = self._standstill.update(grid, pose, driven_to, now_ns)
@@ -621,9 +621,7 @@ class GoalTracker:
             stop_m = (goal.pose.x_m, goal.pose.y_m)
             self._search.probable = ProbableObject(score, stop_m, (x_m, y_m))
 
-    def _check_drive(
-        self, tracked: _TrackedGoal, grid: RollingMap, pose: SE2, now_ns: int, images: int
-    ) -> None:
+    def _check_drive(self, tracked: _TrackedGoal, pose: SE2, now_ns: int, images: int) -> None:
         """Handle the controller's status of a goal for a frontier, a turn or a viewpoint."""
         goal, status = tracked.goal, tracked.status
         if goal.kind == "trajectory":
@@ -639,10 +637,7 @@ class GoalTracker:
                 self._discard(now_ns)
         elif status is not None and state == "failed":
             self._event(f"goal failed: {status.reason or 'no reason given'}", now_ns)
-            if self._search.excuse(grid, goal.candidate_xy_m, now_ns):
-                self.abandon()
-            else:
-                self._discard(now_ns)
+            self._discard(now_ns)
         elif goal.kind == "frontier" and (
             state == "reached"
             or pose.distance_to(*goal.candidate_xy_m) <= self._config.policy.delta_reached_m

@@ -87,9 +87,6 @@ class SearchState:
     _retries: int = 0
     _waits: int = 0
     _next_retry_ns: int = 0
-    # The last goal that was excused, and the time from which another one may be.
-    _excused_m: tuple[float, float] | None = None
-    _next_excuse_ns: int = 0
 
     def state_dict(self) -> Arrays:
         """Return the failed attempts by place, but no state that lasts only seconds."""
@@ -134,19 +131,6 @@ class SearchState:
         """Count a failed goal at an instance; return the number of failures before, at most 6."""
         self._failures[instance_id] += 1
         return min(self._failures[instance_id] - 1, 6)
-
-    def excuse(self, grid: RollingMap, goal_m: tuple[float, float], now_ns: int) -> bool:
-        """Return True if people may be the reason that a goal failed, so that it stays a candidate.
-
-        What arrived in the map is then forgotten: a person who was seen there may have gone. No
-        goal is excused twice in a row.
-        """
-        last, self._excused_m = self._excused_m, goal_m
-        same = last is not None and math.dist(last, goal_m) < _SAME_FRONTIER_M
-        if same or now_ns < self._next_excuse_ns or not grid.forget_arrivals():
-            return False
-        self._next_excuse_ns = now_ns + _PAUSE_NS
-        return True
 
     def on_candidate(self) -> None:
         """Record that there is a candidate."""

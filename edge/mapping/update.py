@@ -20,7 +20,7 @@ from edge.mapping.layers import (
 )
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
-MOST_FLOOR_UPDATES = 5
+MOST_FLOOR_UPDATES = 10
 """`Layers.top` of a bumped cell counts the updates in a row that saw only floor, up to this."""
 SURELY_FREE = 3
 """`Layers.top` of a free cell counts the updates that saw its floor, up to this. An obstacle that

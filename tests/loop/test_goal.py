@@ -309,19 +309,6 @@ def test_a_thing_that_fails_again_is_left_alone_twice_as_long():
     assert times_ns == [45 * S, 90 * S, 180 * S]
 
 
-def test_a_goal_that_people_may_have_blocked_is_excused_once():
-    """A failed frontier stays a candidate if something arrived, but not twice in a row."""
-    case, discarded = Case(), []
-    case.pool.discard = lambda kind, *thing: discarded.append(thing[0])
-    for arrived, number, n_discarded in ((True, 1, 0), (True, 1, 1), (False, 2, 2), (True, 3, 2)):
-        case.map.arrived = arrived
-        case.choose(frontier(number, 3.0 * number, 0.9))
-        case.answer("failed")
-        case.judge()
-        case.now_ns += 11 * S
-        assert len(discarded) == n_discarded
-
-
 def test_what_cannot_be_reached_is_passed_over():
     case = Case()
     case.map.walled = [(3.0, 0.0)]
