@@ -19,7 +19,7 @@ class Scene:
         )
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
+    def see(self, *things, x_m=None, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
         """One frame with (label, x, y, score) each; returns all instances."""
         self.last = seen = self.frame(x_m, y_m)
         self.tracker.update(self.lifted(seen, things, size_m, seed, competing_score), seen.stamp_ns)
@@ -48,8 +48,10 @@ class Scene:
     def expire(self, observation, prompts=("chair", "desk")):
         return self.tracker.expire(observation, prompts)
 
-    def frame(self, x_m=0.0, y_m=0.0, depth_m=6.0):
+    def frame(self, x_m=None, y_m=0.0, depth_m=6.0):
+        """Every other frame is from half a metre farther back, unless a place is given."""
         self.seq += 1
+        x_m = (0.0, -0.5)[self.seq % 2] if x_m is None else x_m
         depth = np.full((64, 80), depth_m, np.float32)
         return self.make(seq=self.seq, x_m=x_m, y_m=y_m, depth_m=depth)
 

@@ -21,7 +21,7 @@ from typing import Protocol, get_args
 import numpy as np
 
 from edge import config, names
-from edge.geometry import FARTHEST_M, SE2, invert
+from edge.geometry import FARTHEST_M, SE2, invert, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.perception.tracking import instance_kernels as kernels
 from edge.perception.tracking.lift import BackProjectedBoxes
@@ -52,6 +52,9 @@ FORGET_VIEWS = 100
 REJECT_VIEWS = 30
 """After this many views an instance is rejected if its mean competing score exceeds its mean score.
 """
+VIEWPOINT_M, VIEWPOINT_RAD = 0.5, math.radians(20)
+"""Two views are from different viewpoints if the robot has moved, or turned around the object, by
+this much."""
 SURER = 1.6
 """A confirmed instance is contested only by an object with this multiple of its confidence.
 
@@ -64,7 +67,8 @@ _COLUMNS = (
     ("last_seen_ns", np.int64),
 )  # fmt: skip
 _EVIDENCE = (
-    ("evidence_ns", np.int64), ("good_hits", np.int64), ("views", np.float64),
+    ("evidence_ns", np.int64), ("good_hits", np.int64), ("other_hits", np.int64),
+    ("first_x_m", np.float64), ("first_y_m", np.float64), ("views", np.float64),
     ("good_ns", np.int64), ("target_sum", np.float64), ("competing_sum", np.float64),
     ("contested", np.bool_),
 )  # fmt: skip
@@ -100,6 +104,9 @@ class _Track:
         name: canonical form of the label.
         evidence_ns: newest stamp of any detection of the instance, weak ones included.
         good_hits: number of frames from near by whose score confirms (`confirm_score_of`).
+        other_hits: number of these from another viewpoint than the first one.
+        first_x_m, first_y_m: the robot's position at the first of these frames; far away if it is
+            unknown.
         views: number of views from near by that should show the instance; a partial view counts
             less than 1.
         good_ns: stamp of the newest frame in `good_hits`; -1: there is none.
@@ -118,6 +125,9 @@ class _Track:
     name: str
     evidence_ns: int
     good_hits: int = 0
+    other_hits: int = 0
+    first_x_m: float = FARTHEST_M
+    first_y_m: float = FARTHEST_M
     views: float = 0.0
     good_ns: int = -1
     target_sum: float = 0.0
@@ -134,6 +144,13 @@ class _Track:
 
     def distance_m(self, x_m: float, y_m: float) -> float:
         return math.hypot(self.x_m - x_m, self.y_m - y_m)
+
+    def is_other_viewpoint(self, pose: SE2) -> bool:
+        """Return True if a pose is another viewpoint than that of the first good hit."""
+        first = math.atan2(self.first_y_m - self.y_m, self.first_x_m - self.x_m)
+        now = math.atan2(pose.y_m - self.y_m, pose.x_m - self.x_m)
+        moved_m = pose.distance_to(self.first_x_m, self.first_y_m)
+        return moved_m >= VIEWPOINT_M or abs(wrap_angle(now - first)) >= VIEWPOINT_RAD
 
 
 class InstanceTracker:
@@ -414,9 +431,8 @@ class InstanceTracker:
                     continue
                 track = self._create(label, seen.points_m, seen.confidence, seen.last_seen_ns)
                 track.instance.hits = seen.hits
-                track.good_hits, track.views, track.target_sum = (
-                    seen.near_hits, seen.weight, seen.total,
-                )  # fmt: skip
+                track.good_hits = track.other_hits = seen.near_hits
+                track.views, track.target_sum = seen.weight, seen.total
                 self._update_contested(track)
                 self._update_state(track)
         self._limit()
@@ -535,7 +551,10 @@ class InstanceTracker:
             return
         if track.good_ns != now_ns:  # at most one good hit for each image
             track.good_ns = now_ns
+            if track.good_hits == 0:
+                track.first_x_m, track.first_y_m = pose.x_m, pose.y_m
             track.good_hits += 1
+            track.other_hits += track.is_other_viewpoint(pose)
             self._update_state(track)
 
     def _count_view(self, track: _Track, weight: float) -> None:
@@ -546,6 +565,7 @@ class InstanceTracker:
         if track.views >= FORGET_VIEWS:
             track.views *= 0.5
             track.good_hits //= 2
+            track.other_hits //= 2
             track.target_sum *= 0.5
             track.competing_sum *= 0.5
         self._update_state(track)
@@ -554,7 +574,8 @@ class InstanceTracker:
         """Update the state from the evidence.
 
         An instance is confirmed if all of these hold:
-        - it had at least `confirm_hits` good hits;
+        - it had at least `confirm_hits` good hits, half of them from another viewpoint than the
+          first one: images of one viewpoint repeat the same mistake;
         - its mean score over all near views is at least `confirm_mean`;
         - its mean score is at least `confirm_lead` times that of its competing classes;
         - it is not contested (`_update_contested`).
@@ -569,6 +590,7 @@ class InstanceTracker:
         lead = 1.0 if instance.state == "confirmed" else c.confirm_lead  # over competing classes
         is_confirmed = (
             track.good_hits >= c.confirm_hits
+            and track.other_hits >= c.confirm_hits // 2
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= lead * track.competing_sum
             and not self._update_contested(track)
@@ -621,6 +643,7 @@ class InstanceTracker:
         a.last_seen_ns = max(a.last_seen_ns, b.last_seen_ns)
         old.evidence_ns = max(old.evidence_ns, new.evidence_ns)
         old.good_hits = max(old.good_hits, new.good_hits)
+        old.other_hits = max(old.other_hits, new.other_hits)
         old.views += new.views
         old.target_sum += new.target_sum
         old.competing_sum += new.competing_sum
