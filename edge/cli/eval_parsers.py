@@ -302,10 +302,10 @@ def _add_words(kinds) -> None:  # type: ignore[no-untyped-def]
         "--worlds", nargs="+", required=True, metavar="WORLDS",
         help="worlds as of `edge eval episodes`, such as furnished[100:150]",
     )  # fmt: skip
-    option("--poses", type=count, default=20, help="images of each world (default: %(default)s)")
+    option("--poses", type=count, default=40, help="images of each world (default: %(default)s)")
     option(
-        "--precision", type=share, default=0.95, metavar="SHARE",
-        help="wanted share of right detections, 0 to 1 (default: %(default)s)",
+        "--precision", type=share, default=0.9, metavar="SHARE",
+        help="wanted share of right objects, 0 to 1 (default: %(default)s)",
     )  # fmt: skip
     option("--seed", type=seed, default=0, help="seed of the poses (default: %(default)s)")
     words.set_defaults(handler=lazy_handler("edge.lab.eval.word_scores", "run", extra="lab"))

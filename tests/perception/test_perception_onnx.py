@@ -161,6 +161,17 @@ def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny
     assert found.competing_score.max() == 0.0
 
 
+@pytest.mark.parametrize(("background", "kept"), [((), [True, True]), (("chair",), [True, False])])
+def test_independent_prompts_compete_only_if_they_are_background(
+    tiny, make_observation, background, kept
+):
+    detector = tiny(background=background)
+    detector.set_prompts(["sofa", "chair"], independent=True)
+    found = detector.detect(make_observation(rgb=image()))
+    assert [found.prompts[k] for k in found.class_id] == ["chair", "sofa"]
+    assert found.not_suppressed().tolist() == kept
+
+
 def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])

@@ -1,15 +1,17 @@
 """Scores from which on a detector's words can be relied on, measured in simulated worlds.
 
-`edge eval words` looks at worlds from random poses, runs the detector for each word that an image
-shows, and compares its boxes with the objects. A detector that takes chairs for armchairs at any
-score then confirms no armchair, and a trash can only at a high score.
+`edge eval words` looks at worlds from random poses, runs the detector for all words of a world, and
+compares its boxes with the objects. A detector that takes chairs for armchairs at any score then
+confirms no armchair.
+
+An object counts for a word with its second best score over all images from near by, since one image
+does not confirm it (`edge.perception.tracking.instances`).
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,18 +24,17 @@ from edge.lab.eval.arms import Data, data_of, merged
 from edge.lab.eval.recall import MIN_VIEW_PX, iou, visible_boxes
 from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.sensors import CameraRig
-from edge.perception.detection.detector import Detector
+from edge.perception.detection.onnx import OnnxDetector
 from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import TextEncoder, words_for
-from edge.perception.factory import make_detector
 from edge.perception.runtime.cards import load_detector_card
 from edge.text import format_table
 from edge.types import Detections, Observation
 
 NEVER = 1.0
 """Score for a word whose detections are too often wrong at any score."""
-MIN_DETECTIONS = 8
-"""A word with fewer detections gets no score."""
+PRIOR_OBJECTS = 4
+"""A word's share of right objects counts as if it had this many more, of the share of all words."""
 _MIN_IOU = 0.5
 _LEAST_PX = 30  # an object with fewer visible pixels cannot be what a box shows
 _STEP = 0.05
@@ -41,14 +42,14 @@ _STEP = 0.05
 
 @dataclass
 class WordCount:
-    """The detections of a word.
+    """The objects that the detector takes for a word.
 
     Attributes:
         views: number of views of such an object or of a kind of it.
         seen: number of these views that have a box.
-        scores: score of each box that covers an object.
+        scores: score of each object that has a box in two images.
         right: for each of them, True if the object has this name or is a kind of it.
-        mistaken: names of the other objects that were taken for it.
+        mistaken: names of the others.
     """
 
     views: int = 0
@@ -58,38 +59,45 @@ class WordCount:
     mistaken: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: WordCount) -> None:
-        """Add the detections of other images."""
+        """Add the objects of other worlds."""
         self.views += other.views
         self.seen += other.seen
         self.scores += other.scores
         self.right += other.right
         self.mistaken += other.mistaken
 
+    def n_right(self, score: float) -> tuple[int, int]:
+        """Return how many objects have at least this score and are right, and how many have it."""
+        kept = [right for at, right in zip(self.scores, self.right, strict=True) if at >= score]
+        return sum(kept), len(kept)
 
-def score_for(count: WordCount, precision: float, default: float) -> float | None:
-    """Return the lowest score at which enough detections of a word are right.
+
+def score_for(count: WordCount, everything: WordCount, precision: float, default: float) -> float:
+    """Return the lowest score at which enough objects of a word are right.
+
+    Few objects say little, so the share is drawn to that of all words: `PRIOR_OBJECTS`.
 
     Args:
-        count: the word's detections.
-        precision: wanted share of right detections.
-        default: lowest score to return; no detection is weaker.
+        count: the word's objects.
+        everything: the objects of all words.
+        precision: wanted share of right objects.
+        default: lowest score to return.
 
     Returns:
-        A multiple of 0.05 over `default`; `NEVER` if no score is high enough; None if there are
-        fewer than `MIN_DETECTIONS`.
+        `default`, or more by a multiple of 0.05; `NEVER` if no score is high enough.
 
     Example:
-        >>> found = WordCount(20, 20, [0.4] * 5 + [0.8] * 20, [False] * 5 + [True] * 20)
-        >>> score_for(found, 0.95, 0.3)
+        >>> found = WordCount(40, 40, [0.4] * 5 + [0.8] * 40, [False] * 5 + [True] * 40)
+        >>> score_for(found, found, 0.95, 0.3)
         0.45
-        >>> score_for(WordCount(), 0.95, 0.3)
+        >>> score_for(WordCount(), WordCount(), 0.95, 0.3)
+        1.0
     """
-    scores, right = np.array(count.scores), np.array(count.right, bool)
-    if len(scores) < MIN_DETECTIONS:
-        return None
     for score in np.arange(default, 0.95 + 1e-9, _STEP).round(2).tolist():
-        kept = right[scores >= score]
-        if len(kept) >= MIN_DETECTIONS and kept.mean() >= precision:
+        right, n = count.n_right(score)
+        all_right, all_n = everything.n_right(score)
+        typical = all_right / all_n if all_n else 0.0
+        if right + PRIOR_OBJECTS * typical >= precision * (n + PRIOR_OBJECTS):
             return score
     return NEVER
 
@@ -101,10 +109,7 @@ class LabelledImage:
         ids: (h, w) uint16 object ids.
         depth_m: (h, w) float32.
         labels: canonical name of each object id.
-        range_m: an object farther away is no view.
-
-    Attributes:
-        words: names of the objects in view.
+        range_m: an object farther away is no view, and no box of it counts.
     """
 
     def __init__(
@@ -113,60 +118,75 @@ class LabelledImage:
         near, anywhere = np.zeros((2, max(labels, default=0) + 1, 5), np.int64)
         visible_boxes(ids, depth_m, range_m, near)
         visible_boxes(ids, depth_m, np.inf, anywhere)
-        shown = [id_ for id_ in labels if anywhere[id_, 4] >= _LEAST_PX]
-        self._is_view = [near[id_, 4] >= MIN_VIEW_PX for id_ in shown]
-        self._boxes = anywhere[shown, :4].astype(float)
-        self._labels = [labels[id_] for id_ in shown]
-        self.words = {label for label, view in self._shown() if view}
+        self._labels = labels
+        self._shown = [id_ for id_ in labels if anywhere[id_, 4] >= _LEAST_PX]
+        self._is_view = {id_: near[id_, 4] >= MIN_VIEW_PX for id_ in self._shown}
+        self._is_near = {id_: near[id_, 4] > 0 for id_ in self._shown}
+        self._boxes = anywhere[self._shown, :4].astype(float)
 
-    def _shown(self) -> Iterator[tuple[str, bool]]:
-        """Yield the name of each object in the image, and True if it is in view."""
-        return zip(self._labels, self._is_view, strict=True)
+    def detected(self, word: str, found: Detections) -> tuple[dict[int, float], int, int]:
+        """Compare the boxes of a word with the objects.
 
-    def count(self, word: str, found: Detections) -> WordCount:
-        """Compare the detections of a word with the objects; boxes that cover none are left out."""
-        is_meant = np.array(
-            [v and names.is_kind_of(label, word) for label, v in self._shown()], bool
-        )
-        boxes = found.xyxy_px.astype(float)
-        has_box = (iou(self._boxes, boxes) >= _MIN_IOU).any(axis=1)
-        count = WordCount(int(is_meant.sum()), int((is_meant & has_box).sum()))
-        for box, score in zip(boxes, found.score.tolist(), strict=True):
-            overlaps = iou(box[None], self._boxes)[0]
-            covered = [self._labels[k] for k in np.flatnonzero(overlaps >= _MIN_IOU).tolist()]
-            if not covered:
-                continue
-            is_right = any(names.is_kind_of(label, word) for label in covered)
-            count.scores.append(score)
-            count.right.append(is_right)
-            if not is_right:
-                count.mistaken[self._labels[int(overlaps.argmax())]] += 1
-        return count
+        Returns:
+            The best score of each near object that a box covers; boxes that cover none are left
+            out. The number of views of the word, and how many of them a box covers.
+        """
+        overlaps = iou(found.xyxy_px.astype(float), self._boxes) >= _MIN_IOU
+        best: dict[int, float] = {}
+        for covers, score in zip(overlaps, found.score.tolist(), strict=True):
+            covered = [self._shown[k] for k in np.flatnonzero(covers).tolist()]
+            covered.sort(key=lambda id_: not names.is_kind_of(self._labels[id_], word))
+            if covered and self._is_near[covered[0]]:
+                best[covered[0]] = max(score, best.get(covered[0], 0.0))
+        meant = [
+            k for k, id_ in enumerate(self._shown)
+            if self._is_view[id_] and names.is_kind_of(self._labels[id_], word)
+        ]  # fmt: skip
+        return best, len(meant), int(overlaps[:, meant].any(axis=0).sum())
 
 
 def count_words(
-    config: Config, world: World, detector: Detector, text: TextEncoder, poses: int, seed: int
-) -> Iterator[tuple[str, WordCount]]:
-    """Yield the counts of each word that an image of a world shows.
+    config: Config, world: World, detector: OnnxDetector, text: TextEncoder, poses: int, seed: int
+) -> dict[str, WordCount]:
+    """Count the objects that the detector takes for each word of a world.
 
     Args:
-        config: camera and ranges.
+        config: camera, ranges and least score.
         world: the world.
-        detector: looks for one word at a time, as in a search.
-        text: encoder of the detector's words; words that it does not know are left out.
+        detector: looks for all words at once, but they compete only as in a search for one.
+        text: encoder of the detector's words. Names that it does not know are left out.
         poses: number of images.
         seed: of the poses.
     """
-    rig = CameraRig(config, world)
+    rig, range_m = CameraRig(config, world), config.perception.confirm_range_m
     labels = {item.id: names.canonical(item.label) for item in world.objects}
-    range_m = config.perception.back_projection_max_range_m
+    known = words_for(sorted(set(labels.values())), text.resolve)
+    words = [name for name, word in known.items() if names.same_name(name, word)]
+    if not words:
+        return {}
+    detector.set_prompts(words, independent=True)
+    counts = {word: WordCount() for word in words}
+    scores: dict[tuple[str, int], list[float]] = defaultdict(list)  # one per image
     for number, pose in enumerate(free_poses(world, poses, seed, config.robot.radius_m)):
         rig.look(pose)
         image = LabelledImage(rig.ids, rig.depth_m, labels, range_m)
-        for word in words_for(sorted(image.words), text.resolve):
-            detector.set_prompts([word])
-            found = detector.detect(_observation(rig, number)).without_suppressed()
-            yield word, image.count(word, found.above(config.perception.confirm_score))
+        found = detector.detect(_observation(rig, number)).without_suppressed()
+        found = found.above(config.perception.tau_det)
+        for row, word in enumerate(words):
+            best, views, seen = image.detected(word, found.only(found.class_id == row))
+            counts[word].views += views
+            counts[word].seen += seen
+            for id_, score in best.items():
+                scores[word, id_].append(score)
+    for (word, id_), at in scores.items():
+        if len(at) < 2:
+            continue
+        count, is_right = counts[word], names.is_kind_of(labels[id_], word)
+        count.scores.append(sorted(at)[-2])
+        count.right.append(is_right)
+        if not is_right:
+            count.mistaken[labels[id_]] += 1
+    return counts
 
 
 def _observation(rig: CameraRig, number: int) -> Observation:
@@ -187,29 +207,40 @@ def run(args: argparse.Namespace) -> int:
         )
     chosen = config.perception.detector
     text = make_text_encoder(load_detector_card(chosen.model), chosen.vocabulary)
-    detector = make_detector(config.perception, ["chair"])
+    detector = OnnxDetector(chosen, ["chair"], text=text)
     counts: dict[str, WordCount] = defaultdict(WordCount)
     for section in world_list.world_sections(args.worlds):
         data: Data = merged(data_of(config), {"sim": {"world": section}})
         house = parse(data, config.path)
         world = world_list.load(house)
-        for word, more in count_words(house, world, detector, text, args.poses, args.seed):
+        for word, more in count_words(house, world, detector, text, args.poses, args.seed).items():
             counts[word].add(more)
-    print(_table(counts, args.precision, config.perception.confirm_score))
+    print(_table(counts, args.precision, config.perception.tau_det))
     return 0
 
 
-def _table(counts: dict[str, WordCount], precision: float, default: float) -> str:
-    """Return a table of the words, most views first, and the lines for the configuration."""
+def _table(counts: dict[str, WordCount], precision: float, least: float) -> str:
+    """Return a table of the words, most views first, and the lines for the configuration.
+
+    Args:
+        counts: by word.
+        precision: wanted share of right objects.
+        least: lowest score to return.
+    """
+    everything = WordCount()
+    for count in counts.values():
+        everything.add(count)
+    default = score_for(WordCount(), everything, precision, least)
     rows, lines = [("word", "views", "recall", "right", "score", "mistaken for it")], []
     for word, count in sorted(counts.items(), key=lambda item: (-item[1].views, item[0])):
-        n, n_right = len(count.right), sum(count.right)
-        score = score_for(count, precision, default)
+        score = score_for(count, everything, precision, least)
         mistaken = ", ".join(f"{name} {k}" for name, k in count.mistaken.most_common(3))
         recall = f"{count.seen / count.views:.2f}" if count.views else "–"
-        shown = "–" if score is None else f"{score:g}"
-        rows.append((word, str(count.views), recall, f"{n_right}/{n}", shown, mistaken))
-        if score is not None and score > default:
+        right = f"{sum(count.right)}/{len(count.right)}"
+        rows.append((word, str(count.views), recall, right, f"{score:g}", mistaken))
+        if score != default:
             lines.append(f"    {word}: {score:g}")
-    table = format_table(rows)
-    return "\n".join([table, "", "perception:", "  confirm_scores:", *sorted(lines)])
+    default_line = f"  confirm_score: {default:g}"
+    return "\n".join(
+        [format_table(rows), "", "perception:", default_line, "  confirm_scores:", *sorted(lines)]
+    )

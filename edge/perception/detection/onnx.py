@@ -205,14 +205,14 @@ class OnnxDetector:
     def prompts(self) -> tuple[str, ...]:
         return self._prompt_set.prompts
 
-    def set_prompts(self, prompts: Sequence[str]) -> None:
-        """See `Detector.set_prompts`."""
+    def set_prompts(self, prompts: Sequence[str], independent: bool = False) -> None:
+        """See `Detector.set_prompts`; `independent`: see `text_classes_for`."""
         with raise_as_model_error(f"model {self.name}: it cannot be given the prompts"):
-            self._prompt_set = self._encode_prompts(check_prompts(prompts))
+            self._prompt_set = self._encode_prompts(check_prompts(prompts), independent)
 
-    def _encode_prompts(self, prompts: tuple[str, ...]) -> _PromptSet:
+    def _encode_prompts(self, prompts: tuple[str, ...], independent: bool) -> _PromptSet:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
-        classes = text_classes_for(prompts, self._background, self._text)
+        classes = text_classes_for(prompts, self._background, self._text, independent)
         embeddings = self._text.embed(classes.words)
         texts = embeddings.shape[1]
         if texts > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:

@@ -40,7 +40,7 @@ class TextClasses:
 
 
 def text_classes_for(
-    prompts: Sequence[str], background: Sequence[str], text: TextEncoder
+    prompts: Sequence[str], background: Sequence[str], text: TextEncoder, independent: bool = False
 ) -> TextClasses:
     """Collect the text classes of prompts.
 
@@ -48,6 +48,8 @@ def text_classes_for(
         prompts: names of the objects to look for.
         background: further words, all known to the encoder.
         text: the detector's text encoder.
+        independent: True: a prompt competes with another only if it is a background word, as if
+            each were the only prompt.
 
     Raises:
         PromptError: see `TextEncoder.resolve`.
@@ -62,6 +64,9 @@ def text_classes_for(
     rest = [word for word in dict.fromkeys(rest) if word not in prompts]
     named = [*prompts, *context_names, *rest]
     competes = competing_classes(prompts, named, text)
+    if independent:
+        in_background = [names.canonical(prompt) in context for prompt in prompts]
+        competes[:, :, : len(prompts)] &= np.array(in_background, np.bool_)
     # Drop words that compete with nothing: they would only cost time.
     useful = competes.any(axis=(0, 1))
     useful[: len(prompts) + len(context_names)] = True

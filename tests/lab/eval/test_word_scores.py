@@ -8,40 +8,45 @@ from edge.lab.eval.word_scores import NEVER, LabelledImage, WordCount, score_for
 from edge.types import Detections, Observation
 
 
+OTHERS = WordCount(scores=[0.3, 0.9], right=[False, True])  # half of all objects are right
+
+
 @pytest.mark.parametrize(
-    ("wrong", "right", "score"),
+    ("wrong", "right", "others", "score"),
     [
-        ([], [], None),
-        ([], [0.9] * 7, None),
-        ([], [0.4] * 8, 0.3),
-        ([0.42], [0.8] * 10, 0.45),
-        ([0.8] * 2, [0.8] * 10, NEVER),
-        ([0.5], [0.4] * 10 + [0.8] * 7, NEVER),  # only seven are left from 0.55 on
+        ([], [], WordCount(), NEVER),
+        ([], [], OTHERS, 0.35),  # of the objects of all words from there on, all are right
+        ([], [0.3] * 8, OTHERS, 0.35),
+        ([], [0.3] * 40, OTHERS, 0.3),
+        ([0.42] * 2, [0.8] * 8, OTHERS, 0.45),
+        ([0.96] * 4, [0.96] * 8, OTHERS, NEVER),
     ],
 )
-def test_the_lowest_score_at_which_enough_detections_are_right(wrong, right, score):
+def test_the_lowest_score_at_which_enough_objects_are_right(wrong, right, others, score):
     count = WordCount(0, 0, [*wrong, *right], [False] * len(wrong) + [True] * len(right))
-    assert score_for(count, 0.95, 0.3) == score
+    assert score_for(count, others, 0.9, 0.3) == score
 
 
 BED, SOFA, SOFA_BED = (10, 10, 40, 30), (50, 40, 70, 55), (0, 40, 20, 60)
 CASES = {
-    "nothing found": ((), 0, [], []),
-    "found": ((BED,), 1, [True], []),
-    "taken for it": ((SOFA,), 0, [False], ["sofa"]),
-    "a kind of it, out of range": ((SOFA_BED,), 0, [True], []),
-    "no object": (((60, 0, 80, 20),), 0, [], []),
+    "nothing found": ((), {}, 0),
+    "found": ((BED,), {3: 0.8}, 1),
+    "taken for it": ((SOFA,), {2: 0.8}, 0),
+    "a kind of it, out of range": ((SOFA_BED,), {}, 0),
+    "no object": (((60, 0, 80, 20),), {}, 0),
+    "twice": ((BED, BED), {3: 0.8}, 1),
 }
 
 
-@pytest.mark.parametrize(("boxes", "seen", "right", "mistaken"), CASES.values(), ids=CASES)
-def test_boxes_of_a_word_against_the_objects(boxes, seen, right, mistaken):
+@pytest.mark.parametrize(("boxes", "detected", "seen"), CASES.values(), ids=CASES)
+def test_boxes_of_a_word_against_the_objects(boxes, detected, seen):
     labels = {1: "sofa bed", 2: "sofa", 3: "bed"}  # a sofa bed is a bed
     ids, depth_m = image(SOFA_BED, SOFA, BED)
-    depth_m[ids == 1] = 9.0  # out of range: no view, but it may be what a box shows
-    count = LabelledImage(ids, depth_m, labels, 6.0).count("bed", found(*boxes))
-    assert (count.views, count.seen) == (1, seen)
-    assert (count.right, list(count.mistaken)) == (right, mistaken)
+    depth_m[ids == 1] = 9.0  # out of range
+    image_ = LabelledImage(ids, depth_m, labels, 6.0)
+    best, views, n_seen = image_.detected("bed", found(*boxes))
+    assert best == pytest.approx(detected)
+    assert (views, n_seen) == (1, seen)
 
 
 def found(*boxes: tuple[int, int, int, int]) -> Detections:
@@ -60,10 +65,10 @@ def image(*boxes: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_command_prints_words_of_the_detector_and_what_to_configure(capsys):
-    arguments = ["eval", "words", "demo", "--worlds", "generated[3]", "--poses", "3"]
-    assert main([*arguments, "--precision", "1"]) == 0
+    arguments = ["eval", "words", "demo", "--worlds", "generated[3]", "--poses", "6"]
+    assert main([*arguments, "--precision", "0.5"]) == 0
     table, lines = capsys.readouterr().out.split("\n\n")
     words = [row.split("  ")[0] for row in table.splitlines()]
     assert words[0] == "word"
     assert {"bed", "chair"}.intersection(words)
-    assert lines.startswith("perception:\n  confirm_scores:")
+    assert lines.startswith("perception:\n  confirm_score: ")
