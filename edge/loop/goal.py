@@ -503,7 +503,7 @@ class GoalTracker:
         mission: MissionRun,
         images: int,
         now_ns: int,
-        is_reached: Callable[[Instance], bool] | None = None,
+        is_reached: Callable[[Instance, SE2], bool] | None = None,
     ) -> bool:
         """Handle the progress of the current goal. `FollowBehaviour` handles a trajectory's goals.
 
@@ -513,8 +513,8 @@ class GoalTracker:
             mission: The mission.
             images: Number of images that the detector has processed so far.
             now_ns: Loop time.
-            is_reached: Returns True if an instance next to the robot counts as reached. None: a
-                confirmed instance counts as reached.
+            is_reached: Returns True if an instance next to the robot counts as reached, at the
+                robot's pose. None: an instance that is confirmed from two viewpoints does.
 
         Returns:
             True if the robot is stuck: it should drive but stands still.
@@ -532,9 +532,9 @@ class GoalTracker:
             has_path_goal = tracked is not None and tracked.goal.kind in ("trajectory", "place")
             self.phase = "approaching" if has_path_goal else "searching"
         elif verdict := self._judge(
-            tracked, instance, pose, now_ns, images, is_reached or self._tracker.confirmed
+            tracked, instance, pose, now_ns, images, is_reached or self._tracker.verified
         ):
-            self._apply_verdict(verdict, tracked, instance, mission, now_ns)
+            self._apply_verdict(verdict, tracked, instance, mission, pose, now_ns)
         if tracked is not None and tracked.goal.kind == "place":
             self._check_place(tracked, pose, mission, now_ns)
         elif tracked is not None and verdict is None:
@@ -554,13 +554,13 @@ class GoalTracker:
         pose: SE2,
         now_ns: int,
         images: int,
-        is_reached: Callable[[Instance], bool],
+        is_reached: Callable[[Instance, SE2], bool],
     ) -> Verdict | None:
         """Return the verdict on the goal's instance, or None while there is none.
 
         `reached` needs three conditions: the controller reported the goal as reached, the nearest
         surface point of the instance is within `mission.reach_m`, and `is_reached` agrees: the
-        detector has confirmed the instance.
+        detector has confirmed the instance from two viewpoints.
         """
         config = self._config.mission
         if tracked.status is None or tracked.status.state != "reached":
@@ -571,7 +571,7 @@ class GoalTracker:
         self.phase = "verifying"
         if tracked.verifying_since_ns is None:
             tracked.verifying_since_ns, tracked.images_before = now_ns, images
-        if is_reached(instance):
+        if is_reached(instance, pose):
             return "reached"
         long_enough = (now_ns - tracked.verifying_since_ns) * 1e-9 > config.verify_s
         if long_enough and images - tracked.images_before >= MIN_IMAGES:
@@ -584,6 +584,7 @@ class GoalTracker:
         tracked: _TrackedGoal,
         instance: Instance,
         mission: MissionRun,
+        pose: SE2,
         now_ns: int,
     ) -> None:
         """Apply the verdict on the goal's instance to tracker, mission and goal."""
@@ -599,8 +600,10 @@ class GoalTracker:
                 self._discard(now_ns)
             return
         if verdict == "rejected":
-            self._search.has_moved |= self._tracker.confirmed(instance)
-            self._note_probable(tracked.goal, instance)
+            is_verified = self._tracker.verified(instance, pose)
+            self._search.has_moved |= is_verified  # a remembered object that is not seen again
+            if not is_verified:
+                self._note_probable(tracked.goal, instance)
             self._tracker.reject(instance.id)
             self.abandon()
         else:
@@ -613,10 +616,9 @@ class GoalTracker:
         self._event(f"{verdict}: {instance.label} #{instance.id} at ({x:.1f}, {y:.1f})", now_ns)
 
     def _note_probable(self, goal: Goal, instance: Instance) -> None:
-        """Remember an object before its rejection, if it is seen well but is not confirmed."""
+        """Remember an object before its rejection, if it is the best so far."""
         before, score = self._search.probable, instance.score
-        is_best = score > (self._config.perception.tau_det if before is None else before.score)
-        if is_best and not self._tracker.confirmed(instance):
+        if score > (self._config.perception.tau_det if before is None else before.score):
             x_m, y_m, _ = instance.center_m.tolist()
             stop_m = (goal.pose.x_m, goal.pose.y_m)
             self._search.probable = ProbableObject(score, stop_m, (x_m, y_m))

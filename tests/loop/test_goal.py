@@ -91,6 +91,10 @@ class Things(dict):
     """As much of the instances as a goal asks for."""
 
     sure: tuple[int, ...] = ()
+    one_sided: tuple[int, ...] = ()
+
+    def verified(self, instance: Instance, pose: SE2) -> bool:
+        return self.confirmed(instance) and instance.id not in self.one_sided
 
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
@@ -420,9 +424,9 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
     case.map.view, case.map.view_m2 = Viewpoint(1.0, 0.0, 0.5), view_m2
     case.choose(chair(9, 3.0, 0.8))
     case.answer("reached")
-    case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda _: False)
+    case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda *_: False)
     case.now_ns += 3 * S
-    case.goals.check_progress(case.map, there, case.mission, 9, case.now_ns, lambda _: False)
+    case.goals.check_progress(case.map, there, case.mission, 9, case.now_ns, lambda *_: False)
     assert case.things[9].state == "rejected"
     goal = case.choose(frontier(1, 3.0, 0.5))
     assert goal.kind == expected
@@ -595,6 +599,18 @@ def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
         case.judge(images, there)
     assert (case.things[9].state == "rejected") == rejected
     assert case.goals.phase == "verifying"
+
+
+def test_what_is_confirmed_from_one_viewpoint_only_is_rejected_and_probable():
+    case, there = Case(), SE2(2.5, 0.0, 0.0)
+    case.things.sure = case.things.one_sided = (9,)
+    case.choose(chair(9, 3.0, 0.8))
+    case.answer("reached")
+    for images in (0, 50):
+        case.judge(images, there)
+        case.now_ns += 3 * S
+    assert case.things[9].state == "rejected"
+    assert case.goals.probable.xy_m == (3.0, 0.0)
 
 
 @pytest.mark.parametrize("between", ["dropped", "another"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from edge import config
+from edge.geometry import SE2
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.sightings import ObjectTracker
@@ -19,7 +20,7 @@ class Scene:
         )
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=None, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
+    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
         """One frame with (label, x, y, score) each; returns all instances."""
         self.last = seen = self.frame(x_m, y_m)
         self.tracker.update(self.lifted(seen, things, size_m, seed, competing_score), seen.stamp_ns)
@@ -48,10 +49,8 @@ class Scene:
     def expire(self, observation, prompts=("chair", "desk")):
         return self.tracker.expire(observation, prompts)
 
-    def frame(self, x_m=None, y_m=0.0, depth_m=6.0):
-        """Every other frame is from half a metre farther back, unless a place is given."""
+    def frame(self, x_m=0.0, y_m=0.0, depth_m=6.0):
         self.seq += 1
-        x_m = (0.0, -0.5)[self.seq % 2] if x_m is None else x_m
         depth = np.full((64, 80), depth_m, np.float32)
         return self.make(seq=self.seq, x_m=x_m, y_m=y_m, depth_m=depth)
 
@@ -114,6 +113,25 @@ def test_confirmation(scene, score, x_m, hits, state):
         (chair,) = s.see(("chair", x_m, 0, score))
     assert chair.state == state
     assert s.tracker.confirmed(chair) is (state == "confirmed")
+
+
+@pytest.mark.parametrize(
+    ("places", "at", "verified"),
+    [
+        ([(0, 0)] * 4, (0, 0), True),  # the robot was nowhere else
+        ([(0, 0)] * 40, (0.6, 0), False),
+        ([(0, 0)] * 3 + [(0.6, 0)], (0.6, 0), False),
+        ([(0, 0)] * 2 + [(0.6, 0)] * 2, (0.6, 0), True),
+        ([(0, 0)] * 2 + [(0.4, 0)] * 2, (0.6, 0), False),
+        ([(1.4, 0.2)] * 2 + [(1.4, -0.2)] * 2, (1.4, -0.2), True),  # 37 degrees around it
+        ([(0, 0)] * 2 + [(0.6, 0)], (0.6, 0), False),  # too seldom: not confirmed
+    ],
+)
+def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, places, at, verified):
+    s = scene(confirm_hits=4)
+    for x_m, y_m in places:
+        (chair,) = s.see(("chair", 2, 0, 0.6), x_m=x_m, y_m=y_m)
+    assert s.tracker.verified(chair, SE2(*at, 0.0)) == verified
 
 
 def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):

@@ -19,6 +19,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from edge import names
+from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
 from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
@@ -92,13 +93,13 @@ class Pursuit(Generic[DestinationType]):
         elif self._goals.exhausted:
             self.finish(context.now_ns)
 
-    def _is_reached(self, instance: Instance) -> bool:
+    def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return True if the robot, which stands next to it, has reached this object.
 
         A remembered object must be seen again: it may have been moved.
         """
         seen_again = self._since_ns is not None and instance.last_seen_ns >= self._since_ns
-        return seen_again and self._map.tracker.confirmed(instance)
+        return seen_again and self._map.tracker.verified(instance, pose)
 
     def finish(self, now_ns: int) -> None:
         """End the target, or go back to a probable object: no candidate is left."""
@@ -303,7 +304,7 @@ class CheckPursuit(Pursuit[CheckTarget]):
     def finish(self, now_ns: int) -> None:
         self._answer.answer_no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
 
-    def _is_reached(self, instance: Instance) -> bool:
+    def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge.config import PolicySearch
+from edge.geometry import SE2
 from edge.loop.behaviours.pursuits import CheckAnswer, Pursuit, objects_found, time_left
 from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goal import POINT_SNAP_M, SAME_POINT_M, GoalTracker
@@ -351,7 +352,7 @@ class CheckRoomPursuit(ExploreRoomPursuit):
     def end(self, now_ns: int) -> None:
         self._answer.answer_no("the room is explored", now_ns)
 
-    def _is_reached(self, instance: Instance) -> bool:
+    def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""
         return False
 

@@ -325,6 +325,22 @@ class InstanceTracker:
         """Return True if the instance is confirmed as the target, or was reached."""
         return instance.state in ("confirmed", "reached")
 
+    def verified(self, instance: Instance, pose: SE2) -> bool:
+        """Return True if a confirmed instance also had good hits from another viewpoint.
+
+        Images of one viewpoint repeat the same mistake, so half of `confirm_hits` must be from
+        another one than the first good hit.
+
+        Args:
+            instance: an instance.
+            pose: the robot's pose. If it is still at the first viewpoint, there was no other.
+        """
+        track = self._tracks.get(instance.id)
+        if track is None or not self.confirmed(instance):
+            return False
+        enough = track.other_hits >= self.config.confirm_hits // 2
+        return enough or not track.is_other_viewpoint(pose)
+
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.
 
@@ -574,8 +590,7 @@ class InstanceTracker:
         """Update the state from the evidence.
 
         An instance is confirmed if all of these hold:
-        - it had at least `confirm_hits` good hits, half of them from another viewpoint than the
-          first one: images of one viewpoint repeat the same mistake;
+        - it had at least `confirm_hits` good hits;
         - its mean score over all near views is at least `confirm_mean`;
         - its mean score is at least `confirm_lead` times that of its competing classes;
         - it is not contested (`_update_contested`).
@@ -590,7 +605,6 @@ class InstanceTracker:
         lead = 1.0 if instance.state == "confirmed" else c.confirm_lead  # over competing classes
         is_confirmed = (
             track.good_hits >= c.confirm_hits
-            and track.other_hits >= c.confirm_hits // 2
             and track.target_sum >= c.confirm_mean * track.views
             and track.target_sum >= lead * track.competing_sum
             and not self._update_contested(track)

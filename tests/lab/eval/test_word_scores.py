@@ -7,7 +7,6 @@ from edge.cli.main import main
 from edge.lab.eval.word_scores import NEVER, LabelledImage, WordCount, score_for
 from edge.types import Detections, Observation
 
-
 OTHERS = WordCount(scores=[0.3, 0.9], right=[False, True])  # half of all objects are right
 
 
