@@ -12,8 +12,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import onnxruntime
-from http_server import running
-from kserve_server import Handler, KServe
+from kserve_server import KServe, serving
 
 from edge.perception.runtime.cards import load_card
 
@@ -26,10 +25,7 @@ def main(port: int) -> None:
     def run(feed):
         return dict(zip(("boxes", "scores"), session.run(["boxes", "scores"], feed), strict=True))
 
-    class Serving(Handler):
-        kserve = KServe(run)
-
-    with running(Serving, threading.Event(), port):
+    with serving(KServe(run), port):
         print("ready", flush=True)
         threading.Event().wait()
 
