@@ -62,7 +62,7 @@ def test_what_is_short_is_shown_as_it_is(value):
         ([0] * 1000 + [Silent()], "[0, 0, 0"),
         ("x" * 10_000_000, "'xxx"),
         (b"\x00" * 10_000_000, "b'\\x00"),
-        (deep(100_000), "[[[["),
+        (deep(10_000), "[[[["),
         (1 << 100_000, "0x1"),
         (-1 << 100_000, "-0x1"),
         ([1 << 100_000], "[0x1"),
@@ -79,7 +79,7 @@ def test_no_more_is_made_than_is_shown(value, begins):
 
 
 def test_secrets_are_looked_for_however_deep():
-    assert str(redact(deep(100_000))).count("[") == 100
+    assert str(redact(deep(10_000))).count("[") == 100
 
 
 @pytest.mark.parametrize(

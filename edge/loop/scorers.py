@@ -11,23 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from edge import names
 from edge.config import ChoiceCooccurrence, ChoiceNone, ChoiceOnnx, Config
 from edge.config.root import ValueSource
-from edge.geometry import SE2
 from edge.loop.cooccurrence import PriorChoice, RelatedScores
+from edge.loop.scorer_questions import (
+    ChoiceAnswers,
+    ChoiceQuestion,
+    SimilarityAnswers,
+    SimilarityQuestion,
+    mark_costs,
+    objects_in_view,
+    places_m,
+)
 from edge.mapping.values import RangeProfile, ValueMap
 from edge.perception.scoring.choice.factory import ViewScorer, make_view_scorer
 from edge.perception.scoring.choice.picture import visible_marks
 from edge.perception.scoring.choice.question import (
-    DetectedObject,
-    FrontierChoice,
-    Mark,
-    MarkCosts,
     MarkedView,
 )
 from edge.perception.scoring.similarity import (
@@ -44,97 +47,8 @@ from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Candidates, ImageSimilarity, ScorerOutputs, TargetPrior
 from edge.types import Detections, Observation
 
-IN_VIEW_NS = 2_000_000_000  # objects seen longer ago do not count as in view
-MAX_NAMED_OBJECTS = 20  # largest number of objects that a question names
-
 ScoreOf = Callable[[Detections], np.ndarray]
 """Returns (n,) float32 in [0, 1], a score for each prompt."""
-
-
-class _SimilarityQuestion(NamedTuple):
-    """A question to a similarity scorer.
-
-    Attributes:
-        observation: The observation with the image.
-        targets: The targets to compare the image with.
-        range_profile: The part of the map that the camera sees; None if the answer is not written
-            to the value maps.
-    """
-
-    observation: Observation
-    targets: tuple[str, ...]
-    range_profile: RangeProfile | None
-
-
-class _ChoiceQuestion(NamedTuple):
-    """A question to a choice scorer.
-
-    Attributes:
-        view: The image with marks.
-        xy_m: (n, 2) float64 in `map`, places of the frontiers of the marks.
-        range_profile: As in `_SimilarityQuestion`.
-    """
-
-    view: MarkedView
-    xy_m: np.ndarray
-    range_profile: RangeProfile | None
-
-    @property
-    def observation(self) -> Observation:
-        return self.view.observation
-
-
-class _SimilarityAnswers:
-    """A similarity scorer that returns the question with its answer; `ScorerWorker` runs it.
-
-    The worker calls `prepare`, releases the observation, and then calls `answer`.
-    """
-
-    def __init__(self, scorer: SimilarityScorer) -> None:
-        self.name = scorer.name
-        self._scorer = scorer
-
-    def prepare(self, question: _SimilarityQuestion) -> tuple[_SimilarityQuestion, np.ndarray]:
-        """Return the question with a copy of the image, so that the frame is not held."""
-        assert question.observation.rgb is not None
-        return question, question.observation.rgb.copy()
-
-    def answer(
-        self, prepared: tuple[_SimilarityQuestion, np.ndarray]
-    ) -> tuple[_SimilarityQuestion, ImageSimilarity]:
-        question, rgb = prepared
-        seen, targets = question.observation, question.targets
-        score = self._scorer.score(rgb, targets)
-        return question, ImageSimilarity(seen.stamp_ns, seen.pose, targets, score)
-
-    def close(self) -> None:
-        self._scorer.close()
-
-
-class _ChoiceAnswers:
-    """A choice scorer that returns the question with its answer; see `_SimilarityAnswers`."""
-
-    def __init__(self, scorer: ViewScorer) -> None:
-        self.name = scorer.name
-        self._scorer = scorer
-
-    @property
-    def detail(self) -> str:
-        """Reason why another model answers than `name`; "" if none does."""
-        return getattr(self._scorer, "detail", "")
-
-    def prepare(self, question: _ChoiceQuestion) -> tuple[_ChoiceQuestion, Any]:
-        return question, self._scorer.prepare(question.view)
-
-    def answer(
-        self, prepared: tuple[_ChoiceQuestion, Any]
-    ) -> tuple[_ChoiceQuestion, FrontierChoice] | None:
-        question, image = prepared
-        choice = self._scorer.answer(image)
-        return None if choice is None else (question, choice)
-
-    def close(self) -> None:
-        self._scorer.close()
 
 
 class Scorers:
@@ -178,12 +92,12 @@ class Scorers:
         self.value_source = value_source
         self.shed: frozenset[str] = frozenset()
         self._n_questions = 0  # number of questions about directions so far
-        answers = None if similarity is None else _SimilarityAnswers(similarity)
+        answers = None if similarity is None else SimilarityAnswers(similarity)
         self._similarity = (
             None if answers is None else ScorerWorker("similarity", answers, 0.0, inline)
         )
         self._by_prior = isinstance(choice, PriorChoice)  # fast, so it needs no thread
-        chooser = None if choice is None else _ChoiceAnswers(choice)
+        chooser = None if choice is None else ChoiceAnswers(choice)
         self._choice = (
             None
             if chooser is None
@@ -193,7 +107,7 @@ class Scorers:
         self.newest_swap = False
         self.swap: ChoiceSwap | None = None
         if make_other is not None and self._choice is not None:
-            self.swap = ChoiceSwap(self._choice, lambda card: _ChoiceAnswers(make_other(card)))
+            self.swap = ChoiceSwap(self._choice, lambda card: ChoiceAnswers(make_other(card)))
 
     @property
     def _workers(self) -> list[ScorerWorker]:
@@ -237,7 +151,7 @@ class Scorers:
             profile = (
                 values.range_profile(observation) if self.value_source == "similarity" else None
             )
-            similarity.submit(_SimilarityQuestion(observation, targets, profile))
+            similarity.submit(SimilarityQuestion(observation, targets, profile))
         if choice is not None and choice.idle:
             c = candidates
             frontiers = np.flatnonzero((c.kind[: c.n] == FRONTIER) & ~c.blocked[: c.n])
@@ -247,14 +161,14 @@ class Scorers:
                     values.range_profile(observation) if self.value_source == "choice" else None
                 )
                 asked_target = self._next_target(targets, target)
-                xy_m, ratio = _places_m(observation.pose, marks), None
+                xy_m, ratio = places_m(observation.pose, marks), None
                 if self._by_prior and prior is not None:
                     ratio = np.ones(len(marks), np.float32)
                     prior.likelihood_ratio(asked_target, xy_m.astype(np.float32), len(marks), ratio)
                 seen = objects_in_view(tracker, other_objects, observation)
                 costs = mark_costs(c, frontiers, marks)
                 view = MarkedView(observation, asked_target, marks, seen, ratio, costs)
-                choice.submit(_ChoiceQuestion(view, xy_m, profile))
+                choice.submit(ChoiceQuestion(view, xy_m, profile))
 
     def on_detections(self, detections: Detections, values: ValueMap) -> None:
         """Use the running detector's scores as similarity, if so configured."""
@@ -357,60 +271,6 @@ class Scorers:
             worker.close()
         if self.swap is not None:
             self.swap.close()
-
-
-def _places_m(pose: SE2, marks: Sequence[Mark]) -> np.ndarray:
-    """Return the places of marks, (n, 2) float64 in `map`."""
-    bearing = pose.yaw_rad + np.array([mark.bearing_rad for mark in marks])
-    away_m = np.array([mark.distance_m for mark in marks])
-    return np.stack(
-        [pose.x_m + away_m * np.cos(bearing), pose.y_m + away_m * np.sin(bearing)], axis=1
-    )
-
-
-def mark_costs(candidates: Candidates, unblocked: np.ndarray, marks: Sequence[Mark]) -> MarkCosts:
-    """Return path lengths and gains of the marks, and a summary of the other frontiers.
-
-    Args:
-        candidates: The candidates.
-        unblocked: (k,) indices of the frontiers that are not blocked, including those of the marks.
-        marks: Marks in the image.
-    """
-    path_m, gain_m2 = candidates.path_m[unblocked], candidates.gain_m2[unblocked]
-    ids = np.array([mark.id for mark in marks], np.int64)
-    is_mark = candidates.id[unblocked] == ids[:, None]  # (marks, k)
-    # `index`: the frontier of each mark. Other frontiers count only if a path is known.
-    index, is_other = is_mark.argmax(axis=1), np.isfinite(path_m) & ~is_mark.any(axis=0)
-    others = np.zeros(3, np.float32)  # their number, shortest path and largest gain
-    if is_other.any():
-        others[:] = np.count_nonzero(is_other), path_m[is_other].min(), gain_m2[is_other].max()
-    return MarkCosts(path_m[index], gain_m2[index], others)
-
-
-def objects_in_view(
-    tracker: InstanceTracker, other_objects: TrackedObjects | None, observation: Observation
-) -> tuple[DetectedObject, ...]:
-    """Return the objects detected in the last `IN_VIEW_NS` and not rejected, nearest first."""
-    pose, min_hits = observation.pose, tracker.config.min_hits
-    found = [
-        (instance.label, instance.center_m)
-        for instance in tracker.all
-        if instance.state != "rejected"
-        and instance.hits >= min_hits
-        and observation.stamp_ns - instance.last_seen_ns <= IN_VIEW_NS
-    ]
-    if other_objects is not None:
-        n, targets = other_objects.n, {names.canonical(i.label) for i in tracker.all}
-        is_recent = other_objects.last_seen_ns[:n] >= observation.stamp_ns - IN_VIEW_NS
-        for i in np.flatnonzero(is_recent & (other_objects.hits[:n] >= min_hits)):
-            word = other_objects.words[other_objects.word[i]]
-            if word not in targets:  # the tracker knows more about targets
-                found.append((word, other_objects.xyz_m[i]))
-    seen = [
-        DetectedObject(word, pose.bearing_to(*xy_m), pose.distance_to(*xy_m))
-        for word, xy_m in ((word, (float(at[0]), float(at[1]))) for word, at in found)
-    ]
-    return tuple(sorted(seen, key=lambda sighting: sighting.distance_m)[:MAX_NAMED_OBJECTS])
 
 
 def make_scorers(

@@ -172,20 +172,10 @@ DECODERS = {
         _COMPRESSED,
     ),
     "tf": Decoder(transforms.decode_transforms, (LOCALIZED,), ("decode_transforms",)),
-    "goal request": Decoder(
-        navigation.decode_send_goal,
-        (navigation.encode_send_goal(bytes(16), NS, SE2(1.0, 2.0, 0.5)),),
-        ("decode_send_goal",),
-    ),
     "goal answer": Decoder(
         navigation.decode_send_goal_answer,
         (_ros("nav2_msgs/msg/NavigateToPose_SendGoal_Response", True, _goal_info().stamp),),
         ("decode_send_goal_answer",),
-    ),
-    "cancel answer": Decoder(
-        navigation.decode_cancel_answer,
-        (_ros("action_msgs/msg/CancelGoal_Response", 0, [_goal_info()]),),
-        ("decode_cancel_answer",),
     ),
     "goal result": Decoder(
         navigation.decode_result,

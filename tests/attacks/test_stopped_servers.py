@@ -9,28 +9,18 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from live_patience import eventually
 from live_service import live
-from server_peer import FORMULA, MODEL
+from server_peer import MODEL
 
-from edge.config import ChoiceOpenai, PerceptionConfig, TranslatorAuto, TranslatorLlm
-from edge.errors import UserError
-from edge.geometry import CameraModel
 from edge.host.ports import free_port
-from edge.mission.translate import make_translator
 from edge.perception.runtime.cards import load_card
-from edge.perception.scoring.choice.factory import make_view_scorer
-from edge.perception.scoring.choice.question import Mark, MarkCosts, MarkedView
-from edge.types import Observation
 
 pytestmark = pytest.mark.slow
 
 PEER = Path(__file__).with_name("server_peer.py")
-CHOICE = "mini-house-choice"
-UNCLEAR = "skedaddle bed"  # the grammar refuses it, and the small network is not sure
 
 
 class ServerProcess:
@@ -120,43 +110,3 @@ def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkey
         reported("and back", since_s)
         assert service.statuses[-1]["mission"]["id"] == begun
         assert service.statuses[-1]["phase"] == "searching"
-
-
-def test_directions_are_chosen_without_the_server(server, reported):
-    choice = ChoiceOpenai(url=f"{server.url}/v1", model="m", fallback=CHOICE, time_limit_s=60.0)
-    scorer = make_view_scorer(choice, PerceptionConfig(detector={"kind": "sim"}))
-    camera, two = CameraModel.from_hfov(320, 256, 1.3), np.full(2, 3.0, np.float32)
-    seen = Observation(0, 0, np.eye(4), camera=camera, rgb=np.full((256, 320, 3), 90, np.uint8))
-    marks = (Mark(3, 80.0, 128.0, 0.3, 2.0), Mark(4, 240.0, 128.0, -0.3, 2.0))
-    view = MarkedView(seen, "bed", marks, (), None, MarkCosts(two, two, np.zeros(3, np.float32)))
-
-    def answer():
-        return scorer.answer(scorer.prepare(view))
-
-    eventually(lambda: answer() and not scorer.detail)
-    assert answer().p[0] > 0.9
-    server.leave()
-    since_s = time.monotonic()
-    assert answer().ids == (3, 4)
-    reported("an answer of the local model after the end of the server", since_s)
-    assert f"{CHOICE} answers until m at {server.url}/v1 does again" in scorer.detail
-    server.come_back()
-    eventually(lambda: answer() and not scorer.detail, "the server is not used again")
-    assert answer().p[0] > 0.9
-    scorer.close()
-
-
-def test_instructions_are_translated_without_the_server(server, caplog, reported):
-    llm = TranslatorLlm(url=f"{server.url}/v1", time_limit_s=60.0)
-    translate = make_translator(TranslatorAuto(llm=llm)).translate
-    assert str(translate(UNCLEAR, reading=1).formula) == FORMULA
-    assert "without the language model" not in caplog.text
-    server.leave()
-    since_s = time.monotonic()
-    with pytest.raises(UserError) as raised:  # the small network asks, or the grammar advises
-        translate(UNCLEAR)
-    reported("the small network's answer after the end of the server", since_s)
-    assert "translated without the language model: " in caplog.text
-    assert "\n" not in str(raised.value)
-    server.come_back()
-    assert str(translate(UNCLEAR, reading=1).formula) == FORMULA

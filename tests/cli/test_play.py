@@ -6,7 +6,6 @@ import json
 import os
 import re
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,15 +99,6 @@ def test_a_log_of_carmen_makes_a_map(play, tmp_path):
     assert int(told.partition("map: ")[2].split()[0]) >= 8
 
 
-def test_a_bench_takes_it_too(config, tmp_path):
-    path = write_mcap(tmp_path / "robot.mcap", plain())
-    detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "threads": 1}
-    Path(config).write_text(json.dumps({**OURS, "perception": {"detector": detector}}))
-    figures = bench.run_bench(load(config), path, 20.0, threading.Event())
-    assert 0 < figures["counters"]["observations"] <= N
-    assert 0 < figures["latency"]["tick"]["count"] <= N
-
-
 def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
     grey = np.full((12, 16, 3), 90, np.uint8)
     sent = [
@@ -118,15 +108,6 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
     path = write_mcap(tmp_path / "robot.mcap", sent)
     with pytest.raises(UserError, match=r"in 20 s, .*camera/rgb: the image has one colour"):
         bench.run_bench(load(config), path, 20.0, threading.Event())
-
-
-def test_a_bench_tells_what_is_missing(config, tmp_path):
-    path = write_mcap(tmp_path / "robot.mcap", odometry())
-    with pytest.raises(
-        UserError, match=r"searched for camera/rgb.* the recording has /odom"
-    ) as caught:
-        bench.run_bench(load(config), path, 20.0, threading.Event())
-    assert "--seconds" not in str(caught.value)
 
 
 def test_other_commands_name_it(tmp_path, capsys):

@@ -78,17 +78,6 @@ def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
     assert "reached: sofa, then television, then trash can" in second.output
 
 
-@pytest.mark.slow
-def test_a_damaged_checkpoint_is_set_aside_and_the_mission_begins_again(edge, endpoint, tmp_path):
-    kept = tmp_path / "mission.json"
-    kept.write_text('{"format":"edge-mission","version":1,')
-    mission = {"target": "bed", "checkpoint": str(kept)}
-    config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission)
-    run = edge("run", config).says("ready:")
-    assert "kept as mission.json.damaged-1" in run.output
-    assert (tmp_path / "mission.json.damaged-1").read_text().startswith('{"format"')
-
-
 @pytest.fixture
 def request_of(command) -> Callable[..., tuple[int, str]]:
     """Run `edge mission` in this process."""
@@ -151,14 +140,12 @@ def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_pa
     assert "contradiction" in run.lines[-1]
 
 
-@pytest.mark.parametrize("answers", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_language_model_that_is_down_or_silent_costs_only_its_mission(
-    edge, endpoint, tmp_path, request_of, answers
+def test_a_language_model_that_is_silent_costs_only_its_mission(
+    edge, endpoint, tmp_path, request_of
 ):
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
-        if answers:  # takes calls and says nothing
-            server.listen()
+        server.listen()
         url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
         translator = {"kind": "llm", "url": url, "time_limit_s": 2.0}
         mission = {"target": "toilet", "translator": translator}

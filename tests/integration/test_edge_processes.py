@@ -78,21 +78,6 @@ def test_a_service_loads_nothing_that_is_not_configured(edge, config, tmp_path):
     assert not [name for name in loaded if name.startswith(unwanted)]
 
 
-@pytest.mark.slow
-def test_a_service_without_sensors_stops_and_leaves_a_report(edge, config, tmp_path):
-    service = edge("run", config, "--report", tmp_path / "report").says("ready:")
-    assert service.stop(signal.SIGINT) == 0, service.output
-    assert (tmp_path / "report" / "report.png").stat().st_size > 5000
-
-
-@pytest.mark.slow
-def test_a_simulator_that_waits_for_the_service_stops(edge, config):
-    simulator = edge("sim", config).says("waiting for a server")
-    assert len(simulator.children()) == 1
-    assert simulator.stop(signal.SIGINT) == 0, simulator.output
-    assert not simulator.orphans()
-
-
 def test_a_demo_ends_when_its_simulator_does(edge, config):
     demo = edge("demo", config).says("ready:")
     victim = next(child for child in demo.children() if "sim" in child.cmdline())

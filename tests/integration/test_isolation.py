@@ -184,31 +184,3 @@ def test_a_stop_is_obeyed_while_the_model_loads(live, caplog):
     assert [r.getMessage() for r in caplog.records if r.name == "edge"] == [
         "stopped during the start, before the service was ready"
     ]
-
-
-@pytest.mark.slow
-def test_ten_kills_in_a_minute(live, capsys):
-    """With backoff and limit as they are by default: the loop goes on, then `degraded`.
-
-    The loop's rate before and meanwhile is printed.
-    """
-    with live(timeout_s=PATIENCE_S, start_timeout_s=PATIENCE_S) as (life, _):
-        life.until_it_sees()
-        began_s = time.monotonic()
-        before_hz = life.until(lambda: True, 150) / (time.monotonic() - began_s)
-        kills, ticks, began_s = 0, 0, time.monotonic()
-        while life.state() != "degraded":
-            life.model().kill()
-            kills += 1
-            before = life.images()
-            ticks += life.until_it_sees()
-            assert life.images() > before
-        took_s = time.monotonic() - began_s
-        hz = f"{before_hz:.1f} Hz before, {ticks / took_s:.1f} Hz"
-        with capsys.disabled():
-            print(f"\n{hz} over {kills} kills in {took_s:.0f} s")
-        assert kills == supervised.MOST_ENDS + 1
-        before = life.images()
-        life.until(lambda: True, TICKS)
-        assert life.images() - before >= TICKS
-        assert life.status()["state"] == "degraded"

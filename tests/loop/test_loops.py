@@ -13,14 +13,14 @@ from operator import attrgetter
 from types import SimpleNamespace
 
 import pytest
-from frames import Slot
+from frames import Slot, blank_observation
 from patience import eventually
 from simulated import simulated
 
 from edge.errors import Stopped
 from edge.geometry import SE2
 from edge.host import resources
-from edge.lab.eval.closed_loop import ClosedLoop, blank_observation
+from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop import runner
 from edge.loop.error_boundary import DEGRADED_AFTER
 from edge.loop.runner import RunningService, loop

@@ -89,14 +89,8 @@ def late(frames: int) -> Callable[[], Tamper]:
 
 TAMPERED = {
     "frozen": (frozen("rgb", "depth_m"), "camera/depth: no pixel has changed"),
-    "depth frozen": (frozen("depth_m"), "camera/depth: no pixel has changed"),
     "colour frozen": (frozen("rgb"), "camera/rgb: no pixel has changed"),
     "depth zero": (always(depth_m=lambda o: np.zeros_like(o.depth_m)), "camera/depth: only 0.0%"),
-    "depth NaN": (always(depth_m=lambda o: o.depth_m * np.float32(np.nan)), "camera/depth: only"),
-    "black": (always(rgb=lambda o: np.zeros_like(o.rgb)), "camera/rgb: the image has one colour"),
-    "grey": (always(rgb=lambda o: np.full_like(o.rgb, 128)), "camera/rgb: the image has one"),
-    "dark": (always(rgb=lambda o: o.rgb // 32), "camera/rgb: the image is dark"),
-    "millimetres": (always(depth_m=lambda o: o.depth_m * 1000), "cannot be in metres"),
     "late": (late(20), "sensors: frames arrive"),
 }  # fmt: skip
 

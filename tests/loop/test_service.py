@@ -7,9 +7,10 @@ import tracemalloc
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import cycle
 
 import pytest
-from frames import Slot
+from frames import Slot, blank_observation
 from simulated import simulated
 
 from edge.bus.session import open_session
@@ -17,7 +18,7 @@ from edge.cli.console import ConsoleSink
 from edge.config import Config
 from edge.geometry import SE2
 from edge.host.ports import free_port
-from edge.lab.eval.closed_loop import START_NS, ClosedLoop, blank_observation
+from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.lab.report.recorder import ReportRecorder
 from edge.loop.goal import _TrackedGoal
 from edge.loop.status import status_message
@@ -43,9 +44,7 @@ def test_a_first_frame_with_nothing_in_it_is_no_trouble():
     assert loop.service.status.phase == "searching"
 
 
-@pytest.mark.parametrize(
-    ("seed", "rate_hz"), [pytest.param(1, 30, marks=pytest.mark.slow), (2, 5), (3, 5)]
-)
+@pytest.mark.parametrize(("seed", "rate_hz"), [pytest.param(1, 30, marks=pytest.mark.slow), (2, 5)])
 def test_no_luck_with_the_noise_is_needed(seed, rate_hz):
     """Vary detector errors and camera rate; each time the robot finds the bed."""
     perception = {"detector": {"kind": "sim", "seed": seed}}
@@ -84,9 +83,11 @@ def test_a_result_says_the_same_later():
         return things, steps, result.mission().reached, result.frontiers().tolist()
 
     before = told()
-    loop.run(60)
-    assert loop.service.status.phase == "reached"
+    for _ in range(20):
+        loop.step()
     assert told() == before
+    result = loop.service.result()
+    assert told() != before
 
 
 TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody answers
@@ -108,19 +109,16 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
     assert len(told) == (0 if answers else 1)
 
 
-@pytest.mark.parametrize("sections", [{}, TOPIC])
-def test_a_controller_that_never_answers_gets_the_robot_there(sections, caplog):
-    loop = ClosedLoop(config(mission={"target": "bed"}, **sections), colour=False)
+def test_a_controller_that_never_answers_gets_the_robot_there():
+    loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     loop.service.on_goal_status = lambda answer: None
     loop.run(240)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
-    told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
-    assert bool(told) != bool(sections), "on a topic nobody is expected to answer"
 
 
 @pytest.mark.parametrize("sections", [{}, TOPIC])
-def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections):
+def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections, caplog):
     settings = config(mission={"target": "surfboard", "stuck_s": 2.0}, **sections)
     loop = ClosedLoop(settings, colour=False)
     loop.service.on_goal_status = lambda answer: None
@@ -130,6 +128,8 @@ def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections):
     for i in range(60):
         loop.service.tick(loop.observe(), stands_ns + i * TICK_NS)
     assert any("stuck" in event for event in loop.notes.events)
+    told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
+    assert bool(told) != bool(sections), "on a topic nobody is expected to answer"
 
 
 def driving(**mission) -> ClosedLoop:
@@ -246,13 +246,13 @@ def test_a_stop_withdraws_the_goal_at_once_and_missions_wait_until_its_release(b
     assert service.status.phase == "searching"
 
 
-@pytest.mark.parametrize("kind", ["frontier", "instance", "spin", "trajectory", "place"])
-def test_no_goal_of_any_kind_is_sent_while_stopped(kind):
+def test_no_goal_of_any_kind_is_sent_while_stopped():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), kind, 1, (1.0, 0.0), 1.0, "surfboard")
+    kinds = cycle(["frontier", "instance", "spin", "trajectory", "place"])
 
     def select(*_: object) -> Goal:  # a behaviour with a bug
+        goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), next(kinds), 1, (1.0, 0.0), 1.0, "surfboard")
         service.goals._tracked = _TrackedGoal(goal)
         return goal
 
@@ -260,8 +260,8 @@ def test_no_goal_of_any_kind_is_sent_while_stopped(kind):
     service.stop("button", loop.drive.motion.stamp_ns)
     for _ in range(20):
         loop.step()
-    assert goal not in loop.notes.goals
-    assert [sent.kind for sent in loop.notes.goals[before:]] == ["spin"]
+    (sent,) = loop.notes.goals[before:]
+    assert (sent.kind, sent.score) == ("spin", 0.0)
 
 
 def test_a_stop_without_a_mission_sends_one_goal_to_stand_still():

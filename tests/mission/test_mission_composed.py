@@ -12,7 +12,7 @@ from edge.mission.readings import distinct
 from exporters.training.translator.compose import Composer, load
 
 THINGS = ("sofa", "bed", "oven", "chair", "desk", "floor lamp", "door", "window")
-DRAWN = 2000
+DRAWN = 1000
 DEBATABLE = {
     "F & x F": "whether 'visit a and open b', or 'a by way of b or c', is in order",
     "F & | x x F": "as before",

@@ -2,8 +2,7 @@
 
 Started in place of `edge.perception.serve_detector`. With a model other than `steered` it serves
 that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
-`wait` or `build` a steered one is not ready; with `lie` it tells nonsense of its health; what else
-the file says keeps it from loading.
+`wait` or `build` a steered one is not ready; what else the file says keeps it from loading.
 """
 
 from __future__ import annotations
@@ -105,8 +104,6 @@ def make(perception, prompts, progress):
         progress(Health("building engine", "1 of 2"))
     while (said := script.read_text()) in ("wait", "build"):
         time.sleep(0.01)
-    if said == "lie":
-        progress(Health("splendid"))
     if said == "exit":
         os._exit(4)
     if said:

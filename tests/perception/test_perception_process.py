@@ -28,7 +28,6 @@ from edge.perception.process.wire import ModelProcessError
 from edge.perception.runtime.cards import ModelError, card_names
 from edge.perception.runtime.health import Health, log_progress
 from edge.perception.swap import detector as swaps
-from edge.perception.worker import DetectorWorker
 
 FAKE = Path(__file__).parent / "fake_model_process.py"
 # Only where a hang is meant may a slow machine be taken for one.
@@ -332,12 +331,6 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         ("tiny.onnx: truncated", ModelError, "^tiny.onnx: truncated$"),
         ("exit", ModelProcessError, "ended with exit code 4 before it was ready"),
         ("wait", ModelProcessError, r"not ready after 0\.1 s \(.*start_timeout_s\)"),
-        (
-            "lie",
-            ModelProcessError,
-            r"sent a damaged message before it was ready \(health: unknown state 'splendid' .*\); "
-            "it was killed$",
-        ),
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],
 )
@@ -447,21 +440,6 @@ def test_a_process_does_not_outlive_who_started_it():
         child = psutil.Process(int(parent.stdout.readline()))
         parent.kill()
         child.wait(PATIENCE_S)
-
-
-def test_the_worker_goes_on_over_a_process_that_ends(seen, once):
-    worker = DetectorWorker(steered())
-    worker.submit(seen(SEGFAULT))
-    eventually(lambda: worker.stats.failed)
-    back(worker.detector)
-    worker.submit(seen(seq=2))
-    assert eventually(worker.poll).observation.seq == 2
-    worker.submit(seen(NAN))
-    eventually(lambda: worker.stats.failed == 2)
-    assert worker.stats.failures == {"ModelProcessError": 2}
-    eventually(lambda: worker.detector.health().state == "degraded")
-    assert "damaged answer (boxes that are not finite)" in worker.detector.health().detail
-    worker.close()
 
 
 def compare(inside, perception, observations):

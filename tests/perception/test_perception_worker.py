@@ -93,6 +93,7 @@ def test_cameras_take_turns_and_detections_come_in_order(make_observation):
         found[-1].release()
     assert [o.camera_index for o in found] == [0, 1, 0, 1, 0, 1]
     assert [o.seq for o in found] == sorted(o.seq for o in found)
+    fake.gate.release()  # for the image that still waits
     worker.close()
     assert holds(seen) == [0] * len(seen)
 

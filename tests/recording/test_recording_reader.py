@@ -6,6 +6,7 @@ import argparse
 import struct
 import tracemalloc
 import zlib
+from collections.abc import Callable
 
 import lz4.frame
 import pytest
@@ -59,44 +60,59 @@ def write(path, *parts: bytes) -> None:
 
 NOTHING = bytes(MANY)
 NOT_THE_SIZE = "a chunk does not have its declared size"
-BOMBS = {
-    "zstd": (chunk(zstd(NOTHING), 1000, "zstd"), NOT_THE_SIZE),
-    "zstd, of no size": (chunk(zstd(NOTHING, False), 1000, "zstd"), "cannot be decompressed"),
-    "zstd, of too small a size": (chunk(zstd(SMALL), len(SMALL) + 1, "zstd"), NOT_THE_SIZE),
-    "lz4": (chunk(lz4.frame.compress(NOTHING), 1000, "lz4"), NOT_THE_SIZE),
-    "lz4, of no length": (chunk(lz4.frame.compress(NOTHING), 0, "lz4"), NOT_THE_SIZE),
-    "lz4, cut off": (chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"), NOT_THE_SIZE),
-    "none": (chunk(SMALL, 1000), NOT_THE_SIZE),
-    "another codec": (chunk(SMALL, len(SMALL), "xz"), "unknown compression xz"),
-    "a size of all": (chunk(zstd(SMALL), 1 << 62, "zstd"), f"chunk has {1 << 62} bytes, at most"),
-    "checksum": (chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1), "checksum of a chunk"),
+BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "zstd": (lambda: chunk(zstd(NOTHING), 1000, "zstd"), NOT_THE_SIZE),
+    "zstd, of no size": (
+        lambda: chunk(zstd(NOTHING, False), 1000, "zstd"),
+        "cannot be decompressed",
+    ),
+    "zstd, of too small a size": (lambda: chunk(zstd(SMALL), len(SMALL) + 1, "zstd"), NOT_THE_SIZE),
+    "lz4": (lambda: chunk(lz4.frame.compress(NOTHING), 1000, "lz4"), NOT_THE_SIZE),
+    "lz4, of no length": (lambda: chunk(lz4.frame.compress(NOTHING), 0, "lz4"), NOT_THE_SIZE),
+    "lz4, cut off": (
+        lambda: chunk(lz4.frame.compress(SMALL)[:-8], len(SMALL), "lz4"),
+        NOT_THE_SIZE,
+    ),
+    "none": (lambda: chunk(SMALL, 1000), NOT_THE_SIZE),
+    "another codec": (lambda: chunk(SMALL, len(SMALL), "xz"), "unknown compression xz"),
+    "a size of all": (
+        lambda: chunk(zstd(SMALL), 1 << 62, "zstd"),
+        f"chunk has {1 << 62} bytes, at most",
+    ),
+    "checksum": (
+        lambda: chunk(SMALL, len(SMALL), crc=zlib.crc32(SMALL) ^ 1),
+        "checksum of a chunk",
+    ),
     "a long record": (
-        chunk(struct.pack("<BQ", Opcode.MESSAGE, 1 << 62) + b"x", 10),
+        lambda: chunk(struct.pack("<BQ", Opcode.MESSAGE, 1 << 62) + b"x", 10),
         "a record is longer than its chunk",
     ),
-    "a chunk within a chunk": (chunk(chunk(zstd(NOTHING), MANY, "zstd"), 9), NOT_THE_SIZE),
-    "a short message": (chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9), "too short to have its"),
+    "a chunk within a chunk": (lambda: chunk(chunk(zstd(NOTHING), MANY, "zstd"), 9), NOT_THE_SIZE),
+    "a short message": (
+        lambda: chunk(struct.pack("<BQ", Opcode.MESSAGE, 0), 9),
+        "too short to have its",
+    ),
     "a length in a chunk": (
-        struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(28) + struct.pack("<IQ", 0, 1 << 62),
+        lambda: struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(28) + struct.pack("<IQ", 0, 1 << 62),
         "a record is shorter than its content",
     ),
     "channels": (
-        b"".join(
+        lambda: b"".join(
             chunk(zstd(c), len(c), "zstd")
             for c in (packed(Channel(i, "x" * (1 << 20), "", {}, 0)) for i in range(2, 66))
         ),
         "or more than 8388608 bytes",
     ),
     "many channels": (
-        b"".join(packed(Channel(i, "", "", {}, 0)) for i in range(2, 10_010)),
+        lambda: b"".join(packed(Channel(i, "", "", {}, 0)) for i in range(2, 10_010)),
         "more than 10000 schemas, channels and metadata",
     ),
     "one channel": (
-        chunk(zstd(c := packed(Channel(2, "x" * FEW, "", {}, 0))), len(c), "zstd"),
+        lambda: chunk(zstd(c := packed(Channel(2, "x" * FEW, "", {}, 0))), len(c), "zstd"),
         "bytes, at most",
     ),
     "metadata": (
-        b"".join(packed(Metadata(f"{i}", {"a": "x" * (1 << 20)})) for i in range(64)),
+        lambda: b"".join(packed(Metadata(f"{i}", {"a": "x" * (1 << 20)})) for i in range(64)),
         "or more than 8388608 bytes",
     ),
 }  # fmt: skip
@@ -107,7 +123,7 @@ def test_a_small_file_stays_small(tmp_path, case):
     """All readers of recordings read the part before the limit."""
     bomb, why = BOMBS[case]
     path = tmp_path / "edge-a.mcap"
-    write(path, chunk(SMALL, len(SMALL)), bomb)
+    write(path, chunk(SMALL, len(SMALL)), bomb())
     tracemalloc.start()
     try:
         reading = McapReader(path)

@@ -65,10 +65,10 @@ def test_a_run_with_two_cameras(tmp_path, mapped):
     if mapped == "cloud":
         sensors["lidar"] = {"z_m": 0.4, "pitch_deg": 15.0}
     config = small(sensors=sensors, mapping={"input": mapped})
-    path = Recording(tmp_path, config, rgb_hz=100.0).steps(60).close()
-    same(path, 60)
+    path = Recording(tmp_path, config, rgb_hz=100.0).steps(30).close()
+    same(path, 30)
     seen = [step.observation for step in RecordedRun(path).steps() if step.observation]
-    assert [o.camera_index for o in seen] == [0, 1] * 30
+    assert [o.camera_index for o in seen] == [0, 1] * 15
     for observation in seen:
         mounted = config.sensors.cameras[observation.camera_index]
         assert observation.depth_m.shape == (mounted.height_px, mounted.width_px)

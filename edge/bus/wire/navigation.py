@@ -77,14 +77,6 @@ def decode_dock_result(payload: bytes) -> Result:
     return Result(status, code, reader.string() if reader.left >= 4 else "")
 
 
-def decode_send_goal(payload: bytes) -> tuple[bytes, int, SE2, str]:
-    """Decode NavigateToPose_SendGoal_Request as (goal_id, stamp_ns, pose, frame_id)."""
-    reader = CdrReader(payload)
-    (goal_id,) = reader.read(_UUID, 1)
-    stamp_ns, frame_id = reader.header()
-    return goal_id, stamp_ns, se2_of(read_pose(reader)), frame_id
-
-
 def decode_send_goal_answer(payload: bytes) -> bool:
     """Return True if the goal was accepted."""
     (accepted,) = CdrReader(payload).read(U8, 1)
@@ -130,20 +122,9 @@ def encode_cancel(goal_id: bytes) -> bytes:
     return CdrWriter().write(_UUID, 1, goal_id).write(STAMP, 4, 0, 0).bytes()
 
 
-def decode_cancel_answer(payload: bytes) -> tuple[int, list[bytes]]:
-    """Decode (return code, goals being cancelled); code 0: accepted."""
-    reader = CdrReader(payload)
-    (code,) = reader.read(_I8, 1)
-    return code, [goal_id for goal_id, _ in _goals(reader, status=False)]
-
-
 def decode_goal_statuses(payload: bytes) -> list[tuple[bytes, int]]:
     """Decode action_msgs/GoalStatusArray as (goal_id, status) of each goal."""
-    return _goals(CdrReader(payload), status=True)
-
-
-def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
-    """Read action_msgs/GoalInfo, or GoalStatus with `status`, as (goal_id, status or 0)."""
+    reader = CdrReader(payload)
     (count,) = reader.read(U32, 4)
     if count > _MAX_GOALS:
         raise DecodeError(f"message of {count} goals, at most {_MAX_GOALS} are allowed")
@@ -151,7 +132,7 @@ def _goals(reader: CdrReader, status: bool) -> list[tuple[bytes, int]]:
     for _ in range(count):
         (goal_id,) = reader.read(_UUID, 1)
         reader.skip(STAMP.size, 4)
-        goals.append((goal_id, reader.read(_I8, 1)[0] if status else 0))
+        goals.append((goal_id, reader.read(_I8, 1)[0]))
     return goals
 
 

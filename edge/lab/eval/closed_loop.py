@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter_ns
 
-import numpy as np
-
 from edge.config import Config, PolicyPlugin
 from edge.geometry import SE2
 from edge.lab.eval.ghosts import GhostClock
@@ -228,14 +226,3 @@ def wants_colour(config: Config) -> bool:
     )
     masked = perception.segmenter.kind != "none"
     return scored or masked or is_user_plugin or perception.detector.kind != "sim"
-
-
-def blank_observation(seq: int, stamp_ns: int, pose: SE2, loop: ClosedLoop) -> Observation:
-    """Return a frame of a working camera that adds nothing to the map: every pixel is too near."""
-    depth = np.full(loop.rig.depth_m.shape, 0.01, np.float32)
-    rgb = np.zeros((*depth.shape, 3), np.uint8)
-    rgb[len(rgb) // 2 :] = 255
-    return Observation(
-        seq, stamp_ns, pose.matrix(), rgb=None if loop.rig.rgb is None else rgb, depth_m=depth,
-        camera=loop.rig.model, T_base_camera=loop.rig.T_base_camera,
-    )  # fmt: skip

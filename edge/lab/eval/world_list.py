@@ -41,18 +41,19 @@ def world_sections(specs: Sequence[str]) -> list[WorldSection]:
     Raises:
         UserError: a spec has another form, or its range is empty.
     """
-    return [section for spec in specs for section in _sections_of(spec)]
+    return [section for spec in specs for section in _sections_of(spec, spec)]
 
 
-def _sections_of(spec: str) -> list[WorldSection]:
-    if spec.startswith(f"{_FURNISHED}[") or spec.startswith(f"{_FURNISHED}:"):
-        plain = spec.removeprefix(_FURNISHED)
-        houses = _sections_of(plain[1:] if plain[0] == ":" else f"generated{plain}")
+def _sections_of(form: str, spec: str) -> list[WorldSection]:
+    """Return the sections of a form. Errors name `spec`, the text that the user gave."""
+    if form.startswith((f"{_FURNISHED}[", f"{_FURNISHED}:")):
+        plain = form.removeprefix(_FURNISHED)
+        houses = _sections_of(plain[1:] if plain[0] == ":" else f"generated{plain}", spec)
         # A generated house and its furniture have the same seed.
         return [
             {"kind": "furnished", "house": house, "seed": house.get("seed", 0)} for house in houses
         ]
-    matched = _SPEC.match(spec)
+    matched = _SPEC.match(form)
     name, ranged = matched["name"], matched["first"] is not None
     if name.endswith((".jsonl", ".jsonl.gz")):
         houses = [house.get("name") for house in read_houses(resources.expand(name))]
@@ -80,10 +81,10 @@ def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
         return range(length or 0)
     first = int(matched["first"] or 0)
     end = first + 1 if matched["to"] is None else int(matched["end"] or length or 0)
-    if not first < end <= first + _MAX_SEEDS:
-        raise UserError(
-            f"--worlds {spec}: expected a range [FIRST:END] with 1 to {_MAX_SEEDS} worlds"
-        )
+    if end <= first:
+        raise UserError(f"--worlds {spec}: no world; END must be greater than FIRST in [FIRST:END]")
+    if end - first > _MAX_SEEDS:
+        raise UserError(f"--worlds {spec}: {end - first} worlds; at most {_MAX_SEEDS} are allowed")
     return range(first, end)
 
 

@@ -25,7 +25,8 @@ from edge.lab.sim.catalogue import CatalogueModel, load_model, read_catalogue
 from edge.lab.sim.generator.contents import SUPPORTS
 from edge.lab.sim.generator.house import load_generated
 from edge.lab.sim.generator.rng import PortableRng
-from edge.lab.sim.mesh import Atlas, Faces, MeshWorld, face_arrays, objects_of, require_packages
+from edge.lab.sim.mesh import MeshWorld, objects_of, require_packages
+from edge.lab.sim.mesh_faces import Atlas, Faces, face_arrays
 from edge.lab.sim.procthor import load_procthor
 
 _RNG_KEY = 33

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from hypothesis import given
@@ -193,10 +194,16 @@ def test_other_worlds_have_forms_of_their_own():
 
 
 @pytest.mark.parametrize(
-    "spec", ["demo", "generated", "generated[3:3]", "generated[3:]", "a.glb", "a.glb,", "house:"]
+    ("spec", "error"),
+    [
+        *((spec, "no such world") for spec in ("demo", "generated", "a.glb", "a.glb,", "house:")),
+        ("generated[3:]", "END must be greater than FIRST"),
+        ("furnished[5:3]", "END must be greater than FIRST"),
+        ("furnished[:200000]", "200000 worlds; at most 100000 are allowed"),
+    ],
 )
-def test_what_names_no_worlds_is_refused(spec):
-    with pytest.raises(UserError, match="--worlds"):
+def test_what_names_no_worlds_is_refused(spec, error):
+    with pytest.raises(UserError, match=f"--worlds {re.escape(spec)}: .*{error}"):
         world_list.world_sections([spec])
 
 

@@ -20,11 +20,6 @@ class Slope(NamedTuple):
     low: float
     high: float
 
-    @property
-    def resolves(self) -> float:
-        """Half the width of the interval: smaller growth cannot be distinguished from none."""
-        return 0.5 * (self.high - self.low)
-
 
 def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
     """Return the Theil-Sen slope: the median of the slopes between any two values.

@@ -57,7 +57,7 @@ class EpisodeFacts:
         reference: the reference trajectory.
         things: outlines of the objects that the instruction names.
         occupied: outlines of the obstacles near the reference.
-        label: class of the object at the end; "" in files of older versions.
+        label: class of the object at the end.
     """
 
     id: str
@@ -70,7 +70,7 @@ class EpisodeFacts:
     reference: Polyline
     things: list[Polyline]
     occupied: list[Polyline]
-    label: str = ""
+    label: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +92,8 @@ class TrajectoryOutcome:
         reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and refining.
         path: the trajectory.
-        at_thing: it ends as near to the object as the reference (`_AT_M`), on any side; False in
-            files of older versions.
-        true_depth_m: how much nearer than the robot's radius it comes to a true obstacle; 0 in
-            files of older versions.
+        at_thing: it ends as near to the object as the reference (`_AT_M`), on any side.
+        true_depth_m: how much nearer than the robot's radius it comes to a true obstacle.
     """
 
     episode: str
@@ -112,8 +110,8 @@ class TrajectoryOutcome:
     reason: str
     seconds: float
     path: Polyline
-    at_thing: bool = False
-    true_depth_m: float = 0.0
+    at_thing: bool
+    true_depth_m: float
 
     @property
     def key(self) -> tuple[str, str, str]:

@@ -95,7 +95,7 @@ def by_thing(results: TrajectoryResults) -> ReportTable:
     for m in wanted:
         head += [f"{one_line(results.methods[m])}: SR, %", "at it, %"]
     rows = []
-    for label in sorted(filter(None, set(labels)), key=lambda one: (-(labels == one).sum(), one)):
+    for label in sorted(set(labels), key=lambda one: (-(labels == one).sum(), one)):
         rows.append([one_line(label), str(int((labels == label).sum()))])
         for m in wanted:
             kept = (labels == label) & results.ran[m]

@@ -51,7 +51,7 @@ def facts(
 ) -> EpisodeFacts:
     return EpisodeFacts(
         f"e{number}", "streets", world or f"w{number}", kind, category, "go to <b>$x$</b>", 0.4,
-        [[0.0, 0.0], [5.0, 0.0]], [[[4.0, 1.0], [5.0, 1.0], [5.0, 2.0]]], [],
+        [[0.0, 0.0], [5.0, 0.0]], [[[4.0, 1.0], [5.0, 1.0], [5.0, 2.0]]], [], "van",
     )  # fmt: skip
 
 
@@ -59,7 +59,8 @@ def outcome(
     number: int, method: str = "ours", error_m: float = 0.5, **changed
 ) -> TrajectoryOutcome:
     numbers = {"writer": "rules", "frechet_m": 2.0, "ndtw": 0.5, "contacts": 0, "length_m": 5.0,
-               "true_contacts": 0}  # fmt: skip
+               "true_contacts": 0, "at_thing": error_m <= 1.0,
+               "true_depth_m": 0.0}  # fmt: skip
     more = {"refused": "", "reason": "", "seconds": 0.1, "path": [[0.0, 0.0], [5.0, error_m]]}
     return TrajectoryOutcome(
         f"e{number}", method, success=error_m <= 1.0, error_m=error_m,
