@@ -86,6 +86,7 @@ class SceneBuilder:
         )
         self._range_m = mapping.range_m
         self._body_m = mapping.min_range_m  # nearer points are the robot's own body
+        self._most_m = mapping.obstacle_max_m  # higher points are over the robot
         self._ground = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind of ground points
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
@@ -119,8 +120,9 @@ class SceneBuilder:
         ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)
         if ground_kind is not None:
-            far = np.linalg.norm(cloud_m, axis=1) >= self._body_m
-            self._add_ground(points_m[far, :2], ground_kind[far])
+            # The crown of a tree does not hide the ground below it.
+            votes = (np.linalg.norm(cloud_m, axis=1) >= self._body_m) & ~(above > self._most_m)
+            self._add_ground(points_m[votes, :2], ground_kind[votes])
         result = run_pipeline(self._pipeline, observation)
         self._newest, self._contours = observation, {}
         for i, obj in _add_result(self.objects, result, cloud_m, points_m, above):
