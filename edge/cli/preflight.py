@@ -35,6 +35,7 @@ from edge.perception.runtime.card_types import (
     Card,
     ChoiceCard,
     DetectCard,
+    GroundCard,
     ImageCard,
     MarksCard,
     SegmentCard,
@@ -164,7 +165,7 @@ class NamedModel(NamedTuple):
 
 
 def named_models(config: Config) -> Iterator[NamedModel]:
-    """Yield each model that the section perception names."""
+    """Yield each model that the sections perception and tasks name."""
     perception = config.perception
     detector, segmenter, choice = perception.detector, perception.segmenter, perception.choice
     providers: Sequence[str] = CPU_ONLY
@@ -181,6 +182,8 @@ def named_models(config: Config) -> Iterator[NamedModel]:
     if isinstance(segmenter, SegmenterOnnx):
         key = "perception.segmenter.model"
         yield NamedModel(key, segmenter.model, SegmentCard, segmenter.providers)
+    if (ground := config.tasks.ground) is not None:
+        yield NamedModel("tasks.ground.model", ground.model, GroundCard, ground.providers)
     if perception.similarity is not None:
         yield NamedModel("perception.similarity", perception.similarity, SimilarityCard, providers)
     if isinstance(choice, ChoiceOnnx):

@@ -65,6 +65,7 @@ from edge.config.sim import (
     WorldStreet,
 )
 from edge.config.tasks import (
+    GroundModel,
     PipelinePlugin,
     TasksConfig,
     TrajectoryLimits,

@@ -20,6 +20,7 @@ from edge.models.make import load_single_file_card
 from edge.models.pull import cards_of
 from edge.perception.detection import kernels
 from edge.perception.detection.onnx import far_px
+from edge.perception.masks.ground import class_map, pixels_of
 from edge.perception.process import wire
 from edge.perception.process.child import as_memory_error, set_up_child
 from edge.perception.process.link import ModelProcessClient
@@ -31,6 +32,7 @@ from edge.perception.runtime.card_types import (
     ChoiceCard,
     DetectCard,
     FileCard,
+    GroundCard,
     ImageCard,
     MarksCard,
     MaskDecoderCard,
@@ -239,6 +241,17 @@ def _check_mask_encoder(path: Path, session: Any, card: MaskEncoderCard) -> str:
     return f"features {', '.join(str(array.shape) for array in found)}, finite"
 
 
+def _check_ground(path: Path, session: Any, card: GroundCard) -> str:
+    """Name the classes of an image of noise."""
+    noise = np.random.default_rng(0).integers(
+        0, 255, (card.input.height, card.input.width, 3), np.uint8
+    )
+    feed = {session.get_inputs()[0].name: pixels_of(noise, card)}
+    classes = class_map(_infer(path, session, feed)[0], card)
+    rows, columns = classes.shape
+    return f"{len(card.classes)} classes in {rows}x{columns} pixels"
+
+
 def _check_mask_decoder(path: Path, session: Any, card: MaskDecoderCard) -> str:
     """Decode one box on features of zeros."""
     feed = {
@@ -283,6 +296,7 @@ _CHECKS = {
     MaskEncoderCard: _check_mask_encoder,
     MaskDecoderCard: _check_mask_decoder,
     MarksCard: _check_marks,
+    GroundCard: _check_ground,
     TranslateCard: _check_translator,
 }
 """Class of the card → check of its model; all other models are encoders of one embedding."""

@@ -145,7 +145,7 @@ def load_single_file_card(name: str) -> FileCard:
 
 def how_to_make(card: FileCard) -> str:
     """Return how to make a model's file, as a clause for messages."""
-    if card.task == "segment":
+    if card.task in ("segment", "ground"):
         return "the exporter of its project makes it"
     if published := FROM_FOLDER.get(card.family):
         return (

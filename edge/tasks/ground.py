@@ -11,7 +11,7 @@ import numpy as np
 from edge.geometry import SE2, Grid
 from edge.tasks.outline import Outline, outline_of
 from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.value_map import open_cells
+from edge.tasks.value_map import near_seen, open_cells
 from edge.trajectory.astar import GridPath, Workspace, plan
 from edge.trajectory.costmap import OCCUPIED, CostMap, from_occupancy, from_weights
 from edge.trajectory.smoothing import line_is_free, smooth
@@ -136,8 +136,9 @@ class ReachableGround:
             (x_m, y_m), or None if there is no point within `REACH_M`; and the distance to the
             object, inf if no point is reachable.
         """
-        # Short bridges over unseen ground are as good as what they join.
-        regions = (self.scene.regions_grid.cells > 0) | (self.scene.occupancy.cells < 0)
+        # Short bridges over unseen ground are as good as the regions that they join.
+        regions = near_seen(self.scene.regions_grid.cells > 0, self.scene.occupancy.resolution_m)
+        regions &= (self.scene.regions_grid.cells > 0) | (self.scene.occupancy.cells < 0)
         on_region = self._stopping_point_on(obj, from_m, self.reachable & regions)
         return on_region if on_region[0] else self._stopping_point_on(obj, from_m, self.reachable)
 

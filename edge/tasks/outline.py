@@ -25,8 +25,10 @@ class Outline:
 
     Attributes:
         middle_m: (2,) float64, centre of the object's box in `map`.
-        cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object. Without
-            points, those in its box that are not known to be free, else points along its rim.
+        cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object that are
+            not known to be free: the crown of a tree may be over the robot. If all are free, all of
+            them. Without points, those in its box that are not known to be free, else points along
+            its rim.
         hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells and
             of the part of the box that is not known to be free.
         rim_m: distance from the centre of a cell to its rim.
@@ -97,6 +99,8 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
     seen = np.unique(np.floor(occupancy.to_cells(obj.points_m[:, :2])), axis=0)
+    over = _is_free(occupancy, seen.astype(np.int64))
+    seen = seen if over.all() else seen[~over]
     covered_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
     cells_m = occupancy.to_metres(seen + 0.5) if len(seen) else covered_m
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -109,6 +113,13 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     around_m = (covered_m[:, None] - middle_m + rim_m * corners).reshape(-1, 2)
     hull_m = cv2.convexHull(around_m.astype(np.float32))[:, 0].astype(np.float64)
     return Outline(middle_m, cells_m, hull_m, rim_m)
+
+
+def _is_free(occupancy: Grid, cells: np.ndarray) -> np.ndarray:
+    """Return True for cells (n, 2), column and row, that are known to be free; (n,) bool."""
+    inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
+    column, row = np.where(inside[:, None], cells, 0).T
+    return inside & (occupancy.cells[row, column] == 0)
 
 
 def _covered_cells(

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,6 +36,16 @@ Captions = Callable[[Detections], Sequence[str]]
 Embeddings = Callable[[Detections], np.ndarray]
 
 
+class GroundKinds(Protocol):
+    """Names the kind of ground in each pixel (`edge.perception.masks.ground.GroundClassifier`)."""
+
+    kinds: tuple[str, ...]
+
+    def classify(self, rgb: np.ndarray) -> np.ndarray:
+        """Return (h, w) uint8: index into `kinds` plus 1; 0: no ground."""
+        ...
+
+
 class PerceptionPipeline(NamedTuple):
     """The parts of the pipeline of OpenNav eq. 1, each a function.
 
@@ -45,6 +55,7 @@ class PerceptionPipeline(NamedTuple):
         masks: pixels of the objects in the boxes (TAP); `boxes_as_masks` uses the whole boxes.
         captions: one caption per box (TAP).
         embeddings: (n, d) float32, one per box; None: no embeddings.
+        ground: kinds of ground in a picture; None: all ground is of one kind.
     """
 
     tags: Tags
@@ -52,6 +63,7 @@ class PerceptionPipeline(NamedTuple):
     masks: Masks
     captions: Captions = compose_captions
     embeddings: Embeddings | None = None
+    ground: GroundKinds | None = None
 
 
 class CaptionedDetections(NamedTuple):

@@ -17,6 +17,7 @@ from edge import config, names
 from edge.geometry import SE2, Grid, invert
 from edge.mapping.grid import RollingMap
 from edge.mapping.view import MapView
+from edge.perception.detection.detector import check_rgb
 from edge.tasks import terrain
 from edge.tasks.captions import caption_with_place
 from edge.tasks.ground import reachable
@@ -28,8 +29,13 @@ from edge.tasks.objects import (
     main_clusters,
     overlap_share,
 )
-from edge.tasks.pipeline import CaptionedDetections, PerceptionPipeline, run_pipeline
-from edge.tasks.projection import points_of_masks
+from edge.tasks.pipeline import (
+    CaptionedDetections,
+    GroundKinds,
+    PerceptionPipeline,
+    run_pipeline,
+)
+from edge.tasks.projection import in_picture, points_of_masks
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.types import Detections, Instance, Observation
@@ -63,7 +69,8 @@ class SceneBuilder:
         pipeline: the pipeline.
         mapping: settings of the occupancy map.
         radius_m: clearance of the trajectories; at least the robot's radius.
-        ground_labels: kinds of drivable ground, if semantics are available; empty: free ground that
+        ground_labels: kinds of drivable ground, if they are known for points; empty: those of
+            `pipeline.ground` in the picture and "ground" outside it, or without it free ground that
             is connected to the robot.
 
     Attributes:
@@ -79,13 +86,13 @@ class SceneBuilder:
         ground_labels: Sequence[str] = (),
     ) -> None:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
-        self._pipeline, self._radius_m, self._ground_labels = (
-            pipeline,
-            radius_m,
-            tuple(ground_labels),
-        )
+        self._pipeline, self._radius_m = pipeline, radius_m
+        self._ground_labels = tuple(ground_labels)
+        if pipeline.ground is not None and not ground_labels:
+            self._ground_labels = (*pipeline.ground.kinds, terrain.GROUND)
         self._range_m = mapping.range_m
         self._body_m = mapping.min_range_m  # nearer points are the robot's own body
+        self._most_m = mapping.obstacle_max_m  # higher points are over the robot
         self._ground = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind of ground points
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
@@ -96,7 +103,7 @@ class SceneBuilder:
         Args:
             observation: the frame.
             ground_kind: (n,) uint8 for the points of its cloud, index into `ground_labels` plus 1;
-                0: not drivable, or unknown. None: no semantics.
+                0: not drivable, or unknown. None: as `pipeline.ground` says.
 
         Raises:
             ValueError: the frame has no camera, no image, or neither cloud nor depth, or
@@ -118,9 +125,14 @@ class SceneBuilder:
         base_z_m = float(T_map_base[2, 3])
         ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
         above = terrain.height_above(ground, points_m)
+        if ground_kind is None and self._pipeline.ground is not None:
+            ground_kind = _kinds_in_picture(
+                self._pipeline.ground, observation, cloud_m, T_base_cloud, above
+            )
         if ground_kind is not None:
-            far = np.linalg.norm(cloud_m, axis=1) >= self._body_m
-            self._add_ground(points_m[far, :2], ground_kind[far])
+            # The crown of a tree does not hide the ground below it.
+            votes = (np.linalg.norm(cloud_m, axis=1) >= self._body_m) & ~(above > self._most_m)
+            self._add_ground(points_m[votes, :2], ground_kind[votes])
         result = run_pipeline(self._pipeline, observation)
         self._newest, self._contours = observation, {}
         for i, obj in _add_result(self.objects, result, cloud_m, points_m, above):
@@ -258,6 +270,33 @@ def _add_result(
         )  # fmt: skip
         if obj is not None:
             yield i, obj
+
+
+def _kinds_in_picture(
+    ground: GroundKinds,
+    observation: Observation,
+    cloud_m: np.ndarray,
+    T_base_cloud: np.ndarray,
+    above_m: np.ndarray,
+) -> np.ndarray:
+    """Return the kind of ground of each point: index into (*`ground.kinds`, "ground") plus 1.
+
+    A point that is not low is no ground (0), as is one in the picture whose pixel is none. Low
+    points outside the picture are "ground": nothing names their kind.
+
+    Args:
+        ground: names the kind in each pixel.
+        observation: the frame.
+        cloud_m: (n, 3) points of the frame.
+        T_base_cloud: (4, 4) their pose.
+        above_m: (n,) their height over the ground.
+    """
+    T_camera_cloud = invert(observation.T_base_camera) @ T_base_cloud
+    at_px, shown = in_picture(cloud_m, T_camera_cloud, observation.camera)
+    kind = np.full(len(cloud_m), len(ground.kinds) + 1, np.uint8)
+    column, row = at_px[shown].astype(np.intp).T
+    kind[shown] = ground.classify(check_rgb(observation))[row, column]
+    return np.where(np.abs(above_m) <= OFF_GROUND_M, kind, 0).astype(np.uint8)
 
 
 def _has_mask(found: Detections, i: int) -> bool:

@@ -31,7 +31,7 @@ BLIND_M = 4.5
 """Distance within which the robot's own body may hide the ground.
 
 A ring of an HDL-64E, 24.8 degrees down from 1.73 m, meets the ground at 3.7 m. Hidden ground takes
-the kind that is most frequent within twice this distance.
+the nearest kind that was seen: that of its rim.
 """
 MIN_REGION_M2 = 3.0
 """Smallest area of a region."""
@@ -164,10 +164,8 @@ def classify_ground(
     from_robot_m = np.linalg.norm(grid.centres_m(rows, columns) - (pose.x_m, pose.y_m), axis=2)
     unseen = (votes.sum(axis=2) == 0) & (grid.cells == 0)
     gap = unseen & (away * grid.resolution_m <= FILL_M + FILL_SHARE * from_robot_m)
-    # Under the robot: the kind that is most frequent near by.
-    near = np.bincount(out[(from_robot_m < 2.0 * BLIND_M) & (out > 0)], minlength=1)
-    under = unseen & (from_robot_m < BLIND_M) if near.any() else np.zeros_like(unseen)
-    return np.where(under, np.argmax(near), np.where(gap, nearest, out)).astype(np.uint8)
+    under = unseen & (from_robot_m < BLIND_M)
+    return np.where(gap | under, nearest, out).astype(np.uint8)
 
 
 def _nearest_kind(kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +182,8 @@ def regions_of(
     occupancy: Grid, kind: np.ndarray, labels: Sequence[str]
 ) -> tuple[dict[int, Region], Grid]:
     """Return the connected regions of each kind of ground, without occupied cells.
+
+    A piece smaller than `MIN_REGION_M2`, as a bare patch in a lawn, joins the region next to it.
 
     Args:
         occupancy: the map.
@@ -204,10 +204,20 @@ def regions_of(
                 found.append((area, label, part == i))
     found.sort(key=lambda piece: -piece[0])
     cells = np.zeros(kind.shape, np.uint8)
-    regions = {}
-    for i, (area, label, is_kind) in enumerate(found[:MOST_REGIONS], start=1):
+    for i, (_, _, is_kind) in enumerate(found[:MOST_REGIONS], start=1):
         cells[is_kind] = i
-        regions[i] = Region(i, label, area * occupancy.resolution_m**2)
+    small = ((kind > 0) & (cells == 0) & (occupancy.cells <= 0)).astype(np.uint8)
+    if cells.any() and small.any():
+        _, nearest = _nearest_kind(cells)
+        _, part = cv2.connectedComponents(small, connectivity=8)
+        touches = cv2.dilate(cells, np.ones((3, 3), np.uint8)) > 0
+        joins = (small > 0) & np.isin(part, np.unique(part[touches]))
+        cells[joins] = nearest[joins]
+    area_m2 = np.bincount(cells.ravel(), minlength=1) * occupancy.resolution_m**2
+    regions = {
+        i: Region(i, label, float(area_m2[i]))
+        for i, (_, label, _) in enumerate(found[:MOST_REGIONS], start=1)
+    }
     return regions, replace(occupancy, cells=cells)
 
 

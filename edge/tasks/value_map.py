@@ -121,12 +121,15 @@ def open_cells(occupancy: Grid, regions: Grid, clearance_m: float) -> np.ndarray
     LiDAR. `regions` has the same cells, 0 = none.
     """
     seen = (occupancy.cells == 0) | (regions.cells > 0)
-    reach = int(BRIDGE_M / occupancy.resolution_m)
+    return near_seen(seen, occupancy.resolution_m) & ~closed_cells(occupancy, clearance_m)
+
+
+def near_seen(seen: np.ndarray, resolution_m: float) -> np.ndarray:
+    """Return the cells within `BRIDGE_M` of cells (h, w) bool that were seen, and those."""
+    reach = int(BRIDGE_M / resolution_m)
     offset = np.arange(-reach, reach + 1)
     disc = (offset**2 + offset[:, None] ** 2 <= reach**2).astype(np.uint8)
-    if seen.size:
-        seen = cv2.dilate(seen.astype(np.uint8), disc).view(bool)
-    return seen & ~closed_cells(occupancy, clearance_m)
+    return cv2.dilate(seen.astype(np.uint8), disc).view(bool) if seen.size else seen
 
 
 def _tube(grid: Grid, coarse_m: np.ndarray, radius_m: float) -> np.ndarray:

@@ -40,6 +40,12 @@ g (float[1,3,64,64] pixels) => (float[1,d] embeddings) {
   shape = Constant<value = int64[2] {1, 8}> ()
   embeddings = Expand (mean, shape)
 }"""
+GROUND = """
+g (float[1,3,64,64] x) => (float[1,k,r,c] y) {
+  shape = Constant<value = int64[4] {19, 3, 1, 1}> ()
+  weights = ConstantOfShape<value = float[1] {0.5}> (shape)
+  y = Conv (x, weights)
+}"""
 SHARED = {
     "family": "f", "sha256": None, "sources": [], "license": "MIT", "precision": "fp32",
     "derived_from": None, "parity": None,
@@ -52,8 +58,9 @@ CARDS = {
     },
     "text": {"dim": 8, "tokenizer": {"kind": "attributes"}},
     "image": {"input": SIZE, "dim": 8, "preprocess": {**PIXELS, "mean": [0] * 3, "std": [1] * 3}},
+    "ground": {"input": SIZE, "preprocess": {**PIXELS, "mean": [0] * 3, "std": [1] * 3}},
 }  # fmt: skip
-MODELS = {"detect": DETECTOR, "text": TEXT, "image": IMAGE}
+MODELS = {"detect": DETECTOR, "text": TEXT, "image": IMAGE, "ground": GROUND}
 
 
 def onnx_of(text):
@@ -99,6 +106,8 @@ def test_nothing_to_check(put_card, capsys):
         ("text", ("{5, 8}", "{0, 8}"), "does not run"),
         ("text", ("{0.5}", "{0.0}"), "an embedding is all zeros"),
         ("image", ("{1, 8}", "{1, 9}"), "embeddings of shape (1, 9), must be (1, 8)"),
+        ("ground", ("{19, 3", "{18, 3"), "output (1, 18, 64, 64) of float32; must be finite"),
+        ("ground", ("[1,3,64,64] x", "[1,3,64,32] x"), "must have one input"),
     ],
 )
 def test_an_unsound_model_is_one_line(put, task, change, message):

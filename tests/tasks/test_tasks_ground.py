@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, street
+from task_scenes import LAWN, RESOLUTION_M, ROAD, STREET, Thing, street
 
 from edge.geometry import SE2
 from edge.tasks.ground import ESCAPE_M, ground_of
@@ -68,6 +68,16 @@ def test_unknown_ground_is_open_only_within_a_region():
     ground = ground_of(scene, CLEAR_M)
     assert ground.is_free(10.0, -5.0)
     assert not ground.is_free(10.0, 5.0)
+
+
+def test_a_bridge_is_as_good_as_the_region_that_it_joins():
+    """The robot does not stop on unseen ground at a meadow that is no region."""
+    scene = street(Thing("tree", 10.0, 0.0, (0.4, 0.4)))
+    x_m, _ = np.moveaxis(scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape)), -1, 0)
+    scene.regions_grid.cells[x_m > 8.0] = 0
+    scene.occupancy.cells[x_m > 9.0] = -1
+    (x, _), _ = ground_of(scene, CLEAR_M).stopping_point(scene.objects[1], (0.0, 0.0))
+    assert x <= 8.0
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 0.3, 0.7]))

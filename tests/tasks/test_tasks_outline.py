@@ -65,6 +65,19 @@ def test_the_robot_arrives_at_what_was_seen_of_a_thing():
     assert got.point_at(0.0, 1.0) == pytest.approx((13.0, 0.0), abs=0.01), "it is passed behind"
 
 
+def test_the_robot_goes_to_the_trunk_of_a_tree():
+    """A trunk of 0.4 m under a crown of 4 m; below the crown the map is free."""
+    scene = street(Thing("tree", 8.0, 0.0, (0.4, 0.4)))
+    trunk_m = np.array([(7.9, 0.0, z) for z in np.arange(0.2, 2.5, 0.1)])
+    crown_m = np.array([(8.0 + dx, dy, 2.0) for dx in (-2.0, 2.0) for dy in (-2.0, 0.0, 2.0)])
+    points_m = np.concatenate((trunk_m, crown_m)).astype(np.float32)
+    tree = replace(scene.objects[1], points_m=points_m)
+    at_m = np.array([[5.0, 0.0]])
+    assert outline_of(tree, scene.occupancy).gaps_m(at_m) == pytest.approx([2.8], abs=0.2)
+    all_over = replace(tree, points_m=points_m[len(trunk_m) :])
+    assert outline_of(all_over, scene.occupancy).gaps_m(at_m) == pytest.approx([1.0], abs=0.2)
+
+
 @given(st.integers(0, 99), st.floats(-30.0, 30.0))
 def test_distances_of_all_cells_are_those_of_their_centres(seed, x_m):
     scene = street(SOFA)

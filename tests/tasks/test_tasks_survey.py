@@ -185,6 +185,20 @@ def test_regions_by_their_kind():
     assert labels == {"road", "sidewalk"}
 
 
+def test_what_is_over_the_robot_hides_no_ground():
+    """A crown of leaves 4 m above the road; its returns are of no kind of ground."""
+    seen, hit = street((), np.eye(4), seq=1)
+    crown_m = np.random.default_rng(0).uniform((5, -2, 2), (9, 2, 3), (20_000, 3))
+    cloud_m = np.concatenate((seen.cloud_m, crown_m)).astype(np.float32)
+    kind = np.concatenate((hit == GROUND, np.zeros(len(crown_m), np.bool_))).astype(np.uint8)
+    survey = SceneBuilder(perfect(()), MAP, ground_labels=("road",))
+    survey.add(replace(seen, cloud_m=cloud_m), kind)
+    grid = survey.scene().regions_grid
+    centres_m = grid.centres_m(*np.indices(grid.cells.shape))
+    below = (np.abs(centres_m - (7.0, 0.0)) < 1.5).all(axis=-1)
+    assert (grid.cells[below] > 0).all()
+
+
 def test_kinds_are_for_all_points():
     observation, _ = street(())
     with pytest.raises(ValueError, match="one a point, got 3"):

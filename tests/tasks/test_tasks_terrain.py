@@ -148,10 +148,10 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     assert not got[4:].any(), "unknown ground has none"
 
 
-def test_the_robot_stands_on_what_is_most_around_it():
+def test_the_robot_stands_on_the_kind_of_the_rim_of_its_blind_spot():
     row = grid(["." * 20])
-    got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [1] * 7 + [2] * 2, SE2(1.0, 0, 0))
-    assert (got[0, :10] == 1).all()
+    got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [2] + [1] * 8, SE2(1.0, 0, 0))
+    assert (got[0, :11] == 2).all()
 
 
 def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
@@ -173,6 +173,13 @@ def test_small_pieces_are_no_regions():
     kind = np.array([[1, 0, 0, 1, 1, 1]], np.uint8)
     regions, _ = regions_of(grid(["......"], 1.0), kind, ["road"])
     assert [r.area_m2 for r in regions.values()] == [3.0]
+
+
+def test_a_small_piece_joins_the_region_next_to_it():
+    kind = np.array([[1, 1, 1, 2, 2, 1, 1, 1, 0, 2]], np.uint8)
+    regions, cells = regions_of(grid(["." * 10], 1.0), kind, ["lawn", "sidewalk"])
+    assert [(r.label, r.area_m2) for r in regions.values()] == [("lawn", 4.0), ("lawn", 4.0)]
+    assert cells.cells[0].tolist() == [1, 1, 1, 1, 2, 2, 2, 2, 0, 0]
 
 
 def nearest_twin(points, regions, allowed):

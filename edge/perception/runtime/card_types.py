@@ -366,6 +366,44 @@ class MaskDecoderCard(_FileCard):
     task: Literal["segment"] = "segment"
 
 
+CITYSCAPES = (
+    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign",
+    "vegetation", "terrain", "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle",
+    "bicycle",
+)  # fmt: skip
+"""The 19 classes of Cityscapes, in the order of its training ids."""
+
+
+class GroundCard(_FileCard):
+    """A network that names the class of each pixel, for kinds of ground.
+
+    One input, an image (1, 3, h, w) float32. The first output is scores (1, k, rows, columns), or
+    the number of the best class (1, rows, columns) as integers. Their names do not matter. An image
+    is stretched to the input's size, whatever `preprocess.fit` says.
+
+    Attributes:
+        classes: names of the k classes.
+        ground: class → kind of ground (docs/tasks.md has the kinds); other classes are no ground.
+    """
+
+    task: Literal["ground"]
+    server: None = None
+    input: ImageSize
+    preprocess: Normalise
+    parity: None = None
+    classes: tuple[str, ...] = CITYSCAPES
+    ground: dict[str, str] = {"road": "road", "sidewalk": "sidewalk", "terrain": "lawn"}
+
+    @field_validator("ground")
+    @classmethod
+    def _check_ground(cls, ground: dict[str, str], fields: ValidationInfo) -> dict[str, str]:
+        unknown = [name for name in ground if name not in fields.data.get("classes", ground)]
+        if unknown or not ground:
+            what = f"{unknown[0]!r} is not one of `classes`" if unknown else "empty"
+            raise ValueError(f"{what}; give a kind of ground for at least one class")
+        return ground
+
+
 class PartFile(_Part):
     """One of the files of a model with several."""
 
@@ -572,11 +610,12 @@ DirectionsCard = ChoiceCard | MarksCard
 """A card that `perception.choice.card` may name."""
 # Cards with one file, and cards of any task.
 FileCard = Union[
-    DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard
-]
+    DetectCard, TextCard, ImageCard, MarksCard, MaskEncoderCard, MaskDecoderCard, TranslateCard,
+    GroundCard,
+]  # fmt: skip
 Card = Union[
     DetectCard, TextCard, ImageCard, MarksCard, SegmentCard, SimilarityCard, ChoiceCard,
-    TranslateCard,
+    TranslateCard, GroundCard,
 ]  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from edge.perception.runtime.card_types import (
     EmbeddingParity,
     FileCard,
     FolderFile,
+    GroundCard,
     ImageCard,
     MarksCard,
     Parity,
@@ -52,6 +53,7 @@ _BY_TASK: dict[str, type[Card]] = {
     "similarity": SimilarityCard,
     "choice": ChoiceCard,
     "translate": TranslateCard,
+    "ground": GroundCard,
 }
 
 
@@ -274,7 +276,7 @@ def install_hint(card: FileCard | ChoiceCard) -> str:
         return "reinstall edge-vln, which brings it"
     if any(source.sha256 == card.sha256 for source in card.sources):
         return f"run `edge models pull {card.name}`"
-    if card.task == "segment":
+    if card.task in ("segment", "ground"):
         return "export it with the tool of its project and put it there"
     return f"run `edge models export {card.name}`"
 

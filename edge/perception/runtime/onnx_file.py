@@ -20,6 +20,7 @@ from edge.perception.runtime.card_types import (
     OTHERS_FIELDS,
     DetectCard,
     FileCard,
+    GroundCard,
     MarksCard,
     MaskDecoderCard,
     MaskEncoderCard,
@@ -205,7 +206,7 @@ def check_format(path: Path, model: OnnxFile) -> None:
 
 def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
     """Raise ModelError unless inputs and outputs are those of the card's task."""
-    if isinstance(card, (MaskEncoderCard, MaskDecoderCard)):
+    if isinstance(card, (MaskEncoderCard, MaskDecoderCard, GroundCard)):
         return _check_segmenter(path, model, card)
     inputs, outputs = expected_interface(card)
     fits = [len(model.inputs) == len(inputs), len(model.outputs) == len(outputs)]
@@ -222,13 +223,15 @@ def check_interface(path: Path, model: OnnxFile, card: FileCard) -> None:
         )
 
 
-def _check_segmenter(path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard) -> None:
+def _check_segmenter(
+    path: Path, model: OnnxFile, card: MaskEncoderCard | MaskDecoderCard | GroundCard
+) -> None:
     """Check a segmenter's file as `check_interface` does.
 
     Exporters agree only in the names of a mask decoder's prompts, so all else is left open.
     """
     outputs, inputs = {v.name: v for v in model.outputs}, {v.name: v for v in model.inputs}
-    if isinstance(card, MaskEncoderCard):
+    if isinstance(card, (MaskEncoderCard, GroundCard)):
         image = (_ANY, 3, card.input.height, card.input.width)
         fits = len(inputs) == 1 and all(_fits(v, Value(v.name, FLOAT, image)) for v in model.inputs)
         expected = f"one input {_list([Value('image', FLOAT, image)])}"

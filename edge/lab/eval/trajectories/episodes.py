@@ -18,7 +18,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -183,7 +183,7 @@ def _kitti(
     sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
     for number, frame in zip(numbers, frames, strict=True):
         scene = kitti.kitti_scene(folder, [number], pipeline, by_labels=pipeline is None)
-        place = kitti_place(frame, all_frames)
+        place = kitti_place(frame, all_frames, solid_m)
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
             yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
 
@@ -194,12 +194,13 @@ def _sequence(folder: Path) -> str:
     return f"{one_line(folder.resolve().name, 40)}-{poses}"
 
 
-def kitti_place(frame: kitti.KittiFrame, all_frames: Scene) -> ReferenceScene:
+def kitti_place(frame: kitti.KittiFrame, all_frames: Scene, solid_m: np.ndarray) -> ReferenceScene:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
     Args:
         frame: the frame.
-        all_frames: scene of all frames, for its ground and occupancy.
+        all_frames: scene of all frames, for its ground.
+        solid_m: (n, 2) points of labelled objects in all frames, for the occupancy.
     """
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar
@@ -211,9 +212,15 @@ def kitti_place(frame: kitti.KittiFrame, all_frames: Scene) -> ReferenceScene:
             outline_m = np.unique(np.round(points_m[indices, :2].astype(float), 1), axis=0)
             landmarks.append(Landmark(len(landmarks) + 1, label, "", middle[:2], outline_m))
     drivable = all_frames.regions_grid.cells > 0
+    occupancy = replace(all_frames.occupancy, cells=np.zeros(drivable.shape, np.int8))
+    column, row = np.floor(occupancy.to_cells(solid_m)).astype(np.int64).T
+    h, w = drivable.shape
+    inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    occupancy.cells[row[inside], column[inside]] = 100
     return ReferenceScene(
-        seen.pose, tuple(landmarks), all_frames.occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M
-    )
+        seen.pose, tuple(landmarks), occupancy, drivable, kitti.CAR_RADIUS_M, _KITTI_M,
+        (all_frames.occupancy.cells < 0) & ~drivable,
+    )  # fmt: skip
 
 
 # -- a house ------------------------------------------------------------------------------------

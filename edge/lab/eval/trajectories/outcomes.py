@@ -58,6 +58,7 @@ class EpisodeFacts:
         things: outlines of the objects that the instruction names.
         occupied: outlines of the obstacles near the reference.
         label: class of the object at the end.
+        certain: see `TrajectoryTask`.
     """
 
     id: str
@@ -71,6 +72,7 @@ class EpisodeFacts:
     things: list[Polyline]
     occupied: list[Polyline]
     label: str
+    certain: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +133,7 @@ def facts_of(episode: TrajectoryEpisode) -> EpisodeFacts:
         episode.id, episode.source, episode.world, task.kind, task.category, task.instruction,
         episode.robot_m, _plain(resample_evenly(task.reference_m, _DRAWN_M)), [*map(_plain, hulls)],
         [*map(_plain, _outlines(episode.truth, task.reference_m))],
-        landmarks[task.landmarks[-1]].label,
+        landmarks[task.landmarks[-1]].label, task.certain,
     )  # fmt: skip
 
 

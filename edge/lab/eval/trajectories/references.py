@@ -55,6 +55,10 @@ ABOUT_M = 0.35
 """A candidate for a stop is farther from the object than the nearest one by at most this."""
 MAX_STOP_M = 4.0
 """A stop farther from an object than this does not count as going to it."""
+UNSEEN_M = 0.45
+"""Ground that no frame shows, within this distance of ground that one shows, may be open or not."""
+SAME_M = 1.0
+"""The end of a task is certain if it moves by at most this when such ground is open."""
 ESCAPE_M = 1.0
 """A robot on a closed cell begins at the nearest open cell, if it is within this distance."""
 _AHEAD_RAD = math.radians(60.0)  # largest bearing of a task's objects
@@ -102,6 +106,7 @@ class ReferenceScene:
         drivable: (h, w) bool, the same cells.
         robot_m: radius of the robot.
         reach_m: smallest and largest distance of a task's objects from the robot.
+        unseen: (h, w) bool, cells that nothing shows; None: all is known.
     """
 
     pose: SE2
@@ -110,6 +115,16 @@ class ReferenceScene:
     drivable: np.ndarray
     robot_m: float
     reach_m: tuple[float, float]
+    unseen: np.ndarray | None = None
+
+    @cached_property
+    def if_open(self) -> ReferenceScene | None:
+        """The same place if unseen ground within `UNSEEN_M` is open; None: all is known."""
+        if self.unseen is None:
+            return None
+        away = cv2.distanceTransform(self.unseen.view(np.uint8), cv2.DIST_L2, 5)
+        near = self.unseen & (away * self.occupancy.resolution_m <= UNSEEN_M)
+        return replace(self, drivable=self.drivable | near, unseen=None)
 
     @cached_property
     def costmap(self) -> CostMap:
@@ -166,6 +181,7 @@ class TrajectoryTask:
         segments: by part of the instruction, (n, 2) float64: the points that the rule above
             prescribes, such as an arc or a stop. `reference_m` leads through all of them.
         reference_m: (n, 2) float64, from the robot's place.
+        certain: False: the end would be elsewhere if unseen ground were open (`SAME_M`).
     """
 
     kind: str
@@ -174,6 +190,7 @@ class TrajectoryTask:
     landmarks: tuple[int, ...]
     segments: tuple[np.ndarray, ...]
     reference_m: np.ndarray
+    certain: bool = True
 
 
 def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterator[TrajectoryTask]:
@@ -197,8 +214,15 @@ def possible_tasks(place: ReferenceScene, kind: str, rng: PortableRng) -> Iterat
                     continue
                 words = _instruction(kind, side, named[first], named[last])
                 category = _category(kind, named[first])
-                landmarks = (first,) if kind == "to" else (first, last)
-                yield TrajectoryTask(kind, category, words, landmarks, segments, reference_m)
+                landmarks, certain = (first,) if kind == "to" else (first, last), True
+                if place.if_open is not None:
+                    others = _segments(place.if_open, kind, by_id[first], by_id[last], side)
+                    certain = bool(others) and bool(
+                        math.dist(others[-1][-1], segments[-1][-1]) <= SAME_M
+                    )
+                yield TrajectoryTask(
+                    kind, category, words, landmarks, segments, reference_m, certain
+                )
                 break  # one side is enough
 
 

@@ -16,6 +16,8 @@ from edge.lab.eval.trajectories.references import CATEGORIES
 from edge.text import one_line
 
 BASELINE = "ours"
+# Rows for tasks whose end depends, or not, on ground that no frame shows.
+_CERTAIN, _UNCERTAIN = "end certain", "end depends on unseen ground"
 MIN_WORLDS = 10
 """With fewer, episodes are resampled, and the intervals do not generalise to other worlds."""
 
@@ -69,8 +71,12 @@ def by_task(results: TrajectoryResults) -> ReportTable:
     for name in PAPER_TASKS:
         head += [f"{name} (paper): NE", "SR"]
     rows = []
-    for row in (*CATEGORIES, "total"):
-        inside = np.ones(len(category), bool) if row == "total" else category == row
+    certain = np.array([facts.certain for facts in results.facts], bool)
+    inside_of = {name: category == name for name in CATEGORIES}
+    inside_of["total"] = np.ones(len(category), bool)
+    if not certain.all():
+        inside_of |= {_CERTAIN: certain, _UNCERTAIN: ~certain}
+    for row, inside in inside_of.items():
         if not inside.any():
             continue
         cells = [row, str(int((results.ran[wanted][:, inside]).any(axis=0).sum()))]
@@ -175,7 +181,9 @@ def _paper_cells(row: str) -> list[str]:
     """Return the paper's figures for a category, or for "total"."""
     cells = []
     for name, by_category in PAPER_TASKS.items():
-        if row == "total":
+        if row in (_CERTAIN, _UNCERTAIN):
+            cells += [DASH, DASH]
+        elif row == "total":
             error_m, share = PAPER_TOTAL[name]
             cells += [f"{error_m:.2f}", share]
         else:

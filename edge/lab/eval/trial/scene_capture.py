@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.street import Street, street
 from edge.lab.sim.worlds import load_world
 from edge.perception.detection.sim import Segmentation, TruthAt
+from edge.perception.masks.ground import GroundClassifier
 from edge.tasks.on_demand import FrameDetector
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
 from edge.tasks.scene import Scene
@@ -173,13 +174,27 @@ def detector_pipeline(
     """Yield the detection pipeline of the configured detector, or a plugin, and its name.
 
     Args:
-        config: names the detector and the segmenter, or a plugin in `tasks.pipeline`.
+        config: names the detector and the segmenter, or a plugin in `tasks.pipeline`, and the model
+            for kinds of ground (`tasks.ground`).
         words: names to look for, in addition to the detector's `background`.
         truth: ground truth for a simulated detector; None: the pictures are real.
 
     Raises:
         UserError: there is no detector, or nothing to look for.
     """
+    with ExitStack() as stack:
+        pipeline, by = stack.enter_context(_object_pipeline(config, words, truth))
+        if config.tasks.ground is not None:
+            ground = stack.enter_context(closing(GroundClassifier(config.tasks.ground)))
+            pipeline = pipeline._replace(ground=ground)
+        yield pipeline, by
+
+
+@contextmanager
+def _object_pipeline(
+    config: Config, words: Sequence[str], truth: TruthAt | None
+) -> Iterator[tuple[PerceptionPipeline, str]]:
+    """Do the work of `detector_pipeline` for the objects."""
     if config.tasks.pipeline is not None:
         yield (
             _plugin_pipeline(config, config.tasks.pipeline, tuple(words)),

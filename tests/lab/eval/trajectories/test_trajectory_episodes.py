@@ -36,6 +36,16 @@ def test_an_episode_is_whole(source, request):
             assert things[number].label in task.instruction
 
 
+def test_the_truth_is_what_is_labelled(shared_dir):
+    """Grass on a slope is no obstacle: each occupied cell holds a point of a labelled object."""
+    (one,) = episodes([SOURCES["kitti"].format(shared_dir)], 1)
+    solid = np.unique(np.floor(one.truth.to_cells(one.solid_m)), axis=0)
+    h, w = one.truth.cells.shape
+    inside = ((solid >= 0) & (solid < (w, h))).all(axis=1)
+    occupied = np.argwhere(one.truth.cells > 0)[:, ::-1]
+    assert {*map(tuple, occupied.tolist())} == {*map(tuple, solid[inside].astype(int).tolist())}
+
+
 def test_frames_of_different_sequences_are_different_places(shared_dir):
     specs = [f"kitti:{shared_dir}/logs/semantic_kitti_{n}" for n in ("05", "06")]
     worlds = [one.world for one in episodes(specs, limit=1)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,25 @@ def test_one_stops_before_a_thing_where_one_comes_from():
     assert 9.0 - x_m == pytest.approx(ROBOT_M + ABOUT_M, abs=0.3)
     assert abs(y_m) < 0.2
     np.testing.assert_array_equal(task.reference_m[0], (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("unseen", "certain"),
+    [
+        (None, True),
+        ((6.5, 7.0, -1.0, 1.0), True),  # small: the robot drives around it
+        ((6.6, 7.2, -20.0, 20.0), False),  # a strip before the car
+    ],
+)
+def test_an_end_that_depends_on_unseen_ground_is_not_certain(unseen, certain):
+    here, unknown = place(CAR), None
+    if unseen is not None:
+        at_m = here.occupancy.centres_m(*np.indices(here.drivable.shape))
+        x0, x1, y0, y1 = unseen
+        unknown = ((at_m > (x0, y0)) & (at_m < (x1, y1))).all(axis=-1)
+        here = replace(here, drivable=here.drivable & ~unknown, unseen=unknown)
+    (task,) = possible_tasks(here, "to", PortableRng(1))
+    assert task.certain == certain
 
 
 @pytest.mark.parametrize("kind", ["past", "around"])

@@ -38,6 +38,13 @@ def test_a_task_a_row_next_to_the_paper():
     assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
 
 
+def test_tasks_whose_end_nobody_saw_have_a_row():
+    of = [replace(one, certain=k < 8) for k, one in enumerate(FACTS)]
+    certain, not_certain = table("tasks", OURS, of)[-2:]
+    assert (certain[0], certain[1]) == ("end certain", "8")
+    assert (not_certain[0], not_certain[1]) == ("end depends on unseen ground", "4")
+
+
 def test_a_thing_a_row_with_the_most_frequent_first():
     of = [replace(one, label="van" if k < 8 else "fence") for k, one in enumerate(FACTS)]
     outcomes = [replace(one, at_thing=k < 4) for k, one in enumerate(OURS)]
