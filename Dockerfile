@@ -56,7 +56,8 @@ COPY docker/healthy /opt/edge/bin/
 # Group video has the devices of a Jetson's GPU, and cameras.
 RUN useradd --uid 10001 --user-group --create-home --groups video edge \
     && install -d -o edge -g edge /var/cache/edge /var/lib/edge
-ENV PATH=/opt/edge/bin:$PATH EDGE_CACHE_DIR=/var/cache/edge \
+# XDG_STATE_HOME: a stop lasts as long as the volume, not as the container.
+ENV PATH=/opt/edge/bin:$PATH EDGE_CACHE_DIR=/var/cache/edge XDG_STATE_HOME=/var/lib/edge \
     NUMBA_CACHE_DIR=/var/cache/edge/numba EDGE__HTTP__PORT=7480
 USER 10001:10001
 WORKDIR /var/lib/edge

@@ -66,6 +66,7 @@ def test_the_image_runs_as_nobody_in_particular_and_is_asked_how_it_is():
     assert "\nSTOPSIGNAL SIGTERM" in stage
     assert '\nENTRYPOINT ["edge"]' in stage
     assert '\nVOLUME ["/var/cache/edge", "/var/lib/edge"]' in stage
+    assert "XDG_STATE_HOME=/var/lib/edge" in stage  # a stop outlives the container
     assert re.search(r'\nHEALTHCHECK .* CMD \["/opt/edge/bin/healthy"\]', stage)
 
 
