@@ -1,4 +1,4 @@
-"""GStreamer's RTSP server with a moving picture in H.264, for a Python that has `gi`.
+"""GStreamer's RTSP server with a test picture in H.264, part of which moves; needs `gi`.
 
 Run as `python3 rtsp_server.py PORT WIDTH HEIGHT`; it serves until it is killed.
 """
@@ -17,7 +17,7 @@ if Gst.ElementFactory.find("x264enc") is None:
     sys.exit("no x264enc: install gstreamer1.0-plugins-ugly")
 factory = GstRtspServer.RTSPMediaFactory()
 factory.set_launch(
-    f"( videotestsrc is-live=true pattern=ball ! video/x-raw,width={width},height={height},"
+    f"( videotestsrc is-live=true pattern=smpte ! video/x-raw,width={width},height={height},"
     "framerate=15/1 ! x264enc tune=zerolatency speed-preset=ultrafast key-int-max=15 "
     "! rtph264pay name=pay0 pt=96 )"
 )

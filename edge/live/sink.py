@@ -30,7 +30,7 @@ WATCHED_S = 10.0
 PERIOD_S = 0.2
 """Period of the page's data and of images."""
 OBJECTS_S = 1.0
-"""Period of the lists of remembered objects and of rooms, and of the health."""
+"""Period of the lists of remembered objects, rooms and layers, and of the health."""
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960  # longer side of an image
 MAX_BOXES = 60  # of targets, and of other objects
@@ -147,6 +147,7 @@ class LiveSink:
         self._objects: Sequence[KnownObject] = ()
         self._rooms: Sequence[MappedRoom] = ()
         self._site = Site()
+        self._layers: dict[str, Callable[[], Grid]] = {}
         self._health: dict[str, Any] = {}
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
@@ -170,7 +171,8 @@ class LiveSink:
             self._events = (*self._events, *result.events)[-MAX_EVENTS:]
         if result.observation is not None:
             self._n_ticks += 1
-            self._trail.append(result.now_ns, result.observation.pose)
+            if result.pose is not None:
+                self._trail.append(result.now_ns, result.pose)
         if now_s - self._window_s >= _WINDOW_S:
             self._beat_hz = (self._n_ticks - self._window_ticks) / (now_s - self._window_s)
             self._window_s, self._window_ticks = now_s, self._n_ticks
@@ -205,7 +207,7 @@ class LiveSink:
         if now_s >= self._objects_due_s:
             self._objects_due_s = now_s + OBJECTS_S
             self._objects, self._rooms = result.objects(), result.rooms
-            self._health = result.health()
+            self._layers, self._health = result.layers(), result.health()
         self.snapshot = LiveSnapshot(
             at_s=now_s,
             result=result,
@@ -219,7 +221,7 @@ class LiveSink:
             n_sites=self._n_sites,
             candidates=result.candidates(),
             path=result.path(),
-            layers=result.layers(),
+            layers=self._layers,
             health=self._health,
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],

@@ -67,13 +67,13 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
     sink.mark_watched()
     gathered = []
     for _ in range(11):
-        sink.tick(result(layers=lambda: gathered.append(clock.now_s) or {}))
+        sink.tick(result(path=lambda: gathered.append(clock.now_s) or np.zeros((0, 2))))
         clock.now_s += PERIOD_S / 5
     assert len(gathered) == 3
     assert sink.snapshot.at_s == gathered[-1]
 
 
-@pytest.mark.parametrize("of", ["objects", "health"])
+@pytest.mark.parametrize("of", ["objects", "layers", "health"])
 def test_what_is_expensive_is_gathered_once_a_second(sink, clock, of):
     sink.mark_watched()
     gathered = []
