@@ -26,7 +26,7 @@ from edge.loop.result import TickResult
 from edge.sinks.rerun import RerunSink
 from edge.sinks.ros2 import Ros2Sink
 
-TICKS = 300
+TICKS = 150
 Work = Callable[[TickResult], object]
 
 
