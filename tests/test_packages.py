@@ -42,6 +42,13 @@ def test_a_package_that_is_not_there_is_one_line(name, arguments, code, message)
     assert re.fullmatch(rf"(packages/{name}: )?{message}\n", done.stderr)
 
 
+def test_an_engine_that_is_not_there_is_one_line():
+    environ = {**os.environ, "ENGINE": "no-such-engine"}
+    done = subprocess.run([PACKAGES / "try-image"], capture_output=True, text=True, env=environ)
+    assert (done.returncode, done.stdout) == (os.EX_UNAVAILABLE, "")
+    assert done.stderr == "packages/try-image: no-such-engine: does not run here\n"
+
+
 def test_a_release_overwrites_nothing(tmp_path):
     (tmp_path / "old.whl").touch()
     done = subprocess.run([PACKAGES / "release", tmp_path], capture_output=True, text=True)

@@ -29,7 +29,7 @@ MIN_SHM_MB = 64
 """Least size of the shared memory."""
 MIN_FREE_MB = 500
 """Least free space in the cache folder."""
-CORE_MODULES = ("numpy", "cv2", "matplotlib", "mcap")
+CORE_MODULES = ("numpy", "cv2", "mcap")
 """Modules whose import is tested."""
 OPENCV = (
     "opencv-python-headless", "opencv-python", "opencv-contrib-python",

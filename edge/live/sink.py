@@ -30,7 +30,7 @@ WATCHED_S = 10.0
 PERIOD_S = 0.2
 """Period of the page's data and of images."""
 OBJECTS_S = 1.0
-"""Period of the lists of remembered objects and of rooms."""
+"""Period of the lists of remembered objects, rooms and layers, and of the health."""
 MAX_EVENTS = 400
 MAX_SHOT_PX = 960  # longer side of an image
 MAX_BOXES = 60  # of targets, and of other objects
@@ -147,6 +147,8 @@ class LiveSink:
         self._objects: Sequence[KnownObject] = ()
         self._rooms: Sequence[MappedRoom] = ()
         self._site = Site()
+        self._layers: dict[str, Callable[[], Grid]] = {}
+        self._health: dict[str, Any] = {}
         self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
         self._window_s, self._window_ticks = 0.0, 0  # start of the window, ticks until then
@@ -169,16 +171,17 @@ class LiveSink:
             self._events = (*self._events, *result.events)[-MAX_EVENTS:]
         if result.observation is not None:
             self._n_ticks += 1
-            self._trail.append(result.now_ns, result.observation.pose)
+            if result.pose is not None:
+                self._trail.append(result.now_ns, result.pose)
         if now_s - self._window_s >= _WINDOW_S:
             self._beat_hz = (self._n_ticks - self._window_ticks) / (now_s - self._window_s)
             self._window_s, self._window_ticks = now_s, self._n_ticks
         if now_s - self._viewed_s > WATCHED_S:
-            self.snapshot, self.shots = None, {}  # free the map that a snapshot holds
+            self._drop()
             return
         if now_s >= self._due_s:
             self._due_s = now_s + PERIOD_S
-            self.snapshot = self._make_snapshot(result, now_s)
+            self._keep(result, now_s)
         if (detections := result.detections) is not None:
             self._boxed_s[detections.observation.camera_index] = now_s
             self._copy_image(detections.observation, result, now_s)
@@ -190,8 +193,12 @@ class LiveSink:
     def close(self) -> None:
         """Do nothing; see `edge.loop.result.Sink`."""
 
-    def _make_snapshot(self, result: TickResult, now_s: float) -> LiveSnapshot:
-        """Collect the state of the service; the lists of objects only once a second."""
+    def _drop(self) -> None:
+        """Free the map that a snapshot holds."""
+        self.snapshot, self.shots = None, {}
+
+    def _keep(self, result: TickResult, now_s: float) -> None:
+        """Collect the state of the service; what is expensive only once a second."""
         choice, task = result.choice, result.task()
         self._n_tasks += not same_text(task, self._task)
         self._task = task
@@ -200,7 +207,8 @@ class LiveSink:
         if now_s >= self._objects_due_s:
             self._objects_due_s = now_s + OBJECTS_S
             self._objects, self._rooms = result.objects(), result.rooms
-        return LiveSnapshot(
+            self._layers, self._health = result.layers(), result.health()
+        self.snapshot = LiveSnapshot(
             at_s=now_s,
             result=result,
             mission=result.mission(),
@@ -213,8 +221,8 @@ class LiveSink:
             n_sites=self._n_sites,
             candidates=result.candidates(),
             path=result.path(),
-            layers=result.layers(),
-            health=result.health(),
+            layers=self._layers,
+            health=self._health,
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
             beat_hz=self._beat_hz,

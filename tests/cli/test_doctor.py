@@ -7,10 +7,12 @@ import json
 import re
 import socket
 import sys
+from importlib import metadata
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
 from patience import PATIENCE_S
 from simulated import simulated
 
@@ -112,6 +114,14 @@ def test_a_package_that_cannot_be_loaded(monkeypatch):
     failed, found = machine_checks.check_packages(SIM)
     assert (failed.level, found.level) == ("fail", "ok")
     assert "no_such_module" in failed.what
+
+
+def test_only_packages_that_every_robot_has_are_needed():
+    """An installation with `[cpu]` alone fails no check."""
+    required = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
+    always = {of.name for of in required if of.marker is None}
+    packages = metadata.packages_distributions()
+    assert all(always & set(packages[module]) for module in machine_checks.CORE_MODULES)
 
 
 @pytest.mark.parametrize(

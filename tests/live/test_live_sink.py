@@ -67,22 +67,31 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
     sink.mark_watched()
     gathered = []
     for _ in range(11):
-        sink.tick(result(health=lambda: gathered.append(clock.now_s) or {}))
+        sink.tick(result(path=lambda: gathered.append(clock.now_s) or np.zeros((0, 2))))
         clock.now_s += PERIOD_S / 5
     assert len(gathered) == 3
     assert sink.snapshot.at_s == gathered[-1]
 
 
-def test_remembered_objects_are_gathered_once_a_second_and_the_site_has_a_version(sink, clock):
+@pytest.mark.parametrize("of", ["objects", "layers", "health"])
+def test_what_is_expensive_is_gathered_once_a_second(sink, clock, of):
     sink.mark_watched()
-    gathered, sites = [], []
+    gathered = []
+    for _ in range(20):
+        sink.mark_watched()
+        sink.tick(result(**{of: lambda: gathered.append(clock.now_s) or {}}))
+        clock.now_s += PERIOD_S
+    assert len(gathered) == 4
+
+
+def test_the_site_has_a_version(sink, clock):
+    sites = []
     for site in (Site(), SITE, SITE, Site(SITE.items)):
         for _ in range(5):
             sink.mark_watched()
-            sink.tick(result(objects=lambda: gathered.append(clock.now_s) or [], site=site))
+            sink.tick(result(site=site))
             clock.now_s += PERIOD_S
         sites.append(sink.snapshot.n_sites)
-    assert len(gathered) == 4
     assert sites == [1, 2, 2, 3]
 
 
