@@ -51,7 +51,7 @@ def facts(
 ) -> EpisodeFacts:
     return EpisodeFacts(
         f"e{number}", "streets", world or f"w{number}", kind, category, "go to <b>$x$</b>", 0.4,
-        [[0.0, 0.0], [5.0, 0.0]], [[[4.0, 1.0], [5.0, 1.0], [5.0, 2.0]]], [], "van",
+        [[0.0, 0.0], [5.0, 0.0]], [[[4.0, 1.0], [5.0, 1.0], [5.0, 2.0]]], [], "van", True,
     )  # fmt: skip
 
 
