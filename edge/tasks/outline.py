@@ -15,6 +15,10 @@ from edge.trajectory.smoothing import resample
 _CHUNK_POINTS = 128  # points whose distances to all cells are in memory at a time
 
 
+OVERHANG_M = 1.0
+"""Height above an object's lowest point from which on a part may be over free ground."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
     """An object seen from above.
@@ -25,10 +29,9 @@ class Outline:
 
     Attributes:
         middle_m: (2,) float64, centre of the object's box in `map`.
-        cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object that are
-            not known to be free: the crown of a tree may be over the robot. If all are free, all of
-            them. Without points, those in its box that are not known to be free, else points along
-            its rim.
+        cells_m: (n, 2) float64, n >= 1: centres of the cells with a point of the object, without
+            parts that overhang: the crown of a tree may be over the robot. Without points, those in
+            its box that are not known to be free, else points along its rim.
         hull_m: (k, 2) float64 relative to the centre, corners of the convex hull of these cells and
             of the part of the box that is not known to be free.
         rim_m: distance from the centre of a cell to its rim.
@@ -98,9 +101,7 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     c, s = math.cos(obj.heading_rad), math.sin(obj.heading_rad)
     turn = np.array([[c, s], [-s, c]])
     rim_m = 0.5 * occupancy.resolution_m
-    seen = np.unique(np.floor(occupancy.to_cells(obj.points_m[:, :2])), axis=0)
-    over = _is_free(occupancy, seen.astype(np.int64))
-    seen = seen if over.all() else seen[~over]
+    seen = _arrival_cells(obj, occupancy)
     covered_m = _covered_cells(occupancy, middle_m, half_m, turn, rim_m)
     cells_m = occupancy.to_metres(seen + 0.5) if len(seen) else covered_m
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -115,11 +116,19 @@ def outline_of(obj: SceneObject, occupancy: Grid) -> Outline:
     return Outline(middle_m, cells_m, hull_m, rim_m)
 
 
-def _is_free(occupancy: Grid, cells: np.ndarray) -> np.ndarray:
-    """Return True for cells (n, 2), column and row, that are known to be free; (n,) bool."""
+def _arrival_cells(obj: SceneObject, occupancy: Grid) -> np.ndarray:
+    """Return the cells with a point of the object, without overhanging parts; (n, 2) column, row.
+
+    A part overhangs if it is `OVERHANG_M` above the object's lowest point and its cell is known to
+    be free.
+    """
+    cells = np.floor(occupancy.to_cells(obj.points_m[:, :2])).astype(np.int64)
     inside = ((cells >= 0) & (cells < occupancy.cells.shape[::-1])).all(axis=1)
     column, row = np.where(inside[:, None], cells, 0).T
-    return inside & (occupancy.cells[row, column] == 0)
+    is_free = inside & (occupancy.cells[row, column] == 0)
+    z_m = obj.points_m[:, 2]
+    overhangs = is_free & (z_m > z_m.min(initial=np.inf) + OVERHANG_M)
+    return np.unique(cells[~overhangs], axis=0)
 
 
 def _covered_cells(
