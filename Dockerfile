@@ -3,7 +3,7 @@
 #   docker build --build-arg BASE=jp6 .    # JetPack 6.2: Python 3.10, CUDA 12.6, TensorRT 10.3
 #   docker build --build-arg BASE=jp7 .    # JetPack 7.2: Python 3.12, CUDA 13.2, TensorRT 10.16
 # packages/try-image builds and runs that for the CPU; those for a Jetson were only linted. Bases are
-# pinned by tag; whoever publishes images adds the digests.
+# pinned by tag; add the digests when you publish an image.
 ARG BASE=cpu
 
 FROM python:3.12.13-slim-bookworm AS base-cpu

@@ -35,7 +35,7 @@ from edge.text import one_line
 
 log = logging.getLogger("edge.host.checkpoint")
 
-VERSION = 5  # of the format
+VERSION = 6  # of the format
 MAX_STATE_BYTES = 8 << 20  # of the line of JSON
 _MAX_DIRECTORY_BYTES = 64 << 10  # of the zip archive
 _ZIP_END_BYTES = 22  # size of the last record of a zip archive without a comment

@@ -13,8 +13,6 @@ from edge.tasks.scene import SceneObject
 from edge.trajectory.smoothing import resample
 
 _CHUNK_POINTS = 128  # points whose distances to all cells are in memory at a time
-
-
 OVERHANG_M = 1.0
 """Height above an object's lowest point from which on a part may be over free ground."""
 

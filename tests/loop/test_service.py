@@ -77,17 +77,17 @@ def test_a_result_says_the_same_later():
     while not (result := loop.service.result()).instances():
         loop.step()
 
-    def told() -> tuple:
+    def published() -> tuple:
         things = [(i.score, i.hits, i.state, i.points_m.tolist()) for i in result.instances()]
         steps = result.mission().log
         return things, steps, result.mission().reached, result.frontiers().tolist()
 
-    before = told()
+    before = published()
     for _ in range(20):
         loop.step()
-    assert told() == before
+    assert published() == before
     result = loop.service.result()
-    assert told() != before
+    assert published() != before
 
 
 TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody answers
@@ -105,8 +105,8 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
     assert status_message(loop.service.result())["controller"] == (
         "answers" if answers else "silent"
     )
-    told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
-    assert len(told) == (0 if answers else 1)
+    warned = [r for r in caplog.records if "no motion controller" in r.getMessage()]
+    assert len(warned) == (0 if answers else 1)
 
 
 def test_a_controller_that_never_answers_gets_the_robot_there():
@@ -128,8 +128,8 @@ def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections, caplo
     for i in range(60):
         loop.service.tick(loop.observe(), stands_ns + i * TICK_NS)
     assert any("stuck" in event for event in loop.notes.events)
-    told = [r for r in caplog.records if "no motion controller" in r.getMessage()]
-    assert bool(told) != bool(sections), "on a topic nobody is expected to answer"
+    warned = [r for r in caplog.records if "no motion controller" in r.getMessage()]
+    assert bool(warned) != bool(sections), "on a topic nobody is expected to answer"
 
 
 def driving(**mission) -> ClosedLoop:

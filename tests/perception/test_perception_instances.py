@@ -134,6 +134,19 @@ def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, pl
     assert s.tracker.verified(chair, SE2(*at, 0.0)) == verified
 
 
+def test_merged_objects_keep_the_viewpoint_that_their_hits_are_counted_from(scene):
+    s = scene(confirm_hits=4, merge_m=1.0, confirm_score=0.5)
+    s.see(("sofa", 1.5, 0, 0.4))  # the older one has no good hit
+    for _ in range(3):
+        s.see(("sofa", 2.9, 0, 0.6))
+    assert len(s.tracker) == 2
+    for _ in range(12):
+        s.see(("sofa", 2.5, 0, 0.6), size_m=0.6)
+    (sofa,) = s.tracker.all
+    assert (sofa.id, sofa.state) == (1, "confirmed")
+    assert not s.tracker.verified(sofa, SE2(0.6, 0.0, 0.0))
+
+
 def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
     s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
     for _ in range(3):

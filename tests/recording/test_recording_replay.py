@@ -317,7 +317,7 @@ def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
     same(recorded, 10)
     monkeypatch.setattr("edge.host.checkpoint.VERSION", 7)
     with pytest.raises(
-        ReplayError, match=r"in the recording .* version 5 of the format; this edge"
+        ReplayError, match=r"in the recording .* version 6 of the format; this edge"
     ):
         replay(RecordedRun(recorded))
 

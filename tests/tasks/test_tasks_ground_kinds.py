@@ -1,6 +1,6 @@
 """Kinds of ground by a network that names the class of each pixel, run by onnxruntime.
 
-The network tells classes by colour: green is terrain, blue is sky, dark is a car, all else is road.
+The network classifies by colour: green is terrain, blue is sky, dark is a car, all else is road.
 """
 
 from __future__ import annotations

@@ -74,6 +74,8 @@ def test_the_robot_goes_to_the_trunk_of_a_tree():
     tree = replace(scene.objects[1], points_m=points_m)
     at_m = np.array([[5.0, 0.0]])
     assert outline_of(tree, scene.occupancy).gaps_m(at_m) == pytest.approx([2.8], abs=0.2)
+    low = replace(tree, points_m=np.concatenate((points_m, [(6.5, 0.0, 0.5)])).astype(np.float32))
+    assert outline_of(low, scene.occupancy).gaps_m(at_m) == pytest.approx([1.4], abs=0.2)
     all_over = replace(tree, points_m=points_m[len(trunk_m) :])
     assert outline_of(all_over, scene.occupancy).gaps_m(at_m) == pytest.approx([1.0], abs=0.2)
 

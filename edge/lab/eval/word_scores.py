@@ -72,7 +72,7 @@ class WordCount:
         return sum(kept), len(kept)
 
 
-def score_for(count: WordCount, everything: WordCount, precision: float, default: float) -> float:
+def score_for(count: WordCount, everything: WordCount, precision: float, least: float) -> float:
     """Return the lowest score at which enough objects of a word are right.
 
     Few objects say little, so the share is drawn to that of all words: `PRIOR_OBJECTS`.
@@ -81,10 +81,10 @@ def score_for(count: WordCount, everything: WordCount, precision: float, default
         count: the word's objects.
         everything: the objects of all words.
         precision: wanted share of right objects.
-        default: lowest score to return.
+        least: lowest score to return.
 
     Returns:
-        `default`, or more by a multiple of 0.05; `NEVER` if no score is high enough.
+        `least`, or more by a multiple of 0.05; `NEVER` if no score is high enough.
 
     Example:
         >>> found = WordCount(40, 40, [0.4] * 5 + [0.8] * 40, [False] * 5 + [True] * 40)
@@ -93,7 +93,7 @@ def score_for(count: WordCount, everything: WordCount, precision: float, default
         >>> score_for(WordCount(), WordCount(), 0.95, 0.3)
         1.0
     """
-    for score in np.arange(default, 0.95 + 1e-9, _STEP).round(2).tolist():
+    for score in np.arange(least, 0.95 + 1e-9, _STEP).round(2).tolist():
         right, n = count.n_right(score)
         all_right, all_n = everything.n_right(score)
         typical = all_right / all_n if all_n else 0.0

@@ -656,8 +656,9 @@ class InstanceTracker:
         a.hits += b.hits
         a.last_seen_ns = max(a.last_seen_ns, b.last_seen_ns)
         old.evidence_ns = max(old.evidence_ns, new.evidence_ns)
-        old.good_hits = max(old.good_hits, new.good_hits)
-        old.other_hits = max(old.other_hits, new.other_hits)
+        if new.good_hits > old.good_hits:  # with the viewpoint that they are counted from
+            old.good_hits, old.other_hits = new.good_hits, new.other_hits
+            old.first_x_m, old.first_y_m = new.first_x_m, new.first_y_m
         old.views += new.views
         old.target_sum += new.target_sum
         old.competing_sum += new.competing_sum
