@@ -308,10 +308,11 @@ class InstanceTracker:
             shown = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
+            if shown == HIDDEN and track.evidence_ns >= observation.stamp_ns:
+                shown = IN_PART  # it was detected, so only its centre is hidden
             if shown == HIDDEN:
-                if not track.now_target:
-                    continue
-                shown = IN_PART  # it was detected, so the centre alone is hidden
+                track.now_target = track.now_competing = 0.0
+                continue
             self._update_contested(track)
             near_m = self._near_m(track, observation) + track.radius_m
             if track.distance_m(pose.x_m, pose.y_m) <= near_m:
