@@ -648,7 +648,7 @@ class InstanceTracker:
         """Update and return `contested`: True if another object explains the place better."""
         if self._objects is not None:
             instance = track.instance
-            surer = SURER if instance.state == "confirmed" else 1.0
+            surer = SURER if instance.state == "confirmed" or not track.views else 1.0
             track.contested = self._objects.has_competing_object(
                 track.name, instance.points_m, track.radius_m, surer
             )
