@@ -168,8 +168,8 @@ class GoalTracker:
 
     @property
     def exhausted(self) -> bool:
-        """True if no candidate and no viewpoint is left."""
-        return self._search.exhausted and self._next_view.done
+        """True if no candidate and no viewpoint is left, and waiting is of no use."""
+        return self._search.exhausted and self._next_view.done and not self._search.waiting
 
     @property
     def probable(self) -> ProbableObject | None:

@@ -71,12 +71,15 @@ class SearchState:
             not save this.
         probable: The rejected object with the best score; None if there is none. A checkpoint does
             not save this.
+        waiting: True if the map has just forgotten people and doors, and they may still go. The
+            search does not end then. A checkpoint does not save this.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     has_moved: bool = False
     probable: ProbableObject | None = None
+    waiting: bool = False
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
     _second_chance: bool = False  # True if discarded candidates had their second chance
@@ -189,6 +192,7 @@ class SearchState:
         self._retries += opened
         forgot = self._waits < _WAITS and grid.forget_arrivals()
         self._waits += forgot
+        self.waiting = forgot
         if not (forgot or opened):
             return is_first
         pool.unblock_all()
