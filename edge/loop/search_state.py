@@ -173,7 +173,8 @@ class SearchState:
 
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
         the map, up to twice. So are cells in which something arrived, up to `_WAITS` times: a
-        person who was seen there may have gone.
+        person who was seen there may have gone. From the second time on, any small obstacle may
+        have been a person.
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
@@ -190,7 +191,7 @@ class SearchState:
         self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        forgot = self._waits < _WAITS and grid.forget_arrivals()
+        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too=self._waits > 0)
         self._waits += forgot
         self.waiting = forgot
         if not (forgot or opened):
