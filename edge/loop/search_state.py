@@ -36,6 +36,8 @@ _PAUSE_NS = 10_000_000_000
 # Largest number of retries of cells in which something arrived, when no candidate is left: a door
 # may stay closed.
 _WAITS = 6
+# Number of these retries after which any small obstacle may have been a person.
+_SMALL_FROM = 2
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
@@ -173,7 +175,7 @@ class SearchState:
 
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
         the map, up to twice. So are cells in which something arrived, up to `_WAITS` times: a
-        person who was seen there may have gone. From the second time on, any small obstacle may
+        person who was seen there may have gone. From the third time on, any small obstacle may
         have been a person.
         """
         is_first, self._second_chance = not self._second_chance, True
@@ -191,7 +193,7 @@ class SearchState:
         self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too=self._waits > 0)
+        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too=self._waits >= _SMALL_FROM)
         self._waits += forgot
         self.waiting = forgot
         if not (forgot or opened):
