@@ -190,12 +190,10 @@ class SearchState:
         may_open = self._retries < _RETRIES and bool(grid.bumps.closed_m)
         if context.now_ns < self._next_retry_ns:
             return is_first or may_open
-        self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too=self._waits >= _SMALL_FROM)
-        self._waits += forgot
-        self.waiting = forgot
+        small_too = self._waits >= _SMALL_FROM
+        forgot = self.waiting = self.forget_arrivals(context.now_ns, grid, small_too)
         if not (forgot or opened):
             return is_first
         pool.unblock_all()
@@ -203,6 +201,18 @@ class SearchState:
         # one includes the place.
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
+
+    def forget_arrivals(self, now_ns: int, grid: RollingMap, small_too: bool = False) -> bool:
+        """Free the cells in which something arrived, at most each ten seconds and `_WAITS` times.
+
+        Return True if there were any.
+        """
+        if now_ns < self._next_retry_ns:
+            return False
+        self._next_retry_ns = now_ns + _PAUSE_NS  # doors open, and people go
+        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too)
+        self._waits += forgot
+        return forgot
 
 
 class NextBestView:

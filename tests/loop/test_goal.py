@@ -502,6 +502,20 @@ def test_the_search_waits_for_what_came_into_the_way_to_go():
     assert case.map.arrived
 
 
+@pytest.mark.parametrize("path_m", [math.inf, 5.0])
+def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
+    case = Case()
+    case.pool.candidates.path_m[:2] = 2.0, path_m
+    case.map.arrived = True
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6))
+    assert case.map.arrived == math.isfinite(path_m)
+    case.map.arrived = True
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6), after_s=9.0)
+    assert case.map.arrived, "ten seconds between two tries"
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6), after_s=1.1)
+    assert case.map.arrived == math.isfinite(path_m)
+
+
 # -- arriving -------------------------------------------------------------------------------
 
 
