@@ -117,7 +117,7 @@ def test_confirmation(scene, score, x_m, hits, state):
 
 @pytest.mark.parametrize(
     ("x_m", "z_m", "state"),
-    [(4.0, 0.4, "tentative"), (4.0, 2.0, "confirmed"), (7.0, 2.0, "tentative")],
+    [(4.0, 0.4, "tentative"), (4.0, 2.3, "confirmed"), (7.0, 2.3, "tentative")],
     ids=["in view from near by", "too high for that", "too far"],
 )
 def test_a_high_object_is_confirmed_from_where_the_camera_sees_it(scene, x_m, z_m, state):
@@ -376,6 +376,18 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
     assert bool(tracker.of("desk", only_confirmed=True, doubted=False)) == sure
+
+
+@pytest.mark.parametrize(
+    ("x_m", "sofa_score", "is_candidate"),
+    [(4.2, 0.6, True), (4.2, 0.95, False), (2.0, 0.6, False)],
+    ids=["from afar", "from afar, but far surer another", "from near by"],
+)
+def test_what_was_seen_from_afar_only_is_worth_another_view(memory, x_m, sofa_score, is_candidate):
+    s = memory(confirm_range_m=3.0)
+    for _ in range(10):
+        tracker = s.look(("desk", x_m, 0, 0.5), around=[("sofa", x_m, 0, sofa_score)])
+    assert bool(tracker.of("desk", doubted=False)) == is_candidate
 
 
 @pytest.mark.parametrize(

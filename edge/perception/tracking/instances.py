@@ -60,7 +60,8 @@ this much."""
 SURER = 1.6
 """A confirmed instance is contested only by an object with this multiple of its confidence.
 
-From near by the instance is only partly in view, and an object in front of it fills the image."""
+From near by the instance is only partly in view, and an object in front of it fills the image. The
+same counts for an instance that was seen from afar only: it is worth a view from near by."""
 _HIGH_VIEW = 1.25
 """An object that hangs high is looked at from up to this multiple of the least distance from which
 its centre is well in view."""
