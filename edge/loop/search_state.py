@@ -88,6 +88,7 @@ class SearchState:
     # The last instance that was out of reach: its id, and the place (x, y) of the robot.
     _out_of_reach: tuple[int, tuple[float, float]] | None = None
     _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
+    _jumps: Counter[int] = field(default_factory=Counter)  # likewise; see `count_jump`
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _waits: int = 0
@@ -135,7 +136,13 @@ class SearchState:
     def count_failure(self, instance_id: int) -> int:
         """Count a failed goal at an instance; return the number of failures before, at most 6."""
         self._failures[instance_id] += 1
+        del self._jumps[instance_id]
         return min(self._failures[instance_id] - 1, 6)
+
+    def count_jump(self, instance_id: int) -> int:
+        """Count a goal at an instance that moved far; return the number since its last failure."""
+        self._jumps[instance_id] += 1
+        return self._jumps[instance_id]
 
     def on_candidate(self) -> None:
         """Record that there is a candidate."""
