@@ -787,9 +787,10 @@ class GoalTracker:
             self._place_failures += 1
         elif tracked is not None and tracked.goal.kind != "trajectory":
             goal = tracked.goal
-            kind, times = FRONTIER, 0
             if goal.kind == "instance":
                 kind, times = INSTANCE, self._search.count_failure(goal.candidate_id)
+            else:
+                kind, times = FRONTIER, self._search.count_visit(goal.candidate_xy_m)
             until_ns = now_ns + int(2**times * self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.abandon()
