@@ -314,6 +314,19 @@ def test_a_thing_that_fails_again_is_left_alone_twice_as_long():
     assert times_ns == [45 * S, 90 * S, 180 * S]
 
 
+@pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
+def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_alone):
+    case, discarded = Case(), []
+    case.pool.discard = lambda *thing: discarded.append(thing[1])
+    for k in range(4):
+        case.map.stopping_point = lambda *_, y=(-1) ** k * side_m: (3.0, y, 3.0)
+        goal = case.choose(chair(9, 3.0, 0.8))
+        assert (goal.pose.y_m, discarded) == ((-1) ** k * side_m, [])
+    case.map.stopping_point = lambda *_: (3.0, side_m, 3.0)
+    goal = case.choose(chair(9, 3.0, 0.8))
+    assert (goal is None, discarded) == (is_left_alone, [9] if is_left_alone else [])
+
+
 def test_what_cannot_be_reached_is_passed_over():
     case = Case()
     case.map.walled = [(3.0, 0.0)]
