@@ -304,11 +304,12 @@ def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
     assert reason == f"explored all reachable space, found no path to chair{place}"
 
 
-def test_a_thing_that_fails_again_is_left_alone_twice_as_long():
+@pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
+def test_what_fails_again_is_left_alone_twice_as_long(candidate):
     case, times_ns = Case(), []
     case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
-        case.choose(chair(9, 3.0, 0.8))
+        case.choose(candidate)
         case.answer("failed")
         case.judge()
     assert times_ns == [45 * S, 90 * S, 180 * S]
