@@ -773,7 +773,7 @@ class GoalTracker:
     def _discard(self, now_ns: int) -> None:
         """Abandon the current goal and ignore its candidate for `mission.discard_s`.
 
-        With each failure of the same object the time doubles, up to 64-fold.
+        With each failure of the same object, or at the same place, the time doubles, up to 64-fold.
         """
         tracked = self._tracked
         if tracked is not None and tracked.view is not None:
