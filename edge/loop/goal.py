@@ -55,6 +55,8 @@ SAME_POINT_M = 0.6
 """A goal is kept if one of the new points is this near: points move as the map grows."""
 _NEAR_M = 5.0
 """Distance around an object that cannot be reached in which the nearest free cell is looked for."""
+_JUMP_M, _JUMPS = 1.5, 3
+"""A goal at an object may move by so many metres so many times. Then the object is left alone."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
 
@@ -361,6 +363,9 @@ class GoalTracker:
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:
             search.left.append(tracked.goal.candidate_xy_m)
+        if tracked is not None and goal is not None and self._jumps(tracked.goal, goal):
+            self._discard(context.now_ns)
+            return None
         if goal is None:
             return None
         search.on_candidate()
@@ -368,6 +373,17 @@ class GoalTracker:
             return _TrackedGoal(goal, peak)
         tracked.peak = peak
         return tracked
+
+    def _jumps(self, before: Goal, after: Goal) -> bool:
+        """Return True if the goal at an object has moved far too often.
+
+        What looks near to an object, from afar, may be behind a wall. Such a robot would drive from
+        one side to the other, forever.
+        """
+        same = before.kind == after.kind == "instance" and before.candidate_id == after.candidate_id
+        if not same or before.pose.distance_to(after.pose.x_m, after.pose.y_m) < _JUMP_M:
+            return False
+        return self._search.count_jump(after.candidate_id) > _JUMPS
 
     def _spin(self, context: PolicyInput) -> _TrackedGoal | None:
         """Return a goal that turns the robot on the spot, if it may turn."""
@@ -757,7 +773,7 @@ class GoalTracker:
     def _discard(self, now_ns: int) -> None:
         """Abandon the current goal and ignore its candidate for `mission.discard_s`.
 
-        With each failure of the same object the time doubles, up to 64-fold.
+        With each failure of the same object, or at the same place, the time doubles, up to 64-fold.
         """
         tracked = self._tracked
         if tracked is not None and tracked.view is not None:
@@ -771,9 +787,10 @@ class GoalTracker:
             self._place_failures += 1
         elif tracked is not None and tracked.goal.kind != "trajectory":
             goal = tracked.goal
-            kind, times = FRONTIER, 0
             if goal.kind == "instance":
                 kind, times = INSTANCE, self._search.count_failure(goal.candidate_id)
+            else:
+                kind, times = FRONTIER, self._search.count_visit(goal.candidate_xy_m)
             until_ns = now_ns + int(2**times * self._config.mission.discard_s * 1e9)
             self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.abandon()

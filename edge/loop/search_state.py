@@ -88,6 +88,9 @@ class SearchState:
     # The last instance that was out of reach: its id, and the place (x, y) of the robot.
     _out_of_reach: tuple[int, tuple[float, float]] | None = None
     _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
+    _jumps: Counter[int] = field(default_factory=Counter)  # likewise; see `count_jump`
+    # Places of frontiers whose goals ended; not saved.
+    _visited: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     _retry: tuple[int, int] | None = None  # generation of the travel-cost field and time of its end
     _retries: int = 0
     _waits: int = 0
@@ -135,7 +138,19 @@ class SearchState:
     def count_failure(self, instance_id: int) -> int:
         """Count a failed goal at an instance; return the number of failures before, at most 6."""
         self._failures[instance_id] += 1
+        del self._jumps[instance_id]
         return min(self._failures[instance_id] - 1, 6)
+
+    def count_visit(self, xy_m: tuple[float, float]) -> int:
+        """Count a frontier whose goal ended; return the number of such goals before, at most 6."""
+        n = sum(math.dist(xy_m, visited) < _SAME_FRONTIER_M for visited in self._visited)
+        self._visited.append(xy_m)
+        return min(n, 6)
+
+    def count_jump(self, instance_id: int) -> int:
+        """Count a goal at an instance that moved far; return the number since its last failure."""
+        self._jumps[instance_id] += 1
+        return self._jumps[instance_id]
 
     def on_candidate(self) -> None:
         """Record that there is a candidate."""

@@ -304,14 +304,28 @@ def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
     assert reason == f"explored all reachable space, found no path to chair{place}"
 
 
-def test_a_thing_that_fails_again_is_left_alone_twice_as_long():
+@pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
+def test_what_fails_again_is_left_alone_twice_as_long(candidate):
     case, times_ns = Case(), []
     case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
-        case.choose(chair(9, 3.0, 0.8))
+        case.choose(candidate)
         case.answer("failed")
         case.judge()
     assert times_ns == [45 * S, 90 * S, 180 * S]
+
+
+@pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
+def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_alone):
+    case, discarded = Case(), []
+    case.pool.discard = lambda *thing: discarded.append(thing[1])
+    for k in range(4):
+        case.map.stopping_point = lambda *_, y=(-1) ** k * side_m: (3.0, y, 3.0)
+        goal = case.choose(chair(9, 3.0, 0.8))
+        assert (goal.pose.y_m, discarded) == ((-1) ** k * side_m, [])
+    case.map.stopping_point = lambda *_: (3.0, side_m, 3.0)
+    goal = case.choose(chair(9, 3.0, 0.8))
+    assert (goal is None, discarded) == (is_left_alone, [9] if is_left_alone else [])
 
 
 def test_what_cannot_be_reached_is_passed_over():
