@@ -69,7 +69,6 @@ class LaunchedService(RunningService):
 
     Attributes:
         session: The open session.
-        sinks: All sinks of the service.
     """
 
     session: zenoh.Session

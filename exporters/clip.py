@@ -105,7 +105,6 @@ class Family:
 
     Attributes:
         model: class of `transformers`.
-        text_tower: module of the text tower.
         pads: True if the model also attends to the padding of a text.
     """
 

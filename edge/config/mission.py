@@ -46,9 +46,6 @@ class TranslatorLlm(Section):
 
 class TranslatorModel(Section):
     """A small network that runs here. If it is not sure, it asks which reading is meant.
-
-    Attributes:
-        card: name of its model card.
     """
 
     kind: Literal["model"] = "model"

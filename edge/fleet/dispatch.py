@@ -46,7 +46,6 @@ class FleetPlan:
         id: Id of the mission: a digest of its formula and options, a dot, and the id of the run. So
             the same mission gets another id when it is given again later. The id of a part is this
             id, a dot, and the part's number.
-        parts: Parts of the mission.
         unsplit_reason: Reason why the mission was not split; "" if it was split, or if no split was
             requested.
     """
@@ -138,7 +137,6 @@ class Dispatcher:
 
     Args:
         roster: The fleet.
-        mission: The mission and its parts.
         report: Function that is called with each progress line.
         patience_s: Time to wait for a robot that is offline or reports no status, counted from the
             first poll without it. A part that no online robot can do also fails only after this

@@ -57,7 +57,6 @@ class PartOutcome:
     Attributes:
         phase: `reached` or `failed`.
         by: Name of the robot, or names of the robots, that caused the result.
-        reason: Reason of the result.
     """
 
     phase: Literal["reached", "failed"]
@@ -69,7 +68,6 @@ class Assignment(NamedTuple):
     """An order to give a part to a robot.
 
     Attributes:
-        part: The part.
         robot: Name of the robot.
         id: Id of the mission on the robot: that of the part; `~N` follows if the robot had the part
             N times before, and another robot was working on it.
@@ -87,7 +85,6 @@ class Cancellation(NamedTuple):
 
     Attributes:
         robot: Name of the robot.
-        id: Id of the mission on the robot.
     """
 
     robot: str

@@ -68,11 +68,9 @@ class StatusReply:
     Attributes:
         id: Id of the mission.
         instruction: Text of the mission.
-        phase: Phase of the mission.
         reason: Reason of the phase.
         target: Active target, if any.
         elapsed_s: Duration of the mission so far, in seconds.
-        robot: State of the robot.
         past: Results of earlier missions, oldest first.
     """
 
@@ -123,7 +121,6 @@ class Roster:
     """The robots of a fleet that are online in one Zenoh session.
 
     Args:
-        session: The session.
         settings: Zenoh settings of any robot of the fleet, or of the client. Endpoint,
             `client_file` and `topics` are used, and the prefix without its last word.
 

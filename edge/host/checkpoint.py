@@ -327,7 +327,6 @@ class CheckpointWriter(Generic[State]):
 
     Args:
         path: file of the checkpoint.
-        form: format of the checkpoint.
         period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:

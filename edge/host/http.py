@@ -29,8 +29,6 @@ class HttpReply:
     """Answer of a server.
 
     Attributes:
-        status: HTTP status.
-        headers: headers.
         body: content, as it was sent. If it is longer than `max_bytes` of
             `CancellableRequest.send`, the rest was not read.
     """

@@ -65,8 +65,6 @@ class HttpResponse:
 
     Attributes:
         body: content.
-        media_type: media type.
-        status: HTTP status.
         etag: version of the content. A client that has this version gets 304 without a body; "":
             no version.
     """
@@ -90,7 +88,6 @@ class ServedPages:
 
     Attributes:
         pages: pages for GET and HEAD.
-        host: host of the configuration.
         token: token that a request must have; None: no token is needed, and POST is refused.
         probes: pages whose status is returned without the token.
         forms: handlers for POST.

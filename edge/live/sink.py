@@ -46,7 +46,6 @@ class LiveSnapshot:
     Attributes:
         at_s: time on the sink's clock.
         result: the result of the tick. Use only methods that other threads may call.
-        mission: the mission.
         task: the task; None: there is none.
         n_tasks: version of `task`: increases when it changes, except for progress along it.
         instances: objects of the mission.
@@ -93,7 +92,6 @@ class Box(NamedTuple):
 
     Attributes:
         label: class name.
-        score: score of the detection.
         wanted: True if the class is a target.
         xyxy: left, top, right, bottom, in fractions of the image's width and height.
     """

@@ -35,12 +35,8 @@ CROPS = CheckpointFormat("edge-crops", "pictures", CropState, MAX_CROP_BYTES + (
 class CropCheckpoint:
     """The file of the pictures; for the loop's thread.
 
-    Args:
-        path: path of the file.
-
     Attributes:
         problem: reason why an existing file cannot be used; "" if there is none.
-        writer: writer of the file.
 
     Raises:
         CheckpointError: the file cannot be read, or cannot be written.

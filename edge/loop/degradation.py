@@ -55,7 +55,6 @@ class DegradationLevels:
 
     Args:
         n_levels: Number of levels, without level 0.
-        budget_ms: See `Attributes`.
 
     Attributes:
         level: Current level.

@@ -53,7 +53,6 @@ class MetricSpec(Generic[Source]):
 
     Attributes:
         name: Name in base units (seconds, bytes). The name of a counter ends in `_total`.
-        kind: Kind of the metric.
         help: Description for people.
         read: Returns the value from the source: a number, a `Histogram`, or the name of a state.
             With labels: a mapping from a label value, or a tuple of values, to numbers or

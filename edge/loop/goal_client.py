@@ -35,10 +35,6 @@ class GoalClient:
 
     The stamp of a goal identifies it: a status has the stamp of its goal.
 
-    Args:
-        config: The configuration.
-        transmit: Transmits a goal.
-
     Attributes:
         driving: True if the controller has a goal that is not finished.
         has_controller: True if a controller answers, or if no answers are expected.

@@ -92,7 +92,6 @@ class LatencyReport:
     Attributes:
         stages: Rows of the stages.
         tick: Row of the whole tick.
-        deadline_ms: Deadline of the tick.
         calibration: Calibration of this computer, which scales the budgets. None if it was never
             calibrated; then only the tick and the detector have limits, their deadlines.
     """

@@ -68,11 +68,9 @@ class MapState:
         target: Active target.
         pose: x_m, y_m, yaw_rad at `stamp_ns`.
         stamp_ns: Stamp of the observation on the sensors' clock.
-        now_ns: Loop time.
         resolution_m: Value of `mapping.resolution_m`.
         obstacle_max_m: Value of `mapping.obstacle_max_m`.
         value_source: Scorer of the value maps; "" if there is none.
-        value_targets: Targets of the value maps.
         value_side: Cells on the side of a tile of the value maps.
     """
 
@@ -233,11 +231,6 @@ class MapCheckpoint:
 
     def __init__(self, config: Config, path: Path, fingerprint: str = "") -> None:
         """Load the file and start its writer.
-
-        Args:
-            config: The configuration.
-            path: Path of the file.
-            fingerprint: Fingerprint of the configuration.
 
         Raises:
             CheckpointError: The file cannot be read, or cannot be written.

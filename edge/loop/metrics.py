@@ -310,7 +310,6 @@ class Metrics:
     """The page `/metrics`. Metrics of the service are on it after `add_service` was called.
 
     Args:
-        health: Health of the service.
         board: Reads the computer's sensors.
     """
 

@@ -38,7 +38,6 @@ class DataCheck:
     """One row of the table of checks.
 
     Attributes:
-        name: Name of the check.
         measured: Returns the measured value.
         what: Place and problem, for the user, with `{value}`.
         todo: Advice for the user.
@@ -142,7 +141,6 @@ class FailedCheck(NamedTuple):
     """A check that fails on the newest observation.
 
     Attributes:
-        name: Name of the check.
         then: Consequence of the failure.
         what: Place and problem, for the user.
         todo: Advice for the user.
@@ -164,7 +162,6 @@ class Plausibility:
     """The plausibility stage. The loop's thread calls `permitted_use`.
 
     Args:
-        config: The configuration.
         blind_s: See `edge.loop.service.Service`.
         event: Reports an event for people, at a loop time and a log level.
 

@@ -73,7 +73,6 @@ class _PreparedConfig:
     """A prepared configuration that can be applied.
 
     Attributes:
-        config: The configuration.
         changed: Keys that differ from the current configuration.
         policy: New policy; None: keep the current one.
         running: Name of the detector's model when this was prepared.

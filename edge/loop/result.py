@@ -47,7 +47,6 @@ class MissionFacts:
     """A snapshot of a mission.
 
     Attributes:
-        spec: The mission as it was given.
         state: State of the automaton.
         trace: Propositions that led to this state.
         plan: Current plan.
@@ -120,11 +119,9 @@ class TickResult:
     `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
 
     Attributes:
-        now_ns: Loop time.
         observation: The observation that was handled, held until `Sink.tick` returns; None if
             there was none.
         pose: Newest pose in `map`; None before the first.
-        status: Status of the mission.
         goal: Current goal of the robot, or None.
         goal_status: Newest status of this goal from the controller; None before the first.
         has_controller: True if a controller answers, or if no answers are expected.

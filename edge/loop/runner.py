@@ -44,7 +44,6 @@ class RunningService:
 
     Attributes:
         config: Configuration at the start.
-        service: The service.
         worker: Background worker of the detector.
         source: Source of observations and goal statuses.
         servers: Request servers by key.

@@ -38,7 +38,6 @@ class SemanticMap:
     They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
     Args:
-        config: The configuration.
         targets: Targets of the first mission.
 
     Attributes:
@@ -49,8 +48,6 @@ class SemanticMap:
         tracker: Instances: the objects that were detected as a target.
         described: Finds the instances of targets that a relation describes.
         crops: Pictures of the objects in `objects`.
-        pool: Candidates.
-        rooms: Rooms.
         room_surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).

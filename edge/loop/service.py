@@ -65,7 +65,6 @@ class Service:
     """All stages between a source of observations and the sinks of results.
 
     Args:
-        config: The configuration.
         spec: First mission. The worker's detector already searches for its targets.
         worker: Runs the detector in the background; `submit` and `poll` never wait for the model.
         policy: Scores the candidates.
@@ -85,7 +84,6 @@ class Service:
         map: Semantic map.
         site: Places and zones that people gave.
         mission: The running mission, or the last one.
-        policy: The policy in use.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
         past_missions: Results of earlier missions that had an id, JSON-ready, oldest first.
         goals: Tracks the goal that the robot is sent to.

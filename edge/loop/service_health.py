@@ -45,9 +45,6 @@ class ServiceHealth:
     Args:
         manager: Service manager that gets each change.
         clock: Clock in seconds.
-
-    Attributes:
-        state: State of the service.
     """
 
     def __init__(

@@ -18,7 +18,6 @@ class Stage:
     """One stage of a tick.
 
     Attributes:
-        name: Name of the stage.
         budget_ms: Budget of its 95th percentile on the reference computer.
         reads: Its inputs, for people.
         writes: Its outputs, for people.

@@ -39,8 +39,6 @@ class InformationGain:
     """Computes the information gain over the current map, and remembers what was seen from where.
 
     Args:
-        layers: layers of the map.
-        window: window of the map.
         range_m: range of the map's sensor.
     """
 

@@ -71,9 +71,6 @@ class AuditLog:
 
 class CallLimit:
     """A limit of calls in any minute.
-
-    Args:
-        per_minute: the limit.
     """
 
     def __init__(self, per_minute: int) -> None:

@@ -30,7 +30,6 @@ class TokenGate:
 
     Args:
         app: gets the requests with the token.
-        token: the token.
     """
 
     def __init__(self, app: Any, token: BearerToken) -> None:

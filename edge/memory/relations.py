@@ -66,7 +66,6 @@ class DescribedThing:
     """A thing with a relation that tells it from others of its name.
 
     Attributes:
-        noun: name of the thing.
         relation: relation of the thing to the anchor; "" if there is none.
         anchor: name of the other thing; "" without a relation.
         room: name of the room that it must be in; "" for any.

@@ -34,7 +34,6 @@ class Passage(NamedTuple):
     Attributes:
         room: id of the other room.
         xy_m: middle of the passage in `map`.
-        width_m: its width.
     """
 
     room: int
@@ -55,7 +54,6 @@ class RoomShape:
         inside_m: the robot counts as inside from this distance to the border on: `INSIDE_M`, or
             less in a narrow room.
         points_m: (j, 2) float32, points to stand at, at most `_MAX_POINTS`.
-        doors: passages to other rooms.
     """
 
     id: int

@@ -22,7 +22,6 @@ class Reading:
     """One possible meaning of an instruction.
 
     Attributes:
-        formula: the meaning as a formula.
         english: the formula in English.
     """
 

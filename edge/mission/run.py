@@ -41,8 +41,6 @@ class MissionRun:
     come.
 
     Attributes:
-        spec: the mission.
-        state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
         trace: letters, oldest first.

@@ -170,11 +170,9 @@ class _SpeedWatch:
     If it cut the connection, the end of the context raises InterruptedFetchError with the reason.
 
     Args:
-        limits: time limits.
         whole_s: time for the whole content; None: only its speed is limited, see `DownloadLimits`.
 
     Attributes:
-        connection: connection of the request.
         has_header: set it when the header of the response has come.
         n_bytes: number of content bytes so far; keep it up to date.
     """

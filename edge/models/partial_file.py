@@ -44,7 +44,6 @@ class PartialFile:
         target: path of the complete file.
         sha256: hash of the complete file; None: unknown.
         size: size of the complete file in bytes; None: unknown.
-        path: path of the partial file.
         have: number of bytes so far.
 
     Raises:

@@ -50,7 +50,6 @@ class WantedFile(NamedTuple):
 
     Attributes:
         what: kind of file: `model`, `weights` or `tokenizer`.
-        target: path of the file.
         sha256: hash of the file.
         sources: sources of the file, all with this hash.
     """
@@ -72,7 +71,6 @@ class PullOptions(NamedTuple):
     Attributes:
         places: files, folders and addresses (of `--from`) to try before the sources of the card.
         offline: True: do not use the network.
-        limits: time limits.
     """
 
     places: tuple[str, ...] = ()

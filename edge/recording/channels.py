@@ -24,7 +24,6 @@ class Channel:
         encoding: encoding of the messages.
         schema: name of the schema.
         schema_encoding: language of the schema.
-        schema_text: the schema.
     """
 
     topic: str

@@ -168,7 +168,6 @@ class RecordedMessage(NamedTuple):
         topic: name of its channel.
         schema: name of its schema, which is the message type; "" if it has none.
         encoding: `cdr`, `json`, or another.
-        log_ns: time at which it was recorded.
         stamp_ns: time of its data.
         sequence: number of the message in its channel.
         payload: content.

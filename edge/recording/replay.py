@@ -84,7 +84,6 @@ class ReplayResult:
         phase_now: last replayed phase.
         seconds: time from the first to the last replayed observation.
         latency_then: last recorded latency report, JSON; None: there is none.
-        latency_now: latency of the replay.
     """
 
     ticks: int = 0
@@ -120,7 +119,6 @@ class _ReplayedService:
     """A service that gets the recorded inputs.
 
     Args:
-        session: the recorded run.
         config: another configuration; None: the recorded one.
         detect: run the detector on the recorded images.
         stack: closes all that the run opens.

@@ -30,7 +30,6 @@ class RecordingHeader:
     """Metadata of a file of a recorded run.
 
     Attributes:
-        path: the file.
         session: id of the run.
         part: number of the file within the run, from 0.
         edge: version of edge that recorded it.
@@ -48,7 +47,6 @@ class RecordedStep(NamedTuple):
     """One page of the journal with its observation.
 
     Attributes:
-        page: the page.
         observation: the page's observation with its recorded arrays; None: there was none.
         picture: True if `rgb` is a recorded image; otherwise `rgb` is black, or None without a
             camera.

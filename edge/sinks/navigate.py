@@ -78,7 +78,6 @@ class NavigateToPoseClient:
     Args:
         node: the ROS 2 node.
         action: ROS name of the action.
-        frame_id: frame of the goals.
         on_status: called with each new status of a goal.
     """
 

@@ -169,7 +169,6 @@ class TimeSynchronizer:
     A frame is one image or sweep; a field is the attribute of `Observation` that it fills.
 
     Args:
-        config: the configuration.
         clock: time of arrivals, in ns.
         mount_at: gives mounts that move; None: mounts come from the configuration.
         first: the synchronizer of the first camera, if this one is for the second. Messages and

@@ -127,7 +127,6 @@ class OdometryMessage:
     """nav_msgs/Odometry: pose of the base in `map`, and twist in the base frame.
 
     Attributes:
-        stamp_ns: stamp of the message.
         T_map_base: (4, 4) float64 pose.
         v_mps: forward speed.
         w_radps: turn rate, left positive.

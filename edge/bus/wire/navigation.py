@@ -148,7 +148,6 @@ class Feedback:
     """NavigateToPose_FeedbackMessage: progress of a goal.
 
     Attributes:
-        goal_id: id of the goal.
         pose: pose of the robot.
         elapsed_ns: time since the goal was accepted.
         recoveries: number of recoveries so far.

@@ -36,8 +36,6 @@ class SwapBench:
     """Requests the swap at half time, and measures the loop before it and during it.
 
     Args:
-        running: the running service.
-        model: model to swap to.
         seconds: length of the whole measurement.
     """
 

@@ -69,7 +69,6 @@ class ClosedLoop:
     plugin may ask for the simulator's `world` and `robot_radius_m` (`edge.lab.eval.bounds`).
 
     Attributes:
-        config: of the service, the robot and the simulator.
         notes: collects the goals, events and goal statuses.
         sinks: more sinks; each gets the result of each tick, as in a service.
         world: the world, already loaded with `config`; None: load `sim.world`.
@@ -77,7 +76,6 @@ class ClosedLoop:
             scorers that need no colour (see `wants_colour`).
         task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
-        service: the service.
         controller: the motion controller.
         ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.

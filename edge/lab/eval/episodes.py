@@ -251,7 +251,6 @@ class WorldSetup(NamedTuple):
     """A loaded world, and settings for its episodes.
 
     Attributes:
-        world: the world.
         section: `sim.world` of the configuration.
         sensing: see `Episode`.
         radius_m: radius of the robot's footprint.

@@ -120,7 +120,6 @@ class MissionCostFields:
     """Cost-to-go fields of the missions in a world.
 
     Args:
-        world: the world.
         robot_radius_m: radius of the robot's footprint.
 
     Attributes:

@@ -44,7 +44,6 @@ class EpisodeOutcome:
         reason: why the episode ended, in one line.
         failure: one of `FAILURES`; None for a success.
         path_m: length of the driven path, by ground truth.
-        elapsed_s: simulated time.
         wall_s: real time.
         distance_m: distance at the end to the nearest footprint of a target; None for a mission.
         left_m: metres left to drive at the end; None for a mission, and if there is no path.

@@ -76,7 +76,6 @@ class SeenFloor:
     Args:
         plan: its occupied cells block the view.
         hfov_rad: horizontal field of view.
-        range_m: range of the camera.
     """
 
     def __init__(self, plan: FloorPlan, hfov_rad: float, range_m: float) -> None:

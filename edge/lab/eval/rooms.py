@@ -39,9 +39,7 @@ class RoomVerdict:
 
     Attributes:
         world: name of the world.
-        id: of the mapped room.
         truth: kind of the true room.
-        share: share of the mapped floor that lies in it.
         also: kinds of all true rooms with at least `_PART_SHARE` of the mapped floor.
         kinds: kinds that the robot reports; empty if none is certain.
         best: kind that the robot finds most likely, certain or not.

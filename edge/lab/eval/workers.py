@@ -39,8 +39,6 @@ class EpisodeJob(NamedTuple):
     """One episode to run with one arm.
 
     Attributes:
-        arm: the arm.
-        episode: the episode.
         processes: run over Zenoh, with simulator and controller as processes.
         page: folder for a report; None: no report.
     """

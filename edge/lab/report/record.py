@@ -24,7 +24,6 @@ class Keyframe:
     """A camera image with its boxes.
 
     Attributes:
-        stamp_ns: of the image.
         rgb: (h, w, 3) uint8, a copy, downsampled if the image was large.
         xyxy_px: (n, 4) float32 boxes in pixels of `rgb`.
         score: (n,) float32 of each box.

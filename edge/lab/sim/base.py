@@ -136,7 +136,6 @@ class World(Protocol):
     """A place for the simulated robot; see `edge.lab.sim.worlds.load_world`.
 
     Attributes:
-        name: of the world.
         objects: the objects that a robot may look for; their ids count from 1.
         start: pose at which the robot starts.
         plan: occupied cells of the floor.

@@ -53,7 +53,6 @@ class BoxWorld:
     All arrays have one entry for each of the p primitives, in the same order.
 
     Args:
-        name: of the world.
         structure: primitives of the building, in `map`.
         furniture: each object with its primitives, in `map`.
         start: pose at which the robot starts.

@@ -63,7 +63,6 @@ class PlacedModel:
     """A model at its place.
 
     Attributes:
-        model: the model.
         x_m: x of its middle in `map`.
         y_m: y of its middle in `map`.
         z_m: height of its lower side above the floor.
@@ -143,7 +142,6 @@ class Furnisher:
     """Chooses and places the models of a house.
 
     Args:
-        models: of the catalogue.
         rng: draws all choices.
     """
 

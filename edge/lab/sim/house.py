@@ -61,7 +61,6 @@ class Opening(Section):
 
     Attributes:
         at_m: distance of its middle from the wall's start.
-        width_m: width.
         height_m: height of the gap, above the sill.
         sill_m: height of the wall below it.
     """

@@ -22,7 +22,6 @@ class MotionState:
     """State of the robot at one instant.
 
     Attributes:
-        stamp_ns: the instant.
         pose: true pose in `map`.
         odometry: pose by odometry, with drift.
         v_mps: speed.

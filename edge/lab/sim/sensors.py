@@ -110,9 +110,6 @@ class CameraRig:
 class CameraPair:
     """Two cameras that take images in turn.
 
-    Args:
-        cameras: the cameras.
-
     Attributes:
         rate_hz: images per second of both.
     """

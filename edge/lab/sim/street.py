@@ -221,7 +221,6 @@ class _PlacedObjects:
 
     Attributes:
         rng: draws the objects.
-        accepted: objects placed so far.
     """
 
     def __init__(self, rng: PortableRng, start: SE2, breaks: list[Break]) -> None:

@@ -80,9 +80,6 @@ class FollowBehaviour:
 
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
-        config: The configuration.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
         input_log: Input log, which records the worker's results.
 
     Attributes:

@@ -96,13 +96,11 @@ class PlanRequest:
     """A request to the worker to write or refine a trajectory, with all data that it needs.
 
     Attributes:
-        config: The configuration.
         instruction: Instruction of the task.
         n_driven: Number of steps already driven. The trajectory begins with the next step.
         ends: Candidates for the step at which the trajectory ends, counted from the start of the
             instruction. The worker tries them in this order, the largest first.
         n_steps: Total number of steps.
-        view: The map.
         observation: Observation with the robot's pose.
         instances: Objects of the targets.
         objects: Object map of the task.

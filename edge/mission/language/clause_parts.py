@@ -229,7 +229,6 @@ class Clause:
         negated: "do not", "never", "avoid".
         only: "only" before the verb.
         things: objects of the clause; None for "do not stop (until …)".
-        conditions: conditions of the clause.
         avoiding: objects to avoid on the way ("while avoiding", "without").
         during: the avoidance has "while", so it ends with this clause.
         never: objects to avoid permanently ("while always avoiding").

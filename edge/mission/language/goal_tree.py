@@ -38,7 +38,6 @@ class Visit:
 
     Attributes:
         options: names of the objects.
-        times: number of visits.
     """
 
     options: tuple[str, ...]
@@ -61,7 +60,6 @@ class AllOf:
     """A set of goals in any order, with rules.
 
     Attributes:
-        goals: the goals.
         rules: formulas that hold from the start.
     """
 

@@ -84,7 +84,6 @@ class CandidateReading:
     """One meaning that a sentence may have.
 
     Attributes:
-        formula: one of the formulas with this meaning.
         p: share of all formulas with this meaning in the probability of all hypotheses.
         back_translation_log_p: log probability of the sentence given `tokens` [nats].
         tokens: the formula in prefix notation, as the hypothesis writes it that explains the

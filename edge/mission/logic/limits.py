@@ -27,8 +27,6 @@ class CompileBudget:
 
     Attributes:
         max_states: limit of the states of each automaton.
-        max_steps: limit of the steps.
-        steps: steps used so far.
     """
 
     def __init__(self, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS) -> None:

@@ -13,7 +13,6 @@ class TaskPlanner:
 
     Args:
         targets: names that the detector looks for, at least one.
-        steps: steps of the task.
     """
 
     def __init__(self, targets: Sequence[str], steps: Sequence[TaskStep]) -> None:

@@ -78,7 +78,6 @@ class _PromptSet:
 
     Attributes:
         prompts: names of the objects to look for.
-        classes: the text classes of the prompts.
         class_scores: (anchors, classes) float32, buffer for the score of each class.
         anchor, label, score: (anchors * (prompts + context),), see `kernels.candidates`.
         bound: the session with its inputs and outputs; None after `close`.

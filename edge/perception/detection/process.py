@@ -29,7 +29,6 @@ class ProcessDetector(SupervisedProcess):
     While no process is ready, `detect` raises at once.
 
     Args:
-        perception: configuration of the detector and of the process.
         prompts: names of the objects to look for.
         progress: see `make_detector`; called at later starts, too.
         cancelled: see `make_detector`.

@@ -86,7 +86,6 @@ class SimDetector:
     a run replays the same.
 
     Args:
-        detector: the configuration.
         prompts: names of the objects to look for.
         truth: returns the ground truth of an image; None: there is no ground truth, and `detect`
             raises.

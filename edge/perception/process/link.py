@@ -46,12 +46,9 @@ class ModelProcessClient:
 
     Args:
         request: what the program reads at its start, without the fields that all programs get.
-        name: name of the model.
-        frames: the frame file.
         program: command line; by default the one for detectors.
 
     Attributes:
-        name: name of the model.
         fault: why the process was killed, or how it ended; empty while it runs.
 
     Raises:

@@ -162,7 +162,6 @@ class InstanceTracker:
     the score by `DECAY` (`expire`).
 
     Args:
-        perception: the configuration.
         sightings: all objects seen, updated with the newest image first; None: no evidence of other
             objects.
 

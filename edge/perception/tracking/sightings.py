@@ -171,9 +171,6 @@ class ObjectTracker:
     confidence. The arrays are allocated once: over `MAX_SIGHTINGS` the least confident object is
     dropped.
 
-    Args:
-        perception: the configuration.
-
     Attributes:
         read_only: read-only view, for policies.
         observed: objects that the newest image showed with a strong box.

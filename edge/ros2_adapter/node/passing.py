@@ -28,7 +28,6 @@ class AdapterEnds(NamedTuple):
 
     Attributes:
         node: rclpy node.
-        session: Zenoh session.
         zenoh: the imported module `zenoh`.
         wake: makes the node's thread check its queues now; any thread may call it.
     """

@@ -92,7 +92,6 @@ class Data:
 
     Args:
         views: images and marks.
-        features: features of the views.
         level_scales: see `features.Trunk`.
         words: see `features.Trunk`.
 

@@ -49,7 +49,6 @@ class Conv(nn.Sequential):
         c_in: channels of the input.
         c_out: channels of the output.
         k: side of the kernel.
-        stride: stride.
     """
 
     def __init__(self, c_in: int, c_out: int, k: int = 3, stride: int = 1) -> None:

@@ -62,8 +62,6 @@ class PriorInputs:
     """The robot's knowledge in the form of the prior's inputs, for its current frontiers.
 
     Args:
-        explorer: the robot.
-        frontiers: its current frontiers.
         row: index of each of the plan's objects in the prior's table; -1 for none.
         m: number of objects in the prior's table.
 

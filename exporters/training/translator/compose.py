@@ -72,8 +72,6 @@ class Phrases:
     """Tables of `phrases.yaml`.
 
     Attributes:
-        slots: phrases for each slot.
-        families: all families.
         refused: templates of sentences that no formula expresses.
         goals: families whose formula says what to reach: it begins with F or &.
         bans: families whose formula forbids something or sets an order: its first token

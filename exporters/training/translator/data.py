@@ -160,9 +160,7 @@ class Source:
     """Endless source of pairs: composed ones, and a share of human ones.
 
     Attributes:
-        composer: source of composed pairs.
         human: human pairs to draw from.
-        share: share of human pairs.
         rng: draws them.
     """
 

@@ -195,7 +195,6 @@ class Comparison:
     """All figures of a set of outcomes.
 
     Attributes:
-        outcomes: the outcomes.
         baseline: index of the arm that the others are compared with.
         unit: the resampled unit, "world" or "episode".
         figures: by arm, by metric.

@@ -78,9 +78,7 @@ class TaskBatch(NamedTuple):
     """Tasks with one delexicalised formula, for one process.
 
     Attributes:
-        problem: problem of the formula.
         rows: index of each task in the results.
-        ids: id of each task.
     """
 
     problem: PlanningProblem

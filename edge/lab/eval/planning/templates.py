@@ -65,7 +65,6 @@ class Family:
     """A family of similar templates. Pairs are inclusive ranges of a uniform distribution.
 
     Attributes:
-        name: name of the family.
         share: relative frequency among the draws.
         branches: number of alternatives of the task ("…; or reach …").
         length: number of steps of each branch.

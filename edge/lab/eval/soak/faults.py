@@ -37,7 +37,6 @@ class Fault:
         name: its name for `--faults`.
         part: the affected part. Two faults at the same time affect two parts.
         what: description for the log.
-        inject: injects the fault.
         lasts_s: shortest and longest duration; a duration between them is drawn.
         within_s: time after the end within which `check_recovered` and all of `after` must hold
             together.

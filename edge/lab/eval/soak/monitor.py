@@ -45,7 +45,6 @@ class SoakMonitor:
         status_s: time at which it arrived.
         latency: the newest latency message.
         beats: (time, message) of the newest messages of `edge.lab.eval.soak.jitter`, oldest first.
-        began_s: time at which the monitor began.
         ready_problems: problems that `/readyz` reported in the last sample.
         is_ready: `/readyz` was 200 in the last sample.
         sampled_s: time of the last sample.

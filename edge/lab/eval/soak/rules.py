@@ -165,7 +165,6 @@ class GrowthLimit:
         name: for the report.
         part: part of a sample, `service` or `model`.
         key: key of the value in that part.
-        unit: of the value.
         most_per_h: limit on the growth per hour.
         most_in_all: growth in the whole run that is always allowed, such as caches that fill. It
             decides in a short run.

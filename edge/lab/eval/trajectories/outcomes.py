@@ -47,7 +47,6 @@ class EpisodeFacts:
     """The data of an episode that tables and pictures need.
 
     Attributes:
-        id: of the episode.
         source: see `TrajectoryEpisode`.
         world: see `TrajectoryEpisode`.
         kind: see `TrajectoryTask`.
@@ -85,15 +84,11 @@ class TrajectoryOutcome:
         writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
         error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
-        frechet_m: likewise.
-        ndtw: likewise.
         contacts: collisions in the scene's map, as OpenNav counts them.
         true_contacts: collisions with the true obstacles.
-        length_m: length of the trajectory.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
         reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and refining.
-        path: the trajectory.
         at_thing: it ends as near to the object as the reference (`_AT_M`), on any side.
         true_depth_m: how much nearer than the robot's radius it comes to a true obstacle.
     """
@@ -207,7 +202,6 @@ class TrajectoryResults:
     Attributes:
         methods: their names, with the writer's name if there are several writers.
         method_names: their names without that of the writer.
-        facts: of each episode.
         ran: (M, E) bool.
         numbers: by a name of `_NUMBERS`, (M, E) float64, NaN without an outcome.
         outcomes: by (method, episode) as indices.

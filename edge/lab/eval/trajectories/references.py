@@ -100,8 +100,6 @@ class ReferenceScene:
     """A place with its objects, and the pose of a robot.
 
     Attributes:
-        pose: of the robot.
-        landmarks: the objects.
         occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
         robot_m: radius of the robot.

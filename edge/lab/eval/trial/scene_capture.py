@@ -46,7 +46,6 @@ class SceneCapture:
     Attributes:
         name: name of the place.
         by: source of the objects, such as "the labels".
-        scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
         detect: looks for a new name in the newest frame; None: objects come from labels.

@@ -30,7 +30,6 @@ class TaskRun:
     Attributes:
         instruction: the text.
         view: the scene and its sensor data.
-        config: the configuration.
         rounds: the attempts of a model that writes; () for the rules.
         written: the coarse trajectory; None: there is none.
         refined: the refined trajectory, on the ground that the LiDAR saw; None: there is none.

@@ -33,9 +33,7 @@ class ModelVisual(NamedTuple):
     Attributes:
         instance: name of the placed model, unique in the world but for its parts.
         model: name of the model that was placed, such as `aws_robomaker_residential_Sofa_01`.
-        name: of the visual.
         T_world_visual: (4, 4) pose.
-        geometry: its element.
         material: its element, or None.
         file: the SDF file that has the visual.
     """

@@ -81,7 +81,6 @@ class RoomReachability:
 
     Args:
         rect: the room, to the middle of its walls.
-        doors: its doors.
     """
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
@@ -94,9 +93,6 @@ class RoomReachability:
         """Return (rows, columns) bool: cells that a robot can reach from the doors.
 
         None if it cannot get from each door to all others and to all objects.
-
-        Args:
-            objects: objects in the room.
         """
         free = np.ones(self._shape, np.uint8)
         boxes = [(o.box, o.z_m > 0) for o in objects if o.category != "rug"]

@@ -80,7 +80,6 @@ class Door:
         rooms: indices of the two rooms.
         x_m: centre of the gap.
         y_m: centre of the gap.
-        width_m: width of the gap.
         upright: True if the wall runs along y (upright on the plan).
     """
 

@@ -53,12 +53,8 @@ class MarkNetwork:
     Call `ask` from one thread at a time.
 
     Args:
-        card: the network's card.
         text: encoder of the target.
         providers, threads, device_id: see `open_session`.
-
-    Attributes:
-        name: name of the card.
 
     Raises:
         ModelError: the model is missing or unusable, its first run fails, or the text encoder's

@@ -36,7 +36,6 @@ class _Process(SupervisedProcess):
     While no process is ready, each question raises at once.
 
     Args:
-        card: the model's card.
         choice: the configuration of the scorer.
         process: time limits of the process.
 

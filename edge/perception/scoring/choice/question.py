@@ -107,7 +107,6 @@ class FrontierChoice:
 
     Attributes:
         stamp_ns: stamp of the view's observation.
-        target: target of the view.
         ids: (n,) ids of the candidates whose marks the model could choose; some of the candidates
             may no longer exist.
         p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4, the probability of each mark.

@@ -46,8 +46,6 @@ class Decoder:
     """A decoder with its key-value cache as input and output, and the embedding of its tokens.
 
     Args:
-        files: files of the model.
-        session: session of the decoder.
         embedding: session of the token embedding; None: the decoder embeds tokens itself.
         deadline: time limit of the runs.
 

@@ -44,7 +44,6 @@ class LanguageModel:
         providers, threads, device_id: see `open_session`.
 
     Attributes:
-        name: name of the card.
         takes_images: True if it takes images, False if it takes text only.
 
     Raises:
