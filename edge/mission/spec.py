@@ -316,7 +316,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
     limits = (config.max_states, config.compile_limit_steps)
-    automaton = compile_formula(formula, *limits, config.compiler)
+    automaton = compile_formula(formula, *limits)
     diagnosis = diagnose(automaton, *limits)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)

@@ -71,7 +71,7 @@ def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit
 
 def _compile(formula: Formula, limits: MissionConfig) -> Automaton:
     """Return the automaton of a formula within the limits of a configuration."""
-    return compile_formula(formula, limits.max_states, limits.compile_limit_steps, limits.compiler)
+    return compile_formula(formula, limits.max_states, limits.compile_limit_steps)
 
 
 def _is_avoidance(automaton: Automaton) -> bool:
