@@ -65,11 +65,7 @@ _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 @dataclass
 class LaunchedService(RunningService):
-    """A running service with its Zenoh session and its sinks.
-
-    Attributes:
-        session: The open session.
-    """
+    """A running service with its Zenoh session and its sinks."""
 
     session: zenoh.Session
     sinks: Sequence[Sink]

@@ -274,7 +274,6 @@ class _TowerExporter:
         towers: image and text tower of the original.
         fp32: the FP32 cards, see `make_cards`.
         calibration: images to calibrate on.
-        validation: images to compare on.
     """
 
     def __init__(

@@ -38,7 +38,6 @@ class ParityReport(Report):
     """Agreement of a candidate's detections with a reference's.
 
     Attributes:
-        images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
         recall: share of these that the candidate also has (see `match_to_reference`).
         precision: share of the candidate's detections that the reference also has.

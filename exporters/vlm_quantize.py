@@ -138,7 +138,6 @@ class VariantBuilder:
         original: the FP32 model.
         asked: question for the check which of the decoder's values are too large for float16.
         calibration: images to calibrate on.
-        folder: folder to write to.
     """
 
     def __init__(
@@ -199,7 +198,6 @@ class OnnxReference:
     """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`.
 
     Attributes:
-        image_token: placeholder token of the image.
         merge: side, in patches, of the square of the image that one token stands for.
     """
 

@@ -17,7 +17,6 @@ class Finding:
 
     Attributes:
         level: `ok`, `warn` or `fail`.
-        what: what was found.
         todo: what to do; "" if nothing.
     """
 

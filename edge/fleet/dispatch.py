@@ -136,7 +136,6 @@ class Dispatcher:
     """A loop that polls the robots, assigns parts and reports progress until the mission is over.
 
     Args:
-        roster: The fleet.
         report: Function that is called with each progress line.
         patience_s: Time to wait for a robot that is offline or reports no status, counted from the
             first poll without it. A part that no online robot can do also fails only after this

@@ -66,9 +66,7 @@ class StatusReply:
     """The fields of a service's reply to `status` that a fleet uses.
 
     Attributes:
-        id: Id of the mission.
         instruction: Text of the mission.
-        reason: Reason of the phase.
         target: Active target, if any.
         elapsed_s: Duration of the mission so far, in seconds.
         past: Results of earlier missions, oldest first.
@@ -97,7 +95,6 @@ class Robot:
         name: Last word of the robot's prefix.
         status_reply: The robot's status; None if there is no valid reply.
         problem: Reason why there is no valid reply; "" if the reply is valid.
-        reply: The reply as received.
     """
 
     name: str

@@ -69,7 +69,6 @@ class Checkpoint(Generic[State]):
 
     Attributes:
         state: dataclass of JSON-ready values.
-        arrays: name → array.
         config: fingerprint of the configuration that made it.
         written_ns: wall-clock time of writing.
     """
@@ -326,7 +325,6 @@ class CheckpointWriter(Generic[State]):
     """Writer of the newest checkpoint, on a thread of its own, so that the loop never waits.
 
     Args:
-        path: file of the checkpoint.
         period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:

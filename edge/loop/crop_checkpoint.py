@@ -19,11 +19,7 @@ PERIOD_S = 30.0
 
 @dataclass(frozen=True)
 class CropState:
-    """Description of the saved pictures; all data is in the arrays.
-
-    Attributes:
-        n: number of pictures.
-    """
+    """Description of the saved pictures; all data is in the arrays."""
 
     n: int
 

@@ -57,7 +57,6 @@ class DegradationLevels:
         n_levels: Number of levels, without level 0.
 
     Attributes:
-        level: Current level.
         budget_ms: Time budget of the detector; may be set.
 
     Example:

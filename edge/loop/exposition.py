@@ -57,7 +57,6 @@ class MetricSpec(Generic[Source]):
         read: Returns the value from the source: a number, a `Histogram`, or the name of a state.
             With labels: a mapping from a label value, or a tuple of values, to numbers or
             histograms. None: there is no value now.
-        labels: Names of the labels.
         states: All values of a `state`. Each has a series, which is 1 for the current state.
     """
 

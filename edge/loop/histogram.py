@@ -35,7 +35,6 @@ class Histograms:
     They use lists and `bisect`, which are twice as fast as NumPy for the ten numbers of a tick.
 
     Args:
-        columns: Number of histograms.
         bounds_s: Upper bounds of the buckets, ascending.
     """
 

@@ -36,7 +36,6 @@ class Span(NamedTuple):
         name: Name of the stage, or `tick`.
         begin_ns: Start on the clock of the ring (`time.perf_counter_ns`). Stages of a tick follow
             each other. A background stage counts as ended when the loop received its result.
-        took_ns: Duration.
         in_tick: True if the time is part of a tick.
     """
 
@@ -90,7 +89,6 @@ class LatencyReport:
     """The latency of every stage, in the order of the stage table, and of the tick.
 
     Attributes:
-        stages: Rows of the stages.
         tick: Row of the whole tick.
         calibration: Calibration of this computer, which scales the budgets. None if it was never
             calibrated; then only the tick and the detector have limits, their deadlines.
@@ -196,7 +194,6 @@ class LatencyHistograms:
 
     Attributes:
         stages: By stage name.
-        tick: Duration of the ticks.
         interval: Time from the start of a tick to the start of the next.
     """
 

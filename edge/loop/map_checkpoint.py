@@ -63,9 +63,6 @@ class MapState:
 
     Attributes:
         boot: See `edge.host.machine.boot_id`.
-        policy: Kind of the policy.
-        targets: Targets of the mission.
-        target: Active target.
         pose: x_m, y_m, yaw_rad at `stamp_ns`.
         stamp_ns: Stamp of the observation on the sensors' clock.
         resolution_m: Value of `mapping.resolution_m`.
@@ -226,7 +223,6 @@ class MapCheckpoint:
         problem: Reason why an existing file cannot be used; "" if there is no problem.
         loaded: Content of the file while it can still be restored, else None.
         waiting: Map of the file, until the first observation.
-        writer: Writer of the file.
     """
 
     def __init__(self, config: Config, path: Path, fingerprint: str = "") -> None:

@@ -45,10 +45,7 @@ class ScrapeSnapshot:
     """The state of a running service at one scrape; the source of `SERVICE_METRICS`.
 
     Attributes:
-        running, service, mission, goal, detector, histograms: The parts of the service.
         sinks: Status of each sink by name.
-        source: Counters of the source.
-        inputs: State of the source's inputs.
         failed: Names of the plausibility checks that fail.
         latency: Latency report: counts since the start, without percentiles.
         images: Counts of the detector's images.

@@ -41,7 +41,6 @@ class DataCheck:
         measured: Returns the measured value.
         what: Place and problem, for the user, with `{value}`.
         todo: Advice for the user.
-        then: Consequence of a failure.
         lowest: The check fails below this value.
         highest: The check fails above this value.
         permits: Use of the observation that a failure still permits. "" if a failure only warns or
@@ -141,7 +140,6 @@ class FailedCheck(NamedTuple):
     """A check that fails on the newest observation.
 
     Attributes:
-        then: Consequence of the failure.
         what: Place and problem, for the user.
         todo: Advice for the user.
         since_ns: Loop time of the first failure.
@@ -166,7 +164,6 @@ class Plausibility:
         event: Reports an event for people, at a loop time and a log level.
 
     Attributes:
-        checks: The table of checks.
         failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
             whole, so any thread may read it.
         refused: Number of refused observations by check.

@@ -93,7 +93,6 @@ class Reloader:
     probation. The rest is applied when the swap is final.
 
     Args:
-        service: The running service.
         reread: Reads the configuration again, in the same way as at the start.
         requested: Event that any thread sets to request a reload.
 

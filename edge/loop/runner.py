@@ -43,14 +43,10 @@ class RunningService:
     """A service with its source and its request servers.
 
     Attributes:
-        config: Configuration at the start.
-        worker: Background worker of the detector.
         source: Source of observations and goal statuses.
-        servers: Request servers by key.
         now_ns: Loop time of the newest cycle; 0 before the first.
         epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
         reloader: Reloads the configuration on request; None if reloads are not possible.
-        latch: The stop of the robot.
         clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
             played. None: wall-clock time.
     """

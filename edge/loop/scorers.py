@@ -55,7 +55,6 @@ class Scorers:
     """The configured scorers. Each has at most one open question.
 
     Attributes:
-        answers: Newest answers.
         value_source: Scorer that writes the value maps, `similarity` or `choice`; may be set.
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.

@@ -44,11 +44,9 @@ class SemanticMap:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
         view: The part of the grid that policies see.
-        objects: Objects of all classes.
         tracker: Instances: the objects that were detected as a target.
         described: Finds the instances of targets that a relation describes.
         crops: Pictures of the objects in `objects`.
-        room_surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """

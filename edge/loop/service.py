@@ -81,7 +81,6 @@ class Service:
         site: Places and zones; None: those of this run only.
 
     Attributes:
-        map: Semantic map.
         site: Places and zones that people gave.
         mission: The running mission, or the last one.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
@@ -89,7 +88,6 @@ class Service:
         goals: Tracks the goal that the robot is sent to.
         pose: Newest pose in `map`; None before the first.
         stamp_ns: Stamp of the newest observation that was not refused, on the sensors' clock.
-        plausibility: Checks the observations.
         refused: True if the newest observation must not be used to drive.
         detector_swap: Swaps the detector's model.
         load_shedder: Drops expensive work under load, in the order of
@@ -102,7 +100,6 @@ class Service:
         inputs: As in `Args`.
         error_boundary: Catches and counts the exceptions of stages, sinks and requests.
         stage: Index of the running stage, or of the stage whose error ended the tick.
-        latency: Times of the stages.
         scores: (n,) float32, the policy's scores of the candidates.
     """
 
@@ -643,13 +640,7 @@ class Service:
             self.checkpoint.map.on_pose_jump()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
-        """Report an event, for people, to the log and the sinks.
-
-        Args:
-            text: The event, one line.
-            now_ns: Loop time.
-            level: Level of the log record.
-        """
+        """Report an event, for people, to the log and the sinks."""
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 

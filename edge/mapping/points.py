@@ -84,9 +84,6 @@ class PolarGrid(NamedTuple):
         spread: (side, side) uint8, number of sectors on each side of its own that an obstacle in
             the cell blocks.
         direction: (sectors, 2) float32, unit vector of a sector's centre line.
-        sectors: number of sectors.
-        rings: number of rings.
-        ring_m: depth of a ring.
     """
 
     bin_of: np.ndarray

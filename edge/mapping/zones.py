@@ -41,7 +41,6 @@ class Zones:
 
     Args:
         layers: layers of the map; the zones are written there.
-        window: window of the map.
         inflation_cells: distance that the robot keeps from obstacles.
 
     Attributes:

@@ -87,9 +87,6 @@ class DescribedThing:
 def parse_description(text: str) -> DescribedThing | None:
     """Return the thing that a text describes by a relation; None if the text is a plain name.
 
-    Args:
-        text: a proposition.
-
     Raises:
         RelationError: the text has a relation that cannot be decided.
 

@@ -76,11 +76,7 @@ class SeenObjects(NamedTuple):
 
 
 class SeenObjectIndex:
-    """Rows of the prior's table for the tracked objects.
-
-    Args:
-        words: maps words to rows.
-    """
+    """Rows of the prior's table for the tracked objects."""
 
     def __init__(self, words: PriorWordIndex) -> None:
         self._words = words
@@ -192,9 +188,7 @@ class RoomMemory:
         words: maps words to rows of the table.
 
     Attributes:
-        survey: shapes of the rooms.
         version: number that grows when anything about the rooms changes.
-        rooms: all rooms, by id.
     """
 
     def __init__(self, table: ObjectPrior, words: PriorWordIndex) -> None:

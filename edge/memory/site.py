@@ -477,7 +477,6 @@ class SiteFile:
         site: the site at the start; None reads the file.
 
     Attributes:
-        site: the current site.
         start: the first pose of this run; None before there was one.
 
     Raises:

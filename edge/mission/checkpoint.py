@@ -40,7 +40,6 @@ class MissionState:
         failed: B of ViTL III.
         detected: D of ViTL III.
         target: the pursued proposition, or None.
-        reason: reason of the phase.
         paused: True if the mission was paused.
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.

@@ -92,7 +92,6 @@ class CheckTarget:
     """A check if a thing is there; either answer fulfils it.
 
     Attributes:
-        name: the thing, for the detector.
         room: name of the room to look in; "" for everywhere.
     """
 

@@ -39,7 +39,6 @@ class DownloadLimits:
         tries: attempts per address; each resumes where the one before ended.
         small_s: time for a whole small file.
         small_bytes: largest small file.
-        wheel_s: time for pip to download a wheel.
     """
 
     answer_s: float = 30.0

@@ -50,7 +50,6 @@ class WantedFile(NamedTuple):
 
     Attributes:
         what: kind of file: `model`, `weights` or `tokenizer`.
-        sha256: hash of the file.
         sources: sources of the file, all with this hash.
     """
 

@@ -73,15 +73,11 @@ class ReplayResult:
     """Result of a replay.
 
     Attributes:
-        ticks: number of replayed ticks.
         differing: number of ticks with different decisions.
-        first: the first difference.
         goals_then: number of recorded goals.
-        goals_now: number of replayed goals.
         n_unrecorded: images for the detector that were not recorded.
         ended: why the replay ended before the run; empty if it reached the run's end.
         phase_then: last recorded phase of the mission.
-        phase_now: last replayed phase.
         seconds: time from the first to the last replayed observation.
         latency_then: last recorded latency report, JSON; None: there is none.
     """

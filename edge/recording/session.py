@@ -30,9 +30,7 @@ class RecordingHeader:
     """Metadata of a file of a recorded run.
 
     Attributes:
-        session: id of the run.
         part: number of the file within the run, from 0.
-        edge: version of edge that recorded it.
         config: the configuration as JSON, without secrets.
     """
 

@@ -42,7 +42,6 @@ class _Entry(NamedTuple):
     """An entity to log.
 
     Attributes:
-        entity: path of the entity.
         make: makes its archetype, on the sink's thread.
     """
 

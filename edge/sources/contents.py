@@ -106,7 +106,6 @@ class RecordingContents:
     """The contents of a recording, from one pass over all its messages.
 
     Attributes:
-        topics: the topics that have messages, by name.
         first_ns: log time of the first message.
         last_ns: log time of the last message.
         nearly_sorted: True if the messages are nearly sorted by log time; see `Bag.by_time`.

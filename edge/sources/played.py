@@ -248,12 +248,10 @@ class Playback:
 
     Args:
         path: see `edge.recording.bag.Bag`.
-        config: of the service.
         rate: see `PlayedSource`.
         stop: stops reading when it is set.
 
     Attributes:
-        matched: the topics that are played.
         needed_topics: our names of the topics that the configuration needs.
         read_s: duration in seconds of the first pass over the file.
         source: the source, once a service has opened it.

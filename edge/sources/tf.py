@@ -29,7 +29,6 @@ class _Edge:
     a frame moves in steps, or never, so no lookup waits.
 
     Attributes:
-        parent: name of the parent frame.
         T: the newest transform, (4, 4).
     """
 

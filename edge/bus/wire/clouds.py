@@ -121,7 +121,6 @@ class LaserScan:
     - less than range_min, -inf or NaN: no measurement.
 
     Attributes:
-        stamp_ns: stamp of the message.
         angle_min_rad: angle of beam 0.
         range_min_m: see above.
         range_max_m: see above.

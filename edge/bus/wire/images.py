@@ -39,7 +39,6 @@ class ImageHeader:
     """The header of an image message, checked against the payload's size.
 
     Attributes:
-        frame_id: frame of the camera.
         height: height in pixels.
         width: width in pixels.
         encoding: such as `rgb8`.

@@ -204,7 +204,6 @@ class CameraCalibration:
     """sensor_msgs/CameraInfo for the images as they are sent, with binning and roi applied.
 
     Attributes:
-        stamp_ns: stamp of the message.
         camera: rectified camera: from the projection matrix P, or from K if P is zero.
         lens: distortion of the raw image; None if all coefficients are zero.
         cut: binning and roi as text; empty if whole images are sent.

@@ -148,7 +148,6 @@ class Feedback:
     """NavigateToPose_FeedbackMessage: progress of a goal.
 
     Attributes:
-        pose: pose of the robot.
         elapsed_ns: time since the goal was accepted.
         recoveries: number of recoveries so far.
         distance_m: distance that is left to drive.

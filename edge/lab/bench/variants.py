@@ -38,7 +38,6 @@ class Variant(NamedTuple):
     """One detector (model card) on one provider.
 
     Attributes:
-        card: the detector's model card.
         provider: a name of `PROVIDERS`.
     """
 

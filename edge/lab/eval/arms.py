@@ -23,9 +23,7 @@ class ExperimentArm:
     """An experiment arm: one configuration to run episodes with.
 
     Attributes:
-        name: given by the user.
         base: the configuration that `settings` change.
-        settings: the changes.
         id: hash of the whole configuration; any change gives another id.
         path: source of `base`, for messages.
         forgets: True: the service forgets map and objects before each goal of a session.

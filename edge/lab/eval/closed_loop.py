@@ -76,7 +76,6 @@ class ClosedLoop:
             scorers that need no colour (see `wants_colour`).
         task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
-        controller: the motion controller.
         ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.
         rig: the robot's camera; of two, which take turns, that of the last image.

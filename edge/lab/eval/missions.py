@@ -121,9 +121,6 @@ class MissionCostFields:
 
     Args:
         robot_radius_m: radius of the robot's footprint.
-
-    Attributes:
-        plan: floor plan of the world.
     """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:

@@ -27,8 +27,6 @@ class RevisitCounter:
 
     Args:
         config: gives the camera.
-        world: the world that the robot is in.
-        range_m: range of the detector.
 
     Attributes:
         revisited_m2: area seen in searches that earlier legs had already seen [m²].

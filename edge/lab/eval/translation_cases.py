@@ -52,7 +52,6 @@ class TranslationCase:
 
     Attributes:
         part: group of cases; the counts are by group.
-        formula: the correct formula.
         endless: the formula is about infinite traces.
         others: more correct formulas.
     """

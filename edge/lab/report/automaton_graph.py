@@ -42,8 +42,6 @@ class ArrowStyle(NamedTuple):
     """Look of an arrow.
 
     Attributes:
-        colour: of the line.
-        width: of the line.
         ink: colour of the label.
         order: arrows with a higher one lie on top.
     """
@@ -70,8 +68,6 @@ class GraphLayout(NamedTuple):
     """Positions in px, y downwards.
 
     Attributes:
-        width: of the page.
-        height: of the page.
         nodes: (x, y) of each node.
         routes: points (x, y) that each arrow passes between its states; its label is at the first.
         half: half the width of the widest label.

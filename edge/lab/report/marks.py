@@ -38,11 +38,6 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
 
     Goals at frontiers are numbered where there is room. Goals on a task's trajectory are left out:
     they lie on its line (`edge.lab.report.tasks`).
-
-    Args:
-        axes: the map.
-        record: the run.
-        scale: of the marks.
     """
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):

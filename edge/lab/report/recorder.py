@@ -32,10 +32,6 @@ T = TypeVar("T")
 class HeadTailBuffer(Generic[T]):
     """Keeps the first and the last items of a sequence of any length.
 
-    Args:
-        first: number of first items to keep.
-        last: number of last items to keep.
-
     Attributes:
         count: number of items so far, with those that were left out.
     """

@@ -31,12 +31,10 @@ class WorldObject:
 
     Attributes:
         id: value in the images of object ids, from 1.
-        name: unique name.
         label: common name (`edge.names`).
         category: name in the world's file.
         center_m: centre of its box, in `map`.
         size_m: extents of the box along its own x, y, z.
-        yaw_rad: yaw of the box.
         footprint_m: (k, 2) float32 samples of the floor that it covers; None for the whole box.
     """
 
@@ -137,7 +135,6 @@ class World(Protocol):
 
     Attributes:
         objects: the objects that a robot may look for; their ids count from 1.
-        start: pose at which the robot starts.
         plan: occupied cells of the floor.
         rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; empty if unknown.
         room_kinds: kind of each room; empty if unknown.

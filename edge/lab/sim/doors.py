@@ -33,8 +33,6 @@ class SlidingDoor:
     Attributes:
         jamb_m: end of the doorway at which it opens; the other end is where it slides to.
         along: unit vector from there, (x, y).
-        open_s: time that it stays open.
-        shut_s: time that it stays shut.
         clock_s: time since it began to open.
         shut_m: width of the doorway that it closes now.
     """

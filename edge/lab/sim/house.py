@@ -46,8 +46,6 @@ class Room(Section):
     Attributes:
         name: unique name: the kind of room, with a number if there are several.
         rect: x0, y0, x1, y1.
-        floor: material of the floor.
-        color: colour of the floor.
     """
 
     name: str

@@ -104,7 +104,6 @@ class MeshWorld:
     """World of a textured mesh; see `edge.lab.sim.base.World`.
 
     Args:
-        faces: all triangles.
         owner: (n,) uint16, id of the object that each triangle belongs to; 0 for the building.
         config: robot and camera.
         rooms: see `edge.lab.sim.base.World`.

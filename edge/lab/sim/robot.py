@@ -24,7 +24,6 @@ class MotionState:
     Attributes:
         pose: true pose in `map`.
         odometry: pose by odometry, with drift.
-        v_mps: speed.
         w_radps: turn rate.
         collisions: number of collisions so far.
         bumped: True while the robot stands where it collided.

@@ -50,13 +50,11 @@ class CameraRig:
 
     Args:
         config: camera settings and noise.
-        world: world to render.
         colour: if False, `rgb` is None, and an image takes half the time.
         index: which camera of the robot; see `Observation.camera_index`.
 
     Attributes:
         index: as in `Args`.
-        model: intrinsics.
         T_base_camera: (4, 4) pose of the camera on the robot.
         rgb: (h, w, 3) uint8, the last image, or None.
         depth_m: (h, w) float32 z-depth of the last image, NaN for nothing.

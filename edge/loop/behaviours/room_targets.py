@@ -20,7 +20,6 @@ class RoomKindPrior:
     """A prior of frontiers by the kind of room that they are in or lead to.
 
     Args:
-        rooms: The known rooms.
         kind: The kind of room that is searched for.
     """
 

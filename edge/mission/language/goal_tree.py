@@ -34,11 +34,7 @@ Goal = Union["Visit", "InSequence", "AllOf", "AnyOf"]
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """A number of separate visits to one of several objects.
-
-    Attributes:
-        options: names of the objects.
-    """
+    """A number of separate visits to one of several objects."""
 
     options: tuple[str, ...]
     times: int = 1
@@ -69,11 +65,7 @@ class AllOf:
 
 @dataclass(frozen=True, slots=True)
 class AnyOf:
-    """A choice of goals: at least one of them.
-
-    Attributes:
-        goals: the alternatives.
-    """
+    """A choice of goals: at least one of them."""
 
     goals: tuple[Goal, ...]
 

@@ -23,11 +23,7 @@ class CompileError(UserError):
 
 
 class CompileBudget:
-    """The limits of one or several compilations, and the steps used so far.
-
-    Attributes:
-        max_states: limit of the states of each automaton.
-    """
+    """The limits of one or several compilations, and the steps used so far."""
 
     def __init__(self, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS) -> None:
         self.max_states = max_states

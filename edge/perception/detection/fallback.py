@@ -18,7 +18,6 @@ class FallbackDetector:
 
     Args:
         remote: detects while its server answers.
-        local: detects otherwise.
     """
 
     def __init__(self, remote: RemoteDetector, local: Detector) -> None:

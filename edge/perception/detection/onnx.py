@@ -97,7 +97,6 @@ class _Placement:
     """Position and scale of an image in the network's input.
 
     Attributes:
-        width_px, height_px: size of the image.
         scale: input pixels per image pixel.
         top, left: first row and column of the image in the input.
         resized: buffer for the scaled image; None if the scale is 1.

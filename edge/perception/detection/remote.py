@@ -34,7 +34,6 @@ class RemoteDetector:
     start before the server does.
 
     Args:
-        card: card of the model, with its server.
         prompts: names of the objects to look for.
         progress: see `make_detector`.
         clock: returns the time in seconds.

@@ -49,7 +49,6 @@ class _Roles(NamedTuple):
 
     Attributes:
         prompts: names of the objects to look for.
-        words: the context words.
         classes: class of object i at index i: the index of a prompt, or `len(prompts)` plus the
             index of a word, or -1 for an object that is not looked for.
     """

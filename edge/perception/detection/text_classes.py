@@ -25,7 +25,6 @@ class TextClasses:
     Attributes:
         words: the texts of all classes, in the order of the classes.
         class_of_text: (texts,) int32, index of each text's class, ascending.
-        n_classes: number of classes.
         context: canonical names of the classes from `len(prompts)` on.
         competes: (2, prompts, classes) bool, True if a class is another object than the prompt
             names. Row 0 is for an object wholly in view, row 1 for an object that the image border

@@ -43,9 +43,6 @@ class ClipTextEncoder:
     Embeddings are cached, some 2 KB a text. When a mission arrives while the robot drives, the loop
     waits only for the mission's own words: the background classes are in the cache.
 
-    Args:
-        card: card of the model.
-
     Raises:
         ModelError: the model, its tokenizer or a package is missing or unusable.
     """
@@ -112,7 +109,6 @@ class ClipImageEncoder:
     """An image encoder: one image → one unit row.
 
     Args:
-        card: card of the model.
         providers, threads, device_id, engine: see `open_session`.
 
     Raises:

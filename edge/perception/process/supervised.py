@@ -30,7 +30,6 @@ class RestartDelay(NamedTuple):
     """The pause before a restart.
 
     Attributes:
-        seconds: length of the pause.
         limit: True if the process has ended too often (`MOST_ENDS`).
     """
 
@@ -73,7 +72,6 @@ class SupervisedProcess(ABC):
     all on that thread.
 
     Attributes:
-        name: name of the model.
         restarts: number of restarts begun.
     """
 

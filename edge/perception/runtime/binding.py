@@ -81,10 +81,8 @@ class DeviceBound:
     """A session on a device: inputs are uploaded before a run, outputs downloaded after it.
 
     Args:
-        session: session of onnxruntime.
         inputs, outputs, live: see `bind`.
         device: onnxruntime's name of the device type, `cuda` (`cpu` works too).
-        index: number of the device.
     """
 
     def __init__(

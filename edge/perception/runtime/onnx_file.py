@@ -105,7 +105,6 @@ class OnnxFile(NamedTuple):
     """The declarations of a model.
 
     Attributes:
-        ir: version of the ONNX IR.
         opset: version of ONNX's own operators.
         unknown_domains: domains of operators that neither onnxruntime nor the model itself defines,
             also in subgraphs.

@@ -191,7 +191,6 @@ class TensorrtSession:
     Args:
         owners: TensorRT objects that own `engine`; the session keeps them alive.
         engine: engine of TensorRT.
-        device: the GPU.
     """
 
     def __init__(self, owners: Any, engine: Any, device: Device) -> None:

@@ -62,7 +62,6 @@ class PairSimilarity:
 
     Args:
         name: name of the scorer's card.
-        image: encoder of images.
         text: encoder of texts, into the same embedding space.
 
     Raises:

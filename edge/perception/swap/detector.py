@@ -42,7 +42,6 @@ class DetectorSwap(ModelSwap[Detector]):
 
     Args:
         perception: see the attribute of this name.
-        worker: runs the detector.
         report, clock: see `ModelSwap`.
         make: makes the new detector.
 

@@ -37,9 +37,6 @@ class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
-        steps: number of steps.
-        views: views in a step.
-        targets: targets for each view.
         rate: see `learning.LearningRates`.
         decay: see `learning.LearningRates`.
         warm_up: see `learning.LearningRates`.

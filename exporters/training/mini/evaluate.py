@@ -176,7 +176,6 @@ class _Question:
         kind: key of `Report.pairs`.
         phrase: (3,) int64, see `looks`.
         right: index of the object that it is true of.
-        wrong: index of the other one.
     """
 
     kind: str

@@ -104,12 +104,7 @@ def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
 
 
 def training_figures(state: dict[str, Any], command: str) -> dict[str, float | int | str]:
-    """Return the training entry of the detector's card.
-
-    Args:
-        state: the checkpoint.
-        command: command that repeats the training.
-    """
+    """Return the training entry of the detector's card."""
     return {
         "command": command, "seed": state["plan"]["seed"], "houses": state["frames"] // PER_HOUSE,
         "frames": state["frames"], "processes": state["ranks"], "device": state["device"],

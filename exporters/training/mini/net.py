@@ -31,7 +31,6 @@ class Widths:
         trunk: channels of the trunk's stages.
         blocks: residual blocks of the trunk's stages after the first.
         neck: channels of the neck's levels.
-        box_head: channels inside a head, for the box.
         text_head: channels inside a head, for the embedding.
     """
 

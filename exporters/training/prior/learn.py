@@ -202,11 +202,6 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
     """Yield (predicted likelihood ratio, observed ratio, number of places) of each bin.
 
     Both ratios are means over the bin's places, relative to the mean over all places.
-
-    Args:
-        samples: all samples.
-        fits: fit of each target.
-        edges: bin edges of the predicted ratio.
     """
     predicted, true, weights = [], [], []
     for target, fit in fits.items():

@@ -157,12 +157,7 @@ def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Tran
 
 @dataclass(slots=True)
 class Source:
-    """Endless source of pairs: composed ones, and a share of human ones.
-
-    Attributes:
-        human: human pairs to draw from.
-        rng: draws them.
-    """
+    """Endless source of pairs: composed ones, and a share of human ones."""
 
     composer: Composer
     human: Sequence[Pair]

@@ -52,8 +52,6 @@ class SweepResults:
     """Every episode of a comparison.
 
     Attributes:
-        planners: names of the planners.
-        p_obs: values of p_obs.
         outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
             `NOT_RUN` (the optimum of a task that is too large to solve).
         explorations: the same shape, int32.

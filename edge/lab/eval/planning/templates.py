@@ -46,10 +46,8 @@ class BenchmarkTask:
     """A sentence and its formula.
 
     Attributes:
-        id: unique.
         family: name of the template's family.
         objects: canonical names, in order of first appearance in the formula.
-        sentence: the instruction.
         formula: over `objects`.
     """
 

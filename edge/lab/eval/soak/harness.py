@@ -93,7 +93,6 @@ class SoakHarness:
         house: number of the robot's house, from 0.
         session: Zenoh session for requests and subscriptions.
         relay: passes on the messages between robot and service.
-        log: output of the service.
         family: all processes that the service and its children have ever started.
     """
 

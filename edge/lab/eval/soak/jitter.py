@@ -29,8 +29,6 @@ class JitterSink:
     p50, p99 and maximum.
 
     Args:
-        config: gives the prefix.
-        session: publishes the messages.
         clock: returns seconds.
     """
 

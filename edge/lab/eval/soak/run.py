@@ -93,9 +93,7 @@ class SoakRun:
     Args:
         harness: the started processes.
         record: gets all that happens.
-        faults: the faults to inject.
         seed: of the order of the faults, their durations, and the missions.
-        lasts_s: length of the run.
     """
 
     def __init__(

@@ -51,9 +51,7 @@ class EpisodeFacts:
         world: see `TrajectoryEpisode`.
         kind: see `TrajectoryTask`.
         category: see `TrajectoryTask`.
-        instruction: the text.
         robot_m: the robot's radius.
-        reference: the reference trajectory.
         things: outlines of the objects that the instruction names.
         occupied: outlines of the obstacles near the reference.
         label: class of the object at the end.
@@ -79,8 +77,6 @@ class TrajectoryOutcome:
     """The outcome of an episode with a method.
 
     Attributes:
-        episode: id of the episode.
-        method: name of the method.
         writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
         error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
@@ -165,10 +161,6 @@ def outcome_of(
 
 class ResultsFolder:
     """The saved episodes and outcomes of a folder. New ones are appended.
-
-    Attributes:
-        facts: by id of the episode.
-        outcomes: by key.
 
     Raises:
         FileError: a file cannot be read or written.

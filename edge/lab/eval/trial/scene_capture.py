@@ -44,7 +44,6 @@ class SceneCapture:
     """A scene and its sensor data.
 
     Attributes:
-        name: name of the place.
         by: source of the objects, such as "the labels".
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.

@@ -28,7 +28,6 @@ class TaskRun:
     """The results of an instruction, as far as it got.
 
     Attributes:
-        instruction: the text.
         view: the scene and its sensor data.
         rounds: the attempts of a model that writes; () for the rules.
         written: the coarse trajectory; None: there is none.

@@ -35,7 +35,6 @@ class ModelVisual(NamedTuple):
         model: name of the model that was placed, such as `aws_robomaker_residential_Sofa_01`.
         T_world_visual: (4, 4) pose.
         material: its element, or None.
-        file: the SDF file that has the visual.
     """
 
     instance: str
@@ -49,9 +48,6 @@ class ModelVisual(NamedTuple):
 
 class SdfReader:
     """Reads one world.
-
-    Args:
-        folders: has the included models.
 
     Attributes:
         problems: one line for each thing that was left out, and how often it was.

@@ -39,8 +39,6 @@ class PlacedItem:
 
     Attributes:
         category: key of `assemblies.CATEGORIES`.
-        x_m: centre.
-        y_m: centre.
         quarter: direction of its front, in quarter turns from +x.
         size_m: depth, width, height, as seen from its front.
         color: r, g, b, each 0 to 255.

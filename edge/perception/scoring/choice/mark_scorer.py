@@ -53,7 +53,6 @@ class MarkNetwork:
     Call `ask` from one thread at a time.
 
     Args:
-        text: encoder of the target.
         providers, threads, device_id: see `open_session`.
 
     Raises:
@@ -169,7 +168,6 @@ class MarkScorer:
     """A scorer (`edge.perception.worker`) of views, by a mark network.
 
     Args:
-        card: the network's card.
         network: the network, here or in its own process.
         limit_s: time limit of both questions together.
 

@@ -35,10 +35,6 @@ class _Process(SupervisedProcess):
 
     While no process is ready, each question raises at once.
 
-    Args:
-        choice: the configuration of the scorer.
-        process: time limits of the process.
-
     Raises:
         ModelError, PromptError: the model cannot be loaded, or its process cannot be started.
     """

@@ -27,7 +27,6 @@ class KeyValueCache(NamedTuple):
     """Keys and values of the tokens read so far.
 
     Attributes:
-        length: number of tokens.
         arrays: (1, heads, length, d) each, by name of the decoder's input.
     """
 

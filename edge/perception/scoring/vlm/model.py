@@ -39,7 +39,6 @@ class LanguageModel:
     """A language model, loaded from the files of its card. Call `ask` from one thread at a time.
 
     Args:
-        card: the model's card.
         questions: questions with every answer that will ever be offered. The first run asks them.
         providers, threads, device_id: see `open_session`.
 

@@ -80,9 +80,6 @@ def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resamplin
 class _Normalise:
     """Converts pixels, (h, w, 3) uint8, to the encoder's numbers, (3, h, w) float32.
 
-    Args:
-        settings: settings of the processor.
-
     Raises:
         KeyError, ValueError: mean or standard deviation are missing or invalid.
     """
