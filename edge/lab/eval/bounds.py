@@ -42,7 +42,6 @@ class KnownPlace:
         self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
-        """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)
@@ -87,7 +86,6 @@ class KnownRoom:
         self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
-        """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)

@@ -48,7 +48,6 @@ class RunLog:
         self.answers: list[GoalStatus] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         self.goals += result.goals
         self.answers += result.goal_statuses
         self.events += (event.text for event in result.events)

@@ -141,7 +141,6 @@ class GroundTruthLogger:
         self._anchor = (0.0, 0.0, 0.0)
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         try:
             self.goals += result.goals
             self.status = result.status

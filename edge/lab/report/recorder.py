@@ -75,7 +75,6 @@ class ReportRecorder:
         self._start_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         seen, observation = result.detections, result.observation
         if self._start_ns is None:
             self._start_ns = _first_ns(result)

@@ -108,7 +108,6 @@ class BoxWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """See `edge.lab.sim.base.World`."""
         if self._hit_primitive.shape != out_depth_m.shape:
             self._hit_primitive = np.empty(out_depth_m.shape, np.int32)
         hit = self._hit_primitive
@@ -123,7 +122,6 @@ class BoxWorld:
         kernels.write_object_ids(hit, self.owner, *self._depth_range_m, out_depth_m, out_ids)
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """See `edge.lab.sim.base.World`."""
         rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)
         kernels.cast_fan(self.shape, self.geometry, T_map_lidar, *rays, out_ranges_m)
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan

@@ -145,7 +145,6 @@ class MeshWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """See `edge.lab.sim.base.World`."""
         height, width = out_depth_m.shape
         inverse, face, weights, origins, rays = self._buffers_of(
             out_depth_m.shape,
@@ -174,7 +173,6 @@ class MeshWorld:
         )
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """See `edge.lab.sim.base.World`."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 

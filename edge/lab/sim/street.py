@@ -215,7 +215,7 @@ def load_street(section: WorldStreet, config: Config) -> BoxWorld:
 
 
 class _PlacedObjects:
-    """Objects placed so far; refuses overlaps, the surroundings of the robot's start, and breaks."""
+    """Objects placed so far; refuses overlaps, breaks, and the surroundings of the start."""
 
     def __init__(self, rng: PortableRng, start: SE2, breaks: list[Break]) -> None:
         self.rng, self._breaks = rng, breaks

@@ -47,7 +47,6 @@ class FallbackDetector:
             raise
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`."""
         return self._models.ask(observation, lambda: self._local.detect(observation))
 
     def health(self) -> Health:

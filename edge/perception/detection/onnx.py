@@ -244,7 +244,6 @@ class OnnxDetector:
         return known
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`."""
         start_ns = time.perf_counter_ns()
         rgb, prompt_set = check_rgb(observation), self._prompt_set
         self._fill_input(rgb)
@@ -293,7 +292,6 @@ class OnnxDetector:
         return prompt_set.class_scores[:, : len(prompt_set.prompts)].max(axis=0)
 
     def health(self) -> Health:
-        """See `Detector.health`."""
         return Health()
 
     def close(self) -> None:

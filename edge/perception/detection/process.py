@@ -122,7 +122,6 @@ class ProcessDetector(SupervisedProcess):
         return self._run_link(first, request, self._report_loading)
 
     def _ready(self, again: bool) -> None:
-        """See `SupervisedProcess`."""
         self._model_health = Health()
         self._set_state(Health())
 

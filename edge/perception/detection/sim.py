@@ -123,7 +123,6 @@ class SimDetector:
         return self._prompts_and_nouns[0]
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
-        """See `Detector.set_prompts`."""
         prompts = check_prompts(prompts)
         try:
             nouns = tuple(_noun(prompt) for prompt in prompts)
@@ -177,7 +176,6 @@ class SimDetector:
         )
 
     def health(self) -> Health:
-        """See `Detector.health`."""
         return Health()
 
     def close(self) -> None:

@@ -251,7 +251,6 @@ class AttributeEncoder:
         return []
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        """See `TextEncoder.contrasts`."""
         return contrasting(self._read(prompt), self.vocabulary, whole)
 
     def __repr__(self) -> str:

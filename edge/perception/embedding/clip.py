@@ -58,7 +58,6 @@ class ClipTextEncoder:
         self._rows: dict[str, np.ndarray] = {}  # unit row of each text encoded so far
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """See `TextEncoder.embed`."""
         sentence = self.card.tokenizer.sentence
         return self.encode([sentence.format(self.resolve(p)) for p in check_prompts(prompts)])[None]
 

@@ -70,7 +70,6 @@ class HostBound:
             binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         self._binding.synchronize_inputs()
         self._session.run_with_iobinding(self._binding)
         self._binding.synchronize_outputs()
@@ -113,7 +112,6 @@ class DeviceBound:
             binding.bind_ortvalue_output(name, value)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         for value, array in self._live:
             value.update_inplace(array)
         self._binding.synchronize_inputs()

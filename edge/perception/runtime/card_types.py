@@ -272,7 +272,6 @@ class _FileCard(BaseCard):
 
     @property
     def files(self) -> tuple[FileCard, ...]:
-        """See `BaseCard.files`."""
         return (self,)
 
     @property

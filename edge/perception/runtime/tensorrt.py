@@ -215,7 +215,6 @@ class TensorrtSession:
     def bind(
         self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]
     ) -> BoundSession:
-        """See `edge.perception.runtime.binding.bind`."""
         return TensorrtBound(self, inputs, outputs, live)
 
     def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
@@ -269,7 +268,6 @@ class TensorrtBound:
         device.wait()
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         device = self._session.device
         with self._session.exclusive:
             device.use()

@@ -80,7 +80,6 @@ class PairSimilarity:
         self._rows = np.empty((0, text.dim), np.float32)
 
     def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
-        """See `SimilarityScorer.score`."""
         self.prepare(prompts)
         return self._rows @ self._image.embed(rgb)
 
@@ -117,7 +116,6 @@ class DetectorSimilarity:
         self._detector = detector
 
     def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
-        """See `SimilarityScorer.score`."""
         if tuple(prompts) != self._detector.prompts:
             self._detector.set_prompts(prompts)
         return self._detector.best_scores(rgb)

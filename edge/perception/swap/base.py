@@ -99,7 +99,6 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         """
 
     def status(self) -> dict[str, object]:
-        """See `ModelSwap.status`."""
         before = "loading" if self.model is None else "checking"
         return {
             "state": "on probation" if self.switched else before,

@@ -137,7 +137,6 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self._lock.release()
 
     def end(self) -> None:
-        """See `SwapAttempt.end`."""
         self._worker.previous = None
         self._samples.clear()
         super().end()

@@ -137,7 +137,6 @@ class _Collector:
         self.rows: list[tuple] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         observation, loop = result.observation, self.loop
         if observation is None or loop is None:
             return

@@ -71,16 +71,13 @@ class _Process(SupervisedProcess):
         return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """See `SupervisedProcess`."""
         return self._run_link(first, self._request, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
-        """See `SupervisedProcess`."""
         if again:
             log.info("model %s: its process runs again", self.name)
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
-        """See `SupervisedProcess`."""
         often = "ended too often, " if pause.limit else ""
         self._not_ready = f"{why}; {often}restarts in {pause.seconds:.1f} s"
         self._link = None
@@ -98,7 +95,6 @@ class ProcessModel(_Process):
     def __init__(
         self, card: ChoiceCard, choice: config.ChoiceOnnx, process: config.ModelProcessConfig
     ) -> None:
-        """See `_Process`."""
         self.takes_images = card.vision_encoder is not None
         super().__init__(card, choice, process)
 
