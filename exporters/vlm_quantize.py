@@ -77,10 +77,6 @@ HALF_PICTURES = 8
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     """Make all variants that were asked for; return the parity by card.
 
-    Args:
-        card: the FP32 card.
-        args: precision, calibration, validation, cache, no_gate: see `exporters.__main__`.
-
     Raises:
         ExportError: the card is no FP32 model with a vision encoder, another card has the name, or
             a parity misses its limits.

@@ -109,13 +109,7 @@ def _digest(*values: object) -> str:
 def _find_unfinished_run(
     digest: str, robots: Mapping[str, Robot], make_parts: Callable[[str], tuple[MissionPart, ...]]
 ) -> str | None:
-    """Return the run id of an unfinished mission with this digest that robots report, or None.
-
-    Args:
-        digest: Digest of the mission.
-        robots: Robots by name, with their status.
-        make_parts: Returns the parts of the mission with an id.
-    """
+    """Return the run id of an unfinished mission with this digest that robots report, or None."""
     replies = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
     ids = [id for reply in replies for id in (reply.id, *(p.id for p in reply.past))]
     # From the ids of parts, such as 1f2e3d4c.9a8b7c6d.2, the run 9a8b7c6d.

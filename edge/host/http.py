@@ -55,12 +55,6 @@ class CancellableRequest:
     ) -> HttpReply:
         """Send the request, and return the whole answer.
 
-        Args:
-            client: the client.
-            request: the request.
-            max_bytes: the body is read only until it is longer than this.
-            limit_s: time for the whole answer.
-
         Raises:
             TimeoutError: the answer was not complete in time; the connection is cut.
             Exception: another thread cancelled the request, with this exception.

@@ -91,10 +91,6 @@ class GoalClient:
     def on_goal_status(self, status: GoalStatus, goal: Goal | None) -> bool:
         """Handle a goal status. A status for an old goal only counts as a heartbeat.
 
-        Args:
-            status: The status.
-            goal: The sent goal that is tracked; None if there is none.
-
         Returns:
             True if the status is for this goal.
         """

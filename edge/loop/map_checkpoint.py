@@ -358,14 +358,7 @@ class MapCheckpoint:
     def _pack(
         self, checkpoint: Checkpoint[MapState], n: int, is_new: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
-        """Return the checkpoint with the tiles; on the writer's thread.
-
-        Args:
-            checkpoint: State and arrays without tiles.
-            n: Cells on a side of the map's window.
-            is_new: The map was replaced, so no earlier tile is valid.
-            batches: Copies of the tiles that changed.
-        """
+        """Return the checkpoint with the tiles; on the writer's thread."""
         if is_new:
             self._packed = PackedTiles()
         self._packed.update(batches)

@@ -60,12 +60,7 @@ class DataCheck:
 
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
-    """Return the table of checks for the sensors that a configuration uses.
-
-    Args:
-        config: The configuration.
-        blind_s: Time without an observation after which the robot stands still.
-    """
+    """Return the table of checks for the sensors that a configuration uses."""
     # Each is "depth" or "cloud".
     mapped, back_projected = config.mapping.input, config.perception.back_projection
     # Without the sensor of the map nothing is permitted; without the other one, only mapping.

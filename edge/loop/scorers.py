@@ -183,10 +183,6 @@ class Scorers:
         """Collect the new answers and write them to the value maps.
 
         Directions are written at the frontiers of the question, even if these are gone.
-
-        Args:
-            values: The value maps.
-            idle: True if no mission asks questions.
         """
         if self.swap is not None:
             self.swap.step(idle=idle)
@@ -279,12 +275,6 @@ def make_scorers(
     make_choice: Callable[..., ViewScorer] = make_view_scorer,
 ) -> Scorers | None:
     """Return the configured scorers, or None if there are none.
-
-    Args:
-        config: The configuration.
-        targets: Targets of the first mission.
-        make_similarity: Loads the model of a similarity scorer.
-        make_choice: Loads the model of a choice scorer.
 
     Raises:
         ModelError: A card or a model is missing or unusable.

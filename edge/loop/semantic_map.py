@@ -231,11 +231,7 @@ class SemanticMap:
     # -- layers for displays ------------------------------------------------------------------
 
     def layers(self, likely: bool) -> dict[str, Callable[[], Grid]]:
-        """Return the layers of the map; see `edge.loop.result.TickResult.layers`.
-
-        Args:
-            likely: Include the layers of the prior, if there is one.
-        """
+        """Return the layers of the map; see `edge.loop.result.TickResult.layers`."""
         targets = self._targets if self.config.value_source is not None else ()
         values, layers = self.grid.values, {"looked at": self.grid.coverage.snapshot}
         layers |= {VALUE_LAYER + target: partial(values.snapshot, target) for target in targets}

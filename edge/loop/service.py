@@ -431,11 +431,6 @@ class Service:
     def begin(self, spec: MissionSpec, now_ns: int, id: str = "") -> None:
         """Replace the mission. Map and instances are kept.
 
-        Args:
-            spec: The new mission.
-            now_ns: Loop time.
-            id: See `MissionRun.id`.
-
         Raises:
             PromptError: The detector cannot search for a target. Nothing has changed then.
             ModelError: As `PromptError`.
@@ -669,12 +664,7 @@ class Service:
         return self.mission.status(self.goals.phase)
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
-        """Return the current state, and all events since the last published result.
-
-        Args:
-            now_ns: Loop time, if the loop calls.
-            observation: The observation that was handled, if any.
-        """
+        """Return the current state, and all events since the last published result."""
         return self._publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
             self.scores, self.stopped, self.proposals,

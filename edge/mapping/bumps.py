@@ -134,12 +134,6 @@ class ContactObstacles:
         """Close the cells that the robot touched; return True if any cell was closed.
 
         No cell is closed outside the window or on the robot's own trail.
-
-        Args:
-            pose: pose of the robot.
-            place_m: place where the robot's front was blocked.
-            radius_m: radius of the robot.
-            now_ns: time on the clock that `expire` gets.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
         # The new bump, and opened ones near it: the obstacle was not gone.

@@ -82,11 +82,6 @@ class InformationGain:
     ) -> tuple[float, float, float]:
         """Find the turn on the spot that shows unknown area in directions not yet seen from here.
 
-        Args:
-            pose: pose of the robot.
-            camera_yaw_rad: yaw of the camera on the robot.
-            fov_rad: horizontal field of view.
-
         Returns:
             (heading_rad, turn_rad, area_m2): heading of the robot for the next view of the turn,
             angle of the whole turn, and the area that it shows; 0 if there is nothing to see.

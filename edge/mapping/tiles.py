@@ -116,10 +116,6 @@ class PackedTiles:
     def state_dict(self, origin: np.ndarray, n: int) -> Arrays:
         """Return the packed tiles, one after the other.
 
-        Args:
-            origin: world cell of the window's lower-left corner.
-            n: cells on its side.
-
         Returns:
             `xy` (k, 2) int32, world tiles: tile x has the world cells 64 x to 64 x + 63. `n_bytes`
             (k,) int32, packed size of each tile. `packed` (n_bytes.sum(),) uint8.

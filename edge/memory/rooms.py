@@ -332,10 +332,6 @@ class RoomMemory:
         Objects that speak more for another kind of the room count against it: in an open-plan room,
         the kitchen is where its objects are.
 
-        Args:
-            room: the room.
-            kind: a kind of room of the prior's table.
-
         Returns:
             (n, 2) float32, places in `map`; and (n,) float64, above 0: it speaks for the kind.
         """
@@ -418,14 +414,7 @@ class RoomMemory:
     def _room(
         self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
     ) -> MappedRoom:
-        """Return a room.
-
-        Args:
-            shape: its shape.
-            held: see `MappedRoom.held`.
-            chance: (kinds,) probability of each kind of the prior's table.
-            named: names from people, newest last.
-        """
+        """Return a room."""
         name = named[-1] if named else ""
         by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
         found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)

@@ -77,14 +77,7 @@ class MissionRun:
         on_event: Callable[[MissionEvent], None] = lambda event: None,
         id: str = "",
     ) -> None:
-        """Create the run; call `start` to begin it.
-
-        Args:
-            spec: the mission.
-            config: the `mission` section.
-            on_event: called with each new entry of the mission log.
-            id: the requester's name of the mission.
-        """
+        """Create the run; call `start` to begin it."""
         self.spec = spec
         self.id = id
         self.state = 0
@@ -213,12 +206,7 @@ class MissionRun:
     # -- time, path and limits ----------------------------------------------------------------
 
     def locate(self, start: SE2, here: SE2) -> None:
-        """Set the poses that were not known when the mission was prepared.
-
-        Args:
-            start: the first pose of the service.
-            here: the robot's pose now.
-        """
+        """Set the poses that were not known when the mission was prepared."""
         for name, pose in (("start", start), ("here", here)):
             if self.destinations.get(name) == PlaceTarget():
                 self.destinations[name] = PlaceTarget(pose)
@@ -324,11 +312,6 @@ class MissionRun:
         """Advance the automaton: the active target was reached.
 
         No other event of a mission with a formula advances it, except steps without an object.
-
-        Args:
-            evidence: reason why the target counts as reached, for the mission log.
-            now_ns: time of the loop.
-            result: text for the person at the end of the mission, such as an answer.
         """
         label, self._n_left_out = self.target, 0
         if result:

@@ -386,12 +386,6 @@ def spec_of_task(
 
     No formula describes a task: its goal is the end of a trajectory.
 
-    Args:
-        config: the `mission` section.
-        translation: the instruction as it was understood.
-        targets: names for the detector, at least one.
-        steps: steps of the task, at least one.
-
     Raises:
         MissionError: more targets than `mission.max_targets`.
     """

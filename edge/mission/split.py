@@ -38,10 +38,6 @@ def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit
     of other robots. So a part with `X` cannot be split off. A conjunct that requires no object,
     such as `!a W b` without `F b`, stays with the first part.
 
-    Args:
-        formula: the mission.
-        limits: compiler limits; the defaults if None.
-
     Raises:
         CompileError: a limit was exceeded.
 

@@ -249,10 +249,6 @@ def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
     If the result misses a ban, it becomes a question with two groups of formulas: with the bans,
     and as the model wrote them.
 
-    Args:
-        instruction: the text that the model read.
-        read: the model's result.
-
     Raises:
         TranslationError: no formula can be fulfilled together with the bans.
     """

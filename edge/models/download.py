@@ -60,11 +60,6 @@ class _NoRangeError(InterruptedFetchError):
 def download(url: str, part: PartialFile, limits: DownloadLimits = LIMITS) -> None:
     """Download a file into `part`, resume where it ends, verify it, and move it to its place.
 
-    Args:
-        url: address of the file.
-        part: the partial file, entered as a context.
-        limits: time limits.
-
     Raises:
         FetchError: the download failed, or the file has another hash or size.
     """

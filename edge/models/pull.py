@@ -181,11 +181,6 @@ def _pull_tokenizer(card: TextCard, options: PullOptions) -> list[str]:
 def _take_export_from(card: FileCard, place: str, options: PullOptions) -> Path | None:
     """Take an exported model and the data of its export; return its path, None if there is none.
 
-    Args:
-        card: card of the model.
-        place: a folder, or its address, which ends with a slash.
-        options: options of the download.
-
     Raises:
         FetchError: the model does not match the data of its export.
     """

@@ -213,13 +213,7 @@ _ARRAY_TOPICS |= {channels.SECOND[c].topic: c.topic for c in (channels.PICTURE, 
 def _make_step(
     page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
 ) -> RecordedStep:
-    """Return a page with its observation.
-
-    Args:
-        page: the page.
-        array_messages: messages with arrays since the last page, by topic.
-        rig: camera and mounts as last read, see `journal.observation_of`.
-    """
+    """Return a page with its observation."""
     fields = page.observation
     if fields is None:
         return RecordedStep(page, None, False, ())

@@ -293,13 +293,7 @@ class TopicMatching:
 def match_topics(
     config: Config, contents: RecordingContents, wanted: Collection[str]
 ) -> TopicMatching:
-    """Find the topics of a recording that a configuration needs.
-
-    Args:
-        config: the configuration.
-        contents: of the recording.
-        wanted: our names of the sensors' topics; tf is always searched.
-    """
+    """Find the topics of a recording that a configuration needs."""
     chooser = _TopicChooser(config, contents)
     for name in (DEPTH, RGB, INFO, *SECOND, CLOUD, SCAN, ODOMETRY):
         if name in wanted:

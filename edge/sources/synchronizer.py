@@ -515,12 +515,7 @@ class TimeSynchronizer:
     def _decode_fields(
         self, frames: list[SensorFrame], slot: PoolSlot
     ) -> dict[str, np.ndarray] | None:
-        """Return the observation's arrays by name; None (and counted) if one is missing.
-
-        Args:
-            frames: the leading one first.
-            slot: the arrays to decode into.
-        """
+        """Return the observation's arrays by name; None (and counted) if one is missing."""
         fields: dict[str, np.ndarray] = {}
         for frame in frames:
             array = self._decode(frame, slot)

@@ -37,14 +37,7 @@ Run = dict[str, Any]
 
 
 def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
-    """Return the identity of a run, in types that `torch.load` reads without running code.
-
-    Args:
-        plan: the run's plan, a dataclass.
-        frames: number of training images.
-        ranks: number of processes that share each batch.
-        device: as PyTorch names it.
-    """
+    """Return the identity of a run, in types that `torch.load` reads without running code."""
     return {"plan": asdict(plan), "ranks": ranks, "frames": frames, "device": device}
 
 

@@ -137,12 +137,6 @@ def compare(
     A variant's boxes are compared with those of its FP32 model of the same input size, and with the
     ground truth if that is known.
 
-    Args:
-        config: names the world, the threshold and the report's configuration path.
-        todo: variants to measure.
-        pictures: frames to measure on.
-        settings: detector settings that all variants share.
-
     Raises:
         UserError: the text encoder is missing, or knows none of the labels in the frames.
     """

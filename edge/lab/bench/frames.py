@@ -65,11 +65,6 @@ def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]])
     The camera is the configured one, scaled up to the largest model input, so that no model gets an
     enlarged image.
 
-    Args:
-        config: names the world, the camera and the robot.
-        count: number of views.
-        inputs_hw: input height and width [px] of the models.
-
     Raises:
         edge.lab.sim.base.WorldError: the world cannot be loaded.
     """

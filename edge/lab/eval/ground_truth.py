@@ -277,9 +277,6 @@ class GroundTruthLogger:
         - `budget`: time or path ran out.
         - `never seen`: the mission was abandoned, and the target was never in view.
         - `stuck`: the mission was abandoned although the target was confirmed.
-
-        Args:
-            pursued: the target at the end.
         """
         if self.wrong_stops:
             return "wrong thing"

@@ -337,14 +337,7 @@ def scene_of(
     radius_m: float,
     by_labels: bool = True,
 ) -> Scene:
-    """Build the scene of some frames, at the time of the last.
-
-    Args:
-        frames: the frames.
-        pipeline: finds the objects.
-        radius_m: radius of the robot that drives there; see `SceneBuilder`.
-        by_labels: see `kitti_scene`.
-    """
+    """Build the scene of some frames, at the time of the last."""
     builder = SceneBuilder(pipeline, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         builder.add(frame.observation, frame.ground_kind if by_labels else None)

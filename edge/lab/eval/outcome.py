@@ -113,14 +113,7 @@ class EpisodeOutcome:
 def crashed_outcomes(
     arm: ExperimentArm, episode: Episode, why: str, done: int = 0
 ) -> list[EpisodeOutcome]:
-    """Build the outcomes of the parts of an episode that could not be run to their end.
-
-    Args:
-        arm: the arm.
-        episode: the episode.
-        why: the reason.
-        done: number of parts that were finished before the error.
-    """
+    """Build the outcomes of the parts of an episode that could not be run to their end."""
     crashed = crashed_outcome(arm, episode, why)
     if not episode.goals:
         return [crashed]

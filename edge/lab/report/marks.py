@@ -115,14 +115,7 @@ def objects(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]
 
 
 def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
-    """Draw the surface points of every instance, and labels if there is room.
-
-    Args:
-        axes: the map.
-        record: the run.
-        scale: of the marks.
-        taken: space of the labels drawn so far, in points; it is extended.
-    """
+    """Draw the surface points of every instance, and labels if there is room."""
     numbers = _order_reached(record)
     ranked = sorted(record.instances, key=lambda i: _rank(record, i))
     for rank, instance in enumerate(ranked):

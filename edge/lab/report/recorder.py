@@ -101,12 +101,7 @@ class ReportRecorder:
         """See `edge.loop.result.Sink`."""
 
     def record(self, end: TickResult, counters: Mapping[str, float]) -> RunRecord:
-        """Return the record of the run, with its end.
-
-        Args:
-            end: result of the last tick.
-            counters: the source's counters.
-        """
+        """Return the record of the run, with its end."""
         self.tick(end)
         start_ns = self._start_ns or 0
         poses, stamps_ns = self._path.arrays()

@@ -47,13 +47,7 @@ class SlidingDoor:
     shut_m: float = 0.0
 
     def distance_m(self, x_m: float, y_m: float, width_m: float | None = None) -> float:
-        """Return the distance from a point to the door; inf while it is open.
-
-        Args:
-            x_m: x of the point in `map`.
-            y_m: y of the point.
-            width_m: width of the door in place of `shut_m`.
-        """
+        """Return the distance from a point to the door; inf while it is open."""
         width_m = self.shut_m if width_m is None else width_m
         if width_m <= 0.0:
             return math.inf

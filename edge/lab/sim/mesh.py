@@ -239,11 +239,6 @@ def objects_of(
 
     An object has the faces of the nodes with its name; a node's name may go on after a dot. If no
     node has its name, it has the faces in its box. A face in several boxes belongs to the smallest.
-
-    Args:
-        faces: all triangles.
-        items: the objects as `read_objects` returns them.
-        reach_m: height of the robot; only lower parts of an object are in its footprint.
     """
     owner = np.zeros(len(faces.node), np.uint16)
     centers = faces.triangles.mean(axis=1)

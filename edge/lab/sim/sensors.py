@@ -31,13 +31,7 @@ Message = tuple[Topic, bytes]
 
 
 def _check_above_floor(config: Config, key: str, z_m: float) -> None:
-    """Raise WorldError for a sensor in or below the floor, on which the robot's base is.
-
-    Args:
-        config: names the file in the message.
-        key: key of the sensor's height in the configuration.
-        z_m: height of the sensor above the base.
-    """
+    """Raise WorldError for a sensor in or below the floor, on which the robot's base is."""
     if z_m <= 0.0:
         raise WorldError(
             f"{config.locate(key)}: got {z_m:g} m, but the simulated robot's base is on the "

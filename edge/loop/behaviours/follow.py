@@ -191,12 +191,7 @@ class FollowBehaviour:
         return self._goals.goal
 
     def _advance(self, context: PolicyInput, stuck: bool) -> None:
-        """Do what the current phase needs in this tick.
-
-        Args:
-            context: Observation, detections and time of the tick.
-            stuck: True if the robot should drive but stands still.
-        """
+        """Do what the current phase needs in this tick."""
         # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns

@@ -307,10 +307,6 @@ _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an explorati
 def spell_out(text: str, places: Iterable[str] = ()) -> str:
     """Return an errand in plain words with its destinations as quoted propositions.
 
-    Args:
-        text: the errand; see `tidy`.
-        places: names of places; the rules treat each of them as one word.
-
     Raises:
         UnclearError: a part is unclear, or the robot cannot do it with wheels, a camera and text.
 
@@ -510,13 +506,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
 def _relation_text(
     relation: str | None, anchor: str | None, other: str | None = None
 ) -> str | None:
-    """Return " next to the desk"; "" without a relation, None if the anchor is no object.
-
-    Args:
-        relation: words such as "next to".
-        anchor: name of the object to which the relation refers.
-        other: name of the second object of "between".
-    """
+    """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
     if not relation or not anchor:
         return ""
     name = bare(anchor)

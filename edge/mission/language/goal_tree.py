@@ -118,13 +118,7 @@ def rules(goal: Goal) -> list[Formula]:
 
 
 def formula_of_goal(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
-    """Return the formula "the goal is achieved at some time, and then `tail`", without rules.
-
-    Args:
-        goal: the goal.
-        tail: formula of what comes after it.
-        starts: names with which `tail` may begin.
-    """
+    """Return the formula "the goal is achieved at some time, and then `tail`", without rules."""
     if isinstance(goal, Visit):
         return _formula_of_visits(goal, tail, starts)
     if isinstance(goal, InSequence):

@@ -277,10 +277,6 @@ class NeuralTranslator:
         """Return True if an unexplained word changes the meaning.
 
         An unknown word does not count: the question shows it.
-
-        Args:
-            word: the word.
-            gain: gain of log probability of the sentence without the word [nats].
         """
         if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
             return True

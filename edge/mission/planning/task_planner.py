@@ -21,13 +21,7 @@ class TaskPlanner:
     def plan(
         self, state: int, knowledge: MissionKnowledge, current: str | None = None
     ) -> TargetPlan:
-        """Return the plan; it has no steps if nothing is left to detect.
-
-        Args:
-            state: number of driven steps.
-            knowledge: detected and failed objects.
-            current: the present target.
-        """
+        """Return the plan; it has no steps if nothing is left to detect."""
         to_see = dict.fromkeys(name for step in self._steps[state:] for name in step.names)
         failed = tuple(label for label in to_see if label in knowledge.failed)
         if failed:

@@ -91,11 +91,6 @@ def competing_classes(
     A contrast of the prompt (another colour, another size if it is visible) competes all the same.
     The trackers, which weigh many images, may separate more things.
 
-    Args:
-        prompts: names of the objects to look for.
-        classes: a name of each class, the prompts first.
-        text: the detector's text encoder.
-
     Returns:
         (2, prompts, classes) bool.
     """

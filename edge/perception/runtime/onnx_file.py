@@ -151,10 +151,6 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
 def check_fixed(path: Path, key: str) -> None:
     """Check that every input of a network has a fixed shape, as TensorRT's engines need.
 
-    Args:
-        path: path of the file.
-        key: configuration key that asked for TensorRT, for the message.
-
     Raises:
         ModelError: an input has a free size.
     """
@@ -398,14 +394,7 @@ class _Reader:
         self._fields = self._parts = 0  # numbers of fields and messages so far
 
     def message(self, kind: str, begin: int, end: int, depth: int) -> Tree:
-        """Parse one message and the messages in it that are in `_FIELDS`.
-
-        Args:
-            kind: the message's name in `_FIELDS`.
-            begin: position of its first byte.
-            end: position after its last byte.
-            depth: number of messages around it.
-        """
+        """Parse one message and the messages in it that are in `_FIELDS`."""
         self._parts += 1
         if self._parts > MAX_PARTS:
             raise NotOnnxError(f"there are more than {MAX_PARTS} parts")

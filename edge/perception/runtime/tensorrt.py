@@ -79,12 +79,6 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
 def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
     """Build the engine of an ONNX file, which takes minutes.
 
-    Args:
-        trt: the module `tensorrt`.
-        path: the ONNX file.
-        shapes: see `EngineOptions.shapes`.
-        note: called with the progress.
-
     Returns:
         The serialized engine, a buffer.
 

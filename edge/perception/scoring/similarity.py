@@ -147,11 +147,6 @@ def make_similarity(
 ) -> SimilarityScorer:
     """Make the scorer of a card, with its own model sessions.
 
-    Args:
-        card: the scorer's card.
-        perception: settings of the detector, which the scorer's models share.
-        prompts: first prompts to score; they are encoded now.
-
     Raises:
         ModelError: a model is missing or unusable.
         PromptError: there is no text encoder, or it does not know a prompt.

@@ -154,12 +154,6 @@ def held_out_figures(
 ) -> dict[str, Any]:
     """Return the card's figures on held-out houses.
 
-    Args:
-        net: the trained net.
-        trunk: the detector's trunk.
-        model: the joined ONNX file.
-        paths: files of the held-out views.
-
     Raises:
         ExportError: the file's answers differ from the net's.
     """
@@ -182,14 +176,7 @@ def held_out_figures(
 
 
 def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
-    """Export the trained model, measure it on the views in `held-out`, and publish it.
-
-    Args:
-        run: folder of the training run.
-        out: folder for the model and its card.
-        command: command that repeats the training.
-        houses: number of training houses.
-    """
+    """Export the trained model, measure it on the views in `held-out`, and publish it."""
     net = ChoiceNet(len(looks.CATEGORIES))
     state = checkpoints.averaged(run / "checkpoint.pt", net)
     trunk, model = Trunk(DETECTOR_FILE, TEXT_FILE), run / f"{NAME}.onnx"

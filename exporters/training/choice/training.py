@@ -216,12 +216,6 @@ def _cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
 def train(data: Data, plan: TrainingPlan, kinds: int, checkpoint: Path) -> ChoiceNet:
     """Train, or continue from `checkpoint`; return the averaged weights.
 
-    Args:
-        data: views to train on.
-        plan: length and learning rates.
-        kinds: number of categories.
-        checkpoint: file to continue from and to write.
-
     Raises:
         ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.
     """

@@ -134,10 +134,6 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
 
     A target has weights only if its model predicts held-out houses better than the target's share
     does, by a standard error (`Fit.has_opinion`).
-
-    Args:
-        fits: fit of each target, by its index.
-        things: names of the objects.
     """
     bias, weights = [0] * len(things), {}
     for target, fit in fits.items():

@@ -201,12 +201,7 @@ class Composer:
 
 
 def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
-    """Replace letters by placeholders in the order of their first use, as `delexicalise_text` does.
-
-    Args:
-        sentence: sentence with $a for the letter a.
-        tokens: its formula over the same letters.
-    """
+    """Replace letters by placeholders in the order of their first use (`delexicalise_text`)."""
     order: dict[str, str] = {}  # letter -> placeholder
     words: list[str] = []
     for word in sentence.split():

@@ -43,14 +43,7 @@ class EncoderDecoder(nn.Module):
 
 
 def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, Tensor]:
-    """Return random inputs of `EncoderDecoder`, by name.
-
-    Args:
-        net: the network.
-        words: number of source words.
-        tokens: number of new tokens of the target.
-        past: number of earlier tokens of the target.
-    """
+    """Return random inputs of `EncoderDecoder`, by name."""
     size, rows = net.size, 2  # rows: targets that are decoded at once
     parts, width = 2 * size.decoder_layers, size.width // size.heads
     n_tokens = net.table.num_embeddings

@@ -121,10 +121,6 @@ def add_world_data(
 ) -> tuple[Outcomes, np.ndarray, dict[str, worlds.FloorPlanDrawing]]:
     """Load the worlds of outcomes, and add what they know.
 
-    Args:
-        outcomes: the outcomes.
-        configs: by world, a configuration with its `sim.world`.
-
     Returns:
         The outcomes with the number of rooms; (A, E) metres left to drive when the target was first
         seen, NaN if unknown; and drawings by world.

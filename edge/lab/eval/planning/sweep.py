@@ -92,12 +92,6 @@ def run_tasks(
 ) -> SweepResults:
     """Run the comparison; the results do not depend on `jobs`.
 
-    Args:
-        tasks: the tasks.
-        settings: the settings.
-        jobs: number of processes.
-        progress: called with the number of tasks done so far.
-
     Raises:
         CompileError: a formula is beyond the compiler's limits.
         UserError: a process was killed.

@@ -131,12 +131,6 @@ def _decode(
 ) -> list[np.ndarray]:
     """Check and unpack the probabilities of the answers.
 
-    Args:
-        sizes: number of answers of each question.
-        seq: expected sequence number.
-        header: header of the reply.
-        block: not used; a reply has no arrays.
-
     Raises:
         ValueError: the reply is invalid, for the reason given in one line.
     """

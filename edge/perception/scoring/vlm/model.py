@@ -182,11 +182,7 @@ class LanguageModel:
         return rows
 
     def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the (n, d) features of an image: row i replaces the embedding of image token i.
-
-        Args:
-            feeds: see `PreparedImage.feeds`.
-        """
+        """Return the (n, d) features of an image: row i replaces the embedding of image token i."""
         inputs = {}
         for value in self._vision.get_inputs():
             if value.name not in feeds:
