@@ -126,8 +126,8 @@ FAULTS = [
     ({"robot": {"name": "a b"}}, "f.yaml: robot.name: "),
     ({"mission": {"target": ""}}, "f.yaml: mission.target: "),
     (
-        {"mission": {"compile_limit_s": 5.0}},
-        "f.yaml: mission.compile_limit_s: unknown key (did you mean 'compile_limit_steps'?)",
+        {"mission": {"search_limits_s": 5.0}},
+        "f.yaml: mission.search_limits_s: unknown key (did you mean 'search_limit_s'?)",
     ),
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
     (

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from edge.bus.client import RefusedError, RequestError
-from edge.config import MissionConfig
 from edge.fleet.orders import (
     AGAIN,
     DUPLICATE_REASON,
@@ -57,7 +56,6 @@ class FleetPlan:
 
 def plan(
     spec: MissionSpec,
-    limits: MissionConfig,
     robots: Mapping[str, Robot],
     to: Sequence[str] = (),
     share: bool = False,
@@ -69,7 +67,6 @@ def plan(
 
     Args:
         spec: The mission.
-        limits: Limits of missions, from the configuration.
         robots: Robots by name, with their status.
         to: Names of robots that each get the whole mission. Empty: any one robot gets it.
         share: Split the mission, so that several robots can share it.
@@ -79,10 +76,10 @@ def plan(
         CompileError: See `edge.mission.split`.
     """
     formula = spec.automaton.formula
-    mission_split = split(formula, limits) if share else None
+    mission_split = split(formula) if share else None
     formulas = (formula,) * max(len(to), 1) if mission_split is None else mission_split.parts
     digest = _digest(formula, to, share)
-    make_parts = partial(_make_parts, formulas, to, limits)
+    make_parts = partial(_make_parts, formulas, to)
     run_id = None if restart else _find_unfinished_run(digest, robots, make_parts)
     id = f"{digest}.{run_id or secrets.token_hex(4)}"  # such as 1f2e3d4c.9a8b7c6d
     return FleetPlan(
@@ -90,13 +87,11 @@ def plan(
     )
 
 
-def _make_parts(
-    formulas: Sequence[Formula], to: Sequence[str], limits: MissionConfig, id: str
-) -> tuple[MissionPart, ...]:
+def _make_parts(formulas: Sequence[Formula], to: Sequence[str], id: str) -> tuple[MissionPart, ...]:
     return tuple(
         MissionPart(
             f"{id}.{k + 1}", str(formula), one_line(describe(formula)),
-            required_propositions(formula, limits), to[k] if to else None,
+            required_propositions(formula), to[k] if to else None,
         )
         for k, formula in enumerate(formulas)
     )  # fmt: skip

@@ -20,9 +20,9 @@ from edge.host.priority import real_time
 from edge.host.stop_latch import StopLatch
 from edge.loop.error_boundary import IDLE, TICK
 from edge.loop.reload import Reloader
-from edge.loop.service import DETECT, INGEST, Service
+from edge.loop.service import Service
 from edge.loop.source import NO_DROPS, Source
-from edge.loop.stages import STAGES
+from edge.loop.stages import DETECT, INGEST, STAGES
 from edge.perception.worker import DetectorWorker
 from edge.types import MissionStatus, Observation
 

@@ -61,7 +61,7 @@ class SemanticMap:
         words = make_words(load(), perception.detector)
         self.room_surveyor = make_room_surveyor(config, words)
         self.rooms = self.room_surveyor.memory
-        self.tracker.resolver = self.described = DescribedTargets(self.rooms.is_in)
+        self.tracker.resolver = DescribedTargets(self.rooms.is_in)
         self.prior = make_prior(config, words)
         self.epoch = 0
         self._fov_rad: float | None = None  # of the first camera

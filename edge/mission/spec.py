@@ -315,9 +315,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
-    limits = (config.max_states, config.compile_limit_steps)
-    automaton = compile_formula(formula, *limits)
-    diagnosis = diagnose(automaton, *limits)
+    automaton = compile_formula(formula)
+    diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
         parts = one_line("; ".join(f"{part} ({english})" for part, english in shown), _MOST_SHOWN)

@@ -155,10 +155,10 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
 
 def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
     spec = prepare(LIMITS, instruction="go to the bed and the sofa")
-    first = plan(spec, LIMITS, {}, share=True)
+    first = plan(spec, {}, share=True)
     bed, sofa = (part.id for part in first.parts)
     past = (PastMission(sofa, "failed", "no sofa"),)
     account = dataclasses.replace(robot("a", bed, "searching").status_reply, past=past)
-    assert plan(spec, LIMITS, {"a": Robot("a", account)}, share=True) == first
+    assert plan(spec, {"a": Robot("a", account)}, share=True) == first
     over = dataclasses.replace(account, phase="reached")
-    assert plan(spec, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id
+    assert plan(spec, {"a": Robot("a", over)}, share=True).id != first.id

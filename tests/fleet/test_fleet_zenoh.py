@@ -84,7 +84,7 @@ class Sharing:
         spec = prepare(LIMITS, instruction=words)
         with open_roster(settings_of(port, "any")) as seen:
             how = {"share": True, **how}
-            self.mission = plan(spec, LIMITS, seen.ask_status(), **how)
+            self.mission = plan(spec, seen.ask_status(), **how)
             dispatcher = Dispatcher(seen, self.mission, self.told.append, patience_s)
             while not self._stop.is_set():
                 orders = dispatcher.step()

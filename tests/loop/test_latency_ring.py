@@ -205,4 +205,3 @@ def test_spans_follow_each_other_as_they_ran():
     beside = [("detect", 1300 - 250, 250, False), ("detect", 2300 - 250, 250, False)]
     assert ring.spans() == older + newest + beside
     assert ring.spans(after_ns=1300) == newest + beside[1:]
-    assert ring.spans(before_ns=1300) == older + beside[:1]

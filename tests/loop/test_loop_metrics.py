@@ -86,7 +86,9 @@ def test_after_some_ticks(watched):
     assert found["edge_stage_duration_seconds_count"]["detect"] == 10
     assert found["edge_detector_images_total"]["detected"] == 10
     assert found["edge_detector_state"]["ok"] == 1
-    assert found["edge_model_info"] == {(loop.service._worker.detector.name, "detector"): 1}
+    assert found["edge_model_info"] == {
+        (loop.service.perception.worker.detector.name, "detector"): 1
+    }
     assert found["edge_mission_state"][loop.service.status.phase] == 1
     assert sum(found["edge_mission_state"].values()) == 1
     assert found["edge_mission_targets"] == {(): 1}

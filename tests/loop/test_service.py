@@ -330,7 +330,7 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
     loop = ClosedLoop(
         config(mission={"target": "television"}, perception={"min_hits": 1}), colour=False
     )
-    loop.service._worker = Late(loop.service._worker.detector, inline=True)
+    loop.service.perception.worker = Late(loop.service.perception.worker.detector, inline=True)
     while not loop.service.map.tracker.of("television"):
         loop.step()
     slots = []

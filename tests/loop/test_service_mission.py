@@ -118,7 +118,7 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     def refuse(prompts):
         raise PromptError("prompt 'qwerty': not in the vocabulary")
 
-    monkeypatch.setattr(loop.service._worker.detector, "set_prompts", refuse)
+    monkeypatch.setattr(loop.service.perception.worker.detector, "set_prompts", refuse)
     before = loop.service.mission
     assert (
         refusal(loop, "new", prepare(loop.config.mission, formula="F qwerty"))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from edge import config
 from edge.geometry import SE2, CameraModel, se3
 from edge.mapping import points
+from edge.mapping.ground import find_floor, fit_floor, sweep_ground
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
 from edge.mapping.layers import OCCUPIED
 
@@ -52,7 +53,7 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
     floor = np.array([0.0, *lean])
-    total, count = points.sweep_ground(scan, POLAR, floor, 0.6, 0.3, 0.1, 3.0, 20.0)
+    total, count = sweep_ground(scan, POLAR, floor, 0.6, 0.3, 0.1, 3.0, 20.0)
     ground, passing, reach, near = twins.sweep_twin(
         lowest, scan.far_slope, POLAR, 0.6, floor, 0.3, 0.1, 3.0
     )
@@ -87,13 +88,11 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
     xyz[2] += rng.choice([0.0, 0.4, -0.3], n, p=[0.8, 0.1, 0.1])
     points.bin_points(n, n, F(0.6), F(3.0), inv_res, fx, fy, POLAR, scan)
     for search_m in (1.5, 3.0):
-        found = points.find_floor(
-            scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m, np.ones((2, 64))
-        )
+        found = find_floor(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m, np.ones((2, 64)))
         expected = twins.find_twin(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m)
         np.testing.assert_allclose(found, expected, atol=1e-6)
         fitted = np.array([floor[0], 1.0, 1.0])
-        fits = points.fit_floor(scan.lowest_m, POLAR, 0.6, 0.1, search_m, fitted)
+        fits = fit_floor(scan.lowest_m, POLAR, 0.6, 0.1, search_m, fitted)
         plane = twins.fit_twin(scan.lowest_m, POLAR, 0.6, floor[0], 0.1, search_m)
         assert fits == (plane is not None)
         level = np.array([floor[0], 0.0, 0.0])

@@ -16,8 +16,7 @@ from edge.errors import UnavailableError
 from edge.host.ports import free_port
 from edge.host.web_server import serve
 from edge.loop.latency import LatencyRing, Span
-from edge.loop.service import MAP
-from edge.loop.stages import STAGES
+from edge.loop.stages import MAP, STAGES
 from edge.recording import commands
 from edge.recording.channels import STATUS
 from edge.recording.file import McapWriter, RecordingError

@@ -10,9 +10,9 @@ from __future__ import annotations
 from edge.errors import UserError
 
 MAX_STATES = 20_000
-"""Default limit of the states of each automaton."""
+"""Limit of the states of each automaton."""
 MAX_STEPS = 30_000_000
-"""Default limit of the steps of all compilations together."""
+"""Limit of the steps of all compilations together."""
 
 PER_NODE = 4  # steps to visit a node, and to visit each of its operands
 _CELLS = 16  # array cells that NumPy processes in one step
@@ -36,7 +36,7 @@ class CompileBudget:
         if self.steps > self.max_steps:
             raise CompileError(
                 f"formula: not compiled within {self.max_steps} steps; use fewer targets or "
-                "constraints, or raise mission.compile_limit_steps"
+                "constraints"
             )
 
     def spend_cells(self, cells: int) -> None:
@@ -48,5 +48,5 @@ class CompileBudget:
         if n > self.max_states:
             raise CompileError(
                 f"formula: needs an automaton of more than {self.max_states} states; use fewer "
-                "targets or constraints, or raise mission.max_states"
+                "targets or constraints"
             )

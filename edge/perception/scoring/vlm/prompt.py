@@ -27,7 +27,7 @@ class Prompter:
     """
 
     def __init__(self, files: ModelFiles) -> None:
-        self._name, self._special = files.name, files.special
+        self._name = files.name
         self.tokenizer = open_tokenizer(files)
         self.image_id, self.image_token = -1, ""
         if files.image is not None:
