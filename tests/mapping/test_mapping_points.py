@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from edge import config
 from edge.geometry import SE2, CameraModel, se3
 from edge.mapping import points
-from edge.mapping.ground import find_floor, fit_floor, sweep_ground
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
+from edge.mapping.ground import find_floor, fit_floor, sweep_ground
 from edge.mapping.layers import OCCUPIED
 
 F = np.float32
