@@ -153,7 +153,7 @@ def test_of_a_formula_however_long_a_line_is_shown(text):
     assert all(len(line) <= LONGEST for line in lines)
 
 
-def test_words_that_the_detector_lacks_are_told(tmp_path, capsys):
+def test_words_that_the_detector_lacks_are_reported(tmp_path, capsys):
     np.savez(tmp_path / "words.npz", names=["chair", "houseplant"], emb=np.eye(2, 512))
     detector = f"kind: onnx, vocabulary: {tmp_path / 'words.npz'}"
     (tmp_path / "robot.yaml").write_text(f"perception: {{detector: {{{detector}}}}}\n")

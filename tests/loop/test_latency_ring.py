@@ -76,7 +76,7 @@ def test_budgets_grow_with_a_slower_computer_and_deadlines_do_not(slowdown, map_
     assert report.as_dict()["slowdown"] == slowdown
 
 
-def test_without_a_calibration_only_deadlines_are_told():
+def test_without_a_calibration_only_deadlines_are_reported():
     """A first run that met every deadline must not end in rows that say `over`."""
     ring = LatencyRing()
     for _ in range(3):

@@ -127,7 +127,7 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
+def test_sinks_with_a_status_report_what_they_could_not_send():
     class Slow:
         def __init__(self, **counts: int) -> None:
             self.status = WorkerStats(**counts).status
@@ -150,7 +150,7 @@ def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
     assert statuses([]) == {}
 
 
-def test_a_checkpoint_tells_what_was_written(tmp_path):
+def test_a_checkpoint_reports_what_was_written(tmp_path):
     watched = Watched().watch()
     assert "edge_checkpoint_written_total" not in watched.scrape()
     checkpoint = ServiceCheckpoint(watched.closed.config, tmp_path / "mission.json", None)

@@ -275,7 +275,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
     assert status_message(service.result())["loop"]["state"] == "ok"
 
 
-def test_who_detects_is_told_once_at_each_change():
+def test_each_change_of_the_detector_is_reported_once():
     """A detector on a server is replaced by one here, fails altogether, and works again."""
     far, near = Health(), Health("ok", "near answers until far does again: no connection")
     loads, ill = Health("building engine", "5 s"), Health("degraded", "near: it ended")
@@ -295,7 +295,7 @@ def test_who_detects_is_told_once_at_each_change():
 
 
 class Sink:
-    """Notes the stamps of the ticks that it is told of."""
+    """Notes the stamps of the ticks that it gets."""
 
     def __init__(self) -> None:
         self.stamps_ns: list[int] = []
@@ -326,7 +326,7 @@ def test_a_sink_that_fails_costs_the_others_nothing():
 
 
 @pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
-def test_a_frame_that_a_stage_fails_on_is_told_as_dealt_with(stage, monkeypatch):
+def test_a_frame_that_a_stage_fails_on_is_published_as_handled(stage, monkeypatch):
     """In lockstep the simulator's clock stands still until it is."""
     sink = Sink()
     closed = ClosedLoop(

@@ -108,7 +108,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     run = Run(path, settings).ticks(ticks)
     run.service.checkpoint.close()
     run.beside = run.another()
-    # What it says is nobody's to obey.
+    # Its content is not trusted.
     run.beside._publisher._sinks = [RunLog()]
     return run
 

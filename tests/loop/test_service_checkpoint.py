@@ -87,7 +87,7 @@ def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(pat
 
 
 def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
-    """A checkpoint is a file: whoever may write it must not write the log."""
+    """A checkpoint is a file: a user who may write it must not write the log."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
     run = run_of(path, "F bed").ticks(1)
     run.service.checkpoint.close()

@@ -1,4 +1,4 @@
-"""Points, polar bins, local ground: kernels against twins, and what they must tell apart."""
+"""Points, polar bins, local ground: kernels against twins, and what they must distinguish."""
 
 from __future__ import annotations
 
@@ -275,7 +275,7 @@ def lidar_map(boxes, slope=0.0):
     return grid
 
 
-def test_floor_obstacle_and_overhang_are_told_apart_for_a_tilted_lidar():
+def test_floor_obstacle_and_overhang_are_distinguished_for_a_tilted_lidar():
     grid = lidar_map([(2, -0.5, 0, 2.3, 0.5, 0.5), (-0.5, 2, 1.3, 0.5, 3, 1.5)])
     assert grid.state_at(2.01, 0.01) == 100
     assert grid.state_at(1.5, 0.0) == 0

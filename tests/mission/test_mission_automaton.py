@@ -71,7 +71,7 @@ def test_agrees_with_the_definition_on_all_short_words(f):
 
 @given(formulas())
 def test_minimal(f):
-    """Myhill–Nerode: any two states are told apart by a word, every state can be reached."""
+    """Myhill–Nerode: a word distinguishes any two states, every state can be reached."""
     automaton = compile_formula(f)
     n = automaton.n_states
     apart = automaton.accepting[:, None] != automaton.accepting[None, :]

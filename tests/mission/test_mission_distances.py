@@ -52,7 +52,7 @@ def test_the_way_leads_through_the_door():
 
 @pytest.mark.parametrize("slope", [-1.0, -0.5, 0.3, 1.0])
 def test_a_wall_of_one_cell_has_no_gaps(slope):
-    """Whatever its direction, and with no inflation beside it."""
+    """In any direction, and with no inflation next to it."""
     snapshot = room(6, 6)
     for col in range(120):
         rows = 60 + slope * (np.array([col, col + 1]) - 60)

@@ -1,4 +1,4 @@
-"""Missions that repeat: a patrol with rounds, for some time, or until told."""
+"""Missions that repeat: a patrol with rounds, for some time, or until a stop."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def checked(trace: dict) -> list[dict]:
 
 
 def ticks(spans: int, beside: list[tuple[int, int]] = ()) -> list[Span]:
-    """Ticks of every stage for 1 us each; beside them what took (begin, took) ns."""
+    """Ticks of every stage for 1 us each, and background spans of (begin, took) ns."""
     found = []
     for k in range(spans):
         begin_ns = 10**12 + k * 10**6
