@@ -187,11 +187,7 @@ class ChatClient:
         return reply
 
     def _exchange(self, body: bytes, left_s: float) -> HttpReply:
-        """Send the body and return the reply, of any HTTP status; `close` cancels it.
-
-        Raises:
-            ChatError: the client is closed, or no complete reply came.
-        """
+        """Send the body and return the reply, of any HTTP status; `close` cancels it."""
         exchange, request = CancellableRequest(), self._request(body, left_s)
         with self._lock:
             if self._closed:

@@ -236,12 +236,7 @@ def _load_detector(
     stop: threading.Event,
     progress: Callable[[str], None],
 ) -> Detector:
-    """Make the detector (see `make_detector`).
-
-    Raises:
-        Stopped: `stop` was set before the detector was ready.
-        ModelError: see `make_detector`.
-    """
+    """Make the detector (see `make_detector`)."""
 
     def report(health: Health) -> None:
         log_progress(health)

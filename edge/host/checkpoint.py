@@ -392,11 +392,7 @@ def _resolve_links(path: Path) -> Path:
 
 
 def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
-    """Return the first `most` bytes of a checkpoint, or None if there is no file.
-
-    Raises:
-        CheckpointError: the file cannot be read, or does not begin like a checkpoint.
-    """
+    """Return the first `most` bytes of a checkpoint, or None if there is no file."""
     # A folder, a device, a loop of links, or a pipe, whose read might block forever.
     if os.path.lexists(path) and not os.path.isfile(path):
         raise CheckpointError(

@@ -73,8 +73,8 @@ class MissionFacts:
 def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
-        mission.spec, mission.state, mission.trace, mission.plan, mission.knowledge,
-        mission.reached, mission.forbidden, mission.paused, mission.log, mission.id,
+        mission.spec, mission.state, mission.trace, mission.plan, mission.sets.knowledge,
+        mission.sets.reached, mission.forbidden, mission.paused, mission.log, mission.id,
         mission.question,
     )  # fmt: skip
 

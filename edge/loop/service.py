@@ -283,7 +283,7 @@ class Service:
             restore(MapParts(self.map, self.goals, self.policy), grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
-            self.mission.mark_stale_before(self.map.tracker.newest_id)
+            self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._reset_search()
         content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
@@ -508,7 +508,7 @@ class Service:
             self.pose = pose
         self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
         try:
-            if self.mission.observed or dropped is not None:
+            if self.mission.meter.running or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
         finally:  # also if the mission raises

@@ -147,11 +147,7 @@ def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[TileIndex, bytes]]:
 
 
 def _unpack(packed: memoryview, size: int) -> bytes:
-    """Unpack one tile. A bad file cannot make it larger than one byte more than `size`.
-
-    Raises:
-        ValueError: it has another size.
-    """
+    """Unpack one tile. A bad file cannot make it larger than one byte more than `size`."""
     unpacker = zlib.decompressobj()
     try:
         tile = unpacker.decompress(packed, size + 1)

@@ -346,11 +346,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
 
 
 def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
-    """Return the names that the detector must look for, each once; an anchor follows its noun.
-
-    Raises:
-        RelationError: a thing has a relation that cannot be decided.
-    """
+    """Return the names that the detector must look for, each once; an anchor follows its noun."""
     found: dict[str, str] = {}
     for target in targets:
         destination = destinations.get(target)

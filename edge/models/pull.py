@@ -273,9 +273,6 @@ def _pull_part(
 
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
     from then on.
-
-    Raises:
-        ModelError: no source gives the file.
     """
     known, size = expected_of_part(file, target)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
@@ -307,11 +304,7 @@ def _pull_part(
 
 
 def _take_part(place: str, file: FolderFile, part: PartialFile, options: PullOptions) -> None:
-    """Take a file from a folder, with or without its subfolders, or from below an address.
-
-    Raises:
-        FetchError: the place does not give the file, or its size differs from the card.
-    """
+    """Take a file from a folder, with or without its subfolders, or from below an address."""
     if _is_address(place):
         _download(f"{place.rstrip('/')}/{file.file}", part, options)
     else:

@@ -59,11 +59,7 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
-    """Return the checkpoint to continue from; None if there is none yet.
-
-    Raises:
-        ExportError: the checkpoint is of another run; the message names a key that differs.
-    """
+    """Return the checkpoint to continue from; None if there is none yet."""
     if not path.is_file():
         return None
     checkpoint = load(path, device)

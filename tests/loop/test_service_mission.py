@@ -47,7 +47,7 @@ def test_a_choice_a_sequence_and_a_prohibition(weights, seed):
     assert len(reached) == 2
     assert loop.distance_m("television") <= 1.0
     assert loop.drive.motion.collisions == 0
-    assert (loop.service.mission.knowledge.distance_m is not None) == (weights == "distance")
+    assert (loop.service.mission.sets.knowledge.distance_m is not None) == (weights == "distance")
     loop.service.close()
 
 
@@ -130,10 +130,10 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
 def test_a_pose_jump_ends_what_was_known_of_distances():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
-    while loop.service.mission.knowledge.distance_m is None:
+    while loop.service.mission.sets.knowledge.distance_m is None:
         loop.step()
     loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
-    assert loop.service.mission.knowledge.distance_m is None
+    assert loop.service.mission.sets.knowledge.distance_m is None
     assert loop.service._travel_costs.poll() is None
     loop.service.close()
 

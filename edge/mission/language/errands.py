@@ -376,11 +376,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
 
 
 def _refuse_unknown_names(text: str) -> None:
-    """Refuse a quoted proposition with a word that is no known object, such as a typing error.
-
-    Raises:
-        UnclearError: there is such a word.
-    """
+    """Refuse a quoted proposition with a word that is no known object, such as a typing error."""
     for phrase in text.split('"')[1::2]:  # the texts in quotes
         if _NO_OBJECT.match(phrase):
             continue
@@ -529,11 +525,7 @@ def _relation_text(
 
 
 def _rewrite_exploration(found: re.Match[str]) -> str | None:
-    """Return "explore the kitchen and the hall" as orders to go to `explored …`.
-
-    Raises:
-        UnclearError: a room is vague.
-    """
+    """Return "explore the kitchen and the hall" as orders to go to `explored …`."""
     slots = found.groupdict()
     time = _for_duration(slots.get("span"))
     # Rooms, and the words between them; "" stands for the whole site.
@@ -551,11 +543,7 @@ def _rewrite_exploration(found: re.Match[str]) -> str | None:
 
 
 def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
-    """Return the order to explore the whole site, or the room that the text before goes to.
-
-    Raises:
-        UnclearError: the text before goes to no room.
-    """
+    """Return the order to explore the whole site, or the room that the text before goes to."""
     room, before = "", found.string[: found.start()]
     if before:
         last = re.search(rf"(?:to|in|into) (?P<name>{NAME}),?$", before, re.I)
@@ -579,9 +567,6 @@ def _rewrite_patrol(found: re.Match[str]) -> str | None:
     """Return a patrol as the stops of all its rounds, or as one round with "repeat …".
 
     Return None if it is no patrol.
-
-    Raises:
-        UnclearError: a patrol that repeats is not the whole instruction.
     """
     slots = found.groupdict()
     stops = [bare(stop) for stop in re.split(STOP, found["stops"])]

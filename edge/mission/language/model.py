@@ -228,11 +228,7 @@ class NeuralTranslator:
     def _correct(
         self, instruction: str
     ) -> tuple[DelexicalisedText, tuple[str, ...], tuple[str, ...]]:
-        """Return the delexicalised instruction, its words with slips corrected, and the doubts.
-
-        Raises:
-            TranslationError: it is too long, or has more slips than `MOST_SLIPS`.
-        """
+        """Return the delexicalised instruction, its words with slips corrected, and the doubts."""
         instruction, text, doubts = self._correct_names(instruction)
         if len(text.words) > MOST_WORDS:
             late = text.starts[MOST_WORDS]

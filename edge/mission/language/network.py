@@ -170,11 +170,7 @@ class TranslationNetwork:
 
 
 def _parse_vocabulary(path: Path, text: str) -> tuple[str, ...]:
-    """Return the tokens of the metadata `VOCABULARY` of a file.
-
-    Raises:
-        ModelError: a token that formulas need is missing.
-    """
+    """Return the tokens of the metadata `VOCABULARY` of a file."""
     try:
         tokens = json.loads(text)
     except ValueError:

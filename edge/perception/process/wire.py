@@ -268,11 +268,7 @@ class FrameView:
 
 
 def _map(fd: int, needed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Map the file: its bytes, and the two sequence numbers at its beginning.
-
-    Raises:
-        ValueError: the file has fewer bytes than needed.
-    """
+    """Map the file: its bytes, and the two sequence numbers at its beginning."""
     size = os.fstat(fd).st_size
     if size < needed:
         raise ValueError(f"frame file: {size} bytes, {needed} are needed")

@@ -212,9 +212,6 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
         A model that never returns, crashes or takes all memory is killed there. In this process
         nothing could end it, and no other swap could begin.
-
-        Raises:
-            UserError: the model fails, or returns invalid boxes.
         """
         with closing(self._load(perception)) as detector:
             self._await_samples()

@@ -60,9 +60,6 @@ def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
 
     Returns:
         The largest difference of a logit from the network's.
-
-    Raises:
-        ExportError: the difference is above `MAX_LOGIT_ERROR`.
     """
     module = EncoderDecoder(net.eval())
     free = {  # axes of any length

@@ -59,11 +59,7 @@ def run(args: argparse.Namespace) -> int:
 def compare_folder(
     folder: Path, baseline: str | None = None
 ) -> tuple[Comparison, dict[str, worlds.FloorPlanDrawing]]:
-    """Compare the outcomes of a folder; return the comparison, and drawings by world.
-
-    Raises:
-        UserError: there are no outcomes, or no such arm; or a file cannot be read.
-    """
+    """Compare the outcomes of a folder; return the comparison, and drawings by world."""
     path = folder / OUTCOMES_NAME
     found = read_records(path)
     if not found:

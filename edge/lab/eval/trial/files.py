@@ -37,9 +37,6 @@ class RunFolder:
 
     Attributes:
         written: names of the files, in the order of writing.
-
-    Raises:
-        FileError: the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

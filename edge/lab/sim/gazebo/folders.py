@@ -86,11 +86,7 @@ class ModelFolders:
 
 
 def parse_xml(file: Path, content: bytes | None = None) -> ElementTree.Element:
-    """Return the root element of an XML file; document types and entities are refused.
-
-    Raises:
-        WorldError: the file cannot be read, or is not such XML.
-    """
+    """Return the root element of an XML file; document types and entities are refused."""
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
 
     def refuse(*_: object) -> None:

@@ -129,11 +129,7 @@ class ProcessMarks(_Process):
 def _decode(
     sizes: Sequence[int], seq: int, header: dict[str, Any], block: bytes
 ) -> list[np.ndarray]:
-    """Check and unpack the probabilities of the answers.
-
-    Raises:
-        ValueError: the reply is invalid, for the reason given in one line.
-    """
+    """Check and unpack the probabilities of the answers."""
     if header.get("seq") != seq:
         raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     values = header.get("p")

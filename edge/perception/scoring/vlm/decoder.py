@@ -153,9 +153,6 @@ class Decoder:
 
         Returns:
             (cache of the wanted key and value outputs, logits or an empty array).
-
-        Raises:
-            ModelError: the cache has another length than the tokens read.
         """
         n, length = len(rows), past.length + len(rows)
         parts = np.split(rows[None], 1 + len(self.deepstack), axis=-1)
