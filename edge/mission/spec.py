@@ -29,7 +29,8 @@ from edge.mission.destinations import (
     with_caller,
 )
 from edge.mission.language.english import describe
-from edge.mission.language.errands import CHECK, spell_out
+from edge.mission.language.errand_patterns import CHECK
+from edge.mission.language.errands import spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
