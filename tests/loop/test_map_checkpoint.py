@@ -138,7 +138,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         for name in ("id", "kind", "first_seen_ns", "path_m", "gain_m2", "blocked", "confidence"):
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
-        np.testing.assert_array_equal(one.scores, other.scores)
+        np.testing.assert_array_equal(one.perception.scores, other.perception.scores)
         assert told(one.goal) == told(other.goal)
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
