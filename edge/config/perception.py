@@ -270,9 +270,10 @@ class PerceptionConfig(Section):
         confirm_scores: lowest score by word, in place of `confirm_score`, for words that the
             detector takes other objects for; 1: practically no detection confirms one.
             `edge eval words` measures them.
-        confirm_range_m: detections from farther away do not confirm an object. A place that
-            was closer than this in `confirm_hits` images was seen well. Before a target is declared
-            not found, the robot looks again only at the other places.
+        confirm_range_m: detections from farther away do not confirm an object, unless it hangs
+            so high that the camera does not see it from there. A place that was closer than this
+            in `confirm_hits` images was seen well. Before a target is declared not found, the
+            robot looks again only at the other places.
         confirm_hits: number of images that confirm an object.
         confirm_mean: lowest mean score over all views from nearby for a confirmed object.
         confirm_lead: the summed score must be this many times that of any other name.

@@ -168,8 +168,8 @@ class GoalTracker:
 
     @property
     def exhausted(self) -> bool:
-        """True if no candidate and no viewpoint is left."""
-        return self._search.exhausted and self._next_view.done
+        """True if no candidate and no viewpoint is left, and waiting is of no use."""
+        return self._search.exhausted and self._next_view.done and not self._search.waiting
 
     @property
     def probable(self) -> ProbableObject | None:
@@ -229,6 +229,10 @@ class GoalTracker:
             object as before as long as the goal stays.
         """
         self._discard_vanished(context)
+        c = context.candidates
+        path_m = c.path_m[: c.n][c.kind[: c.n] == INSTANCE]
+        if len(path_m) and np.isinf(path_m).all():  # somebody may have stood in the way
+            self._search.forget_arrivals(context.now_ns, grid)
         new_goal = self._best_candidate(context, score) or self._spin(context)
         view_goal = self._find_moved(context, grid, new_goal, images)
         if view_goal is not None:

@@ -36,6 +36,8 @@ _PAUSE_NS = 10_000_000_000
 # Largest number of retries of cells in which something arrived, when no candidate is left: a door
 # may stay closed.
 _WAITS = 6
+# Number of these retries after which any small obstacle may have been a person.
+_SMALL_FROM = 2
 # A frontier is unreliable if it was left this many times (for another, or because it vanished)
 # before the robot arrived: it is visible only from afar, or farther than it looks. The robot then
 # either drives all the way to it or ignores it.
@@ -71,12 +73,15 @@ class SearchState:
             not save this.
         probable: The rejected object with the best score; None if there is none. A checkpoint does
             not save this.
+        waiting: True if the map has just forgotten people and doors, and they may still go. The
+            search does not end then. A checkpoint does not save this.
     """
 
     exhausted: bool = False
     left: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LEFT))
     has_moved: bool = False
     probable: ProbableObject | None = None
+    waiting: bool = False
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
     _second_chance: bool = False  # True if discarded candidates had their second chance
@@ -170,7 +175,8 @@ class SearchState:
 
         Discarded candidates and rejected objects get one more chance. Blocked places are opened in
         the map, up to twice. So are cells in which something arrived, up to `_WAITS` times: a
-        person who was seen there may have gone.
+        person who was seen there may have gone. From the third time on, any small obstacle may
+        have been a person.
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
@@ -184,11 +190,10 @@ class SearchState:
         may_open = self._retries < _RETRIES and bool(grid.bumps.closed_m)
         if context.now_ns < self._next_retry_ns:
             return is_first or may_open
-        self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        forgot = self._waits < _WAITS and grid.forget_arrivals()
-        self._waits += forgot
+        small_too = self._waits >= _SMALL_FROM
+        forgot = self.waiting = self.forget_arrivals(context.now_ns, grid, small_too)
         if not (forgot or opened):
             return is_first
         pool.unblock_all()
@@ -196,6 +201,18 @@ class SearchState:
         # one includes the place.
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
+
+    def forget_arrivals(self, now_ns: int, grid: RollingMap, small_too: bool = False) -> bool:
+        """Free the cells in which something arrived, at most each ten seconds and `_WAITS` times.
+
+        Return True if there were any.
+        """
+        if now_ns < self._next_retry_ns:
+            return False
+        self._next_retry_ns = now_ns + _PAUSE_NS  # doors open, and people go
+        forgot = self._waits < _WAITS and grid.forget_arrivals(small_too)
+        self._waits += forgot
+        return forgot
 
 
 class NextBestView:

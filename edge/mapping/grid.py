@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from functools import partial
 from weakref import proxy
 
+import cv2
 import numpy as np
 
 from edge import config
@@ -40,6 +41,8 @@ _OFF_CENTRE_CELLS = 0.7
 _FLOOR_GAIN = 0.2
 # Obstacles this near to the robot are never forgotten unseen.
 _KEEP_M = 0.5
+# Largest side of an obstacle that may be a person.
+_PERSON_M = 0.8
 # Poses farther apart do not join the trail: the robot was carried, or frames were lost.
 _TRAIL_STEP_CELLS = 10
 FRONTIER_MIN_CELLS = 6
@@ -222,21 +225,41 @@ class RollingMap:
         """Replace the zones; frontiers follow with the next update. See `Zones.set`."""
         self.zones.set(keep_out_m, stay_inside_m, self._changed)
 
-    def forget_arrivals(self) -> bool:
+    def forget_arrivals(self, small_too: bool = False) -> bool:
         """Free all cells in which something arrived, such as a person; return True if any was.
 
         What is still there is occupied again as soon as it is seen. Cells next to the robot stay:
         the sensor may not see them. The cost grows with the window, so not for each tick.
+
+        Args:
+            small_too: True: cells of other obstacles that are no larger than a person become
+                unknown. Somebody may have stood there when the floor was first seen.
         """
         (ox, oy), n, raw = self.window.origin, self.window.n, self._layers.raw
-        row, column = np.nonzero((raw >= ly.ARRIVED) & (raw < ly.BUMPED))
+        arrived = (raw >= ly.ARRIVED) & (raw < ly.BUMPED)
+        small = self._small_obstacles() & ~arrived if small_too else np.zeros_like(arrived)
+        row, column = np.nonzero(arrived | small)
         x, y = ox + (column - ox) % n, oy + (row - oy) % n
         if self._robot_cell is not None:
             away_m = self.resolution_m * np.hypot(x - self._robot_cell[0], y - self._robot_cell[1])
             x, y = x[away_m > _KEEP_M], y[away_m > _KEEP_M]
-        for cell in zip(x.tolist(), y.tolist(), strict=True):
-            self._write(*cell, ly.FREE, update.SURELY_FREE)  # what is there has arrived, again
+        for cell_x, cell_y in zip(x.tolist(), y.tolist(), strict=True):
+            if small[cell_y % n, cell_x % n]:
+                self._write(cell_x, cell_y, ly.UNSEEN)
+            else:  # what is there has arrived, again
+                self._write(cell_x, cell_y, ly.FREE, update.SURELY_FREE)
         return len(x) > 0
+
+    def _small_obstacles(self) -> np.ndarray:
+        """Return the cells of obstacles that are no larger than a person, (n, n) bool."""
+        raw, (shift_x, shift_y) = self._layers.raw, self.window.shift
+        occupied = ((raw >= ly.OCCUPIED) & (raw < ly.BUMPED)).astype(np.uint8)
+        in_window = np.roll(occupied, (-shift_y, -shift_x), (0, 1))
+        _, label, stats, _ = cv2.connectedComponentsWithStats(in_window, connectivity=8)
+        side = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
+        is_small = side * self.resolution_m <= _PERSON_M
+        is_small[0] = False  # the background
+        return np.roll(is_small[label], (shift_y, shift_x), (0, 1))
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """Return -1 for unknown or outside the window, 0 for free, 100 for occupied or inflated."""

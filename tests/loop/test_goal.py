@@ -36,7 +36,7 @@ class Map:
         self.walled: list[tuple[float, float]] = []
         self.closed: list[tuple[float, float]] = []
         self.generation, self.closed_m, self.known_m = 7, [], []
-        self.arrived = False
+        self.arrived = self.small_too = False
         self.camera_yaw_rad, self.view, self.here = 0.0, None, HERE
         self.view_m2 = 0.0
         self.travel_cost = self.coverage = self.bumps = self
@@ -64,7 +64,8 @@ class Map:
         closed, self.closed_m = self.closed_m, []
         return bool(closed)
 
-    def forget_arrivals(self) -> bool:
+    def forget_arrivals(self, small_too: bool) -> bool:
+        self.small_too = small_too
         arrived, self.arrived = self.arrived, False
         return arrived
 
@@ -477,18 +478,19 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
     assert case.tick((3.0, 0.0), after_s=2.5).candidate_xy_m == (3.0, 0.0)
 
 
-def test_who_came_into_the_way_may_have_gone_before_the_end():
+def test_the_search_waits_for_what_came_into_the_way_to_go():
     """Forget arrivals whenever nothing is left, but not on the way to a viewpoint."""
     case = Case()
     case.turn_round()
-    for _ in range(3):
+    for small_too in (False, False, True):
         case.tick(after_s=11.0)
+        assert case.goals.exhausted
         case.map.arrived = True
         assert case.tick(after_s=11.0) is None
-        assert (case.map.arrived, case.goals.exhausted) == (False, False)
+        assert (case.map.arrived, case.map.small_too) == (False, small_too)
         case.map.generation += 2
         case.tick(after_s=4.0)
-        assert case.goals.exhausted
+        assert not case.goals.exhausted, "it may go in the next seconds"
     case.map.arrived = True
     case.tick()
     assert case.map.arrived, "ten seconds between two tries"
@@ -498,6 +500,20 @@ def test_who_came_into_the_way_may_have_gone_before_the_end():
     assert view.kind == "spin"
     assert case.tick(after_s=11.0) is view
     assert case.map.arrived
+
+
+@pytest.mark.parametrize("path_m", [math.inf, 5.0])
+def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
+    case = Case()
+    case.pool.candidates.path_m[:2] = 2.0, path_m
+    case.map.arrived = True
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6))
+    assert case.map.arrived == math.isfinite(path_m)
+    case.map.arrived = True
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6), after_s=9.0)
+    assert case.map.arrived, "ten seconds between two tries"
+    case.choose(frontier(1, -3, 0.5), chair(9, 3, 0.6), after_s=1.1)
+    assert case.map.arrived == math.isfinite(path_m)
 
 
 # -- arriving -------------------------------------------------------------------------------

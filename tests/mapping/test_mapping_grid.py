@@ -98,6 +98,20 @@ def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forg
     assert grid.forget_arrivals() == forgotten, "again"
 
 
+@pytest.mark.parametrize(
+    ("width_m", "small_too", "state"), [(0.6, True, -1), (0.6, False, 100), (0.9, True, 100)]
+)
+def test_only_small_obstacles_may_have_been_people(width_m, small_too, state):
+    grid = RollingMap(SMALL)
+    boxes = [*room(2.5), (1.5, -width_m / 2, 0.0, 1.6, width_m / 2, 1.7)]
+    look(grid, ORIGIN, boxes)
+    grid.forget_arrivals(small_too)
+    assert grid.state_at(1.52, 0.0) == state
+    assert grid.state_at(2.52, 1.0) == 100, "the walls stay"
+    look(grid, ORIGIN, boxes)
+    assert grid.state_at(1.52, 0.0) == 100
+
+
 def test_a_low_obstacle_stays_while_it_is_below_the_view():
     """Seen from afar, then under the camera's blind zone: nothing flew low enough to clear it."""
     grid = RollingMap(SMALL)

@@ -20,19 +20,19 @@ class Scene:
         )
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=0.0, y_m=0.0, size_m=0.1, seed=0, competing_score=0.0):
+    def see(self, *things, x_m=0.0, y_m=0.0, z_m=0.4, depth_m=6.0, **shape):
         """One frame with (label, x, y, score) each; returns all instances."""
-        self.last = seen = self.frame(x_m, y_m)
-        self.tracker.update(self.lifted(seen, things, size_m, seed, competing_score), seen.stamp_ns)
+        self.last = seen = self.frame(x_m, y_m, depth_m)
+        self.tracker.update(self.lifted(seen, things, z_m=z_m, **shape), seen.stamp_ns)
         return self.tracker.all
 
     @staticmethod
-    def lifted(seen, things, size_m=0.1, seed=0, competing_score=0.0):
+    def lifted(seen, things, size_m=0.1, seed=0, competing_score=0.0, z_m=0.4):
         things = sorted(things, key=lambda t: -t[3])
         labels = [t[0] for t in things]
         prompts = tuple(dict.fromkeys(labels)) or ("none",)
         n = len(things)
-        places = np.array([(t[1], t[2], 0.4) for t in things], np.float32).reshape(n, 3)
+        places = np.array([(t[1], t[2], z_m) for t in things], np.float32).reshape(n, 3)
         spread = np.random.default_rng(seed + seen.seq - 1).uniform(-size_m, size_m, (n, POINTS, 3))
         detections = Detections(
             seen,
@@ -113,6 +113,30 @@ def test_confirmation(scene, score, x_m, hits, state):
         (chair,) = s.see(("chair", x_m, 0, score))
     assert chair.state == state
     assert s.tracker.confirmed(chair) is (state == "confirmed")
+
+
+@pytest.mark.parametrize(
+    ("x_m", "z_m", "state"),
+    [(4.0, 0.4, "tentative"), (4.0, 2.3, "confirmed"), (7.0, 2.3, "tentative")],
+    ids=["in view from near by", "too high for that", "too far"],
+)
+def test_a_high_object_is_confirmed_from_where_the_camera_sees_it(scene, x_m, z_m, state):
+    s = scene(confirm_hits=3, confirm_range_m=3.0)
+    for _ in range(3):
+        (painting,) = s.see(("painting", x_m, 0, 0.5), z_m=z_m)
+        s.expire(s.last)
+    assert painting.state == state
+
+
+def test_detections_are_views_even_if_the_centre_of_the_object_is_hidden(scene):
+    s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
+    (plant,) = s.see(("chair", 2, 0, 0.6))
+    for _ in range(9):
+        s.expire(s.frame())
+    for _ in range(40):
+        s.see(("chair", 2, 0, 0.6), depth_m=1.0)
+        s.expire(s.last)
+    assert plant.state == "confirmed"
 
 
 @pytest.mark.parametrize(
@@ -352,6 +376,18 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
     for _ in range(80):
         tracker = s.look(("desk", 2, 0, desk_score), around=[("sofa", 2, 0, sofa_score)])
     assert bool(tracker.of("desk", only_confirmed=True, doubted=False)) == sure
+
+
+@pytest.mark.parametrize(
+    ("x_m", "sofa_score", "is_candidate"),
+    [(4.2, 0.6, True), (4.2, 0.95, False), (2.0, 0.6, False)],
+    ids=["from afar", "from afar, but far surer another", "from near by"],
+)
+def test_what_was_seen_from_afar_only_is_worth_another_view(memory, x_m, sofa_score, is_candidate):
+    s = memory(confirm_range_m=3.0)
+    for _ in range(10):
+        tracker = s.look(("desk", x_m, 0, 0.5), around=[("sofa", x_m, 0, sofa_score)])
+    assert bool(tracker.of("desk", doubted=False)) == is_candidate
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,8 @@ from edge.perception.tracking.lift import BackProjectedBoxes
 from edge.perception.tracking.look_kernels import (
     AT_EDGE,
     HIDDEN,
+    IN_PART,
+    LOOK_RIM,
     NO_DEPTH,
     WHOLE,
     view_of,
@@ -58,7 +60,11 @@ this much."""
 SURER = 1.6
 """A confirmed instance is contested only by an object with this multiple of its confidence.
 
-From near by the instance is only partly in view, and an object in front of it fills the image."""
+From near by the instance is only partly in view, and an object in front of it fills the image. The
+same counts for an instance that was seen from afar only: it is worth a view from near by."""
+_HIGH_VIEW = 1.25
+"""An object that hangs high is looked at from up to this multiple of the least distance from which
+its centre is well in view."""
 _PROTECTED = ("confirmed", "rejected", "reached")  # states that `_limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Attributes that a checkpoint saves: of an instance, and of the evidence of its track.
@@ -259,7 +265,8 @@ class InstanceTracker:
                 )
             if strong:
                 hit.add(track.instance.id)
-                self._count_good_hit(track, points, score, pose, stamp_ns)
+                near_m = self._near_m(track, seen.observation)
+                self._count_good_hit(track, points, score, pose, stamp_ns, near_m)
         for instance_id in hit:
             self._merge_overlapping(instance_id)
         self._limit()
@@ -285,7 +292,7 @@ class InstanceTracker:
         depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
         # Farther than this, a missing detection is no evidence.
         far_m = min(1.5 * self.config.confirm_range_m, self.config.back_projection_max_range_m)
-        pose, near_m = observation.pose, self.config.confirm_range_m
+        pose = observation.pose
         asked = {names.canonical(prompt) for prompt in prompts}
         gone = []
         for track in list(self._tracks.values()):
@@ -296,12 +303,14 @@ class InstanceTracker:
             shown = visibility(
                 track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
             )
+            if shown == HIDDEN and track.evidence_ns >= observation.stamp_ns:
+                shown = IN_PART  # it was detected, so only its centre is hidden
             if shown == HIDDEN:
                 track.now_target = track.now_competing = 0.0
                 continue
             self._update_contested(track)
-            near = track.distance_m(pose.x_m, pose.y_m) <= near_m + track.radius_m
-            if near:
+            near_m = self._near_m(track, observation) + track.radius_m
+            if track.distance_m(pose.x_m, pose.y_m) <= near_m:
                 # A partial view is weaker evidence, for and against.
                 self._count_view(track, 1.0 if shown == WHOLE else PARTIAL)
             track.now_target = track.now_competing = 0.0
@@ -314,6 +323,23 @@ class InstanceTracker:
         for instance_id in gone:
             self._tracks.pop(instance_id, None)
         return gone
+
+    def _near_m(self, track: _Track, observation: Observation) -> float:
+        """Return the distance up to which a view of an instance is from near by.
+
+        It is `confirm_range_m`, or more if the camera cannot see the object from there, because it
+        hangs too high.
+        """
+        near_m, camera = self.config.confirm_range_m, observation.camera
+        if camera is None:
+            return near_m
+        T = observation.T_map_base @ observation.T_base_camera
+        up = (camera.cy_px - LOOK_RIM * camera.height_px) / camera.fy_px  # at the rim of the view
+        x, y, z = (T[:3, 2] - up * T[:3, 1]).tolist()
+        above_m = track.z_m - float(T[2, 3])
+        if z <= 0 or above_m <= 0:
+            return near_m
+        return max(near_m, _HIGH_VIEW * above_m * math.hypot(x, y) / z)
 
     def confirmed(self, instance: Instance) -> bool:
         """Return True if the instance is confirmed as the target, or was reached."""
@@ -551,13 +577,19 @@ class InstanceTracker:
         track.x_m, track.y_m, track.z_m = instance.center_m.tolist()
 
     def _count_good_hit(
-        self, track: _Track, points: np.ndarray, score: float, pose: SE2, now_ns: int
+        self,
+        track: _Track,
+        points: np.ndarray,
+        score: float,
+        pose: SE2,
+        now_ns: int,
+        near_m: float,
     ) -> None:
-        """Count a detection as a good hit if it is good enough and from near by."""
+        """Count a detection as a good hit if it is good enough and from at most `near_m` away."""
         c, instance = self.config, track.instance
         if instance.state in ("rejected", "reached") or score < c.confirm_score_of(track.name):
             return
-        if kernels.nearest(points, pose.x_m, pose.y_m) > c.confirm_range_m:
+        if kernels.nearest(points, pose.x_m, pose.y_m) > near_m:
             return
         if track.good_ns != now_ns:  # at most one good hit for each image
             track.good_ns = now_ns
@@ -611,7 +643,7 @@ class InstanceTracker:
         """Update and return `contested`: True if another object explains the place better."""
         if self._objects is not None:
             instance = track.instance
-            surer = SURER if instance.state == "confirmed" else 1.0
+            surer = SURER if instance.state == "confirmed" or not track.views else 1.0
             track.contested = self._objects.has_competing_object(
                 track.name, instance.points_m, track.radius_m, surer
             )
