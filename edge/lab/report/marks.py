@@ -210,7 +210,7 @@ def _label(
         words: text of the label.
         xy_m: the point.
         colour: of the label's background.
-        taken: see `instances`.
+        taken: space of the labels drawn so far, in points; it is extended.
         prominent: True for a large label that is always drawn.
     """
     size = 10.5 if prominent else 8.0

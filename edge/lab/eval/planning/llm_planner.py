@@ -94,7 +94,7 @@ class LlmPlanner:
     The mission fails if the model names no target that leads on, or says DONE too early.
 
     Args:
-        url: see `mission.translator.kind: llm`.
+        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
 
     Raises:
         ChatError: the URL or the key cannot be used; from `plan`, no usable answer.

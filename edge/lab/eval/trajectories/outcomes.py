@@ -79,7 +79,7 @@ class TrajectoryOutcome:
     Attributes:
         writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
-        error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
+        error_m, frechet_m, ndtw: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
         contacts: collisions in the scene's map, as OpenNav counts them.
         true_contacts: collisions with the true obstacles.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
