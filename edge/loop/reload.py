@@ -195,6 +195,11 @@ class Reloader:
 def _prepare(present: Config, new: Config, running: str) -> _PreparedConfig:
     """Compare the configurations and make the parts that changed.
 
+    Args:
+        present: Current configuration.
+        new: New configuration.
+        running: Name of the detector's current model.
+
     Raises:
         ReloadError: A changed key needs a restart.
         UserError: The policy cannot be made.

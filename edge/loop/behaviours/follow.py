@@ -79,6 +79,9 @@ class FollowBehaviour:
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
         input_log: Input log, which records the worker's results.
+
+    Attributes:
+        phase: Current phase of the task.
     """
 
     def __init__(

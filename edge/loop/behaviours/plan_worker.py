@@ -82,6 +82,7 @@ class ObjectMapUpdate:
 
     Attributes:
         found: Boxes of the image. Its frame is held until `release_frame`.
+        objects: Object map of the task.
         range_m: Largest distance of an object from the camera.
     """
 
@@ -95,15 +96,20 @@ class PlanRequest:
     """A request to the worker to write or refine a trajectory, with all data that it needs.
 
     Attributes:
+        config: The configuration.
+        instruction: Instruction of the task.
         n_driven: Number of steps already driven. The trajectory begins with the next step.
         ends: Candidates for the step at which the trajectory ends, counted from the start of the
             instruction. The worker tries them in this order, the largest first.
         n_steps: Total number of steps.
+        view: The map.
         observation: Observation with the robot's pose.
         instances: Objects of the targets.
+        objects: Object map of the task.
         found: Detections of the image for a model; None if it gets none.
         before: Earlier result, whose trajectory is refined again from `index` on. None: write a
             new trajectory.
+        index: Index of the pose to refine from.
         reason: Reason for a new trajectory; "" for the first.
         nearer_to: Id and label of the object at which the robot stopped. The new trajectory leads
             nearer to this object on the current map. None for other requests.
