@@ -65,12 +65,7 @@ _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 @dataclass
 class LaunchedService(RunningService):
-    """A running service with its Zenoh session and its sinks.
-
-    Attributes:
-        session: The open session.
-        sinks: All sinks of the service.
-    """
+    """A running service with its Zenoh session and its sinks."""
 
     session: zenoh.Session
     sinks: Sequence[Sink]
@@ -241,12 +236,7 @@ def _load_detector(
     stop: threading.Event,
     progress: Callable[[str], None],
 ) -> Detector:
-    """Make the detector (see `make_detector`).
-
-    Raises:
-        Stopped: `stop` was set before the detector was ready.
-        ModelError: see `make_detector`.
-    """
+    """Make the detector (see `make_detector`)."""
 
     def report(health: Health) -> None:
         log_progress(health)

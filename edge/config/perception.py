@@ -51,7 +51,6 @@ class DetectorSim(Section):
         false_positive_rate: probability to take another visible object for a target.
         score_noise: standard deviation of the score.
         tau_vl: boxes with a lower score are dropped.
-        seed: seed of the noise.
     """
 
     kind: Literal["sim"] = "sim"
@@ -255,7 +254,6 @@ class PerceptionConfig(Section):
         load_shedding: work to drop when the computer is too slow.
         similarity: card of an image-text scorer (the score of VLFM); null: none runs.
         choice: model that scores the frontiers, to choose among them.
-        detector: object detector.
         segmenter: finds the pixels of a target in its box, so that its place is right although
             another object stands before it. It runs in the background, after the detector.
         prior: estimate of the likely places of a target that is not in view: by objects nearby

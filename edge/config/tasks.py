@@ -96,7 +96,6 @@ class TasksConfig(Section):
         ground: model for kinds of ground in `edge trajectory --objects detector` and
             `edge eval trajectories --detector`. null: all flat ground there is "ground".
         planner: writes the trajectories.
-        trajectory: limits of the trajectories.
     """
 
     ground: GroundModel | None = None

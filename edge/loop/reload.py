@@ -73,7 +73,6 @@ class _PreparedConfig:
     """A prepared configuration that can be applied.
 
     Attributes:
-        config: The configuration.
         changed: Keys that differ from the current configuration.
         policy: New policy; None: keep the current one.
         running: Name of the detector's model when this was prepared.
@@ -94,7 +93,6 @@ class Reloader:
     probation. The rest is applied when the swap is final.
 
     Args:
-        service: The running service.
         reread: Reads the configuration again, in the same way as at the start.
         requested: Event that any thread sets to request a reload.
 

@@ -78,7 +78,6 @@ class HealthWatch:
     """Collects the health of all parts of the loop, and reports when the detector fails.
 
     Args:
-        worker: Background worker of the detector.
         detector_swap: Swaps the detector's model.
         scorers: The scorers, if any.
         checkpoint: The checkpoint, if any.

@@ -156,12 +156,7 @@ def how_to_make(card: FileCard) -> str:
 
 
 def require_modules(action: str, modules: tuple[str, ...]) -> None:
-    """Raise ModelError if the exporters or these modules cannot be imported.
-
-    Args:
-        action: name of the extra that installs them. onnxruntime comes from the extra `cpu`.
-        modules: names of the modules.
-    """
+    """Raise ModelError if the exporters or these modules cannot be imported."""
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
         extras = f"cpu,{action}" if "onnxruntime" in missing else action
@@ -179,13 +174,7 @@ def _folder_of(card: FileCard | ChoiceCard) -> Path:
 
 
 def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) -> int:
-    """Run `python -m exporters`, which writes to the folder of the models; return its exit code.
-
-    Args:
-        name: name of the card.
-        args: arguments of the command line.
-        files: paths by option: weights, vocabulary, and the folder of the cards.
-    """
+    """Run `python -m exporters`, which writes to the folder of the models; return its exit code."""
     options = {
         "weights": files.get("weights"),
         "calibration": args.calibration,

@@ -87,7 +87,7 @@ def _write_preprocessor(folder: Path, size: dict, crop: dict | None) -> None:
 
 
 def _alive(model):
-    """Weights large enough that inputs tell, and biases and norms that are not 0 and 1."""
+    """Weights large enough that inputs matter, and biases and norms that are not 0 and 1."""
     import torch
 
     with torch.no_grad():

@@ -1,4 +1,4 @@
-"""`edge models export` and `quantize`: what they ask for, and what they tell the exporter."""
+"""`edge models export` and `quantize`: their questions, and their options for the exporter."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch,
     assert started[0][10:] == [*cards, "--precision", *told]
 
 
-def test_a_card_that_names_its_precision_is_not_told_another(started, capsys):
+def test_a_card_that_names_its_precision_gets_no_other(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
     assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
     assert "small: its card sets the precision" in capsys.readouterr().err

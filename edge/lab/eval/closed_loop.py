@@ -48,7 +48,6 @@ class RunLog:
         self.answers: list[GoalStatus] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         self.goals += result.goals
         self.answers += result.goal_statuses
         self.events += (event.text for event in result.events)
@@ -69,7 +68,6 @@ class ClosedLoop:
     plugin may ask for the simulator's `world` and `robot_radius_m` (`edge.lab.eval.bounds`).
 
     Attributes:
-        config: of the service, the robot and the simulator.
         notes: collects the goals, events and goal statuses.
         sinks: more sinks; each gets the result of each tick, as in a service.
         world: the world, already loaded with `config`; None: load `sim.world`.
@@ -77,8 +75,6 @@ class ClosedLoop:
             scorers that need no colour (see `wants_colour`).
         task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
-        service: the service.
-        controller: the motion controller.
         ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.
         rig: the robot's camera; of two, which take turns, that of the last image.

@@ -30,7 +30,6 @@ from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.loop.behaviours.plan_worker import (
-    SAME_OBJECT_M,
     ObjectMapUpdate,
     PlanRequest,
     PlanResult,
@@ -39,7 +38,8 @@ from edge.loop.behaviours.plan_worker import (
     run_request,
 )
 from edge.loop.behaviours.search import newest_ids
-from edge.loop.goal import MIN_IMAGES, GoalTracker
+from edge.loop.behaviours.stop_verification import StopVerification
+from edge.loop.goal import GoalTracker
 from edge.loop.input_log import TASK, InputLog
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -68,8 +68,6 @@ RETRY_NS = 2_000_000_000
 """Period of new tries to write a trajectory that was not possible with the objects seen so far."""
 TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
-FACING_RAD = math.radians(25.0)
-"""The robot faces an object if the angle to it is not larger than this."""
 SAME_PLACE_M = 0.5
 """If the robot is blocked twice within this distance, a new trajectory is written."""
 _MAX_TEXT_CHARS = 300
@@ -80,9 +78,6 @@ class FollowBehaviour:
 
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
-        config: The configuration.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
         input_log: Input log, which records the worker's results.
 
     Attributes:
@@ -124,10 +119,7 @@ class FollowBehaviour:
         self._checked_ns = 0  # newest check of the path, or newest try to write
         self._n_verified = self._mission.state  # number of steps whose stops were verified
         self._next_stop: tuple[int, int] | None = None  # next stop: its step, the index of its pose
-        self._unverified: list[tuple[int, str]] = []  # objects to verify at this stop
-        self._verified: set[int] = set()  # instances that were verified at this stop
-        self._images = 0  # number of images since `_stopped_ns`
-        self._stopped_ns = 0  # when the robot began to look at the next object of a stop
+        self._stop: StopVerification | None = None  # the present or the last stop
 
     @property
     def _by_model(self) -> bool:
@@ -197,18 +189,14 @@ class FollowBehaviour:
         return self._goals.goal
 
     def _advance(self, context: PolicyInput, stuck: bool) -> None:
-        """Do what the current phase needs in this tick.
-
-        Args:
-            context: Observation, detections and time of the tick.
-            stuck: True if the robot should drive but stands still.
-        """
+        """Do what the current phase needs in this tick."""
         # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
         if detections is not None:
             self._add_detections(detections)
-            self._images += 1
+            if self._stop is not None:
+                self._stop.on_image()
         if (result := self._worker.poll()) is not None and self._request is not None:
             self._on_plan(result, self._request, now_ns)
         if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
@@ -239,8 +227,8 @@ class FollowBehaviour:
             )
             apart_m = 0.0 if exact else RESEND_M
             self._goals.override(ahead, self._mission, now_ns, apart_m)
-        elif self._turning is not None:
-            self._goals.override(self._turning, self._mission, now_ns, 0.0)
+        elif (turn := self._turning if self._stop is None else self._stop.turn) is not None:
+            self._goals.override(turn, self._mission, now_ns, 0.0)
         else:
             self._goals.idle()
 
@@ -463,60 +451,19 @@ class FollowBehaviour:
         if self._next_stop is None:
             self._continue(now_ns)
             return
-        self._unverified = list(self._result.stops[self._next_stop[0] - self._result.n_done])
-        self._verified.clear()
-        self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
+        objects = self._result.stops[self._next_stop[0] - self._result.n_done]
+        self._stop = StopVerification(objects, self._map.tracker, self._log, now_ns)
+        self.phase = "verifying"
 
     def _verify(self, pose: SE2, stuck: bool, now_ns: int) -> None:
-        """Verify the next object of the stop.
-
-        An object that is too far away to verify is accepted.
-        """
-        (number, label), perception = self._unverified[0], self._config.perception
-        near = [
-            one
-            for one in self._map.tracker.of(label)
-            if one.distance_m(pose.x_m, pose.y_m) <= min(SAME_OBJECT_M, perception.confirm_range_m)
-            and one.id not in self._verified
-        ]
-        near.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
-        obj = self._map.tracker.get(number)
-        found = next((one for one in near if self._map.tracker.confirmed(one)), None)
-        is_away = obj is not None and obj.state != "rejected" and not near
-        if obj is not None and is_away and not self._map.tracker.confirmed(obj):
-            away_m = obj.distance_m(pose.x_m, pose.y_m)
-            text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
-            self._log(text, now_ns)
-        if is_away or found is not None:
-            self._verified.add(number if found is None else found.id)
-            self._turning, self._stopped_ns, self._images = None, now_ns, 0
-            self._unverified.pop(0)
-            if not self._unverified:
-                self._leave_stop(now_ns)
-            return
-        if near and not self._faces(near[0], pose, stuck):
-            self._stopped_ns, self._images = now_ns, 0
-        elif (
-            self._images >= MIN_IMAGES
-            and (now_ns - self._stopped_ns) * 1e-9 > self._config.mission.verify_s
-        ):
-            if near:  # the object may have got another id
-                number = near[0].id
-            self._map.tracker.reject(number)
-            text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
-            self._log(text, now_ns)
+        """Verify the objects of the stop; search for another one if one is rejected."""
+        assert self._stop is not None
+        result = self._stop.step(pose, stuck or self._goal_ended, self._config, now_ns)
+        if result == "verified":
+            self._leave_stop(now_ns)
+        elif result == "rejected":
             self._restart()
             self._goals.retarget(self._mission)
-
-    def _faces(self, obj: Instance, pose: SE2, stuck: bool) -> bool:
-        """Return True if the robot faces an object, or its turn has ended; else turn it, once."""
-        bearing_rad = pose.bearing_to(*obj.center_m[:2].tolist())
-        if self._turning is None:
-            if abs(bearing_rad) <= FACING_RAD:
-                return True
-            self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
-            return False
-        return stuck or self._goal_ended
 
     def _leave_stop(self, now_ns: int) -> None:
         """Drive on after all objects of a stop were verified, or end the trajectory."""

@@ -58,10 +58,6 @@ class SearchBehaviour:
     """A behaviour that pursues the active target: a thing to search for, or a destination.
 
     Args:
-        mission: The mission.
-        config: The configuration.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
         travel_costs: Estimates travel costs between targets; None if the planner does not use them.
     """
 

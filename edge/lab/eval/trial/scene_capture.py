@@ -44,9 +44,7 @@ class SceneCapture:
     """A scene and its sensor data.
 
     Attributes:
-        name: name of the place.
         by: source of the objects, such as "the labels".
-        scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
         detect: looks for a new name in the newest frame; None: objects come from labels.
