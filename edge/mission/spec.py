@@ -316,7 +316,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
-    automaton = compile_formula(formula)
+    automaton = compile_formula(formula, compiler=config.compiler)
     diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
