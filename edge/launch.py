@@ -47,6 +47,7 @@ from edge.mission.spec import MissionSpec
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import Health, log_progress
@@ -171,6 +172,7 @@ def open_service(
         stack.callback(source.close)
         lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
+        ground = run_unless_stopped(partial(make_ground_classifier, config.tasks), stop)
         progress("loading the detector")
         detector = _load_detector(
             config, spec.prompts, make_ground_truth(config, session), stop, progress
@@ -196,6 +198,7 @@ def open_service(
         service = Service(
             config, spec, worker, policy, all_sinks, checkpoint, scorers, overruns,
             calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
+            ground=ground,
         )  # fmt: skip
         stack.callback(service.close)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Union
 from pydantic import Field, field_validator, model_validator
 
 from edge import names
-from edge.config.section import Fraction, Name, NonNegative, Positive, Section
+from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
 
 
 class DetectorOnnx(Section):
@@ -82,23 +82,15 @@ class SegmenterGrabcut(Section):
     time_limit_s: Positive = 0.05
 
 
-class SegmenterOnnx(Section):
-    """Masks by a model that takes boxes as prompts, such as SAM.
+class SegmenterOnnx(OnnxModel):
+    """Masks by a model that takes boxes as prompts, such as SAM (a card of task `segment`).
 
     Attributes:
-        model: name of its card, of task `segment`.
-        providers: execution providers of onnxruntime, best first.
-        threads: CPU threads of the model.
-        device_id: number of the GPU.
         max_boxes: only this many boxes, those with the highest scores, get a mask.
         time_limit_s: time for the masks of one image; boxes that are left then get none.
     """
 
     kind: Literal["onnx"] = "onnx"
-    model: str
-    providers: tuple[str, ...] = ("CPUExecutionProvider",)
-    threads: Annotated[int, Field(ge=1, le=64)] = 2
-    device_id: Annotated[int, Field(ge=0)] = 0
     max_boxes: Annotated[int, Field(ge=1, le=64)] = 8
     time_limit_s: Positive = 1.0
 

@@ -51,6 +51,7 @@ from edge.memory import START, Place, Site, SiteFile
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state
 from edge.mission.travel_cost import make_travel_cost_estimator
+from edge.perception.masks.ground import GroundClassifier
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Policy, PolicyInput
@@ -79,12 +80,15 @@ class Service:
         inputs: Function that returns the source's table of inputs, for any thread; empty if the
             source has none.
         site: Places and zones; None: those of this run only.
+        ground: Names the kinds of ground in images for tasks (`tasks.ground`); None: all ground is
+            of one kind.
 
     Attributes:
         site: Places and zones that people gave.
         mission: The running mission, or the last one.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
         past_missions: Results of earlier missions that had an id, JSON-ready, oldest first.
+        ground: As in `Args`.
         goals: Tracks the goal that the robot is sent to.
         pose: Newest pose in `map`; None before the first.
         stamp_ns: Stamp of the newest observation that was not refused, on the sensors' clock.
@@ -118,8 +122,9 @@ class Service:
         input_log: InputLog | None = None,
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
         site: SiteFile | None = None,
+        ground: GroundClassifier | None = None,
     ) -> None:
-        self.config = config
+        self.config, self.ground = config, ground
         self._input_log = input_log = input_log or InputLog()
         self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
         self.map = SemanticMap(config, spec.prompts)
@@ -161,6 +166,7 @@ class Service:
             worker, self.detector_swap, scorers, checkpoint, self.error_boundary, overruns,
             lambda: None if self.load_shedder is None else self.load_shedder.status(),
             self.event, sinks, inputs, self.plausibility.status,
+            lambda: None if self.ground is None else self.ground.status(),
         )  # fmt: skip
         self._publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
@@ -370,7 +376,7 @@ class Service:
         config, semantic_map, goals = self.config, self.map, self.goals
         if mission.spec.steps is None:
             return SearchBehaviour(mission, config, semantic_map, goals, self._travel_costs)
-        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log)
+        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log, self.ground)
 
     def _record_past(self, mission: MissionRun) -> None:
         if mission.id:
@@ -390,22 +396,25 @@ class Service:
             if part is not None:
                 part.discard_pending()
 
-    def reconfigure(self, config: Config, policy: Policy) -> None:
+    def reconfigure(
+        self, config: Config, policy: Policy, ground: GroundClassifier | None = None
+    ) -> None:
         """Use another configuration from the next tick on.
 
         Args:
             config: The new configuration. It differs only in keys of `edge.loop.reload.LIVE`, and
                 its detector already runs.
             policy: Policy of this configuration; the current one if its settings did not change.
+            ground: As `policy`, what names kinds of ground; None: all ground is of one kind.
         """
         self._input_log.note("config", config=config)
-        self.config, self.policy = config, policy
+        self.config, self.policy, self.ground = config, policy, ground
         self.map.reconfigure(config)
         self.detector_swap.perception = config.perception
         if self.load_shedder is not None:
             self.load_shedder.reconfigure(config.perception)
         self.mission.config = config.mission
-        self.behaviour.reconfigure(config)
+        self.behaviour.reconfigure(config, ground)
         self.goals.reconfigure(config)
         if self.scorers is not None:
             self.scorers.value_source = config.value_source

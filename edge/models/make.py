@@ -28,7 +28,10 @@ TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",
 }
 """Family of models that are not exported from weights → command that trains them."""
-FROM_FOLDER = {"owlv2-base": "google/owlv2-base-patch16-ensemble"}
+FROM_FOLDER = {
+    "owlv2-base": "google/owlv2-base-patch16-ensemble",
+    "segformer-b0": "nvidia/segformer-b0-finetuned-cityscapes-1024-1024",
+}
 """Family that is exported from a folder → the folder's name on Hugging Face.
 
 All cards of the family are made at once, so the export takes the family's name."""
@@ -145,13 +148,13 @@ def load_single_file_card(name: str) -> FileCard:
 
 def how_to_make(card: FileCard) -> str:
     """Return how to make a model's file, as a clause for messages."""
-    if card.task in ("segment", "ground"):
-        return "the exporter of its project makes it"
     if published := FROM_FOLDER.get(card.family):
         return (
             f"`edge models export {card.family} --weights FOLDER` makes it, from a folder of "
             f"{published}"
         )
+    if card.task in ("segment", "ground"):
+        return "the exporter of its project makes it"
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 

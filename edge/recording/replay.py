@@ -34,6 +34,7 @@ from edge.memory import Site, SiteFile
 from edge.mission.spec import restore_spec
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -207,6 +208,7 @@ class _ReplayedService:
         self.service = Service(
             config, spec, worker, policy, [self.sink], checkpoint, scorers,
             idle=idle, input_log=self._replay_source, site=SiteFile(site=site),
+            ground=make_ground_classifier(config.tasks) if TASK in real_workers else None,
         )  # fmt: skip
         self._stack.callback(self.service.close)
 

@@ -203,3 +203,19 @@ def write_owlv2(folder: Path, seed: int = 0, config: dict | None = None) -> Path
     side = model.config.vision_config.image_size
     _write_preprocessor(folder, {"height": side, "width": side}, crop=None)
     return folder
+
+
+def write_segformer(folder: Path, labels: tuple[str, ...], seed: int = 0) -> Path:
+    """Write SegFormer: four stages of one block, 8 to 32 channels, for 64 x 64 px."""
+    import torch
+    from transformers import SegformerConfig, SegformerForSemanticSegmentation
+
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(seed)
+    config = SegformerConfig(
+        depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], num_attention_heads=[1, 2, 2, 4],
+        decoder_hidden_size=32, id2label=dict(enumerate(labels)),
+    )  # fmt: skip
+    _alive(SegformerForSemanticSegmentation(config)).save_pretrained(folder)
+    _write_preprocessor(folder, {"height": 64, "width": 64}, crop=None)
+    return folder

@@ -206,6 +206,14 @@ def test_a_family_that_comes_as_a_folder_names_the_folder(put_card, capsys):
         )
 
 
+def test_a_network_for_ground_names_its_folder_and_its_licence(capsys):
+    assert main(["models", "export", "segformer-b0-fp32"]) == os.EX_UNAVAILABLE
+    error = capsys.readouterr().err
+    assert "`edge models export segformer-b0 --weights FOLDER` makes it, from a folder of " in error
+    assert main(["models", "list", "segformer-b0-int8-cpu"]) == 0
+    assert "non-commercial" in capsys.readouterr().out
+
+
 def test_a_detector_with_its_own_text_encoder_needs_no_vocabulary(started, put_card, monkeypatch):
     put_card({**DERIVED, "text_encoder": "rows"})
     monkeypatch.setattr(make, "verify_model", lambda card: None)

@@ -24,6 +24,7 @@ from edge.loop.service import Service
 from edge.memory import Site, SiteFile
 from edge.perception.detection.sim import Segmentation
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -123,7 +124,7 @@ class ClosedLoop:
         policy = make_policy(config.policy, config.origin("policy"), truth)
         self.service = Service(
             config, spec, self.worker, policy, sinks, scorers=self.scorers,
-            site=SiteFile(site=self.site),
+            site=SiteFile(site=self.site), ground=make_ground_classifier(config.tasks),
         )  # fmt: skip
         self.controller = Controller(config)
         self._seq = 0
@@ -220,5 +221,5 @@ def wants_colour(config: Config) -> bool:
     is_user_plugin = isinstance(config.policy, PolicyPlugin) and not config.policy.kind.startswith(
         "edge."
     )
-    masked = perception.segmenter.kind != "none"
+    masked = perception.segmenter.kind != "none" or config.tasks.ground is not None
     return scored or masked or is_user_plugin or perception.detector.kind != "sim"

@@ -30,9 +30,11 @@ from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.loop.behaviours.plan_worker import (
+    GroundUpdate,
     ObjectMapUpdate,
     PlanRequest,
     PlanResult,
+    Request,
     log_line,
     release_frame,
     run_request,
@@ -53,7 +55,9 @@ from edge.tasks.follow import (
     goal_ahead,
     index_at_goal,
 )
+from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.objects import ObjectMap
+from edge.tasks.pipeline import GroundKinds
 from edge.tasks.refine import RefinedTrajectory
 from edge.text import one_line
 from edge.types import Detections, Goal, Instance, Observation
@@ -66,6 +70,8 @@ CHECK_PERIOD_NS = 500_000_000
 """Period of the check for obstacles on the path ahead."""
 RETRY_NS = 2_000_000_000
 """Period of new tries to write a trajectory that was not possible with the objects seen so far."""
+GROUND_PERIOD_NS = 1_000_000_000
+"""Least time between two images whose ground is named."""
 TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
 SAME_PLACE_M = 0.5
@@ -79,6 +85,7 @@ class FollowBehaviour:
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
         input_log: Input log, which records the worker's results.
+        ground: Names the kinds of ground in images; None: all ground is of one kind.
 
     Attributes:
         phase: Current phase of the task.
@@ -91,15 +98,22 @@ class FollowBehaviour:
         semantic_map: SemanticMap,
         goals: GoalTracker,
         input_log: InputLog,
+        ground: GroundKinds | None = None,
     ) -> None:
-        self._config = config
+        self._config, self._ground = config, ground
         self._mission, self._map, self._goals = mission, semantic_map, goals
-        self._inner_worker: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
+        self._inner_worker: Worker[Request, PlanResult] = Worker(
             "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
         self._worker: Any = input_log.wrap(TASK, self._inner_worker)
-        self._objects = ObjectMap()  # only the worker uses it
+        self._forget_surroundings()
         self._restart()
+
+    def _forget_surroundings(self) -> None:
+        """Forget the objects and the ground that images showed. Only the worker uses them."""
+        self._objects = ObjectMap()
+        self._ground_votes = None if self._ground is None else GroundVotes(self._ground.kinds)
+        self._ground_ns: int | None = None  # loop time of the newest image for `_ground_votes`
 
     def _restart(self) -> None:
         """Reset all state, and begin with the first step that was not driven."""
@@ -193,6 +207,7 @@ class FollowBehaviour:
         # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
+        self._name_ground(observation, now_ns)
         if detections is not None:
             self._add_detections(detections)
             if self._stop is not None:
@@ -232,13 +247,16 @@ class FollowBehaviour:
         else:
             self._goals.idle()
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         self._config = config
+        if ground is not self._ground:
+            self._ground = ground
+            self._forget_surroundings()
 
     def on_pose_jump(self) -> None:
         """Begin again after a pose jump. The trajectory is invalid in the new frame."""
         self._worker.discard_all()
-        self._objects = ObjectMap()
+        self._forget_surroundings()
         self._restart()
 
     def close(self) -> None:
@@ -312,6 +330,24 @@ class FollowBehaviour:
             self._checked_ns, self._all_seen = now_ns, self._goals.exhausted
             self._request_plan(observation, None)
 
+    def _name_ground(self, seen: Observation, now_ns: int) -> None:
+        """Name the ground that the image shows, in the background, at most once a period.
+
+        Nothing waits for the network but the next request, so it gets no image while one waits.
+        """
+        votes, classifier, newest_ns = self._ground_votes, self._ground, self._ground_ns
+        if votes is None or classifier is None or self._request is not None:
+            return
+        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        is_due = newest_ns is None or now_ns - newest_ns >= GROUND_PERIOD_NS
+        pictured = seen.rgb is not None and seen.camera is not None
+        if is_due and ranged and pictured and self._inner_worker.idle:
+            self._ground_ns = now_ns
+            seen.hold()
+            self._inner_worker.submit(
+                GroundUpdate(seen, classifier, votes, self._config.mapping), GroundUpdate
+            )
+
     def _add_detections(self, found: Detections) -> None:
         """Add the detections to the object map, in the background."""
         perception, seen = self._config.perception, found.observation
@@ -357,6 +393,7 @@ class FollowBehaviour:
             at_request,
             tuple(instances.values()),
             self._objects,
+            self._ground_votes,
             None if found is None else replace(found, observation=at_request),
             before,
             self._index,

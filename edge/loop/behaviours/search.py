@@ -30,6 +30,7 @@ from edge.mission.run import MissionRun
 from edge.mission.travel_cost import TravelCostEstimator
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
+from edge.tasks.pipeline import GroundKinds
 from edge.types import Goal, Instance
 
 
@@ -114,7 +115,7 @@ class SearchBehaviour:
     def facts(self) -> None:
         """Return None, since there is no trajectory."""
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         self._config = config
 
     def on_pose_jump(self) -> None:
