@@ -45,8 +45,7 @@ class TranslatorLlm(Section):
 
 
 class TranslatorModel(Section):
-    """A small network that runs here. If it is not sure, it asks which reading is meant.
-    """
+    """A small network that runs here. If it is not sure, it asks which reading is meant."""
 
     kind: Literal["model"] = "model"
     card: Name = SMALL_TRANSLATOR

@@ -218,8 +218,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
 
 
 class CheckAnswer:
-    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no.
-    """
+    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no."""
 
     def __init__(self, check: CheckTarget, mission: MissionRun, semantic_map: SemanticMap) -> None:
         self.label = check.name
