@@ -65,7 +65,6 @@ class ChatClient:
     Args:
         url: base URL of the API, such as `http://127.0.0.1:8080/v1`; requests go to
             `{url}/chat/completions`.
-        model: name of the model.
         api_key: sent as a bearer token and never shown; None or empty sends none.
         time_limit_s: limit for one request in total: name lookup, connection and answer.
         max_answer_bytes: limit of the HTTP body; a longer answer is refused.
@@ -188,11 +187,7 @@ class ChatClient:
         return reply
 
     def _exchange(self, body: bytes, left_s: float) -> HttpReply:
-        """Send the body and return the reply, of any HTTP status; `close` cancels it.
-
-        Raises:
-            ChatError: the client is closed, or no complete reply came.
-        """
+        """Send the body and return the reply, of any HTTP status; `close` cancels it."""
         exchange, request = CancellableRequest(), self._request(body, left_s)
         with self._lock:
             if self._closed:

@@ -47,6 +47,7 @@ from edge.mission.spec import MissionSpec
 from edge.perception.detection.detector import Detector
 from edge.perception.detection.sim import TruthAt
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import Health, log_progress
@@ -65,12 +66,7 @@ _CHILD_CHECK_S = 0.2  # period of the checks if a child process has ended
 
 @dataclass
 class LaunchedService(RunningService):
-    """A running service with its Zenoh session and its sinks.
-
-    Attributes:
-        session: The open session.
-        sinks: All sinks of the service.
-    """
+    """A running service with its Zenoh session and its sinks."""
 
     session: zenoh.Session
     sinks: Sequence[Sink]
@@ -176,6 +172,7 @@ def open_service(
         stack.callback(source.close)
         lockstep = config.loop.lockstep  # the loop waits for each result, so that a run replays
         masker = run_unless_stopped(partial(make_masker, config.perception, not lockstep), stop)
+        ground = run_unless_stopped(partial(make_ground_classifier, config.tasks), stop)
         progress("loading the detector")
         detector = _load_detector(
             config, spec.prompts, make_ground_truth(config, session), stop, progress
@@ -201,6 +198,7 @@ def open_service(
         service = Service(
             config, spec, worker, policy, all_sinks, checkpoint, scorers, overruns,
             calibration.load(), idle, inputs=getattr(source, "input_table", tuple), site=site,
+            ground=ground,
         )  # fmt: skip
         stack.callback(service.close)
 
@@ -241,12 +239,7 @@ def _load_detector(
     stop: threading.Event,
     progress: Callable[[str], None],
 ) -> Detector:
-    """Make the detector (see `make_detector`).
-
-    Raises:
-        Stopped: `stop` was set before the detector was ready.
-        ModelError: see `make_detector`.
-    """
+    """Make the detector (see `make_detector`)."""
 
     def report(health: Health) -> None:
         log_progress(health)

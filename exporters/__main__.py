@@ -67,6 +67,7 @@ NAME = r"[a-z0-9][a-z0-9.-]*"
 FOLDERS = {
     "clip": "exporters.clip", "siglip": "exporters.clip",
     "owlv2": "exporters.owlv2",
+    "segformer": "exporters.segformer",
     "idefics3": "exporters.vlm", "smolvlm": "exporters.vlm", "qwen2_vl": "exporters.vlm",
     "qwen3_vl": "exporters.vlm",
 }  # fmt: skip

@@ -105,7 +105,6 @@ class Family:
 
     Attributes:
         model: class of `transformers`.
-        text_tower: module of the text tower.
         pads: True if the model also attends to the padding of a text.
     """
 
@@ -275,7 +274,6 @@ class _TowerExporter:
         towers: image and text tower of the original.
         fp32: the FP32 cards, see `make_cards`.
         calibration: images to calibrate on.
-        validation: images to compare on.
     """
 
     def __init__(

@@ -70,10 +70,6 @@ def weights_sha256(folder: Path) -> str:
 def load(kind: type, folder: Path) -> nn.Module:
     """Return the model with all its weights: float32, evaluation mode, eager attention.
 
-    Args:
-        kind: the class of `transformers`.
-        folder: the model's folder.
-
     Raises:
         ExportError: the model cannot be loaded, or weights are missing, which would stay random.
     """

@@ -44,7 +44,6 @@ class TextEmbeddings:
     """Prompt words with their CLIP embeddings.
 
     Attributes:
-        names: n words.
         emb: (n, 512) float32, unit rows.
     """
 

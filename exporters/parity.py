@@ -38,7 +38,6 @@ class ParityReport(Report):
     """Agreement of a candidate's detections with a reference's.
 
     Attributes:
-        images: number of images.
         detections: reference detections at `SCORE_THRESHOLD` after class-wise NMS.
         recall: share of these that the candidate also has (see `match_to_reference`).
         precision: share of the candidate's detections that the reference also has.
@@ -127,13 +126,7 @@ def compare(
 def _finite(
     which: str, outputs: tuple[np.ndarray, np.ndarray], image: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return boxes (A, 4) and scores (A, n) of one image; raise ExportError if not finite.
-
-    Args:
-        which: name of the model in the error.
-        outputs: boxes and scores with a batch axis.
-        image: number of the image, from 1.
-    """
+    """Return boxes (A, 4) and scores (A, n) of one image; raise ExportError if not finite."""
     for name, output in zip(("boxes", "scores"), outputs, strict=True):
         if bad := int(np.count_nonzero(~np.isfinite(output))):
             raise ExportError(

@@ -138,13 +138,7 @@ def calibration_feeds(
 def activation_ranges(
     model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
 ) -> dict[str, tuple[float, float]]:
-    """Return the 8-bit range of every activation that needs one, by tensor name.
-
-    Args:
-        model: the float32 model.
-        feeds: inputs, one for each image.
-        tensors: see `collect_histograms`.
-    """
+    """Return the 8-bit range of every activation that needs one, by tensor name."""
     histograms = collect_histograms(model, feeds, tensors)
     producer = {name: node.op_type for node in model.graph.node for name in node.output}
     consumers: dict[str, set[str]] = {}
@@ -174,13 +168,7 @@ def symmetric_limits(
 def _overrides(
     ranges: dict[str, tuple[float, float]], scales: dict[str, np.ndarray], axis: int
 ) -> dict[str, list[dict]]:
-    """Return our ranges and weight scales in the form of onnxruntime's quantizer.
-
-    Args:
-        ranges: range of each activation, by tensor name.
-        scales: scale of each output channel, by the name of the weight.
-        axis: axis of a weight's output channels.
-    """
+    """Return our ranges and weight scales in the form of onnxruntime's quantizer."""
     from onnxruntime.quantization import QuantType
 
     overrides: dict[str, list[dict]] = {

@@ -39,11 +39,6 @@ def check_limits(report: Report, limits: Mapping[str, float], what: str) -> None
     """Raise ExportError if a figure of the report is worse than its limit.
 
     An unknown figure fails its limit, except for `MAY_BE_UNKNOWN`.
-
-    Args:
-        report: the figures.
-        limits: limit of each figure to check, by name.
-        what: name of the model in the error.
     """
     worse = []
     for name, limit in limits.items():

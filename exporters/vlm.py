@@ -64,11 +64,7 @@ class Networks(NamedTuple):
     """The three networks of a model, and its image preprocessing.
 
     Attributes:
-        vision: vision encoder.
-        embedding: token embedding.
-        decoder: language model.
         prepare: (h, w, 3) uint8 → inputs of the vision encoder, by name.
-        text: configuration of the language model.
         threefold: True if position ids have three numbers (M-RoPE).
         deepstack: number of the decoder's layers that get features of the image, too.
     """
@@ -88,7 +84,6 @@ class Family:
 
     Attributes:
         prefix: prefix of the names of its classes in `transformers`.
-        vision: module of its vision encoder.
         text: attribute of the model that holds its language model.
         threefold: True if position ids have three numbers (M-RoPE).
         processor: prefix of the name of its image processor, if it has another.

@@ -93,13 +93,7 @@ def compare_and_record(
 
 
 def files_of_card(paths: list[list[Path]], folder: Path, others: list[str]) -> dict[str, Any]:
-    """Return the part of a card of task `choice` that names its files.
-
-    Args:
-        paths: for each network its file, and its weight files.
-        folder: folder of the model.
-        others: files that describe the preprocessing.
-    """
+    """Return the part of a card of task `choice` that names its files."""
     relative = [[path.relative_to(folder).as_posix() for path in files] for files in paths]
     keys = ("vision_encoder", "embed_tokens", "decoder")
     parts = {key: {"file": files[0]} for key, files in zip(keys, relative, strict=True)}

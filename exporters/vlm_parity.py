@@ -34,10 +34,7 @@ class Question:
     """A question about an image, as tokens.
 
     Attributes:
-        before: tokens before the image.
-        after: tokens after the image.
         letters: token of each letter that may be the answer.
-        image: placeholder token of the image.
     """
 
     before: tuple[int, ...]
@@ -236,13 +233,7 @@ class LetterReport(Report):
 
 
 class LetterComparison:
-    """Questions about images with the original's answers, to compare candidates with.
-
-    Args:
-        original: model that answers first.
-        pictures: images, encoded by the original.
-        asked: questions about each image.
-    """
+    """Questions about images with the original's answers, to compare candidates with."""
 
     def __init__(
         self, original: ReferenceModel, pictures: list[EncodedImage], asked: list[Question]

@@ -77,10 +77,6 @@ HALF_PICTURES = 8
 def quantize_card(card: ChoiceCard, args: Any) -> dict[str, LetterReport]:
     """Make all variants that were asked for; return the parity by card.
 
-    Args:
-        card: the FP32 card.
-        args: precision, calibration, validation, cache, no_gate: see `exporters.__main__`.
-
     Raises:
         ExportError: the card is no FP32 model with a vision encoder, another card has the name, or
             a parity misses its limits.
@@ -138,7 +134,6 @@ class VariantBuilder:
         original: the FP32 model.
         asked: question for the check which of the decoder's values are too large for float16.
         calibration: images to calibrate on.
-        folder: folder to write to.
     """
 
     def __init__(
@@ -199,7 +194,6 @@ class OnnxReference:
     """The FP32 files of a card, as the reference of `exporters.vlm_parity.LetterComparison`.
 
     Attributes:
-        image_token: placeholder token of the image.
         merge: side, in patches, of the square of the image that one token stands for.
     """
 

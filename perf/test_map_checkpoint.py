@@ -106,4 +106,4 @@ def test_tick(benchmark, tmp_path, keeps):
     if keeps:
         checkpoint.close()
         assert checkpoint.map.writer.written > 3
-    assert np.isfinite(loop.service.scores).all()
+    assert np.isfinite(loop.service.perception.scores).all()

@@ -18,7 +18,7 @@ def test_metrics_scrape(benchmark):
     closed = ClosedLoop(parse({**lockstep, "perception": {"detector": {"kind": "sim"}}}))
     for _ in range(10):
         closed.step()
-    worker = closed.service._worker
+    worker = closed.service.perception.worker
     source = SimpleNamespace(counters={})
     metrics = Metrics(ServiceHealth(SystemdNotifier({})))
     running = RunningService(closed.config, closed.service, worker, source, {})

@@ -62,7 +62,7 @@ def agents(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
 
 
 def viewer(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
-    """Gather what the live page shows, while somebody looks at it."""
+    """Gather what the live page shows, while it is open."""
     now_s = [0.0]
     sink = LiveSink(lambda: now_s[0])
 

@@ -27,6 +27,6 @@ def test_task_step(benchmark):
 
     def step(context) -> None:
         plan(context, 0)
-        service.behaviour.select(context, service.scores, 0)
+        service.behaviour.select(context, service.perception.scores, 0)
 
     benchmark.pedantic(step, setup=drive, rounds=25, warmup_rounds=1)

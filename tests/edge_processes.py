@@ -18,7 +18,7 @@ from live_patience import PATIENCE_S
 from edge.cli.main import main
 from edge.host.ports import free_port
 
-# Only a failing test waits this long: for a mission to end, and for a process that is told to end,
+# Only a failing test waits this long: for a mission to end, and for a process that should end,
 # which first writes its report.
 MISSION_S = 600.0
 STOP_S = PATIENCE_S

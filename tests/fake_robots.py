@@ -1,4 +1,4 @@
-"""Robots of which only the body is made up: they reach what they are told to reach, at once.
+"""Robots with a fake body: they reach each target at once.
 
 Session, presence, requests and missions are the service's own; so a fleet cannot tell them apart.
 `python fake_robots.py ENDPOINT NAME SECONDS` is one in a process, which takes so long for a target.

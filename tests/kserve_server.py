@@ -1,4 +1,4 @@
-"""A real HTTP server, in a thread, that speaks KServe's protocol and lies as a test tells it to."""
+"""A real HTTP server, in a thread, that speaks KServe's protocol and lies on command."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ ROBOTS = {
         ),
         lidar="rplidar_link",
     ),
-    # realsense2_camera/src/tfs.cpp, d435_cam_depth_to_color_offset; base_link → camera_link is said
-    # by whoever built the robot.
+    # realsense2_camera/src/tfs.cpp, d435_cam_depth_to_color_offset; base_link → camera_link is set
+    # by the robot's builder.
     "jetson-realsense": Body(
         "camera_color_optical_frame",
         (

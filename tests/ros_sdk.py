@@ -48,7 +48,7 @@ def subscriber(
 
 
 class Republisher:
-    """Publishes payloads as messages: each is read, and written anew by the peer."""
+    """Publishes payloads as messages: the peer decodes and encodes each again."""
 
     def __init__(self, port: int, topic: str, name: str) -> None:
         self._name, self._publisher = name, publisher(port, topic, name)

@@ -267,7 +267,7 @@ def test_an_answer_without_log_probabilities_is_one_clear_line(answer, expected)
 
 @pytest.mark.parametrize("connects", [True, False])
 def test_closing_the_client_gives_up_what_it_asks(connects):
-    """Neither an answer nor the connection to wait for it on may hold up whoever closes."""
+    """`close` waits neither for an answer nor for a connection."""
     said: list[Exception] = []
 
     def ask(client: ChatClient) -> None:

@@ -126,8 +126,8 @@ FAULTS = [
     ({"robot": {"name": "a b"}}, "f.yaml: robot.name: "),
     ({"mission": {"target": ""}}, "f.yaml: mission.target: "),
     (
-        {"mission": {"compile_limit_s": 5.0}},
-        "f.yaml: mission.compile_limit_s: unknown key (did you mean 'compile_limit_steps'?)",
+        {"mission": {"search_limits_s": 5.0}},
+        "f.yaml: mission.search_limits_s: unknown key (did you mean 'search_limit_s'?)",
     ),
     ({"sim": {"start": [1, 2]}}, "f.yaml: sim.start.2: missing"),
     (
@@ -377,7 +377,7 @@ def test_what_is_huge_is_not_echoed_in_full(write):
         assert max(map(len, str(error.value).splitlines())) < 400
 
 
-def test_of_many_faults_the_first_are_told():
+def test_of_many_faults_the_first_are_reported():
     with pytest.raises(ConfigError) as error:
         parse({**SIM, "sinks": [3] * 1000}, "f.yaml")
     lines = str(error.value).splitlines()
@@ -510,7 +510,7 @@ def test_an_error_names_what_set_the_key(write, environ, named):
     assert str(error.value).splitlines()[0].startswith(named.replace("FILE", path))
 
 
-def test_variables_that_nothing_reads_are_told_of_once(write, caplog):
+def test_variables_that_nothing_reads_are_reported_once(write, caplog):
     unread = ("EDGE_FOO", "EDGE_POLICY__KIND", "edge__loop__hz", "EDGE_VOCABULARIES")
     read = ("EDGE_CACHE_DIR", "EDGE_VOCABULARY", "EDGE_TRUST_CACHE", "EDGE__LOOP__HZ")
     environ = dict.fromkeys((*unread, *read, "KNOWLEDGE_BASE", "LEDGER__A"), "3")

@@ -1,4 +1,4 @@
-"""Nothing of `edge` is open to the network, and no secret is compared byte by byte, unless told."""
+"""`edge` opens nothing to the network unless configured, and compares no secret byte by byte."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def load(tmp_path, monkeypatch):
 def test_a_kernel_is_loaded_from_disk_or_compiled_again_if_its_classes_are_gone(load):
     compiled = []
     for second, name in enumerate(("Before", "Before", "After")):
-        # The second module is the same as the first, which numba tells by size and time.
+        # The second module is the same as the first, and numba compares size and time.
         module = load(name, 1_000_000 + second // 2)
         assert module.double(getattr(module, name)(21)) == 42
         compiled.append(sum(module.double.stats.cache_misses.values()))

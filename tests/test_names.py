@@ -177,7 +177,7 @@ def test_what_is_near_or_broader_stands_under_its_own_name():
         ("bed", "sofa", False, False),
     ],
 )
-def test_what_may_be_said_of_one_thing(a, b, akin, near):
+def test_names_of_one_object(a, b, akin, near):
     assert names.may_be_same_object(a, b) == names.may_be_same_object(b, a) == akin
     assert names.look_alike(a, b) == names.look_alike(b, a) == near
 

@@ -20,7 +20,7 @@ def test_standing_still_is_stuck_once_in_every_wait():
     assert [k for k, stuck in enumerate(said) if stuck] == [20, 40]
 
 
-def test_not_told_to_move_is_not_stuck():
+def test_a_robot_without_a_command_is_not_stuck():
     assert not any(run(StuckDetector(2.0, 0.05), [HERE] * 45, moving=False))
 
 
@@ -45,7 +45,7 @@ def test_jitter_about_a_point_is_stuck():
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 0.1, 5.0])
-def test_a_pause_neither_counts_nor_starts_the_wait_afresh(pause_s):
+def test_a_pause_neither_counts_nor_restarts_the_wait(pause_s):
     detector, paused = StuckDetector(2.0, 0.05), int(10 * pause_s)
     told = [True] * 16 + [False] * paused + [True] * 30
     said = [detector.update(HERE, moving, k * S // 10) for k, moving in enumerate(told)]

@@ -1,4 +1,4 @@
-"""Dashboard, alerts and their page: what they ask for is what a running service tells."""
+"""Dashboard, alerts and their page: a running service reports all that they ask for."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def told() -> dict[str, set[str]]:
     for family in text_string_to_metric_families(page):
         for sample in family.samples:
             found.setdefault(sample.name, set()).update(sample.labels)
-    for metric in METRICS:  # one without a series now, as of a sensor that is not here, is told too
+    for metric in METRICS:  # one without a series now, as of a missing sensor, is listed too
         if f"# TYPE {metric.name} " in page:
             found.setdefault(metric.name, set(metric.labels))
     return found
@@ -112,7 +112,7 @@ def test_there_is_something_to_check():
 
 
 @pytest.mark.parametrize("expression", EXPRESSIONS)
-def test_every_expression_asks_for_what_a_service_tells(told, expression):
+def test_every_expression_asks_for_what_a_service_reports(told, expression):
     found = list(selectors(promql.parse(expression)))
     named = set(re.findall(r"\b(?:edge|process)_\w+|\bup\b", expression))
     assert {selector.name for selector in found} == named

@@ -143,7 +143,7 @@ def publish(
 
 
 def pin(card: ChoiceCard) -> None:
-    """Say beside each file what it hashes to, as the first pull does."""
+    """Write the hash of each file next to it, as the first pull does."""
     from edge.perception.runtime.model_file import sha256_of
 
     for part in card.parts:

@@ -33,14 +33,11 @@ class RequestServer:
     """Accepts requests over Zenoh until it is closed.
 
     Args:
-        session: an open session.
-        key: key of the queryable.
         verbs: see `RequestQueue`.
         handle: see `RequestQueue`.
         patience_s: see `RequestQueue`.
 
     Attributes:
-        key: key of the queryable.
         queue: the queue of requests; other transports may add queries to it.
         serve: see `RequestQueue.serve`.
         poll: see `RequestQueue.poll`.

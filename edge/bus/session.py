@@ -296,8 +296,6 @@ class Ring:
     """The newest messages of one key, for one thread, which polls.
 
     Args:
-        session: an open session.
-        key: key expression.
         capacity: most messages that are kept, and that a poll returns. A full ring drops the
             oldest.
 

@@ -67,7 +67,6 @@ class StopServer:
     """Answers requests to stop and to release over Zenoh, with a thread for each.
 
     Args:
-        session: an open session.
         settings: `zenoh` of the configuration.
         requests: as `stop_requests` returns them.
     """

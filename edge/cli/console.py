@@ -36,7 +36,6 @@ class ConsoleSink:
         self._last_written_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         wall_ns = time.monotonic_ns()
         if self._last_written_ns is not None and wall_ns - self._last_written_ns < self._period_ns:
             return

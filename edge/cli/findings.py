@@ -17,7 +17,6 @@ class Finding:
 
     Attributes:
         level: `ok`, `warn` or `fail`.
-        what: what was found.
         todo: what to do; "" if nothing.
     """
 
@@ -45,12 +44,6 @@ def fail(what: str, todo: str) -> Finding:
 
 
 def finding_of(error: Exception, level: Level = "fail", todo: str = "") -> Finding:
-    """Return the finding of an error whose message is `problem; what to do`.
-
-    Args:
-        error: the error.
-        level: level of the finding.
-        todo: what to do if the message does not say it.
-    """
+    """Return the finding of an error whose message is `problem; what to do`."""
     what, _, said = str(error).partition("; ")
     return Finding(level, what, said or todo)

@@ -189,9 +189,9 @@ def new(args: argparse.Namespace) -> int:
     Raises:
         UserError: the mission is not understood, or a named robot was not found.
     """
-    zenoh, limits = fleet_settings(args.config)
+    zenoh, mission_config = fleet_settings(args.config)
     text = {"formula" if args.formula else "instruction": args.text}
-    spec = prepare(limits, **text)
+    spec = prepare(mission_config, **text)
     if spec.translation.repeat is not None:
         raise UserError(
             "fleet: a fleet cannot repeat a mission; send the mission to one robot, without --fleet"
@@ -201,7 +201,7 @@ def new(args: argparse.Namespace) -> int:
         raise UserError(f"fleet: --to: got {ANY} and names; give either {ANY} or names of robots")
     with open_roster(zenoh) as roster:
         _check_names(named, roster.names())
-        mission = plan(spec, limits, roster.ask_status(), named, args.share, args.restart)
+        mission = plan(spec, roster.ask_status(), named, args.share, args.restart)
         _say(f"mission {mission.id}: {spec.translation.understood}")
         if mission.unsplit_reason:
             _say(f"mission not divided: {mission.unsplit_reason}; one robot gets the whole mission")

@@ -169,10 +169,6 @@ def unit(config: Config, name: str, user: str | None) -> str:
 def _files_to_read(config: Config, at: Path) -> tuple[list[Path], dict[str, Path]]:
     """Return the files that the service reads: public files, and files with secrets.
 
-    Args:
-        config: the configuration.
-        at: working directory of the service.
-
     Returns:
         The public files, and (name of the credential → file) for those with secrets.
     """

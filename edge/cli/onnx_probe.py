@@ -40,7 +40,6 @@ class ProbeResult:
 
     Attributes:
         version: version of onnxruntime; "" if the import failed.
-        providers: providers that were compiled in.
         ran: providers of `TRIED` that ran the model.
         fault: verb phrase for a message, such as `crashes (SIGILL) when it is imported`; "" if all
             went well.

@@ -152,9 +152,6 @@ class NamedModel(NamedTuple):
     """A model that a configuration names.
 
     Attributes:
-        key: key of the configuration that names it.
-        name: name of its card.
-        kind: class of its card.
         providers: execution providers that it shall run on.
     """
 

@@ -17,14 +17,7 @@ ANSWER_S = 5.0
 
 
 def add_action(actions: Any, name: str, text: str, module: str) -> argparse.ArgumentParser:
-    """Add an action that takes a configuration, and return its parser.
-
-    Args:
-        actions: the object that `add_subparsers` returned for the command.
-        name: name of the action.
-        text: its help.
-        module: module whose function `run` handles it.
-    """
+    """Add an action that takes a configuration, and return its parser."""
     action: argparse.ArgumentParser = actions.add_parser(name, help=text)
     action.add_argument("config", help=CONFIG)
     action.set_defaults(handler=lazy_handler(module, "run"))
@@ -36,11 +29,6 @@ def connected(
     config: str, patience_s: float = ANSWER_S, what: str = "service"
 ) -> Iterator[Callable[..., dict]]:
     """Connect to the service of a configuration; yield `ask(topic, request)`.
-
-    Args:
-        config: path or name of the configuration.
-        patience_s: how long to wait for the connection, and for each answer.
-        what: name of the other side in error messages.
 
     Raises:
         RequestError: no service is there, it does not answer, or it refuses.

@@ -54,7 +54,7 @@ from edge.config.policy import (
 from edge.config.robot import Camera, Lidar, MotionConfig, RobotConfig, SensorsConfig
 from edge.config.root import Config, load, parse
 from edge.config.ros2 import Ros2Config
-from edge.config.section import Section
+from edge.config.section import OnnxModel, Section
 from edge.config.sim import (
     SimConfig,
     WorldFurnished,
@@ -65,7 +65,6 @@ from edge.config.sim import (
     WorldStreet,
 )
 from edge.config.tasks import (
-    GroundModel,
     PipelinePlugin,
     TasksConfig,
     TrajectoryLimits,

@@ -40,12 +40,7 @@ class KeyOrigins(dict[tuple[str, ...], str]):
         return isinstance(other, KeyOrigins)
 
     def describe(self, path: str, *keys: tuple[str, ...]) -> str:
-        """Return the sources to name in an error: the file, a variable, an option, or several.
-
-        Args:
-            path: path of the configuration file.
-            keys: keys that the error is about, each as its parts.
-        """
+        """Return the sources to name in an error: the file, a variable, an option, or several."""
         return ", ".join(dict.fromkeys(name for key in keys for name in self._sources(path, key)))
 
     def _sources(self, path: str, key: tuple[str, ...]) -> list[str]:
@@ -109,12 +104,7 @@ def is_ours(name: str) -> bool:
 
 
 def warn_of_unknown_variables(environ: Mapping[str, str], root: type[BaseModel]) -> None:
-    """Log a warning for each `EDGE_` variable that nothing reads, once in each process.
-
-    Args:
-        environ: the environment.
-        root: model of a whole configuration.
-    """
+    """Log a warning for each `EDGE_` variable that nothing reads, once in each process."""
     for name in sorted(environ):
         if (
             is_ours(name)

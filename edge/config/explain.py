@@ -39,14 +39,7 @@ def explain_all(
 
 
 def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file_only) -> str:
-    """Return one line for one fault of pydantic's list.
-
-    Args:
-        fault: an item of `ValidationError.errors()`.
-        path: path of the file that was read.
-        root: model that was validated.
-        origin: returns the file, variable or option that set the key.
-    """
+    """Return one line for one fault of pydantic's list."""
     loc = [part for part in fault["loc"] if part != "[key]"]  # pydantic's mark of a wrong key
     *sections, leaf = loc or ("",)
     shown, models = _walk(sections, root)
@@ -78,13 +71,7 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
 
 
 def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:
-    """Return the end of the message for a missing key; for a union with its kinds and advice.
-
-    Args:
-        loc: location of the fault, from pydantic.
-        models: models of the section that lacks the key.
-        root: model that was validated.
-    """
+    """Return the end of the message for a missing key; for a union with its kinds and advice."""
     kinds = [m.model_fields["kind"].default for m in _walk(list(loc), root)[1] if _is_kind(m)]
     field = models[0].model_fields.get(str(loc[-1])) if models else None
     if not kinds or (field is not None and get_origin(field.annotation) is tuple):

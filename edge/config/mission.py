@@ -45,11 +45,7 @@ class TranslatorLlm(Section):
 
 
 class TranslatorModel(Section):
-    """A small network that runs here. If it is not sure, it asks which reading is meant.
-
-    Attributes:
-        card: name of its model card.
-    """
+    """A small network that runs here. If it is not sure, it asks which reading is meant."""
 
     kind: Literal["model"] = "model"
     card: Name = SMALL_TRANSLATOR
@@ -119,9 +115,6 @@ class MissionConfig(Section):
         translator: translates the instruction to a formula (LTL).
         planner: chooses the next target.
         compiler: makes the automaton: `own`, or `spot`, if the package Spot is installed.
-        compile_limit_steps: limit of the work to compile the mission; the same on every machine.
-            The default takes a few seconds at most.
-        max_states: most states of the automaton.
         max_targets: most different objects in a mission.
         checkpoint: file to continue the mission from after a restart. Map and objects are saved
             next to it, as `<checkpoint>.map` (docs/service.md). null: nothing is saved.
@@ -158,8 +151,6 @@ class MissionConfig(Section):
         Discriminator(kind_of),
     ] = PlannerVitl()
     compiler: Literal["own", "spot"] = "own"
-    compile_limit_steps: Annotated[int, Field(ge=1)] = 30_000_000
-    max_states: Annotated[int, Field(ge=2)] = 20000
     max_targets: Annotated[int, Field(ge=1, le=40)] = 16
     checkpoint: str | None = None
     site: str | None = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Union
 from pydantic import Field, field_validator, model_validator
 
 from edge import names
-from edge.config.section import Fraction, Name, NonNegative, Positive, Section
+from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
 
 
 class DetectorOnnx(Section):
@@ -51,7 +51,6 @@ class DetectorSim(Section):
         false_positive_rate: probability to take another visible object for a target.
         score_noise: standard deviation of the score.
         tau_vl: boxes with a lower score are dropped.
-        seed: seed of the noise.
     """
 
     kind: Literal["sim"] = "sim"
@@ -83,23 +82,15 @@ class SegmenterGrabcut(Section):
     time_limit_s: Positive = 0.05
 
 
-class SegmenterOnnx(Section):
-    """Masks by a model that takes boxes as prompts, such as SAM.
+class SegmenterOnnx(OnnxModel):
+    """Masks by a model that takes boxes as prompts, such as SAM (a card of task `segment`).
 
     Attributes:
-        model: name of its card, of task `segment`.
-        providers: execution providers of onnxruntime, best first.
-        threads: CPU threads of the model.
-        device_id: number of the GPU.
         max_boxes: only this many boxes, those with the highest scores, get a mask.
         time_limit_s: time for the masks of one image; boxes that are left then get none.
     """
 
     kind: Literal["onnx"] = "onnx"
-    model: str
-    providers: tuple[str, ...] = ("CPUExecutionProvider",)
-    threads: Annotated[int, Field(ge=1, le=64)] = 2
-    device_id: Annotated[int, Field(ge=0)] = 0
     max_boxes: Annotated[int, Field(ge=1, le=64)] = 8
     time_limit_s: Positive = 1.0
 
@@ -255,7 +246,6 @@ class PerceptionConfig(Section):
         load_shedding: work to drop when the computer is too slow.
         similarity: card of an image-text scorer (the score of VLFM); null: none runs.
         choice: model that scores the frontiers, to choose among them.
-        detector: object detector.
         segmenter: finds the pixels of a target in its box, so that its place is right although
             another object stands before it. It runs in the background, after the detector.
         prior: estimate of the likely places of a target that is not in view: by objects nearby

@@ -121,7 +121,6 @@ class Lidar(SensorMount):
         columns: measurements of a scan line in one turn.
         vfov_deg: vertical field of view.
         rate_hz: scans per second.
-        range_m: range.
         noise_m: standard deviation of the simulated ranges.
     """
 

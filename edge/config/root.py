@@ -121,12 +121,7 @@ class Config(Section):
         return self._origins.describe(self.path, *(tuple(key.split(".")) for key in keys))
 
     def locate(self, key: str, *others: str) -> str:
-        """Return the start of an error about a key: `FILE: KEY` or `environment VARIABLE: KEY`.
-
-        Args:
-            key: the key that is shown.
-            others: other keys that the error is about.
-        """
+        """Return the start of an error about a key: `FILE: KEY` or `environment VARIABLE: KEY`."""
         return f"{self.origin(key, *others)}: {key}"
 
     @property
@@ -255,11 +250,6 @@ def parse(
     data: dict[str, Any], path: str = "<defaults>", origins: KeyOrigins | None = None
 ) -> Config:
     """Validate the content of a configuration file; see `load`.
-
-    Args:
-        data: sections and keys.
-        path: path of the file, for errors.
-        origins: variables and options that set keys of `data`.
 
     Example:
         >>> parse({"perception": {"detector": {"kind": "sim"}}}).robot.radius_m

@@ -49,6 +49,22 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class OnnxModel(Section):
+    """An ONNX model that onnxruntime runs.
+
+    Attributes:
+        model: name of its card.
+        providers: execution providers of onnxruntime, best first.
+        threads: CPU threads of the model.
+        device_id: number of the GPU.
+    """
+
+    model: str
+    providers: tuple[str, ...] = ("CPUExecutionProvider",)
+    threads: Annotated[int, Field(ge=1, le=64)] = 2
+    device_id: Annotated[int, Field(ge=0)] = 0
+
+
 def plugin_kinds(section: Section, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield key and value of each `kind` in a section that names a plugin."""
     for name in type(section).model_fields:

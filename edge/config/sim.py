@@ -90,7 +90,6 @@ class SimConfig(Section):
     """The simulator.
 
     Attributes:
-        world: the world.
         start: start pose (x in m, y in m, yaw in rad); null: that of the world.
         seed: seed of the noise.
         lockstep: true: simulated time. The simulator takes the next step when the service has

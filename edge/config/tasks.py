@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import Field
 
-from edge.config.section import PluginKind, Positive, Section
+from edge.config.section import OnnxModel, PluginKind, Positive, Section
 
 
 class TrajectoryLimits(Section):
@@ -70,22 +70,6 @@ class PipelinePlugin(Section):
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-class GroundModel(Section):
-    """Kinds of ground by a model that names the class of each pixel, such as SegFormer.
-
-    Attributes:
-        model: name of its card, of task `ground`.
-        providers: execution providers of onnxruntime, best first.
-        threads: CPU threads of the model.
-        device_id: number of the GPU.
-    """
-
-    model: str
-    providers: tuple[str, ...] = ("CPUExecutionProvider",)
-    threads: Annotated[int, Field(ge=1, le=64)] = 2
-    device_id: Annotated[int, Field(ge=0)] = 0
-
-
 class TasksConfig(Section):
     """Tasks: instructions that describe a way to drive.
 
@@ -93,13 +77,13 @@ class TasksConfig(Section):
         pipeline: your own models for `edge trajectory --objects detector` and
             `edge eval trajectories --detector`. null: `perception.detector` and
             `perception.segmenter`, which the service always uses.
-        ground: model for kinds of ground in `edge trajectory --objects detector` and
-            `edge eval trajectories --detector`. null: all flat ground there is "ground".
+        ground: model that names the class of each pixel, such as SegFormer (a card of task
+            `ground`), for kinds of ground: in the service, in `edge trajectory --objects detector`
+            and in `edge eval trajectories --detector`. null: all ground is of one kind.
         planner: writes the trajectories.
-        trajectory: limits of the trajectories.
     """
 
-    ground: GroundModel | None = None
+    ground: OnnxModel | None = None
     pipeline: PipelinePlugin | None = None
     planner: Annotated[Union[WriterRules, WriterModel], Field(discriminator="kind")] = WriterRules()
     trajectory: TrajectoryLimits = TrajectoryLimits()

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from edge.bus.client import RefusedError, RequestError
-from edge.config import MissionConfig
 from edge.fleet.orders import (
     AGAIN,
     DUPLICATE_REASON,
@@ -46,7 +45,6 @@ class FleetPlan:
         id: Id of the mission: a digest of its formula and options, a dot, and the id of the run. So
             the same mission gets another id when it is given again later. The id of a part is this
             id, a dot, and the part's number.
-        parts: Parts of the mission.
         unsplit_reason: Reason why the mission was not split; "" if it was split, or if no split was
             requested.
     """
@@ -58,7 +56,6 @@ class FleetPlan:
 
 def plan(
     spec: MissionSpec,
-    limits: MissionConfig,
     robots: Mapping[str, Robot],
     to: Sequence[str] = (),
     share: bool = False,
@@ -70,7 +67,6 @@ def plan(
 
     Args:
         spec: The mission.
-        limits: Limits of missions, from the configuration.
         robots: Robots by name, with their status.
         to: Names of robots that each get the whole mission. Empty: any one robot gets it.
         share: Split the mission, so that several robots can share it.
@@ -80,10 +76,10 @@ def plan(
         CompileError: See `edge.mission.split`.
     """
     formula = spec.automaton.formula
-    mission_split = split(formula, limits) if share else None
+    mission_split = split(formula) if share else None
     formulas = (formula,) * max(len(to), 1) if mission_split is None else mission_split.parts
     digest = _digest(formula, to, share)
-    make_parts = partial(_make_parts, formulas, to, limits)
+    make_parts = partial(_make_parts, formulas, to)
     run_id = None if restart else _find_unfinished_run(digest, robots, make_parts)
     id = f"{digest}.{run_id or secrets.token_hex(4)}"  # such as 1f2e3d4c.9a8b7c6d
     return FleetPlan(
@@ -91,13 +87,11 @@ def plan(
     )
 
 
-def _make_parts(
-    formulas: Sequence[Formula], to: Sequence[str], limits: MissionConfig, id: str
-) -> tuple[MissionPart, ...]:
+def _make_parts(formulas: Sequence[Formula], to: Sequence[str], id: str) -> tuple[MissionPart, ...]:
     return tuple(
         MissionPart(
             f"{id}.{k + 1}", str(formula), one_line(describe(formula)),
-            required_propositions(formula, limits), to[k] if to else None,
+            required_propositions(formula), to[k] if to else None,
         )
         for k, formula in enumerate(formulas)
     )  # fmt: skip
@@ -110,13 +104,7 @@ def _digest(*values: object) -> str:
 def _find_unfinished_run(
     digest: str, robots: Mapping[str, Robot], make_parts: Callable[[str], tuple[MissionPart, ...]]
 ) -> str | None:
-    """Return the run id of an unfinished mission with this digest that robots report, or None.
-
-    Args:
-        digest: Digest of the mission.
-        robots: Robots by name, with their status.
-        make_parts: Returns the parts of the mission with an id.
-    """
+    """Return the run id of an unfinished mission with this digest that robots report, or None."""
     replies = [robot.status_reply for robot in robots.values() if robot.status_reply is not None]
     ids = [id for reply in replies for id in (reply.id, *(p.id for p in reply.past))]
     # From the ids of parts, such as 1f2e3d4c.9a8b7c6d.2, the run 9a8b7c6d.
@@ -137,8 +125,6 @@ class Dispatcher:
     """A loop that polls the robots, assigns parts and reports progress until the mission is over.
 
     Args:
-        roster: The fleet.
-        mission: The mission and its parts.
         report: Function that is called with each progress line.
         patience_s: Time to wait for a robot that is offline or reports no status, counted from the
             first poll without it. A part that no online robot can do also fails only after this

@@ -36,9 +36,7 @@ class MissionPart:
     """A part of a mission, for one robot.
 
     Attributes:
-        id: Id of the robot's mission.
         formula: LTL formula of the robot's mission.
-        english: The formula in English.
         words: Names of the targets that the robot may have to reach, such as "chair".
         only: Name of the robot that must do the part; None if any robot may do it.
     """
@@ -57,7 +55,6 @@ class PartOutcome:
     Attributes:
         phase: `reached` or `failed`.
         by: Name of the robot, or names of the robots, that caused the result.
-        reason: Reason of the result.
     """
 
     phase: Literal["reached", "failed"]
@@ -69,8 +66,6 @@ class Assignment(NamedTuple):
     """An order to give a part to a robot.
 
     Attributes:
-        part: The part.
-        robot: Name of the robot.
         id: Id of the mission on the robot: that of the part; `~N` follows if the robot had the part
             N times before, and another robot was working on it.
         why: Reason why this robot gets the part.
@@ -83,12 +78,7 @@ class Assignment(NamedTuple):
 
 
 class Cancellation(NamedTuple):
-    """An order to cancel a robot's mission.
-
-    Attributes:
-        robot: Name of the robot.
-        id: Id of the mission on the robot.
-    """
+    """An order to cancel a robot's mission."""
 
     robot: str
     id: str

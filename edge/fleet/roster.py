@@ -66,13 +66,9 @@ class StatusReply:
     """The fields of a service's reply to `status` that a fleet uses.
 
     Attributes:
-        id: Id of the mission.
         instruction: Text of the mission.
-        phase: Phase of the mission.
-        reason: Reason of the phase.
         target: Active target, if any.
         elapsed_s: Duration of the mission so far, in seconds.
-        robot: State of the robot.
         past: Results of earlier missions, oldest first.
     """
 
@@ -99,7 +95,6 @@ class Robot:
         name: Last word of the robot's prefix.
         status_reply: The robot's status; None if there is no valid reply.
         problem: Reason why there is no valid reply; "" if the reply is valid.
-        reply: The reply as received.
     """
 
     name: str
@@ -123,7 +118,6 @@ class Roster:
     """The robots of a fleet that are online in one Zenoh session.
 
     Args:
-        session: The session.
         settings: Zenoh settings of any robot of the fleet, or of the client. Endpoint,
             `client_file` and `topics` are used, and the prefix without its last word.
 

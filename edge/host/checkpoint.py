@@ -69,7 +69,6 @@ class Checkpoint(Generic[State]):
 
     Attributes:
         state: dataclass of JSON-ready values.
-        arrays: name → array.
         config: fingerprint of the configuration that made it.
         written_ns: wall-clock time of writing.
     """
@@ -326,8 +325,6 @@ class CheckpointWriter(Generic[State]):
     """Writer of the newest checkpoint, on a thread of its own, so that the loop never waits.
 
     Args:
-        path: file of the checkpoint.
-        form: format of the checkpoint.
         period_s: shortest time between periodic checkpoints (`is_due`).
 
     Attributes:
@@ -395,11 +392,7 @@ def _resolve_links(path: Path) -> Path:
 
 
 def _read(path: Path, form: CheckpointFormat[State], most: int) -> bytes | None:
-    """Return the first `most` bytes of a checkpoint, or None if there is no file.
-
-    Raises:
-        CheckpointError: the file cannot be read, or does not begin like a checkpoint.
-    """
+    """Return the first `most` bytes of a checkpoint, or None if there is no file."""
     # A folder, a device, a loop of links, or a pipe, whose read might block forever.
     if os.path.lexists(path) and not os.path.isfile(path):
         raise CheckpointError(

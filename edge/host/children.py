@@ -19,9 +19,5 @@ _RUN = (
 
 
 def python_module(name: str) -> tuple[str, ...]:
-    """Return the command line that runs a module; append its arguments.
-
-    Args:
-        name: name of the module, such as `edge.cli.main` or `exporters`.
-    """
+    """Return the command line that runs a module; append its arguments."""
     return sys.executable, "-c", _RUN, _ROOT, name

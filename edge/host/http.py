@@ -29,8 +29,6 @@ class HttpReply:
     """Answer of a server.
 
     Attributes:
-        status: HTTP status.
-        headers: headers.
         body: content, as it was sent. If it is longer than `max_bytes` of
             `CancellableRequest.send`, the rest was not read.
     """
@@ -56,12 +54,6 @@ class CancellableRequest:
         self, client: httpx.Client, request: httpx.Request, max_bytes: int, limit_s: float
     ) -> HttpReply:
         """Send the request, and return the whole answer.
-
-        Args:
-            client: the client.
-            request: the request.
-            max_bytes: the body is read only until it is longer than this.
-            limit_s: time for the whole answer.
 
         Raises:
             TimeoutError: the answer was not complete in time; the connection is cut.

@@ -24,9 +24,6 @@ class NonBlockingStream(io.TextIOBase):
     At most `MOST_WAITING` writes are queued. Further writes are dropped, and a line with their
     number is written in their place. Errors of the descriptor are ignored.
 
-    Args:
-        stream: stream to write to.
-
     Raises:
         OSError: the stream has no descriptor.
     """

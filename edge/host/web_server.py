@@ -64,9 +64,6 @@ class HttpResponse:
     """A response.
 
     Attributes:
-        body: content.
-        media_type: media type.
-        status: HTTP status.
         etag: version of the content. A client that has this version gets 304 without a body; "":
             no version.
     """
@@ -89,11 +86,8 @@ class ServedPages:
     """All pages of a server, and the clients that may read them.
 
     Attributes:
-        pages: pages for GET and HEAD.
-        host: host of the configuration.
         token: token that a request must have; None: no token is needed, and POST is refused.
         probes: pages whose status is returned without the token.
-        forms: handlers for POST.
         public: pages that are returned without the token.
     """
 

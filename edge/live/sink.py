@@ -46,12 +46,9 @@ class LiveSnapshot:
     Attributes:
         at_s: time on the sink's clock.
         result: the result of the tick. Use only methods that other threads may call.
-        mission: the mission.
         task: the task; None: there is none.
         n_tasks: version of `task`: increases when it changes, except for progress along it.
         instances: objects of the mission.
-        objects: remembered objects.
-        rooms: rooms of the map.
         site: places and zones.
         n_sites: version of `site`.
         candidates: candidates for the next goal.
@@ -62,7 +59,6 @@ class LiveSnapshot:
         trail: (n, 3) float64 poses of the driven path: x and y in metres, yaw in radians.
         beat_hz: ticks with an observation per second.
         proposals: proposals of agents that wait for a person.
-        events: the newest events.
         n_events: number of events since the start.
     """
 
@@ -93,7 +89,6 @@ class Box(NamedTuple):
 
     Attributes:
         label: class name.
-        score: score of the detection.
         wanted: True if the class is a target.
         xyxy: left, top, right, bottom, in fractions of the image's width and height.
     """
@@ -109,7 +104,6 @@ class CameraShot:
     """A camera image.
 
     Attributes:
-        seq: number of the image.
         rgb: (h, w, 3) uint8, a copy, subsampled if it was large.
         boxes: detections of targets and of other objects.
         marks: (letter, u, v) of the marks in view; u and v in fractions of the image's width and

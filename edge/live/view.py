@@ -56,7 +56,6 @@ class LiveView:
     """Serves the page; all methods but `sink.tick` run on HTTP threads.
 
     Args:
-        config: the configuration.
         health: health of the service, from its start on.
 
     Attributes:

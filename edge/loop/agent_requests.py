@@ -48,7 +48,6 @@ class Proposal:
         text: the instruction, one line.
         by: name that the agent gives itself.
         prepared: what the instruction means.
-        until_ns: loop time at which it expires.
         state: `started` after a person, or the configuration, allowed it.
     """
 

@@ -37,7 +37,6 @@ class CandidatePool:
 
     Args:
         capacity: Largest number of candidates.
-        r_assoc_m: See `Attributes`.
 
     Attributes:
         candidates: The candidates, updated in place.

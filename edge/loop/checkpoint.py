@@ -37,7 +37,6 @@ class ServiceCheckpoint:
     Attributes:
         saved: Unfinished mission of the file that will continue; None if there is none.
         problem: Reason why an existing file cannot be used; "" if there is no problem.
-        map: Checkpoint of the map.
         crops: Checkpoint of the objects' pictures.
     """
 

@@ -88,11 +88,6 @@ def p_object_given_word(
 
     This is the share of rooms that hold the object, times the likelihood ratio of the pair.
 
-    Args:
-        known: The table.
-        things: n objects.
-        words: m words.
-
     Returns:
         (n, m) float64: 1 if both are the same, 0 if the table lacks one of them.
     """

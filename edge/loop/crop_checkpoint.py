@@ -19,11 +19,7 @@ PERIOD_S = 30.0
 
 @dataclass(frozen=True)
 class CropState:
-    """Description of the saved pictures; all data is in the arrays.
-
-    Attributes:
-        n: number of pictures.
-    """
+    """Description of the saved pictures; all data is in the arrays."""
 
     n: int
 
@@ -35,12 +31,8 @@ CROPS = CheckpointFormat("edge-crops", "pictures", CropState, MAX_CROP_BYTES + (
 class CropCheckpoint:
     """The file of the pictures; for the loop's thread.
 
-    Args:
-        path: path of the file.
-
     Attributes:
         problem: reason why an existing file cannot be used; "" if there is none.
-        writer: writer of the file.
 
     Raises:
         CheckpointError: the file cannot be read, or cannot be written.

@@ -55,10 +55,8 @@ class DegradationLevels:
 
     Args:
         n_levels: Number of levels, without level 0.
-        budget_ms: See `Attributes`.
 
     Attributes:
-        level: Current level.
         budget_ms: Time budget of the detector; may be set.
 
     Example:

@@ -87,12 +87,6 @@ class ErrorBoundary:
     def on_error(self, step: str, error: Exception, now_ns: int, where: str = "") -> None:
         """Count a failure of a step, and log the first of its kind.
 
-        Args:
-            step: Name of the step.
-            error: The exception.
-            now_ns: Loop time.
-            where: Part of the step that raised, if known.
-
         Raises:
             Stopped: `error` is Stopped, which is not a failure.
         """

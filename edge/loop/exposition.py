@@ -53,12 +53,10 @@ class MetricSpec(Generic[Source]):
 
     Attributes:
         name: Name in base units (seconds, bytes). The name of a counter ends in `_total`.
-        kind: Kind of the metric.
         help: Description for people.
         read: Returns the value from the source: a number, a `Histogram`, or the name of a state.
             With labels: a mapping from a label value, or a tuple of values, to numbers or
             histograms. None: there is no value now.
-        labels: Names of the labels.
         states: All values of a `state`. Each has a series, which is 1 for the current state.
     """
 

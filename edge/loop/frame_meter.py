@@ -78,7 +78,6 @@ class FrameMeter:
     """Measures the observations of one camera.
 
     Attributes:
-        facts: Measurements of the newest observation.
         surroundings_ns: See `Plausibility`.
         floor_lost: True if the last update of the map found no floor; see `FrameFacts`.
     """

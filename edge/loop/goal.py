@@ -234,7 +234,7 @@ class GoalTracker:
         c = context.candidates
         path_m = c.path_m[: c.n][c.kind[: c.n] == INSTANCE]
         if len(path_m) and np.isinf(path_m).all():  # somebody may have stood in the way
-            self._search.forget_arrivals(context.now_ns, grid)
+            self._search.open_path(context.now_ns, grid)
         new_goal = self._best_candidate(context, score) or self._spin(context)
         view_goal = self._find_moved(context, grid, new_goal, images)
         if view_goal is not None:

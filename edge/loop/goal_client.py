@@ -35,10 +35,6 @@ class GoalClient:
 
     The stamp of a goal identifies it: a status has the stamp of its goal.
 
-    Args:
-        config: The configuration.
-        transmit: Transmits a goal.
-
     Attributes:
         driving: True if the controller has a goal that is not finished.
         has_controller: True if a controller answers, or if no answers are expected.
@@ -94,10 +90,6 @@ class GoalClient:
 
     def on_goal_status(self, status: GoalStatus, goal: Goal | None) -> bool:
         """Handle a goal status. A status for an old goal only counts as a heartbeat.
-
-        Args:
-            status: The status.
-            goal: The sent goal that is tracked; None if there is none.
 
         Returns:
             True if the status is for this goal.

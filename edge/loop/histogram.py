@@ -22,7 +22,6 @@ class Histogram(NamedTuple):
     Attributes:
         bounds_s: Upper bounds of the buckets, ascending. One more bucket has no bound.
         counts: Number of durations in each bucket, not cumulative.
-        sum_s: Sum of all durations.
     """
 
     bounds_s: tuple[float, ...]
@@ -36,7 +35,6 @@ class Histograms:
     They use lists and `bisect`, which are twice as fast as NumPy for the ten numbers of a tick.
 
     Args:
-        columns: Number of histograms.
         bounds_s: Upper bounds of the buckets, ascending.
     """
 

@@ -36,7 +36,6 @@ class Span(NamedTuple):
         name: Name of the stage, or `tick`.
         begin_ns: Start on the clock of the ring (`time.perf_counter_ns`). Stages of a tick follow
             each other. A background stage counts as ended when the loop received its result.
-        took_ns: Duration.
         in_tick: True if the time is part of a tick.
     """
 
@@ -90,9 +89,7 @@ class LatencyReport:
     """The latency of every stage, in the order of the stage table, and of the tick.
 
     Attributes:
-        stages: Rows of the stages.
         tick: Row of the whole tick.
-        deadline_ms: Deadline of the tick.
         calibration: Calibration of this computer, which scales the budgets. None if it was never
             calibrated; then only the tick and the detector have limits, their deadlines.
     """
@@ -197,7 +194,6 @@ class LatencyHistograms:
 
     Attributes:
         stages: By stage name.
-        tick: Duration of the ticks.
         interval: Time from the start of a tick to the start of the next.
     """
 
@@ -366,12 +362,10 @@ class LatencyRing:
         names = (stage.name for stage in STAGES)
         return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
 
-    def spans(self, after_ns: int = 0, before_ns: int | None = None) -> list[Span]:
+    def spans(self, after_ns: int = 0) -> list[Span]:
         """Return the kept spans: ticks with their stages, oldest first, then background spans.
 
-        Args:
-            after_ns: Only ticks that began, and background spans that ended, after this time.
-            before_ns: Only those at or before this time; None: no limit.
+        Only ticks that began, and background spans that ended, after `after_ns`.
         """
         background_columns = np.flatnonzero(~self._in_tick_columns)
         with self._lock:
@@ -380,8 +374,7 @@ class LatencyRing:
             background = [(i, self._newest(int(self._count[i]), None)) for i in background_columns]
             # By background stage: its column, and the end and duration of each span.
             ends_ns = [(i, self._received_ns[at, i], self._spans_ns[at, i]) for i, at in background]
-        until_ns = np.iinfo(np.int64).max if before_ns is None else before_ns
-        wanted = (begins_ns > after_ns) & (begins_ns <= until_ns)
+        wanted = begins_ns > after_ns
         names = [stage.name for stage in STAGES]
         found: list[Span] = []
         for begin_ns, row in zip(
@@ -393,7 +386,7 @@ class LatencyRing:
                     found.append(Span(name, begin_ns, took_ns, True))
                     begin_ns += took_ns
         for i, stage_ends_ns, took in ends_ns:
-            wanted = (stage_ends_ns > after_ns) & (stage_ends_ns <= until_ns)
+            wanted = stage_ends_ns > after_ns
             for end_ns, took_ns in zip(
                 stage_ends_ns[wanted].tolist(), took[wanted].tolist(), strict=True
             ):

@@ -35,8 +35,6 @@ class LoadShedder:
 
     Args:
         perception: The configuration, with degradation levels.
-        worker: Background worker of the detector.
-        detector_swap: Swaps the detector's model.
         scorers: The scorers, which a level may pause.
         event: Reports each change of the level: one line, and the loop time [ns].
         board: Reads the computer's sensors, on its own thread.

@@ -63,16 +63,11 @@ class MapState:
 
     Attributes:
         boot: See `edge.host.machine.boot_id`.
-        policy: Kind of the policy.
-        targets: Targets of the mission.
-        target: Active target.
         pose: x_m, y_m, yaw_rad at `stamp_ns`.
         stamp_ns: Stamp of the observation on the sensors' clock.
-        now_ns: Loop time.
         resolution_m: Value of `mapping.resolution_m`.
         obstacle_max_m: Value of `mapping.obstacle_max_m`.
         value_source: Scorer of the value maps; "" if there is none.
-        value_targets: Targets of the value maps.
         value_side: Cells on the side of a tile of the value maps.
     """
 
@@ -228,16 +223,10 @@ class MapCheckpoint:
         problem: Reason why an existing file cannot be used; "" if there is no problem.
         loaded: Content of the file while it can still be restored, else None.
         waiting: Map of the file, until the first observation.
-        writer: Writer of the file.
     """
 
     def __init__(self, config: Config, path: Path, fingerprint: str = "") -> None:
         """Load the file and start its writer.
-
-        Args:
-            config: The configuration.
-            path: Path of the file.
-            fingerprint: Fingerprint of the configuration.
 
         Raises:
             CheckpointError: The file cannot be read, or cannot be written.
@@ -369,14 +358,7 @@ class MapCheckpoint:
     def _pack(
         self, checkpoint: Checkpoint[MapState], n: int, is_new: bool, batches: list[TileBatch]
     ) -> Checkpoint[MapState]:
-        """Return the checkpoint with the tiles; on the writer's thread.
-
-        Args:
-            checkpoint: State and arrays without tiles.
-            n: Cells on a side of the map's window.
-            is_new: The map was replaced, so no earlier tile is valid.
-            batches: Copies of the tiles that changed.
-        """
+        """Return the checkpoint with the tiles; on the writer's thread."""
         if is_new:
             self._packed = PackedTiles()
         self._packed.update(batches)

@@ -23,11 +23,7 @@ if TYPE_CHECKING:
 
 
 def _check_filters(fields: dict) -> dict:
-    """Return the filters of a request after a check.
-
-    Raises:
-        ValueError: a filter is invalid. The message names the field.
-    """
+    """Return the filters of a request after a check."""
     found: dict = {}
     if "room" in fields:
         found["room"] = name_of(check_text("room", fields["room"], MAX_NAME_CHARS))

@@ -45,10 +45,7 @@ class ScrapeSnapshot:
     """The state of a running service at one scrape; the source of `SERVICE_METRICS`.
 
     Attributes:
-        running, service, mission, goal, detector, histograms: The parts of the service.
         sinks: Status of each sink by name.
-        source: Counters of the source.
-        inputs: State of the source's inputs.
         failed: Names of the plausibility checks that fail.
         latency: Latency report: counts since the start, without percentiles.
         images: Counts of the detector's images.
@@ -256,14 +253,14 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
     MetricSpec("edge_mission_targets", "gauge", "Number of targets of the mission.",
            lambda s: len(s.mission.spec.targets)),
     MetricSpec("edge_mission_targets_reached", "gauge", "Number of targets that were reached.",
-           lambda s: len(s.mission.reached)),
+           lambda s: len(s.mission.sets.reached)),
     MetricSpec("edge_mission_plan_steps", "gauge",
            "Number of targets that the plan still has to reach.",
            lambda s: 0 if s.mission.done else len(s.mission.plan.steps)),
     MetricSpec("edge_mission_elapsed_seconds", "gauge", "Time that the mission has taken.",
-           lambda s: s.mission.elapsed_s),
+           lambda s: s.mission.meter.elapsed_s),
     MetricSpec("edge_mission_path_meters", "gauge", "Distance driven for the mission.",
-           lambda s: s.mission.path_m),
+           lambda s: s.mission.meter.path_m),
     MetricSpec("edge_task_steps", "gauge", "Steps of the task, by state.",
            _task_steps, ("state",)),
     MetricSpec("edge_goal_state", "state",
@@ -310,7 +307,6 @@ class Metrics:
     """The page `/metrics`. Metrics of the service are on it after `add_service` was called.
 
     Args:
-        health: Health of the service.
         board: Reads the computer's sensors.
     """
 

@@ -38,11 +38,9 @@ class DataCheck:
     """One row of the table of checks.
 
     Attributes:
-        name: Name of the check.
         measured: Returns the measured value.
         what: Place and problem, for the user, with `{value}`.
         todo: Advice for the user.
-        then: Consequence of a failure.
         lowest: The check fails below this value.
         highest: The check fails above this value.
         permits: Use of the observation that a failure still permits. "" if a failure only warns or
@@ -62,12 +60,7 @@ class DataCheck:
 
 
 def checks_of(config: Config, blind_s: float) -> tuple[DataCheck, ...]:
-    """Return the table of checks for the sensors that a configuration uses.
-
-    Args:
-        config: The configuration.
-        blind_s: Time without an observation after which the robot stands still.
-    """
+    """Return the table of checks for the sensors that a configuration uses."""
     # Each is "depth" or "cloud".
     mapped, back_projected = config.mapping.input, config.perception.back_projection
     # Without the sensor of the map nothing is permitted; without the other one, only mapping.
@@ -142,8 +135,6 @@ class FailedCheck(NamedTuple):
     """A check that fails on the newest observation.
 
     Attributes:
-        name: Name of the check.
-        then: Consequence of the failure.
         what: Place and problem, for the user.
         todo: Advice for the user.
         since_ns: Loop time of the first failure.
@@ -164,12 +155,10 @@ class Plausibility:
     """The plausibility stage. The loop's thread calls `permitted_use`.
 
     Args:
-        config: The configuration.
         blind_s: See `edge.loop.service.Service`.
         event: Reports an event for people, at a loop time and a log level.
 
     Attributes:
-        checks: The table of checks.
         failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
             whole, so any thread may read it.
         refused: Number of refused observations by check.

@@ -53,11 +53,8 @@ class ResultPublisher:
 
     Args:
         sinks: Receivers of the results; their methods never block.
-        semantic_map: Semantic map.
         site: Places and zones.
-        goals: Goal tracker.
         scorers: The scorers, if any.
-        input_log: Input log.
         latency: Times of the stages.
         health: Returns the health of all parts.
 

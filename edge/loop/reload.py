@@ -17,6 +17,7 @@ from edge.errors import UserError
 from edge.host.interruptible import start_detached_thread
 from edge.loop.service import Service
 from edge.loop.warmup import warm_policy
+from edge.perception.masks.ground import GroundClassifier, make_ground_classifier
 from edge.perception.scoring.similarity import is_running_detector, similarity_card
 from edge.perception.swap.base import FINAL_STATES
 from edge.perception.swap.detector import DetectorSwap
@@ -73,9 +74,9 @@ class _PreparedConfig:
     """A prepared configuration that can be applied.
 
     Attributes:
-        config: The configuration.
         changed: Keys that differ from the current configuration.
         policy: New policy; None: keep the current one.
+        ground: What names kinds of ground, of `config`.
         running: Name of the detector's model when this was prepared.
         model: Name of the model to swap in; None: keep the current one.
     """
@@ -83,6 +84,7 @@ class _PreparedConfig:
     config: Config
     changed: tuple[str, ...]
     policy: Policy | None
+    ground: GroundClassifier | None
     running: str
     model: str | None
 
@@ -94,7 +96,6 @@ class Reloader:
     probation. The rest is applied when the swap is final.
 
     Args:
-        service: The running service.
         reread: Reads the configuration again, in the same way as at the start.
         requested: Event that any thread sets to request a reload.
 
@@ -141,12 +142,13 @@ class Reloader:
         self._requested.clear()
         log.info("reload: reading the configuration")
         present, running = self._service.config, self._service.detector_swap.running
+        ground = self._service.ground
         preparing: Future[_PreparedConfig] = Future()
         self._preparing = preparing
 
         def prepare() -> None:
             try:
-                preparing.set_result(_prepare(present, self._reread(), running))
+                preparing.set_result(_prepare(present, self._reread(), running, ground))
             except Exception as error:
                 preparing.set_exception(error)
             # A plugin that raises SystemExit must not end the process.
@@ -184,7 +186,7 @@ class Reloader:
     def _apply_now(self, ready: _PreparedConfig, now_ns: int) -> None:
         service = self._service
         policy = service.policy if ready.policy is None else ready.policy
-        service.reconfigure(ready.config, policy)
+        service.reconfigure(ready.config, policy, ready.ground)
         self._report("switched", f"switched: {', '.join(ready.changed)}", now_ns)
 
     def _report(self, result: str, outcome: str, now_ns: int) -> None:
@@ -194,17 +196,20 @@ class Reloader:
         self._service.event(f"reload: {self.outcome}", now_ns, level)
 
 
-def _prepare(present: Config, new: Config, running: str) -> _PreparedConfig:
+def _prepare(
+    present: Config, new: Config, running: str, ground: GroundClassifier | None
+) -> _PreparedConfig:
     """Compare the configurations and make the parts that changed.
 
     Args:
         present: Current configuration.
         new: New configuration.
         running: Name of the detector's current model.
+        ground: What names kinds of ground at present.
 
     Raises:
         ReloadError: A changed key needs a restart.
-        UserError: The policy cannot be made.
+        UserError: The policy, or the model of `tasks.ground`, cannot be made.
     """
     changed = tuple(key for key in differing_keys(present, new) if key != "path")
     if fixed := [key for key in changed if not _is_below(key, LIVE)]:
@@ -213,8 +218,10 @@ def _prepare(present: Config, new: Config, running: str) -> _PreparedConfig:
     if new.policy != present.policy:
         warm_policy(new)
         policy = make_policy(new.policy, new.origin("policy"))
+    if new.tasks.ground != present.tasks.ground:
+        ground = make_ground_classifier(new.tasks)
     model = _model_to_swap(present.perception, new.perception, running)
-    return _PreparedConfig(new, changed, policy, running, model)
+    return _PreparedConfig(new, changed, policy, ground, running, model)
 
 
 def _check_no_swap(swapper: DetectorSwap, running: str) -> None:

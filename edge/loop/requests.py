@@ -238,12 +238,6 @@ def handle_mission(
     (`Request.cancelled` is their number). The reply has this number as `overtaken`. If there are
     any, the request succeeds even if no mission is running.
 
-    Args:
-        service: The running service.
-        request: The request.
-        now_ns: Loop time.
-        problems: Returns the reasons why the service is not ready.
-
     Raises:
         UserError: There is nothing to pause, resume or cancel, or the mission cannot be started.
             Nothing has changed then.
@@ -347,12 +341,6 @@ def handle_model(
     detector_swap: DetectorSwap, request: Request, now_ns: int, scorers: Scorers | None = None
 ) -> dict:
     """Handle a model request and return the status of the newest swap.
-
-    Args:
-        detector_swap: Swaps the detector's model.
-        request: The request.
-        now_ns: Loop time.
-        scorers: The scorers, if any.
 
     Raises:
         SwapError: The swap cannot be started.

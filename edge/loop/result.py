@@ -47,10 +47,7 @@ class MissionFacts:
     """A snapshot of a mission.
 
     Attributes:
-        spec: The mission as it was given.
-        state: State of the automaton.
         trace: Propositions that led to this state.
-        plan: Current plan.
         knowledge: Sets D, R and B (ViTL IV-A2).
         reached: Set R in the order of reaching.
         forbidden: Targets that must not be reached next, since the mission could not succeed then.
@@ -76,8 +73,8 @@ class MissionFacts:
 def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
-        mission.spec, mission.state, mission.trace, mission.plan, mission.knowledge,
-        mission.reached, mission.forbidden, mission.paused, mission.log, mission.id,
+        mission.spec, mission.state, mission.trace, mission.plan, mission.sets.knowledge,
+        mission.sets.reached, mission.forbidden, mission.paused, mission.log, mission.id,
         mission.question,
     )  # fmt: skip
 
@@ -120,17 +117,14 @@ class TickResult:
     `latency`, `spans` and the functions in `layers` may be called at other times by another thread.
 
     Attributes:
-        now_ns: Loop time.
         observation: The observation that was handled, held until `Sink.tick` returns; None if
             there was none.
         pose: Newest pose in `map`; None before the first.
-        status: Status of the mission.
         goal: Current goal of the robot, or None.
         goal_status: Newest status of this goal from the controller; None before the first.
         has_controller: True if a controller answers, or if no answers are expected.
         stopped: Why the robot is stopped; "" if it is not.
         proposals: Returns the proposals of agents that wait for a person, JSON-ready.
-        targets: Targets of the mission.
         goals: Goals that were sent since the last result.
         goal_statuses: Goal statuses that were received since the last result.
         events: Events since the last result.
@@ -147,7 +141,6 @@ class TickResult:
         site: Places and zones, with the place `start`.
         zones: Polygons of all zones that are closed now; another object after each change.
         frontiers: Returns a copy of the frontiers, (n, 2) float32 in `map`.
-        candidates: Returns the candidates with their scores.
         path: Returns the shortest path to the goal, (k, 2) float32 in `map`; (0, 2) if there is
             none.
         choice: Newest answer of the model that chooses directions; None if there is none.

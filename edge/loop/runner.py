@@ -20,9 +20,9 @@ from edge.host.priority import real_time
 from edge.host.stop_latch import StopLatch
 from edge.loop.error_boundary import IDLE, TICK
 from edge.loop.reload import Reloader
-from edge.loop.service import DETECT, INGEST, Service
+from edge.loop.service import Service
 from edge.loop.source import NO_DROPS, Source
-from edge.loop.stages import STAGES
+from edge.loop.stages import DETECT, INGEST, STAGES
 from edge.perception.worker import DetectorWorker
 from edge.types import MissionStatus, Observation
 
@@ -43,15 +43,10 @@ class RunningService:
     """A service with its source and its request servers.
 
     Attributes:
-        config: Configuration at the start.
-        service: The service.
-        worker: Background worker of the detector.
         source: Source of observations and goal statuses.
-        servers: Request servers by key.
         now_ns: Loop time of the newest cycle; 0 before the first.
         epoch: Newest `Source.epoch` that the service has handled; a higher one means a pose jump.
         reloader: Reloads the configuration on request; None if reloads are not possible.
-        latch: The stop of the robot.
         clock: Returns the loop time outside lockstep, in ns, for example of a recording that is
             played. None: wall-clock time.
     """

@@ -32,7 +32,6 @@ class SimilarityQuestion(NamedTuple):
     """A question to a similarity scorer.
 
     Attributes:
-        observation: The observation with the image.
         targets: The targets to compare the image with.
         range_profile: The part of the map that the camera sees; None if the answer is not written
             to the value maps.
@@ -47,7 +46,6 @@ class ChoiceQuestion(NamedTuple):
     """A question to a choice scorer.
 
     Attributes:
-        view: The image with marks.
         xy_m: (n, 2) float64 in `map`, places of the frontiers of the marks.
         range_profile: As in `SimilarityQuestion`.
     """

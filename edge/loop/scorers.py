@@ -55,7 +55,6 @@ class Scorers:
     """The configured scorers. Each has at most one open question.
 
     Attributes:
-        answers: Newest answers.
         value_source: Scorer that writes the value maps, `similarity` or `choice`; may be set.
         paused: True while no questions are asked; may be set.
         swap: Swaps the model of the choice scorer; None if it cannot be swapped.
@@ -184,10 +183,6 @@ class Scorers:
         """Collect the new answers and write them to the value maps.
 
         Directions are written at the frontiers of the question, even if these are gone.
-
-        Args:
-            values: The value maps.
-            idle: True if no mission asks questions.
         """
         if self.swap is not None:
             self.swap.step(idle=idle)
@@ -280,12 +275,6 @@ def make_scorers(
     make_choice: Callable[..., ViewScorer] = make_view_scorer,
 ) -> Scorers | None:
     """Return the configured scorers, or None if there are none.
-
-    Args:
-        config: The configuration.
-        targets: Targets of the first mission.
-        make_similarity: Loads the model of a similarity scorer.
-        make_choice: Loads the model of a choice scorer.
 
     Raises:
         ModelError: A card or a model is missing or unusable.

@@ -95,6 +95,7 @@ class SearchState:
     _retries: int = 0
     _waits: int = 0
     _next_retry_ns: int = 0
+    _next_opening_ns: int = 0
 
     def state_dict(self) -> Arrays:
         """Return the failed attempts by place, but no state that lasts only seconds."""
@@ -205,10 +206,13 @@ class SearchState:
         may_open = self._retries < _RETRIES and bool(grid.bumps.closed_m)
         if context.now_ns < self._next_retry_ns:
             return is_first or may_open
+        self._next_retry_ns = context.now_ns + _PAUSE_NS  # doors open, and people go
         opened = may_open and grid.bumps.open_all()
         self._retries += opened
-        small_too = self._waits >= _SMALL_FROM
-        forgot = self.waiting = self.forget_arrivals(context.now_ns, grid, small_too)
+        c = context.candidates
+        has_unreachable = bool(np.isinf(c.path_m[: c.n]).any())
+        forgot = self._forget_arrivals(grid, small_too=self._waits >= _SMALL_FROM)
+        self.waiting = forgot and has_unreachable
         if not (forgot or opened):
             return is_first
         pool.unblock_all()
@@ -217,14 +221,14 @@ class SearchState:
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)
         return True
 
-    def forget_arrivals(self, now_ns: int, grid: RollingMap, small_too: bool = False) -> bool:
-        """Free the cells in which something arrived, at most each ten seconds and `_WAITS` times.
+    def open_path(self, now_ns: int, grid: RollingMap) -> None:
+        """Free the cells in which something arrived, at most each ten seconds."""
+        if now_ns >= self._next_opening_ns:
+            self._next_opening_ns = now_ns + _PAUSE_NS
+            self._forget_arrivals(grid)
 
-        Return True if there were any.
-        """
-        if now_ns < self._next_retry_ns:
-            return False
-        self._next_retry_ns = now_ns + _PAUSE_NS  # doors open, and people go
+    def _forget_arrivals(self, grid: RollingMap, small_too: bool = False) -> bool:
+        """Free the cells in which something arrived, up to `_WAITS` times; return True if any."""
         forgot = self._waits < _WAITS and grid.forget_arrivals(small_too)
         self._waits += forgot
         return forgot

@@ -38,20 +38,15 @@ class SemanticMap:
     They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
     Args:
-        config: The configuration.
         targets: Targets of the first mission.
 
     Attributes:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
         view: The part of the grid that policies see.
-        objects: Objects of all classes.
         tracker: Instances: the objects that were detected as a target.
         described: Finds the instances of targets that a relation describes.
         crops: Pictures of the objects in `objects`.
-        pool: Candidates.
-        rooms: Rooms.
-        room_surveyor: Cuts the map into rooms.
         prior: Likelihood of targets near places; None if no prior is configured.
         epoch: Number of pose jumps (changes of the frame).
     """
@@ -66,7 +61,7 @@ class SemanticMap:
         words = make_words(load(), perception.detector)
         self.room_surveyor = make_room_surveyor(config, words)
         self.rooms = self.room_surveyor.memory
-        self.tracker.resolver = self.described = DescribedTargets(self.rooms.is_in)
+        self.tracker.resolver = DescribedTargets(self.rooms.is_in)
         self.prior = make_prior(config, words)
         self.epoch = 0
         self._fov_rad: float | None = None  # of the first camera
@@ -236,11 +231,7 @@ class SemanticMap:
     # -- layers for displays ------------------------------------------------------------------
 
     def layers(self, likely: bool) -> dict[str, Callable[[], Grid]]:
-        """Return the layers of the map; see `edge.loop.result.TickResult.layers`.
-
-        Args:
-            likely: Include the layers of the prior, if there is one.
-        """
+        """Return the layers of the map; see `edge.loop.result.TickResult.layers`."""
         targets = self._targets if self.config.value_source is not None else ()
         values, layers = self.grid.values, {"looked at": self.grid.coverage.snapshot}
         layers |= {VALUE_LAYER + target: partial(values.snapshot, target) for target in targets}

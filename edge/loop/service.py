@@ -7,65 +7,65 @@ measure latency, so the same observations give the same goals.
 from __future__ import annotations
 
 import logging
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter_ns
 
-import numpy as np
-
 from edge.config import Config
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.host.calibration import SpeedCalibration
-from edge.loop import stages
 from edge.loop.behaviours.base import Behaviour
 from edge.loop.behaviours.follow import FollowBehaviour
 from edge.loop.behaviours.search import SearchBehaviour
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.error_boundary import ErrorBoundary
 from edge.loop.goal import GoalTracker
-from edge.loop.input_log import DETECTOR, FRAME_DECISION, SIGHTED, USE, InputLog
+from edge.loop.input_log import FRAME_DECISION, SIGHTED, USE, InputLog
 from edge.loop.latency import LatencyRing
 from edge.loop.load_shedder import LoadShedder
 from edge.loop.map_checkpoint import MapParts, StampedPose, restore
+from edge.loop.perceive import PerceptionStages
 from edge.loop.plausibility import Plausibility
 from edge.loop.publish import ResultPublisher
 from edge.loop.result import Event, Sink, TickResult
 from edge.loop.scorers import Scorers
 from edge.loop.semantic_map import SemanticMap
 from edge.loop.source import InputStatus
+from edge.loop.stages import (
+    CANDIDATES,
+    CHECK,
+    INGEST,
+    LIFT,
+    MAP,
+    PLAN,
+    PUBLISH,
+    SCORE,
+    SELECT,
+    STAGES,
+)
 from edge.loop.status import HealthWatch
+from edge.loop.zone_exit import ZoneExit
 from edge.memory import START, Place, Site, SiteFile
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state
 from edge.mission.travel_cost import make_travel_cost_estimator
+from edge.perception.masks.ground import GroundClassifier
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
-from edge.policies.base import Policy, PolicyInput, ScorerOutputs, scores_of
-from edge.types import Detections, Goal, GoalStatus, MissionEvent, MissionStatus, Observation
+from edge.policies.base import Policy, PolicyInput
+from edge.types import Goal, GoalStatus, MissionEvent, MissionStatus, Observation
 
 log = logging.getLogger("edge.loop.service")
 
-INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(
-    len(stages.STAGES)
-)
-NOTHING_CHANGED = (0, 0, 0, 0)
-"""`MapUpdate.changed` of a tick in which no cell changed."""
 _MAX_PAST_MISSIONS = 32
-_EXIT_M = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Radii of the search for a free cell outside a zone that the robot is in, tried in this order."""
-_BEYOND_M, _BEYOND_RADIUS_M = 0.35, 0.15
-"""Distance of the goal behind that cell, and radius of the search for a free cell there. A goal at
-the edge would count as reached while the robot is still in the zone."""
 
 
 class Service:
     """All stages between a source of observations and the sinks of results.
 
     Args:
-        config: The configuration.
         spec: First mission. The worker's detector already searches for its targets.
         worker: Runs the detector in the background; `submit` and `poll` never wait for the model.
         policy: Scores the candidates.
@@ -80,18 +80,18 @@ class Service:
         inputs: Function that returns the source's table of inputs, for any thread; empty if the
             source has none.
         site: Places and zones; None: those of this run only.
+        ground: Names the kinds of ground in images for tasks (`tasks.ground`); None: all ground is
+            of one kind.
 
     Attributes:
-        map: Semantic map.
         site: Places and zones that people gave.
         mission: The running mission, or the last one.
-        policy: The policy in use.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
         past_missions: Results of earlier missions that had an id, JSON-ready, oldest first.
+        ground: As in `Args`.
         goals: Tracks the goal that the robot is sent to.
         pose: Newest pose in `map`; None before the first.
         stamp_ns: Stamp of the newest observation that was not refused, on the sensors' clock.
-        plausibility: Checks the observations.
         refused: True if the newest observation must not be used to drive.
         detector_swap: Swaps the detector's model.
         load_shedder: Drops expensive work under load, in the order of
@@ -103,9 +103,8 @@ class Service:
         overruns: As in `Args`.
         inputs: As in `Args`.
         error_boundary: Catches and counts the exceptions of stages, sinks and requests.
+        perception: The stages from the detector to the scores.
         stage: Index of the running stage, or of the stage whose error ended the tick.
-        latency: Times of the stages.
-        scores: (n,) float32, the policy's scores of the candidates.
     """
 
     def __init__(
@@ -123,8 +122,9 @@ class Service:
         input_log: InputLog | None = None,
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
         site: SiteFile | None = None,
+        ground: GroundClassifier | None = None,
     ) -> None:
-        self.config = config
+        self.config, self.ground = config, ground
         self._input_log = input_log = input_log or InputLog()
         self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
         self.map = SemanticMap(config, spec.prompts)
@@ -153,7 +153,6 @@ class Service:
                 part.wrap_workers(input_log.wrap)
         self.error_boundary = ErrorBoundary(self.event)
         self.stage = INGEST
-        self._worker = input_log.wrap(DETECTOR, worker)
         self.scorers = scorers
         self.detector_swap = DetectorSwap(config.perception, worker, self.event)
         self.load_shedder: LoadShedder | None = None
@@ -167,22 +166,21 @@ class Service:
             worker, self.detector_swap, scorers, checkpoint, self.error_boundary, overruns,
             lambda: None if self.load_shedder is None else self.load_shedder.status(),
             self.event, sinks, inputs, self.plausibility.status,
+            lambda: None if self.ground is None else self.ground.status(),
         )  # fmt: skip
         self._publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
             self._health.status,
         )  # fmt: skip
-        self._changed_cells = NOTHING_CHANGED
-        self._detections: Detections | None = None  # of this tick, like `scores` and `pose`
-        self.scores = np.zeros(0, np.float32)
+        self.perception = PerceptionStages(
+            config, self.map, worker, scorers, self.latency, input_log,
+            self._publisher.on_detections,
+        )  # fmt: skip
+        self._zone_exit = ZoneExit(self.goals, self.event)
         self.pose: SE2 | None = None
         self._last_tick_ns = 0  # loop time of the last complete tick of the first camera
         self._resume_ns: int | None = None  # loop time at which a pause ends by itself
-        self._images = 0  # images of each camera that the detector has processed, as of this tick
-        self._newest_seq = -1  # number of the newest observation
-        # Newest observation before the last pose jump: boxes up to it are in the old frame.
-        self._last_seq_before_jump = -1
-        self.refused = self._in_zone = False
+        self.refused = False
         self.past_missions: deque[dict[str, str]] = deque(maxlen=_MAX_PAST_MISSIONS)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
@@ -217,7 +215,7 @@ class Service:
         self._input_log.note("tick", now_ns=now_ns)
         self.stage = CHECK
         pose = self.pose = observation.pose
-        self._newest_seq = observation.seq
+        self.perception.begin(observation)
         if self.site.start is None:
             self.site.start = Place(START, pose)
         if self.mission.destinations:
@@ -242,25 +240,18 @@ class Service:
                 self._end_stage(MAP)
             return self.goals.goal
         self.stamp_ns = observation.stamp_ns
-        self._worker.submit(observation)
-        # In lockstep the model runs inside `submit`. This time counts for `detect`, not the tick.
-        self.latency.exclude_elapsed(perf_counter_ns())
-
+        self.perception.detect(observation)
         self.stage = MAP
         if self.checkpoint is not None:
             self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
         self._map(observation, now_ns)
         self._end_stage(MAP)
-        self._track(self._worker.poll(), now_ns)
-        done = self._worker.stats.done
-        self._images = done // len(self.config.sensors.cameras)
-        self._input_log.note("images", done=done)
+        self.perception.lift(self.mission)
         self.map.infer(pose, now_ns)
         self._end_stage(LIFT)
         self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._end_stage(CANDIDATES)
-        if self.scorers is not None:
-            self._ask_scorers(self.scorers, observation)
+        self.perception.ask_scorers(self.mission, observation)
         context = self._score(observation, now_ns)
         self._end_stage(SCORE)
         context = self._plan(context)
@@ -281,7 +272,7 @@ class Service:
     def _end_stage(self, stage: int) -> None:
         """End this stage and begin the next."""
         self.latency.mark(stage, perf_counter_ns())
-        self.stage = (stage + 1) % len(stages.STAGES)
+        self.stage = (stage + 1) % len(STAGES)
 
     def _restore(self, checkpoint: ServiceCheckpoint, last_pose: StampedPose) -> None:
         """Restore map and objects of a checkpoint, with the first observation."""
@@ -298,75 +289,23 @@ class Service:
             restore(MapParts(self.map, self.goals, self.policy), grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
-            self.mission.mark_stale_before(self.map.tracker.newest_id)
+            self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
         else:
             self._reset_search()
         content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
         self.event(f"restored {content} from the checkpoint", last_pose.now_ns)
 
     def _map(self, observation: Observation, now_ns: int) -> None:
-        """Stage `map`: integrate the depth image or cloud into the map."""
-        update = self.map.update(observation, now_ns)
-        self._changed_cells = NOTHING_CHANGED if update is None else update.changed
+        """Stage `map`, and what follows from it."""
+        update = self.perception.map(observation, now_ns)
         if update is None:
             return
         self.plausibility.on_mapped(update)
         if update.rolled:
             self.policy.reset("map rolled")
 
-    def _track(self, detections: Detections | None, now_ns: int) -> None:
-        """Stage `lift`: turn boxes into instances (objects in the map).
-
-        The depth and pose of the boxes' own image are used, not those of this tick.
-        """
-        self._detections = None
-        if detections is None:
-            return
-        try:
-            is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
-            if not is_in_old_frame and detections.prompts == self.mission.spec.prompts:
-                self.latency.span(DETECT, detections.latency_ns)
-                if self.scorers is not None:
-                    self.scorers.on_detections(detections, self.map.grid.values)
-                self.map.on_detections(detections)
-                self._detections = detections.without_suppressed()
-                self._publisher.on_detections(self._detections)
-        finally:
-            # Only this tick reads the arrays, so the frame can be reused.
-            detections.observation.release()
-
-    def _ask_scorers(self, scorers: Scorers, observation: Observation) -> None:
-        """Before the stage `score`: ask the scorers, and collect their answers."""
-        mission, semantic_map = self.mission, self.map
-        if mission.active:
-            targets, candidates = mission.spec.prompts, semantic_map.pool.candidates
-            target = mission.spec.prompt_for(mission.target)
-            scorers.ask(
-                observation, targets, target, candidates, semantic_map.tracker,
-                semantic_map.grid.values, semantic_map.prior, semantic_map.objects.read_only,
-            )  # fmt: skip
-        scorers.collect_answers(semantic_map.grid.values, idle=mission.done)
-        if self.config.loop.lockstep:  # the models ran inside `ask`, which is no time of the tick
-            self.latency.exclude_elapsed(perf_counter_ns())
-
     def _score(self, observation: Observation, now_ns: int) -> PolicyInput:
-        """Stage `score`: build the policy's context and score the candidates."""
-        context = PolicyInput(
-            observation,
-            observation.pose,
-            self.map.view,
-            self._changed_cells,
-            self.map.pool.read_only,
-            self._detections,
-            ScorerOutputs() if self.scorers is None else self.scorers.answers,
-            self.mission.spec.prompts,
-            self.mission.spec.prompt_for(self.mission.target),
-            now_ns,
-            self.map.objects.read_only,
-            self.map.prior,
-        )
-        self.scores = scores_of(self.policy, context)
-        return context
+        return self.perception.score(self.policy, self.mission, observation, now_ns)
 
     def _plan(self, context: PolicyInput) -> PolicyInput:
         """Stage `plan`: count time, let the behaviour advance the mission, and check its limits.
@@ -377,7 +316,7 @@ class Service:
         if not mission.started:
             mission.start(now_ns)
         mission.observe(context.pose, now_ns, self.behaviour.searching)
-        self.behaviour.plan(context, self._images)
+        self.behaviour.plan(context, self.perception.images)
         mission.check_limits(now_ns)
         if self.goals.follows(mission) or mission.done:
             return context
@@ -390,31 +329,9 @@ class Service:
         if not self.mission.active:
             self.goals.idle()
             return None
-        if (exit_goal := self._leave_zone(context)) is not None:
+        if (exit_goal := self._zone_exit.goal(self.map.grid, self.mission, context)) is not None:
             return exit_goal
-        return self.behaviour.select(context, self.scores, self._images)
-
-    def _leave_zone(self, context: PolicyInput) -> Goal | None:
-        """Return a goal outside the zone that the robot is in, or None if it is in none."""
-        grid, pose = self.map.grid, context.pose
-        inside = grid.zones.any and grid.zones.contains(pose.x_m, pose.y_m)
-        if inside != self._in_zone:
-            self._in_zone = inside
-            text = "inside a zone: leaving it by the shortest way" if inside else "left the zone"
-            self.event(text, context.now_ns, logging.WARNING if inside else logging.INFO)
-        if not inside:
-            return None
-        for radius_m in _EXIT_M:
-            # The nearest free cell, then a free cell `_BEYOND_M` farther, if there is one.
-            if (cell := grid.travel_cost.nearest(pose.x_m, pose.y_m, radius_m)) is not None:
-                yaw_rad = math.atan2(cell[1] - pose.y_m, cell[0] - pose.x_m)
-                beyond_m = SE2(*cell[:2], yaw_rad).ahead(_BEYOND_M)
-                x_m, y_m, _ = grid.travel_cost.nearest(*beyond_m, _BEYOND_RADIUS_M) or cell
-                exit_pose = SE2(x_m, y_m, yaw_rad)
-                # Keep the goal while the robot drives to it, although the nearest cell changes.
-                apart_m = 0.0 if self.goals.arrived else _EXIT_M[0]
-                return self.goals.override(exit_pose, self.mission, context.now_ns, apart_m)
-        return None
+        return self.behaviour.select(context, self.perception.scores, self.perception.images)
 
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint and publish the result to the sinks."""
@@ -436,17 +353,12 @@ class Service:
     def begin(self, spec: MissionSpec, now_ns: int, id: str = "") -> None:
         """Replace the mission. Map and instances are kept.
 
-        Args:
-            spec: The new mission.
-            now_ns: Loop time.
-            id: See `MissionRun.id`.
-
         Raises:
             PromptError: The detector cannot search for a target. Nothing has changed then.
             ModelError: As `PromptError`.
         """
         mission = MissionRun(spec, self.config.mission, self._on_mission_event, id)
-        self._worker.set_prompts(spec.prompts)
+        self.perception.worker.set_prompts(spec.prompts)
         self._record_past(self.mission)
         self._input_log.note(
             "mission", translation=spec.translation, task=task_state(spec), id=id, now_ns=now_ns
@@ -456,7 +368,7 @@ class Service:
         self.behaviour.close()
         self.behaviour = self._make_behaviour(mission)
         self._reset_search()
-        self._detections = None
+        self.perception.forget_detections()
         self._discard_pending()
         self.mission.start(now_ns)
 
@@ -464,7 +376,7 @@ class Service:
         config, semantic_map, goals = self.config, self.map, self.goals
         if mission.spec.steps is None:
             return SearchBehaviour(mission, config, semantic_map, goals, self._travel_costs)
-        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log)
+        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log, self.ground)
 
     def _record_past(self, mission: MissionRun) -> None:
         if mission.id:
@@ -484,22 +396,25 @@ class Service:
             if part is not None:
                 part.discard_pending()
 
-    def reconfigure(self, config: Config, policy: Policy) -> None:
+    def reconfigure(
+        self, config: Config, policy: Policy, ground: GroundClassifier | None = None
+    ) -> None:
         """Use another configuration from the next tick on.
 
         Args:
             config: The new configuration. It differs only in keys of `edge.loop.reload.LIVE`, and
                 its detector already runs.
             policy: Policy of this configuration; the current one if its settings did not change.
+            ground: As `policy`, what names kinds of ground; None: all ground is of one kind.
         """
         self._input_log.note("config", config=config)
-        self.config, self.policy = config, policy
+        self.config, self.policy, self.ground = config, policy, ground
         self.map.reconfigure(config)
         self.detector_swap.perception = config.perception
         if self.load_shedder is not None:
             self.load_shedder.reconfigure(config.perception)
         self.mission.config = config.mission
-        self.behaviour.reconfigure(config)
+        self.behaviour.reconfigure(config, ground)
         self.goals.reconfigure(config)
         if self.scorers is not None:
             self.scorers.value_source = config.value_source
@@ -602,7 +517,7 @@ class Service:
             self.pose = pose
         self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
         try:
-            if self.mission.observed or dropped is not None:
+            if self.mission.meter.running or dropped is not None:
                 self.mission.observe(self.pose, now_ns, self.behaviour.searching and not blind)
             self.mission.check_limits(now_ns)
         finally:  # also if the mission raises
@@ -640,18 +555,12 @@ class Service:
         self._discard_pending()
         self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()
-        self._last_seq_before_jump = self._newest_seq
+        self.perception.on_pose_jump()
         if self.checkpoint is not None:
             self.checkpoint.map.on_pose_jump()
 
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
-        """Report an event, for people, to the log and the sinks.
-
-        Args:
-            text: The event, one line.
-            now_ns: Loop time.
-            level: Level of the log record.
-        """
+        """Report an event, for people, to the log and the sinks."""
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
 
@@ -680,13 +589,8 @@ class Service:
         return self.mission.status(self.goals.phase)
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
-        """Return the current state, and all events since the last published result.
-
-        Args:
-            now_ns: Loop time, if the loop calls.
-            observation: The observation that was handled, if any.
-        """
+        """Return the current state, and all events since the last published result."""
         return self._publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.scores, self.stopped, self.proposals,
+            self.perception.scores, self.stopped, self.proposals,
         )  # fmt: skip

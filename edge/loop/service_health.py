@@ -45,9 +45,6 @@ class ServiceHealth:
     Args:
         manager: Service manager that gets each change.
         clock: Clock in seconds.
-
-    Attributes:
-        state: State of the service.
     """
 
     def __init__(
@@ -183,13 +180,7 @@ class ServiceHealth:
 def _problems(
     running: RunningService, no_observation_s: float, at_one_image_s: float
 ) -> Iterator[str]:
-    """Yield the reasons why the running service is not ready.
-
-    Args:
-        running: The service.
-        no_observation_s: Time since the newest observation that was not refused.
-        at_one_image_s: Time for which the detector has worked at one image.
-    """
+    """Yield the reasons why the running service is not ready."""
     service = running.service
     if running.latch.reason:
         yield f"stopped: {running.latch.reason}"

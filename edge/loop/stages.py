@@ -18,10 +18,7 @@ class Stage:
     """One stage of a tick.
 
     Attributes:
-        name: Name of the stage.
         budget_ms: Budget of its 95th percentile on the reference computer.
-        reads: Its inputs, for people.
-        writes: Its outputs, for people.
         code: Path of its code in this project.
         in_tick: True if its time is part of the tick.
         deadline: True if the budget is a deadline, such as the period of a camera.
@@ -29,8 +26,6 @@ class Stage:
 
     name: str
     budget_ms: float
-    reads: str
-    writes: str
     code: str
     in_tick: bool = True
     deadline: bool = False
@@ -46,25 +41,19 @@ class Stage:
 
 
 STAGES: tuple[Stage, ...] = (
-    Stage("ingest", 1.0, "source", "Observation", "edge/sources"),
-    Stage("check", 0.2, "Observation", "what it is good for", "edge/loop/plausibility.py"),
-    Stage(
-        "detect",
-        33.0,
-        "rgb, prompts",
-        "Detections",
-        "edge/perception",
-        in_tick=False,
-        deadline=True,
-    ),
-    Stage("map", 1.5, "depth or cloud, pose", "grid, frontiers, changed region", "edge/mapping"),
-    Stage("lift", 0.5, "Detections", "Instances", "edge/perception/tracking/lift.py"),
-    Stage("candidates", 0.4, "grid, Instances", "Candidates", "edge/loop/candidates.py"),
-    Stage("score", 0.3, "Candidates, Detections", "scored Candidates", "edge/policies"),
-    Stage("plan", 0.1, "Instances, goal status", "active target", "edge/mission/run.py"),
-    Stage("select", 0.3, "scored Candidates", "Goal or none, answers", "edge/loop/goal.py"),
-    Stage("publish", 0.3, "Goal, status, latency", "TickResult", "edge/loop/publish.py"),
+    Stage("ingest", 1.0, "edge/sources"),
+    Stage("check", 0.2, "edge/loop/plausibility.py"),
+    Stage("detect", 33.0, "edge/perception", in_tick=False, deadline=True),
+    Stage("map", 1.5, "edge/mapping"),
+    Stage("lift", 0.5, "edge/perception/tracking/lift.py"),
+    Stage("candidates", 0.4, "edge/loop/candidates.py"),
+    Stage("score", 0.3, "edge/policies"),
+    Stage("plan", 0.1, "edge/mission/run.py"),
+    Stage("select", 0.3, "edge/loop/goal.py"),
+    Stage("publish", 0.3, "edge/loop/publish.py"),
 )
+INGEST, CHECK, DETECT, MAP, LIFT, CANDIDATES, SCORE, PLAN, SELECT, PUBLISH = range(len(STAGES))
+"""Indices into `STAGES`."""
 TICK_BUDGET_MS = 3.0
 """Budget of the tick's 95th percentile on the reference computer."""
 TICK_DEADLINE_MS = 33.0

@@ -31,7 +31,6 @@ class StandstillMonitor:
     The monitor does not depend on single goals: a blocked robot may get one goal after another.
 
     Args:
-        config: The configuration.
         event: Reports an event for people, at a loop time.
     """
 

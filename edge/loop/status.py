@@ -78,7 +78,6 @@ class HealthWatch:
     """Collects the health of all parts of the loop, and reports when the detector fails.
 
     Args:
-        worker: Background worker of the detector.
         detector_swap: Swaps the detector's model.
         scorers: The scorers, if any.
         checkpoint: The checkpoint, if any.
@@ -104,6 +103,7 @@ class HealthWatch:
         sinks: Sequence[Sink] = (),
         inputs: Callable[[], Sequence[InputStatus]] = tuple,
         plausibility: Callable[[], dict[str, object]] = dict,
+        ground: Callable[[], dict[str, object] | None] = lambda: None,
     ) -> None:
         self._worker, self._detector_swap, self._scorers = worker, detector_swap, scorers
         self._checkpoint, self._error_boundary, self._overruns = (
@@ -113,6 +113,7 @@ class HealthWatch:
         )
         self._load_shedding, self._event = load_shedding, event
         self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
+        self._ground = ground
         self._reported = Health()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
@@ -143,6 +144,7 @@ class HealthWatch:
                 **asdict(worker.stats),
             },
             "segmenter": None if worker.masker is None else worker.masker.status(),
+            "ground": self._ground(),
             "swap": self._detector_swap.status(),
             "load_shedding": self._load_shedding(),
             "scorers": {} if self._scorers is None else self._scorers.status(),

@@ -40,10 +40,6 @@ _REPORT_AFTER_S = 3.0  # a longer step is logged
 def warm_up(config: Config, progress: Callable[[str], None] = lambda what: None) -> float:
     """Run every kernel of this configuration once on synthetic data.
 
-    Args:
-        config: The configuration.
-        progress: Function that is called with each step that begins.
-
     Returns:
         Duration in seconds.
     """

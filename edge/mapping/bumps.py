@@ -98,8 +98,6 @@ class ContactObstacles:
     the obstacle: the bump stays for all of `MEMORY_S`.
 
     Args:
-        layers: layers of the map.
-        window: window of the map.
         config: settings of the map.
         write: sets one world cell to a state and an obstacle height.
     """
@@ -136,12 +134,6 @@ class ContactObstacles:
         """Close the cells that the robot touched; return True if any cell was closed.
 
         No cell is closed outside the window or on the robot's own trail.
-
-        Args:
-            pose: pose of the robot.
-            place_m: place where the robot's front was blocked.
-            radius_m: radius of the robot.
-            now_ns: time on the clock that `expire` gets.
         """
         heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
         # The new bump, and opened ones near it: the obstacle was not gone.
@@ -262,11 +254,6 @@ class ContactObstacles:
         the place to the inflation radius behind it. Only half the robot's width counts, because
         obstacles at its side, such as door jambs next to a sill, do not block it. Obstacles that
         touch the robot's front half count too, such as the edge of a table in a turn.
-
-        Args:
-            pose: pose of the robot.
-            place_m: place where the robot is blocked.
-            radius_m: radius of the robot.
         """
         window, beyond_m = self._window, self._inflation_m
         if not window.placed:

@@ -39,8 +39,6 @@ class InformationGain:
     """Computes the information gain over the current map, and remembers what was seen from where.
 
     Args:
-        layers: layers of the map.
-        window: window of the map.
         range_m: range of the map's sensor.
     """
 
@@ -83,11 +81,6 @@ class InformationGain:
         self, pose: SE2, camera_yaw_rad: float, fov_rad: float
     ) -> tuple[float, float, float]:
         """Find the turn on the spot that shows unknown area in directions not yet seen from here.
-
-        Args:
-            pose: pose of the robot.
-            camera_yaw_rad: yaw of the camera on the robot.
-            fov_rad: horizontal field of view.
 
         Returns:
             (heading_rad, turn_rad, area_m2): heading of the robot for the next view of the turn,

@@ -40,7 +40,6 @@ class RegionMap(NamedTuple):
         grid: see `coarse_grid`.
         wall: (h, w) bool, True for walls.
         label: (h, w) int16, region of each cell: 1 … n, 0 for none.
-        n: number of regions.
         border: see `border_lengths`.
     """
 

@@ -116,10 +116,6 @@ class PackedTiles:
     def state_dict(self, origin: np.ndarray, n: int) -> Arrays:
         """Return the packed tiles, one after the other.
 
-        Args:
-            origin: world cell of the window's lower-left corner.
-            n: cells on its side.
-
         Returns:
             `xy` (k, 2) int32, world tiles: tile x has the world cells 64 x to 64 x + 63. `n_bytes`
             (k,) int32, packed size of each tile. `packed` (n_bytes.sum(),) uint8.
@@ -151,11 +147,7 @@ def unpack_tiles(state: Arrays, size: int) -> Iterator[tuple[TileIndex, bytes]]:
 
 
 def _unpack(packed: memoryview, size: int) -> bytes:
-    """Unpack one tile. A bad file cannot make it larger than one byte more than `size`.
-
-    Raises:
-        ValueError: it has another size.
-    """
+    """Unpack one tile. A bad file cannot make it larger than one byte more than `size`."""
     unpacker = zlib.decompressobj()
     try:
         tile = unpacker.decompress(packed, size + 1)

@@ -37,7 +37,6 @@ class RangeProfile:
     Attributes:
         x_m: the camera's x in `map`.
         y_m: the camera's y in `map`.
-        yaw_rad: direction of the camera.
         fov_rad: horizontal field of view, half to each side.
         range_m: (RAYS,) float32, from the right edge to the left: range of visible floor.
     """

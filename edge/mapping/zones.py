@@ -41,7 +41,6 @@ class Zones:
 
     Args:
         layers: layers of the map; the zones are written there.
-        window: window of the map.
         inflation_cells: distance that the robot keeps from obstacles.
 
     Attributes:
@@ -141,11 +140,6 @@ def keepout_mask(zones: ZonePolygons, resolution_m: float, inflation_m: float) -
 
     Closed cells are 100, all others -1, "unknown", so that a costmap keeps what it knows there.
     Around stay-inside zones there is a closed border. A large mask has larger cells.
-
-    Args:
-        zones: the zones.
-        resolution_m: side of a cell.
-        inflation_m: distance that the robot keeps from obstacles.
 
     Returns:
         Grid of int8; a single cell without zones.

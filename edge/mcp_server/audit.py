@@ -70,11 +70,7 @@ class AuditLog:
 
 
 class CallLimit:
-    """A limit of calls in any minute.
-
-    Args:
-        per_minute: the limit.
-    """
+    """A limit of calls in any minute."""
 
     def __init__(self, per_minute: int) -> None:
         self._per_minute, self._times_s = per_minute, deque[float]()

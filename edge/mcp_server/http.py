@@ -26,12 +26,7 @@ _CLOSE_S = 2  # longest time that open requests may take at the end
 
 
 class TokenGate:
-    """An ASGI application that answers 401 to every request without the token.
-
-    Args:
-        app: gets the requests with the token.
-        token: the token.
-    """
+    """An ASGI application that answers 401 to every request without the token."""
 
     def __init__(self, app: Any, token: BearerToken) -> None:
         self._app, self._token = app, token

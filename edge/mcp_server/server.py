@@ -53,7 +53,6 @@ class AgentServer(MCPServer):
 
     Args:
         ask: see `Ask`.
-        audit: log of the calls.
         limit: limit of the calls; stops are not limited.
         cameras: names of the robot's cameras.
     """

@@ -21,8 +21,6 @@ class KnownObject:
     """An object of the map.
 
     Attributes:
-        id: number of the object.
-        name: class of the object.
         xyz_m: centre in `map`.
         confidence: in [0, 1], mean over all looks at the place; see `TrackedObjects`.
         hits: number of images in which the object was detected.

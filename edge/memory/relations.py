@@ -66,7 +66,6 @@ class DescribedThing:
     """A thing with a relation that tells it from others of its name.
 
     Attributes:
-        noun: name of the thing.
         relation: relation of the thing to the anchor; "" if there is none.
         anchor: name of the other thing; "" without a relation.
         room: name of the room that it must be in; "" for any.
@@ -87,9 +86,6 @@ class DescribedThing:
 
 def parse_description(text: str) -> DescribedThing | None:
     """Return the thing that a text describes by a relation; None if the text is a plain name.
-
-    Args:
-        text: a proposition.
 
     Raises:
         RelationError: the text has a relation that cannot be decided.

@@ -32,9 +32,7 @@ class Passage(NamedTuple):
     """A passage to another room.
 
     Attributes:
-        room: id of the other room.
         xy_m: middle of the passage in `map`.
-        width_m: its width.
     """
 
     room: int
@@ -55,7 +53,6 @@ class RoomShape:
         inside_m: the robot counts as inside from this distance to the border on: `INSIDE_M`, or
             less in a narrow room.
         points_m: (j, 2) float32, points to stand at, at most `_MAX_POINTS`.
-        doors: passages to other rooms.
     """
 
     id: int
@@ -72,9 +69,7 @@ class LostRoom(NamedTuple):
     """A room that has no region now: it was merged with another, or is not mapped again yet.
 
     Attributes:
-        id: number of the room.
         x_m: x of a point of the room in `map`.
-        y_m: y of that point.
     """
 
     id: int
@@ -86,12 +81,9 @@ class RoomSurvey(NamedTuple):
     """All rooms of the map at one time.
 
     Attributes:
-        regions: the cut of the map.
         ids: (n + 1,) int64, room of each region; 0 for none.
-        next_id: id of the next new room.
         lost: rooms without a region, newest last. A new region that contains a lost room's point
             gets its id.
-        shapes: the rooms, by id.
         depth_m: (h, w) float32, distance of each cell to the border of its room; 0 outside.
     """
 
@@ -119,10 +111,6 @@ def survey_rooms(regions: RegionMap, before: RoomSurvey) -> RoomSurvey:
 
     Of two rooms that are now one, the one with the larger overlap remains, and the other is lost.
     Of two parts of a room, the larger keeps its id.
-
-    Args:
-        regions: the new cut.
-        before: the last survey.
     """
     ids = np.zeros(regions.n + 1, np.int64)
     _keep_overlapping(regions, before, ids)

@@ -76,11 +76,7 @@ class SeenObjects(NamedTuple):
 
 
 class SeenObjectIndex:
-    """Rows of the prior's table for the tracked objects.
-
-    Args:
-        words: maps words to rows.
-    """
+    """Rows of the prior's table for the tracked objects."""
 
     def __init__(self, words: PriorWordIndex) -> None:
         self._words = words
@@ -192,9 +188,7 @@ class RoomMemory:
         words: maps words to rows of the table.
 
     Attributes:
-        survey: shapes of the rooms.
         version: number that grows when anything about the rooms changes.
-        rooms: all rooms, by id.
     """
 
     def __init__(self, table: ObjectPrior, words: PriorWordIndex) -> None:
@@ -338,10 +332,6 @@ class RoomMemory:
         Objects that speak more for another kind of the room count against it: in an open-plan room,
         the kitchen is where its objects are.
 
-        Args:
-            room: the room.
-            kind: a kind of room of the prior's table.
-
         Returns:
             (n, 2) float32, places in `map`; and (n,) float64, above 0: it speaks for the kind.
         """
@@ -424,14 +414,7 @@ class RoomMemory:
     def _room(
         self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
     ) -> MappedRoom:
-        """Return a room.
-
-        Args:
-            shape: its shape.
-            held: see `MappedRoom.held`.
-            chance: (kinds,) probability of each kind of the prior's table.
-            named: names from people, newest last.
-        """
+        """Return a room."""
         name = named[-1] if named else ""
         by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
         found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)

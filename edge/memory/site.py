@@ -108,7 +108,6 @@ class Zone:
     """A polygon that the robot must keep out of, or stay inside of.
 
     Attributes:
-        name: name of the zone.
         kind: `keep_out` or `stay_inside`.
         corners_m: corners (x, y) in `map`, in order, at least three; the first is not repeated.
     """
@@ -478,7 +477,6 @@ class SiteFile:
         site: the site at the start; None reads the file.
 
     Attributes:
-        site: the current site.
         start: the first pose of this run; None before there was one.
 
     Raises:

@@ -40,14 +40,12 @@ class MissionState:
         failed: B of ViTL III.
         detected: D of ViTL III.
         target: the pursued proposition, or None.
-        phase: phase of the mission.
-        reason: reason of the phase.
         paused: True if the mission was paused.
         elapsed_s: time that counts towards the time limit.
         path_m: path that counts towards the path limit.
         id: see `edge.mission.run.MissionRun`.
-        exempt_s: see `edge.mission.run.MissionRun`, which also describes `exempt_m`, `results` and
-            `pursued_s`.
+        exempt_s: see `edge.mission.meter.MissionMeter`, like `exempt_m` and `pursued_s`.
+        results: see `edge.mission.run.MissionRun`.
         task: True for a task (`edge.tasks`). Its `trace` has one `NOTHING` for each driven step.
     """
 
@@ -89,9 +87,9 @@ TRANSLATION_ATTRIBUTES = (
 """Attributes that `MissionState` takes from the mission's `Translation`."""
 # Attributes that `MissionState` takes unchanged from the `MissionRun`.
 _RUN_ATTRIBUTES = (
-    "trace", "reached", "target", "reason", "paused", "elapsed_s", "path_m", "id", "exempt_s",
-    "exempt_m", "results", "round",
+    "trace", "target", "reason", "paused", "id", "results", "round",
 )  # fmt: skip
+_METER_ATTRIBUTES = ("elapsed_s", "path_m", "exempt_s", "exempt_m")
 
 
 def state_of(mission: MissionRun, phase: str) -> MissionState:
@@ -100,11 +98,12 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
     return MissionState(
         formula=str(spec.automaton.formula), phase=phase,
         task=spec.steps is not None,
-        failed=tuple(sorted(mission.failed)), detected=tuple(sorted(mission.detected)),
+        failed=tuple(sorted(mission.sets.failed)), detected=tuple(sorted(mission.detected)),
         **{name: getattr(spec.translation, name) for name in TRANSLATION_ATTRIBUTES}
         | {"destinations": dict(mission.destinations)},
         **{name: getattr(mission, name) for name in _RUN_ATTRIBUTES},
-        pursued_s=dict(mission.pursued_s),
+        **{name: getattr(mission.meter, name) for name in _METER_ATTRIBUTES},
+        pursued_s=dict(mission.meter.pursued_s), reached=mission.sets.reached,
     )  # fmt: skip
 
 

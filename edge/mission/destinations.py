@@ -92,7 +92,6 @@ class CheckTarget:
     """A check if a thing is there; either answer fulfils it.
 
     Attributes:
-        name: the thing, for the detector.
         room: name of the room to look in; "" for everywhere.
     """
 
@@ -178,11 +177,7 @@ def room_target(text: str) -> RoomTarget:
 
 
 def _room_name_of(text: str | None, site: Site) -> str:
-    """Return the name of the room in a phrase, without its article; "" if there is none.
-
-    Raises:
-        DestinationError: the robot cannot know a room of this name.
-    """
+    """Return the name of the room in a phrase, without its article; "" if there is none."""
     name = (text or "").removeprefix("the ")
     if name and _room_of(name, site) is None:
         raise DestinationError(

@@ -31,10 +31,6 @@ _NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(names.SMALL_NUMBERS)})")
 def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
     """Return sequences and bans as orders; "" for any other formula.
 
-    Args:
-        formula: the mission.
-        destinations: propositions that are no things; see `edge.mission.destinations`.
-
     Example:
         >>> from edge.mission.logic.ltl import parse
         >>> orders_of(parse('F (mug & F "wait 30 s") & G !dog'), {"wait 30 s": WaitTarget(30.0)})

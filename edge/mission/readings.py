@@ -19,12 +19,7 @@ _SHOWN = 300  # characters of each reading
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One possible meaning of an instruction.
-
-    Attributes:
-        formula: the meaning as a formula.
-        english: the formula in English.
-    """
+    """One possible meaning of an instruction."""
 
     formula: Formula
     english: str

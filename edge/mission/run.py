@@ -13,11 +13,13 @@ from edge.config import MissionConfig
 from edge.geometry import SE2
 from edge.mission.destinations import Destination, PlaceTarget, RoomTarget, WaitTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
-from edge.mission.planning.plan import MissionKnowledge, Planner, TargetPlan
+from edge.mission.meter import MissionMeter
+from edge.mission.planning.plan import Planner, TargetPlan
 from edge.mission.planning.planner import make_planner
 from edge.mission.planning.task_planner import TaskPlanner
 from edge.mission.repetition import Repetition
 from edge.mission.spec import MissionSpec
+from edge.mission.target_sets import TargetSets
 from edge.text import one_line
 from edge.types import MissionEvent, MissionEventKind, MissionPhase, MissionStatus
 
@@ -41,14 +43,11 @@ class MissionRun:
     come.
 
     Attributes:
-        spec: the mission.
-        state: state of the automaton.
         plan: plan from the current state to acceptance.
         target: the target to pursue now; after the end, the last one.
         trace: letters, oldest first.
-        detected: the set D, labels of detected targets.
-        failed: the set B, labels of failed targets.
-        reached: the set R, in order of reaching.
+        sets: the sets D, R and B.
+        meter: time and path, for the limits.
         round: number of the current round, from 1, of a mission that repeats.
         results: what the mission found out so far, for the reason of its end.
         log: the mission log, oldest entry first, at most the last `MAX_EVENTS`.
@@ -61,15 +60,8 @@ class MissionRun:
         destinations: targets that are no things; `locate` sets poses that were not known before.
         id: the requester's name of the mission; "" if there is none.
         activity: what the robot does for the active target, for the status; "" to say nothing.
-        elapsed_s: time since the first observation, without pauses.
-        path_m: driven path, without pauses.
-        exempt_s: part of `elapsed_s` that does not count towards the limit: targets with a duration
-            of their own, and in a mission that repeats, earlier rounds.
-        exempt_m: the same for `path_m`.
         question: text about an object that a person may confirm as the target now; "" if none.
         reason: reason of the end; "" before it.
-        pursued_s: for each target, the time for which it was pursued, without pauses, since it was
-            last reached, failed or seen again.
     """
 
     def __init__(
@@ -79,14 +71,7 @@ class MissionRun:
         on_event: Callable[[MissionEvent], None] = lambda event: None,
         id: str = "",
     ) -> None:
-        """Create the run; call `start` to begin it.
-
-        Args:
-            spec: the mission.
-            config: the `mission` section.
-            on_event: called with each new entry of the mission log.
-            id: the requester's name of the mission.
-        """
+        """Create the run; call `start` to begin it."""
         self.spec = spec
         self.id = id
         self.state = 0
@@ -94,17 +79,12 @@ class MissionRun:
         self.destinations: dict[str, Destination] = dict(spec.translation.destinations)
         self.trace: tuple[str, ...] = ()
         known = [n for n, d in self.destinations.items() if not isinstance(d, RoomTarget)]
-        self.detected: frozenset[str] = frozenset(known)
-        self.reached: tuple[str, ...] = ()
-        self.failed: frozenset[str] = frozenset()
+        self.sets, self.meter = TargetSets(known), MissionMeter()
         self.started = False
         self.paused = False
         self.stopped = ""
         self.retargets = 0
         self.changes = 0
-        self.elapsed_s = 0.0
-        self.path_m = 0.0
-        self.exempt_s = self.exempt_m = 0.0
         self.activity = ""
         self.question = ""
         self.reason = ""
@@ -119,17 +99,9 @@ class MissionRun:
             if spec.steps is None
             else TaskPlanner(spec.targets, spec.steps)
         )
-        self._distance_m: np.ndarray | None = None
         self._ended: Literal["idle", "reached", "failed"] | None = None
-        self._why_failed: dict[str, str] = {}
-        # Target → highest id of its known instances, and the same at the time when it failed.
-        self._newest_ids: dict[str, int] = dict.fromkeys(known, 0)
-        self._stale_ids: dict[str, int] = {}
-        self.pursued_s: dict[str, float] = {}
         self._n_left_out = 0  # targets left out of rounds since one was reached
-        self._last_ns: int | None = None
-        self._last_pose: SE2 | None = None
-        self.plan: TargetPlan = self._planner.plan(self.state, self.knowledge)
+        self.plan: TargetPlan = self._planner.plan(self.state, self.sets.knowledge)
 
     # -- properties -------------------------------------------------------------------------
 
@@ -144,25 +116,19 @@ class MissionRun:
         return not (self.done or self.paused or self.stopped)
 
     @property
-    def observed(self) -> bool:
-        """True after the first `observe`: the mission's time is running."""
-        return self._last_ns is not None
-
-    @property
     def idle(self) -> bool:
         """True if this is a placeholder until the first mission is given."""
         return self._ended == "idle"
 
     @property
-    def knowledge(self) -> MissionKnowledge:
-        """The sets D, R and B (ViTL IV-A2), and the distances if the planner uses them."""
-        reached = frozenset(self.reached)
-        return MissionKnowledge(self.detected - reached, reached, self.failed, self._distance_m)
+    def detected(self) -> frozenset[str]:
+        """The set D."""
+        return self.sets.detected
 
     @property
     def pursued_now_s(self) -> float:
         """Time for which the active target has been pursued."""
-        return self.pursued_s.get(self.target, 0.0)
+        return self.meter.pursued_s.get(self.target, 0.0)
 
     @property
     def _target_is_timed(self) -> bool:
@@ -196,8 +162,8 @@ class MissionRun:
             self.target,
             phase,
             self.reason or self._shown_activity,
-            self.elapsed_s,
-            self.path_m,
+            self.meter.elapsed_s,
+            self.meter.path_m,
             self._instruction,
         )
 
@@ -209,18 +175,13 @@ class MissionRun:
             return f"{self.stopped}; waits for `edge release`"
         if not self.active:
             return ""
-        rounds = "" if repeat is None else repeat.shown_round(self.round, self.elapsed_s)
+        rounds = "" if repeat is None else repeat.shown_round(self.round, self.meter.elapsed_s)
         return "; ".join(filter(None, (rounds, self.activity)))
 
     # -- time, path and limits ----------------------------------------------------------------
 
     def locate(self, start: SE2, here: SE2) -> None:
-        """Set the poses that were not known when the mission was prepared.
-
-        Args:
-            start: the first pose of the service.
-            here: the robot's pose now.
-        """
+        """Set the poses that were not known when the mission was prepared."""
         for name, pose in (("start", start), ("here", here)):
             if self.destinations.get(name) == PlaceTarget():
                 self.destinations[name] = PlaceTarget(pose)
@@ -241,30 +202,9 @@ class MissionRun:
         self._replan(now_ns, retarget=True)
 
     def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
-        """Add elapsed time, counted from the first call, and driven path.
-
-        Args:
-            pose: None while the pose is unknown; time counts in any case.
-            now_ns: time of the loop.
-            searching: False if the sensors see nothing. The time then does not count as search.
-        """
-        passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
-        self._last_ns = now_ns
-        step_m = 0.0
-        if pose is not None:
-            if self._last_pose is not None:
-                step_m = self._last_pose.distance_to(pose.x_m, pose.y_m)
-            self._last_pose = pose
-        if not self.active:
-            return
-        step_m = step_m if step_m < 1.0 else 0.0  # a jump of the pose is not driving
-        self.elapsed_s += passed_s
-        self.path_m += step_m
-        if self._target_is_timed:
-            self.exempt_s += passed_s
-            self.exempt_m += step_m
-        if searching:
-            self.pursued_s[self.target] = self.pursued_now_s + passed_s
+        """Count time and path; see `MissionMeter.add`."""
+        target = self.target if self.active else None
+        self.meter.add(pose, now_ns, target, self._target_is_timed, searching)
 
     def check_limits(self, now_ns: int) -> None:
         """End at the end of the repetition; fail at the time or path limit of the mission.
@@ -275,12 +215,14 @@ class MissionRun:
         c, repeat = self.config, self.spec.translation.repeat
         if not self.active:
             return
-        if repeat is not None and repeat.limit_s is not None and self.elapsed_s > repeat.limit_s:
+        ends_s = None if repeat is None else repeat.limit_s
+        if ends_s is not None and self.meter.elapsed_s > ends_s:
             self._finish("reached", self._rounds_text(self.round - 1), now_ns)
             return
-        if self.elapsed_s - self.exempt_s > c.time_limit_s:
+        elapsed_s, path_m = self.meter.limited
+        if elapsed_s > c.time_limit_s:
             self.fail(f"time limit of {c.time_limit_s:g} s", now_ns)
-        elif self.path_m - self.exempt_m > c.path_limit_m:
+        elif path_m > c.path_limit_m:
             self.fail(f"path limit of {c.path_limit_m:g} m", now_ns)
         elif not self._target_is_timed and self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.detected else "no"
@@ -289,55 +231,35 @@ class MissionRun:
     # -- events -------------------------------------------------------------------------------
 
     def on_detections(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
-        """Update the set D from the known instances; plan again if it changes.
-
-        Args:
-            newest: the highest instance id of each target with a known instance. A failed target
-                counts as detected again only if its id is higher than at the time of failure.
-            now_ns: time of the loop.
-            keep: True keeps targets detected that `newest` does not contain.
-        """
-        newest = {**self._newest_ids, **newest} if keep else newest
-        if newest == self._newest_ids or self.done:
+        """Update the set D, and plan again if it changes; see `TargetSets.on_detections`."""
+        if self.done or (new := self.sets.on_detections(newest, keep)) is None:
             return
-        self._newest_ids = dict(newest)
-        detected = frozenset(k for k, i in newest.items() if i > self._stale_ids.get(k, -1))
-        if detected == self.detected:
-            return
-        new = detected - self.detected
-        self.detected = detected
-        self.failed -= new
-        for label in sorted(new - frozenset(self.reached)):
-            self.pursued_s[label] = 0.0
+        for label in sorted(new - frozenset(self.sets.reached)):
+            self.meter.pursued_s[label] = 0.0
             self._log_event(now_ns, "seen", label, f"seen: {label}")
         self._replan(now_ns)
 
     def update_distances(self, distance_m: np.ndarray, now_ns: int) -> None:
         """Use new driving distances between the targets; see `MissionKnowledge.distance_m`."""
         if not self.done:
-            self._distance_m = distance_m
+            self.sets.distance_m = distance_m
             self._replan(now_ns)
 
     def forget_distances(self) -> None:
         """Delete the distances, because their map frame is gone; new ones come later."""
-        self._distance_m = None
+        self.sets.distance_m = None
 
     def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:
         """Advance the automaton: the active target was reached.
 
         No other event of a mission with a formula advances it, except steps without an object.
-
-        Args:
-            evidence: reason why the target counts as reached, for the mission log.
-            now_ns: time of the loop.
-            result: text for the person at the end of the mission, such as an answer.
         """
         label, self._n_left_out = self.target, 0
         if result:
             self.results = (*self.results, one_line(result, _RESULT_CHARS))[-_MOST_RESULTS:]
         self._advance(label)
-        self.reached = tuple(dict.fromkeys((*self.reached, label)))
-        self.pursued_s[label] = 0.0
+        self.sets.add_reached(label)
+        self.meter.pursued_s[label] = 0.0
         self._log_event(now_ns, "reached", label, f"reached: {label} ({evidence})")
         self._accept(evidence, now_ns)
         self._replan(now_ns, retarget=True)
@@ -361,11 +283,8 @@ class MissionRun:
     def abandon_target(self, reason: str, now_ns: int) -> None:
         """Add the active target to B because it could not be reached, and plan again."""
         label = self.target
-        self.failed |= {label}
-        self.detected -= {label}
-        self.pursued_s[label] = 0.0
-        self._stale_ids[label] = self._newest_ids.get(label, -1)
-        self._why_failed[label] = reason
+        self.sets.add_failed(label, reason)
+        self.meter.pursued_s[label] = 0.0
         self._log_event(now_ns, "failed", label, f"failed: {label} ({reason})")
         self._replan(now_ns, retarget=True)
 
@@ -421,23 +340,15 @@ class MissionRun:
     ) -> None:
         """Continue from the saved state of a mission with the same formula.
 
-        Call it before `start`. The arguments are attributes of this class at the time of saving;
-        `exempt` is the pair of `exempt_s` and `exempt_m`.
+        Call it before `start`. The arguments are attributes of this class, its `sets` and its
+        `meter` at the time of saving; `exempt` is the pair of `exempt_s` and `exempt_m`.
         """
         for letter in trace:
             self._advance(letter)
-        self.reached, self.failed = tuple(reached), frozenset(failed)
-        self._why_failed = {label: f"{label} failed before the restart" for label in self.failed}
-        self.elapsed_s, self.path_m, self.paused = elapsed_s, path_m, paused
-        self.exempt_s, self.exempt_m = exempt
-        self.pursued_s = dict(pursued_s)
-
-    def mark_stale_before(self, newest: int) -> None:
-        """Mark the instances up to this id as known before a restart.
-
-        A failed target counts as detected again only with a newer instance.
-        """
-        self._stale_ids = dict.fromkeys(self.failed, newest)
+        self.sets.restore(reached, failed)
+        self.paused, meter = paused, self.meter
+        meter.elapsed_s, meter.path_m, meter.pursued_s = elapsed_s, path_m, dict(pursued_s)
+        meter.exempt_s, meter.exempt_m = exempt
 
     # -- internals ----------------------------------------------------------------------------
 
@@ -464,11 +375,10 @@ class MissionRun:
             self._finish("reached", self._rounds_text(self.round), now_ns)
             return
         self.round += 1
-        self.state, self.trace, self.reached = 0, (), ()
-        self.failed, self.detected = frozenset(), frozenset(self._newest_ids)
-        self._stale_ids, self._why_failed = {}, {}
-        self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
-        self._log_event(now_ns, "round", "", repeat.shown_round(self.round, self.elapsed_s))
+        self.state, self.trace = 0, ()
+        self.sets.begin_round()
+        self.meter.begin_round()
+        self._log_event(now_ns, "round", "", repeat.shown_round(self.round, self.meter.elapsed_s))
 
     def _leave_out_failed(self, now_ns: int) -> bool:
         """Leave out the failed target in this round, as if it had been reached.
@@ -477,14 +387,14 @@ class MissionRun:
         target is forbidden now, or all others were left out since one was reached.
         """
         label, automaton = self.target, self.spec.automaton
-        if self.spec.translation.repeat is None or label not in self.failed:
+        if self.spec.translation.repeat is None or label not in self.sets.failed:
             return False
         if self._n_left_out >= len(self.spec.targets) - 1:
             return False
         if automaton.is_dead(automaton.step(self.state, label)):
             return False
         self._n_left_out += 1
-        self.failed -= {label}
+        self.sets.failed -= {label}
         self._advance(label)
         self._log_event(now_ns, "warning", label, f"left out in round {self.round}: {label}")
         self._accept("left out", now_ns)
@@ -507,12 +417,11 @@ class MissionRun:
             self.question = ""
         while not self.done:
             current = None if retarget else self.target
-            self.plan = self._planner.plan(self.state, self.knowledge, current)
+            self.plan = self._planner.plan(self.state, self.sets.knowledge, current)
             if not self.plan.feasible and self._leave_out_failed(now_ns):
                 continue
             if not self.plan.feasible:
-                reasons = [why for label, why in self._why_failed.items() if label in self.failed]
-                self._finish("failed", "; ".join(reasons) or self.plan.reason, now_ns)
+                self._finish("failed", self.sets.failure_reasons or self.plan.reason, now_ns)
                 return
             if self.plan.target is not None:
                 break

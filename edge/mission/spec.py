@@ -29,7 +29,8 @@ from edge.mission.destinations import (
     with_caller,
 )
 from edge.mission.language.english import describe
-from edge.mission.language.errands import CHECK, spell_out
+from edge.mission.language.errand_patterns import CHECK
+from edge.mission.language.errands import spell_out
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
@@ -315,9 +316,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     translation = replace(translation, formula=formula)
     letters = ltl.propositions(formula)
     _check_number(config, len(letters))
-    limits = (config.max_states, config.compile_limit_steps)
-    automaton = compile_formula(formula, *limits, config.compiler)
-    diagnosis = diagnose(automaton, *limits)
+    automaton = compile_formula(formula, compiler=config.compiler)
+    diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
         shown = ((one_line(part), one_line(describe(part))) for part in diagnosis.contradiction)
         parts = one_line("; ".join(f"{part} ({english})" for part, english in shown), _MOST_SHOWN)
@@ -347,11 +347,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
 
 
 def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) -> tuple[str, ...]:
-    """Return the names that the detector must look for, each once; an anchor follows its noun.
-
-    Raises:
-        RelationError: a thing has a relation that cannot be decided.
-    """
+    """Return the names that the detector must look for, each once; an anchor follows its noun."""
     found: dict[str, str] = {}
     for target in targets:
         destination = destinations.get(target)
@@ -385,12 +381,6 @@ def spec_of_task(
     """Return the `MissionSpec` of a task, whose automaton counts completed steps.
 
     No formula describes a task: its goal is the end of a trajectory.
-
-    Args:
-        config: the `mission` section.
-        translation: the instruction as it was understood.
-        targets: names for the detector, at least one.
-        steps: steps of the task, at least one.
 
     Raises:
         MissionError: more targets than `mission.max_targets`.

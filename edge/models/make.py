@@ -28,7 +28,10 @@ TRAINED = {
     "mini-house": "python -m exporters.training.mini --out RUN",
 }
 """Family of models that are not exported from weights → command that trains them."""
-FROM_FOLDER = {"owlv2-base": "google/owlv2-base-patch16-ensemble"}
+FROM_FOLDER = {
+    "owlv2-base": "google/owlv2-base-patch16-ensemble",
+    "segformer-b0": "nvidia/segformer-b0-finetuned-cityscapes-1024-1024",
+}
 """Family that is exported from a folder → the folder's name on Hugging Face.
 
 All cards of the family are made at once, so the export takes the family's name."""
@@ -145,23 +148,18 @@ def load_single_file_card(name: str) -> FileCard:
 
 def how_to_make(card: FileCard) -> str:
     """Return how to make a model's file, as a clause for messages."""
-    if card.task in ("segment", "ground"):
-        return "the exporter of its project makes it"
     if published := FROM_FOLDER.get(card.family):
         return (
             f"`edge models export {card.family} --weights FOLDER` makes it, from a folder of "
             f"{published}"
         )
+    if card.task in ("segment", "ground"):
+        return "the exporter of its project makes it"
     return f"`{TRAINED.get(card.family, f'edge models export {card.name}')}` makes it"
 
 
 def require_modules(action: str, modules: tuple[str, ...]) -> None:
-    """Raise ModelError if the exporters or these modules cannot be imported.
-
-    Args:
-        action: name of the extra that installs them. onnxruntime comes from the extra `cpu`.
-        modules: names of the modules.
-    """
+    """Raise ModelError if the exporters or these modules cannot be imported."""
     missing = [m for m in ("exporters", *modules) if importlib.util.find_spec(m) is None]
     if missing:
         extras = f"cpu,{action}" if "onnxruntime" in missing else action
@@ -179,13 +177,7 @@ def _folder_of(card: FileCard | ChoiceCard) -> Path:
 
 
 def _run_exporters(name: str, args: argparse.Namespace, **files: Path | None) -> int:
-    """Run `python -m exporters`, which writes to the folder of the models; return its exit code.
-
-    Args:
-        name: name of the card.
-        args: arguments of the command line.
-        files: paths by option: weights, vocabulary, and the folder of the cards.
-    """
+    """Run `python -m exporters`, which writes to the folder of the models; return its exit code."""
     options = {
         "weights": files.get("weights"),
         "calibration": args.calibration,

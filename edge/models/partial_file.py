@@ -35,16 +35,13 @@ class PartialFile:
     empty.
 
     Args:
-        target: path of the complete file.
         sha256: hash of the complete file; None: unknown.
         size: size of the complete file in bytes; None: unknown.
         companion: path and content of another file, written when this one is complete.
 
     Attributes:
-        target: path of the complete file.
         sha256: hash of the complete file; None: unknown.
         size: size of the complete file in bytes; None: unknown.
-        path: path of the partial file.
         have: number of bytes so far.
 
     Raises:

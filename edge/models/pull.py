@@ -50,8 +50,6 @@ class WantedFile(NamedTuple):
 
     Attributes:
         what: kind of file: `model`, `weights` or `tokenizer`.
-        target: path of the file.
-        sha256: hash of the file.
         sources: sources of the file, all with this hash.
     """
 
@@ -72,7 +70,6 @@ class PullOptions(NamedTuple):
     Attributes:
         places: files, folders and addresses (of `--from`) to try before the sources of the card.
         offline: True: do not use the network.
-        limits: time limits.
     """
 
     places: tuple[str, ...] = ()
@@ -184,11 +181,6 @@ def _pull_tokenizer(card: TextCard, options: PullOptions) -> list[str]:
 def _take_export_from(card: FileCard, place: str, options: PullOptions) -> Path | None:
     """Take an exported model and the data of its export; return its path, None if there is none.
 
-    Args:
-        card: card of the model.
-        place: a folder, or its address, which ends with a slash.
-        options: options of the download.
-
     Raises:
         FetchError: the model does not match the data of its export.
     """
@@ -281,9 +273,6 @@ def _pull_part(
 
     If the hash is unknown, the hash of the first download is saved next to the file and is valid
     from then on.
-
-    Raises:
-        ModelError: no source gives the file.
     """
     known, size = expected_of_part(file, target)  # hash and size; None if unknown
     if known is not None and os.path.isfile(target) and fresh_sha256(target) == known:
@@ -315,11 +304,7 @@ def _pull_part(
 
 
 def _take_part(place: str, file: FolderFile, part: PartialFile, options: PullOptions) -> None:
-    """Take a file from a folder, with or without its subfolders, or from below an address.
-
-    Raises:
-        FetchError: the place does not give the file, or its size differs from the card.
-    """
+    """Take a file from a folder, with or without its subfolders, or from below an address."""
     if _is_address(place):
         _download(f"{place.rstrip('/')}/{file.file}", part, options)
     else:

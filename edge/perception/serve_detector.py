@@ -30,11 +30,7 @@ Make = Callable[[config.PerceptionConfig, Sequence[str], ProgressCallback], Dete
 
 
 def main(make: Make = make_detector) -> int:
-    """Read the request from stdin, load the model, and answer until the service ends this process.
-
-    Args:
-        make: makes the detector, like `make_detector`.
-    """
+    """Load the model that stdin names, and answer until the service ends this process."""
     request, images, control, frames = set_up_child()
     sending = threading.Lock()
 

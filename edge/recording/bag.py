@@ -273,11 +273,7 @@ def _first_bytes(path: Path, n: int) -> bytes:
 
 
 def _unpack(path: Path, stack: ExitStack) -> Path:
-    """Return the file, or a decompressed copy.
-
-    Raises:
-        RecordingError: no such file, of another kind, or too large for the disk.
-    """
+    """Return the file, or a decompressed copy."""
     out, first = path, _first_bytes(path, len(_SQLITE))
     if first.startswith(_ZSTD):
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="edge-bag-")))

@@ -17,15 +17,7 @@ from edge.bus.wire import schemas
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or of a Foxglove server.
-
-    Attributes:
-        topic: name of the channel.
-        encoding: encoding of the messages.
-        schema: name of the schema.
-        schema_encoding: language of the schema.
-        schema_text: the schema.
-    """
+    """One channel of an MCAP file or of a Foxglove server."""
 
     topic: str
     encoding: Literal["cdr", "json"]

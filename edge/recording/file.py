@@ -65,9 +65,7 @@ class McapWriter:
     """Writes one recording; a context manager. The file is complete if the block has no error.
 
     Args:
-        path: name of the complete file.
         compression: `none`, `lz4` or `zstd`.
-        metadata: metadata of the file, by name.
         suffix: suffix of the file's name until the file is complete.
 
     Raises:
@@ -168,10 +166,7 @@ class RecordedMessage(NamedTuple):
         topic: name of its channel.
         schema: name of its schema, which is the message type; "" if it has none.
         encoding: `cdr`, `json`, or another.
-        log_ns: time at which it was recorded.
-        stamp_ns: time of its data.
         sequence: number of the message in its channel.
-        payload: content.
     """
 
     topic: str
@@ -285,10 +280,6 @@ def _open_to_read(path: Path):  # type: ignore[no-untyped-def]
 
 def recover(path: Path, out: Path) -> tuple[int, str]:
     """Copy the readable part of a file into a complete one.
-
-    Args:
-        path: the damaged file.
-        out: the new file.
 
     Returns:
         The number of messages, and why there are no more; "" if the file was complete.

@@ -55,11 +55,8 @@ class Message(NamedTuple):
     """A message of a channel.
 
     Attributes:
-        channel_id: id of the channel in this file.
-        sequence: number of the message in its channel.
         log_time: time at which it was recorded, in ns.
         publish_time: time of its data, in ns.
-        data: content.
     """
 
     channel_id: int

@@ -19,7 +19,7 @@ from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
-from edge.config import ChoiceCooccurrence, Config, DetectorOnnx, MissionConfig
+from edge.config import ChoiceCooccurrence, Config, DetectorOnnx
 from edge.errors import UserError
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.error_boundary import TICK
@@ -28,12 +28,13 @@ from edge.loop.latency import LatencyReport
 from edge.loop.map_checkpoint import SUFFIX
 from edge.loop.result import TickResult
 from edge.loop.scorers import Scorers, make_scorers
-from edge.loop.service import INGEST, Service
-from edge.loop.stages import STAGES
+from edge.loop.service import Service
+from edge.loop.stages import INGEST, STAGES
 from edge.memory import Site, SiteFile
 from edge.mission.spec import restore_spec
 from edge.perception.detection.detector import Detector
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -73,18 +74,13 @@ class ReplayResult:
     """Result of a replay.
 
     Attributes:
-        ticks: number of replayed ticks.
         differing: number of ticks with different decisions.
-        first: the first difference.
         goals_then: number of recorded goals.
-        goals_now: number of replayed goals.
         n_unrecorded: images for the detector that were not recorded.
         ended: why the replay ended before the run; empty if it reached the run's end.
         phase_then: last recorded phase of the mission.
-        phase_now: last replayed phase.
         seconds: time from the first to the last replayed observation.
         latency_then: last recorded latency report, JSON; None: there is none.
-        latency_now: latency of the replay.
     """
 
     ticks: int = 0
@@ -120,7 +116,6 @@ class _ReplayedService:
     """A service that gets the recorded inputs.
 
     Args:
-        session: the recorded run.
         config: another configuration; None: the recorded one.
         detect: run the detector on the recorded images.
         stack: closes all that the run opens.
@@ -139,15 +134,9 @@ class _ReplayedService:
         self._worker: DetectorWorker | None = None
 
     def _limit(self, config: Config) -> Config:
-        """Return the recorded configuration without file names and with limits on computation."""
+        """Return the recorded configuration without file names."""
         if self._session.trust:
             return _replay_settings(config)
-        mission, usual = config.mission, MissionConfig()
-        limits = {
-            name: min(getattr(mission, name), getattr(usual, name))
-            for name in ("compile_limit_steps", "max_states")
-        }
-        config = config.model_copy(update={"mission": mission.model_copy(update=limits)})
         config, detector = _replay_settings(config), config.perception.detector
         if not isinstance(detector, DetectorOnnx):
             return config
@@ -219,6 +208,7 @@ class _ReplayedService:
         self.service = Service(
             config, spec, worker, policy, [self.sink], checkpoint, scorers,
             idle=idle, input_log=self._replay_source, site=SiteFile(site=site),
+            ground=make_ground_classifier(config.tasks) if TASK in real_workers else None,
         )  # fmt: skip
         self._stack.callback(self.service.close)
 

@@ -53,7 +53,6 @@ class ReplayTick:
     Attributes:
         asked: names of the workers that got a question in this tick.
         found: answers of this tick, by worker, as JSON.
-        decided: decisions of this tick, by name.
         frames: observations that may still get detections, by number.
         pictures: numbers of the frames with a recorded image.
     """

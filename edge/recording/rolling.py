@@ -51,7 +51,6 @@ class RollingRecorder:
 
     Args:
         folder: folder of the files; created if missing.
-        limits: limits of files and folder.
         compression: `none`, `lz4` or `zstd`.
         metadata: returns the metadata, by name, of a file, given the number of the file from 0.
         clock: returns a time in seconds.

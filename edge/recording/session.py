@@ -30,10 +30,7 @@ class RecordingHeader:
     """Metadata of a file of a recorded run.
 
     Attributes:
-        path: the file.
-        session: id of the run.
         part: number of the file within the run, from 0.
-        edge: version of edge that recorded it.
         config: the configuration as JSON, without secrets.
     """
 
@@ -48,7 +45,6 @@ class RecordedStep(NamedTuple):
     """One page of the journal with its observation.
 
     Attributes:
-        page: the page.
         observation: the page's observation with its recorded arrays; None: there was none.
         picture: True if `rgb` is a recorded image; otherwise `rgb` is black, or None without a
             camera.
@@ -217,13 +213,7 @@ _ARRAY_TOPICS |= {channels.SECOND[c].topic: c.topic for c in (channels.PICTURE, 
 def _make_step(
     page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
 ) -> RecordedStep:
-    """Return a page with its observation.
-
-    Args:
-        page: the page.
-        array_messages: messages with arrays since the last page, by topic.
-        rig: camera and mounts as last read, see `journal.observation_of`.
-    """
+    """Return a page with its observation."""
     fields = page.observation
     if fields is None:
         return RecordedStep(page, None, False, ())

@@ -68,8 +68,6 @@ class Drawing(NamedTuple):
     Attributes:
         frontiers_m: (n, 2) float32.
         instances: objects of the mission.
-        objects: remembered objects.
-        rooms: rooms of the map.
         site: places and zones.
         goal: current goal, if any.
     """

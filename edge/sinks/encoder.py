@@ -79,11 +79,9 @@ class ResultSnapshot:
     """The data of one result to encode.
 
     Attributes:
-        now_ns: loop time of the result.
         observation: the observation without its arrays; None: there was none.
         arrays: copies of the wanted arrays, by the observation's fields; depth as uint16
             millimetres if these are exact.
-        messages: the messages to encode.
     """
 
     now_ns: int
@@ -101,7 +99,6 @@ class ResultEncoder:
     """Encodes results: `capture` is for the loop's thread, `encode` and `release` for another.
 
     Args:
-        config: the configuration.
         rgb_hz: rate of images, as JPEG; depth and clouds are encoded for every observation.
         is_wanted: returns True if a channel has a receiver; called on both threads.
     """

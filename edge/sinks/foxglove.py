@@ -29,13 +29,9 @@ class FoxgloveSink:
     """Serves the channels of `edge.recording.channels`; no method blocks.
 
     Args:
-        config: the configuration.
         host: address to listen on; other computers can reach any but a loopback address.
         port: 0 chooses a free one.
         rgb_hz: rate of images, sent as JPEG.
-
-    Attributes:
-        port: the port in use.
 
     Raises:
         ConfigError: `foxglove-sdk` is not installed.

@@ -20,7 +20,6 @@ class KeepoutPublisher:
 
     Args:
         put: publishes a nav_msgs/OccupancyGrid.
-        frame_id: frame of the zones.
         resolution_m: side of a cell.
         inflation_m: distance that the robot keeps from obstacles.
     """

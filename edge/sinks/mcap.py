@@ -58,7 +58,6 @@ class McapSink:
     """Writes MCAP files into a folder; no method blocks.
 
     Args:
-        config: the configuration.
         folder: created if missing; `~` is the home directory.
         max_mb: see `edge.recording.rolling.RecordingLimits`.
         max_s: see `RecordingLimits`.

@@ -43,12 +43,10 @@ class _ActiveGoal:
     """The goal that Nav2 should drive to.
 
     Attributes:
-        goal: the goal of the service.
         goal_id: id of the goal for Nav2.
         stage: `waiting`: not sent; `sent`: not answered; `driving`: accepted.
         reply: pending reply: first the answer to the goal, then its result.
         due_s: when to request again if no reply is pending.
-        since_s: when the goal was given.
         lost_s: since when the action has been gone; 0: it is there.
         status: status with which the goal ended, from the `status` topic; 0: not ended.
         ended_s: when that status came.
@@ -78,7 +76,6 @@ class NavigateToPoseClient:
     Args:
         node: the ROS 2 node.
         action: ROS name of the action.
-        frame_id: frame of the goals.
         on_status: called with each new status of a goal.
     """
 
@@ -311,7 +308,6 @@ class DockRobotClient(NavigateToPoseClient):
         node: the ROS 2 node.
         action: its ROS name.
         docks: names of places and the ids of their docks.
-        frame_id: frame of the goals.
         on_status: called with each new status of a goal.
 
     Attributes:
@@ -368,7 +364,6 @@ class UndockRobotClient(NavigateToPoseClient):
     Args:
         node: the ROS 2 node.
         action: its ROS name.
-        frame_id: frame of the goals.
         on_status: called with each new status of a goal.
         go_on: called with the goal to drive to, after undocking has succeeded.
     """

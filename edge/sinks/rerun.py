@@ -42,7 +42,6 @@ class _Entry(NamedTuple):
     """An entity to log.
 
     Attributes:
-        entity: path of the entity.
         make: makes its archetype, on the sink's thread.
     """
 
@@ -54,7 +53,6 @@ class RerunSink:
     """Writes images, boxes, poses, map, objects, goal, path and events to one file.
 
     Args:
-        config: the configuration.
         file: path of the file (.rrd); one of an earlier run is overwritten.
         max_mb: size in MB at which writing ends.
         rgb_hz: rate of the images of each camera, as JPEG; 0: none.

@@ -46,7 +46,6 @@ class _Repeated:
     """A message that is repeated; used by the worker's thread only.
 
     Attributes:
-        payload: the encoded message.
         period_s: time between repetitions.
         due_s: monotonic time of the next repetition.
         stamp_ns: stamp of a goal; 0 for other messages.

@@ -141,8 +141,6 @@ class CameraSource(ZenohSource):
     """Source of a camera at `address`, and of other sensors under `zenoh.prefix`.
 
     Args:
-        config: the configuration.
-        session: an open session.
         address: `rtsp://…`, `http://…`, `/dev/video0`, or a video file, which is played at its rate
             again and again.
         intrinsics: fx, fy, cx, cy of the images, in px.

@@ -106,7 +106,6 @@ class RecordingContents:
     """The contents of a recording, from one pass over all its messages.
 
     Attributes:
-        topics: the topics that have messages, by name.
         first_ns: log time of the first message.
         last_ns: log time of the last message.
         nearly_sorted: True if the messages are nearly sorted by log time; see `Bag.by_time`.
@@ -294,13 +293,7 @@ class TopicMatching:
 def match_topics(
     config: Config, contents: RecordingContents, wanted: Collection[str]
 ) -> TopicMatching:
-    """Find the topics of a recording that a configuration needs.
-
-    Args:
-        config: the configuration.
-        contents: of the recording.
-        wanted: our names of the sensors' topics; tf is always searched.
-    """
+    """Find the topics of a recording that a configuration needs."""
     chooser = _TopicChooser(config, contents)
     for name in (DEPTH, RGB, INFO, *SECOND, CLOUD, SCAN, ODOMETRY):
         if name in wanted:

@@ -98,7 +98,6 @@ class CdrDecoder:
     """Passes payloads to a synchronizer as typed messages or as counted drops; for one thread.
 
     Args:
-        synchronizer: receives the messages.
         clock: time of arrivals, in ns.
         frames: the robot's tf frames, to convert poses into `map`. If None, odometry is in `map`
             already.

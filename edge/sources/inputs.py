@@ -121,7 +121,6 @@ class InputTable:
     One thread writes; any thread may read `rows`.
 
     Args:
-        config: the configuration.
         streams: the sensors in use, by field (`edge.sources.synchronizer`).
         clock: time of arrivals, in ns.
     """

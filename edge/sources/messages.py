@@ -41,7 +41,6 @@ class CameraInfo:
     """Intrinsics of the images that follow.
 
     Attributes:
-        camera: intrinsics of the rectified images.
         lens: distortion of the raw images; None: no distortion.
         cut: see `edge.bus.wire.messages.CameraCalibration`.
     """

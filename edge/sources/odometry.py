@@ -29,7 +29,6 @@ class StampGuard:
     among themselves, count as a clock reset.
 
     Attributes:
-        newest_ns: the last accepted stamp.
         behind_since_ns: the first stamp of the series that led to the last `clock_reset`.
 
     Example:
@@ -144,7 +143,6 @@ class OdometryRing:
     """Poses in a preallocated ring; for one thread.
 
     Args:
-        capacity: size of the ring.
         max_gap_s: longest time between two poses that is interpolated, or that is extrapolated.
         max_jump_m: distance that a pose may move beyond what the robot can drive in the time.
         max_speed_mps: top speed of the robot.

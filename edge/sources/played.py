@@ -55,9 +55,7 @@ class PlayedSource(PolledSource):
     """Source of the sensors in a recording.
 
     Args:
-        config: the configuration.
         session: an open session, for goal statuses.
-        playback: the recording.
         rate: playback speed, 1.0 = real time; late frames are dropped, as on a robot. None: as fast
             as the loop runs; no frame is late.
 
@@ -250,13 +248,10 @@ class Playback:
 
     Args:
         path: see `edge.recording.bag.Bag`.
-        config: of the service.
         rate: see `PlayedSource`.
         stop: stops reading when it is set.
 
     Attributes:
-        contents: contents of the recording.
-        matched: the topics that are played.
         needed_topics: our names of the topics that the configuration needs.
         read_s: duration in seconds of the first pass over the file.
         source: the source, once a service has opened it.

@@ -31,8 +31,6 @@ class PolledSource(ABC):
     """A source (`edge.loop.source.Source`) whose subclasses receive the messages, in `_drain`.
 
     Args:
-        config: the configuration.
-        session: an open session.
         frames: see `CdrDecoder`; also gives the mounts of sensors if tf has them.
         clock: time of arrivals, in ns.
 

@@ -49,7 +49,6 @@ class FramePool:
     """`n_slots` frames, allocated once; thread-safe.
 
     Args:
-        n_slots: number of frames.
         image_hw: size of rgb and depth; None for a robot without a camera.
         cloud_points: capacity for points, 0 for none.
         depth: True if slots have `depth_m`.

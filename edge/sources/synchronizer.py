@@ -22,25 +22,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.bus.wire.images import drop_beyond
 from edge.config import Config, ConfigError
-from edge.geometry import CameraModel
+from edge.sources.frame_decoder import FrameDecoder
 from edge.sources.inputs import InputTable, group_of
 from edge.sources.messages import (
     CameraInfo,
     Cloud,
     DepthImage,
     Image,
-    LaserScanFrame,
     Message,
     MountAt,
     Odometry,
     SensorFrame,
-    WrongSizeError,
 )
 from edge.sources.odometry import Missing, OdometryRing
-from edge.sources.pool import FramePool, PoolSlot
-from edge.sources.rectify import LensPlan, make_lens_plan
 from edge.sources.streams import Stream
 from edge.text import one_line
 from edge.types import CAMERAS, Observation
@@ -73,7 +68,6 @@ REASONS = (
     "distorted",  # camera info with a distortion that cannot be used
 )
 
-_NO_BEAM = "no beam has a valid range: NaN, 0 and -inf are invalid, +inf is valid (REP 117)"
 _LIMITS = {
     "oversized": "source.max_message_mb",
     "pool_exhausted": "source.pool_slots",
@@ -169,7 +163,6 @@ class TimeSynchronizer:
     A frame is one image or sweep; a field is the attribute of `Observation` that it fills.
 
     Args:
-        config: the configuration.
         clock: time of arrivals, in ns.
         mount_at: gives mounts that move; None: mounts come from the configuration.
         first: the synchronizer of the first camera, if this one is for the second. Messages and
@@ -210,16 +203,9 @@ class TimeSynchronizer:
         self._wait_ns = math.inf if config.loop.lockstep else wait_ns  # most for a leading frame
         self._mount_at = mount_at
         self._camera_frame = ""  # frame id of the newest image
-        self._info: CameraInfo | None = None  # as received; `_camera`: None if it cannot be used
-        self._camera: CameraModel | None = None
-        self._lens = LensPlan()
-        self._pool: FramePool | None = None
-        self._logged: set[tuple[str, str]] = set()  # (topic, reason or text) that were logged
-        # Some drivers send the end of the range in place of "no return". So this is the largest
-        # float32 below the end of the range.
+        self._logged: set[tuple[str, str]] = set()  # (topic, reason) that were logged
+        self._decoder = FrameDecoder(config, self._index, self.streams, self.inputs, self.count)
         camera, lidar = config.sensors.cameras[self._index], config.sensors.lidar
-        farthest_m = np.float32(config.farthest_depth_m(camera))
-        self._max_depth_m = float(np.nextafter(farthest_m, np.float32(0)))
         self._T_base_camera = camera.T_base_camera()
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
 
@@ -278,7 +264,7 @@ class TimeSynchronizer:
                 self.odometry.delay_ns = self.odometry.came_ns - message.stamp_ns
                 self.inputs.on_used(message.topic)
         elif isinstance(message, CameraInfo):
-            self._use_camera_info(message)
+            self._decoder.use_camera_info(message)
         elif (stream := self.streams.get(message.field)) is not None:
             reason = stream.offer(message)
             if message.field == Image.field:
@@ -288,47 +274,6 @@ class TimeSynchronizer:
                 return
         if reason:
             self.count(message.topic, reason)
-
-    def _use_camera_info(self, message: CameraInfo) -> None:
-        """Use new camera info: plan the rectification, and drop the pool, whose size may change."""
-        camera = message.camera
-        if message == self._info:
-            if self._camera is not None:
-                self.inputs.on_used(message.topic)
-            return
-        size = camera.width_px * camera.height_px * 3
-        if size > self.config.source.max_message_mb * 1e6:
-            detail = f"{camera.width_px}x{camera.height_px} px"
-            self.count(message.topic, "oversized", detail)
-            return
-        self._info, self._camera, self._pool = message, None, None
-        if message.cut:
-            self._log_once(
-                message, f"{message.cut}: images of {camera.width_px}x{camera.height_px}"
-            )
-        where, listens = self.inputs.where, DepthImage.field in self.streams
-        rgb, depth = (f"{CAMERAS[self._index]}/{name}" for name in ("rgb", "depth"))
-        try:
-            self._lens = make_lens_plan(
-                message.lens, camera, self.config.source.distortion, where(rgb),
-                where(depth) if listens else None,
-            )  # fmt: skip
-        except ValueError as error:
-            self.count(message.topic, "distorted", error)
-            return
-        if message.lens is not None:
-            # A guess that the user should see: the images may be rectified already.
-            is_guess = self._lens.distortion == "rectified"
-            level = logging.WARNING if is_guess else logging.INFO
-            self._log_once(message, self._lens.log_line, level)
-        self._camera = camera
-        self.inputs.on_used(message.topic)
-
-    def _log_once(self, message: CameraInfo, text: str, level: int = logging.WARNING) -> None:
-        """Log once how camera info is used."""
-        if (message.topic, text) not in self._logged:
-            self._logged.add((message.topic, text))
-            log.log(level, "%s: %s", message.topic, text)
 
     # -- observations out ---------------------------------------------------------------------
 
@@ -467,18 +412,19 @@ class TimeSynchronizer:
     def _observe(self, leader: SensorFrame, joined: _Joined) -> Observation | None:
         """Decode into a slot of the pool; None (and counted) if that fails."""
         frames = joined.frames
-        if self._camera is None and not all(isinstance(frame, Cloud) for frame in frames):
+        camera = self._decoder.camera
+        if camera is None and not all(isinstance(frame, Cloud) for frame in frames):
             self.count(leader.topic, "no_camera_info")
             if not isinstance(leader, Cloud):
                 return None
             frames = [leader]  # the cloud alone needs no camera
-        slot = self._acquire_slot()
+        slot = self._decoder.acquire()
         if slot is None:
             self.count(leader.topic, "pool_exhausted")
             return None
         fields = None
         try:
-            fields = self._decode_fields(frames, slot)
+            fields = self._decoder.decode(frames, slot)
         finally:
             if fields is None:
                 slot.release()
@@ -497,11 +443,11 @@ class TimeSynchronizer:
             seq=self.counters["observations"],
             stamp_ns=leader.stamp_ns,
             T_map_base=joined.T_map_base,
-            camera=self._camera if fields.keys() - {"cloud_m"} else None,
+            camera=camera if fields.keys() - {"cloud_m"} else None,
             slot=slot,
             pose_age_ns=max(joined.pose_age_ns, joined.tf_age_ns),
             **joined.mounts,
-            distortion=self._lens.distortion,
+            distortion=self._decoder.distortion,
             lag_ns=self._lag_ns(leader),
             camera_index=self._index,
             **fields,
@@ -512,51 +458,3 @@ class TimeSynchronizer:
         if self.config.loop.lockstep:
             return 0
         return max(self.odometry.newest_ns - leader.stamp_ns, 0)
-
-    def _decode_fields(
-        self, frames: list[SensorFrame], slot: PoolSlot
-    ) -> dict[str, np.ndarray] | None:
-        """Return the observation's arrays by name; None (and counted) if one is missing.
-
-        Args:
-            frames: the leading one first.
-            slot: the arrays to decode into.
-        """
-        fields: dict[str, np.ndarray] = {}
-        for frame in frames:
-            array = self._decode(frame, slot)
-            if array is not None:
-                fields[frame.field] = array
-            elif frame is frames[0] or self.streams[frame.field].required:
-                return None
-        return fields
-
-    def _acquire_slot(self) -> PoolSlot | None:
-        """Return a free slot; allocate the pool at the first call."""
-        if self._pool is None:
-            camera = self._camera
-            self._pool = FramePool(
-                self.config.source.pool_slots,
-                image_hw=(camera.height_px, camera.width_px) if camera is not None else None,
-                cloud_points=(
-                    self.config.source.max_cloud_points if "cloud_m" in self.streams else 0
-                ),
-                depth="depth_m" in self.streams,
-            )
-        return self._pool.acquire()
-
-    def _decode(self, frame: SensorFrame, slot: PoolSlot) -> np.ndarray | None:
-        """Return a frame's array, decoded into the slot; None (and counted) if that fails."""
-        out = getattr(slot, frame.field)
-        try:
-            n = self._lens.decode(frame, out)
-        except ValueError as error:
-            reason = "wrong_size" if isinstance(error, WrongSizeError) else "malformed"
-            self.count(frame.topic, reason, error)
-            return None
-        if n == 0:
-            self.count(frame.topic, "empty", _NO_BEAM if isinstance(frame, LaserScanFrame) else "")
-            return None
-        if isinstance(frame, DepthImage):
-            drop_beyond(out, self._max_depth_m)
-        return out[:n] if isinstance(frame, Cloud) else out

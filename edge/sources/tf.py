@@ -29,7 +29,6 @@ class _Edge:
     a frame moves in steps, or never, so no lookup waits.
 
     Attributes:
-        parent: name of the parent frame.
         T: the newest transform, (4, 4).
     """
 
@@ -148,13 +147,7 @@ class TfBuffer:
         return TransformLookup(T, max(age_ns, age_target_ns))
 
     def _climb(self, above: list[str], top: str, stamp_ns: int) -> tuple[np.ndarray, int, str]:
-        """Return (`T_top_first`, age of its oldest part in ns, error or "").
-
-        Args:
-            above: the first frame and its ancestors.
-            top: one of them.
-            stamp_ns: the instant.
-        """
+        """Return (`T_top_first`, age of its oldest part in ns, error or "")."""
         T, oldest_ns, why = _IDENTITY.T, 0, ""
         for frame in above:
             if frame == top:

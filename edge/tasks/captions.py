@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -20,7 +22,7 @@ _LIGHT = 165
 """Value from which a grey pixel is white."""
 _PALE = 55
 """Saturation below which a pixel is grey; dark pixels are noisier and need more."""
-_SHADED, _SHADED_SPREAD = 128, 20
+_SHADED, _SHADED_SPREAD = 128, 12
 """Least saturation, and least difference of the channels, of a dark pixel that is not black.
 
 Such a pixel shows paint in the shade."""
@@ -35,8 +37,59 @@ _PAINT_SHARE = 0.25
 
 The black pixels are then tyres, windows and shadow.
 """
+_DIM, _BRIGHT, _MOST_GAIN = 110, 235, 4.0
+"""A picture whose bright pixels are below `_DIM` was taken in dim light.
+
+Its values are multiplied until they reach `_BRIGHT`, at most by `_MOST_GAIN`.
+"""
+_CAST, _MOST_CAST = 0.2, 0.55
+"""Saturation (0 to 1) of neutral ground from which on the light has a colour, and its largest."""
+_NEUTRAL_SHARE = 0.02
+"""Share of the lower half of a picture that must be neutral, to judge the colour of the light."""
+_LIGHT_SHARE = 0.5
+"""A neutral pixel is at least this share as bright as the brightest ones of that order."""
+_STEP_PX = 4  # spacing of the pixels that are looked at
 STRAIGHT_WITHIN_M = 1.0
 """An object less far to the side is straight ahead or behind."""
+
+
+def light_gains(rgb: np.ndarray) -> np.ndarray:
+    """Return the factors (3,) on red, green and blue that give a picture white, bright light.
+
+    The light is warm or cool as a lamp or the sky is: its green is between its red and blue. So the
+    least saturated bright pixels of that order are taken for neutral, from the lower half of the
+    picture: a blue sky is no neutral. Dim light is seen in the bright pixels of the whole picture.
+
+    Args:
+        rgb: (h, w, 3) uint8.
+    """
+    pixels = rgb[::_STEP_PX, ::_STEP_PX].astype(np.float32)
+    bright = float(np.percentile(pixels.max(axis=2), 98))
+    lower = pixels[len(pixels) // 2 :].reshape(-1, 3)
+    least, green, most = lower.min(axis=1), lower[:, 1], lower.max(axis=1)
+    saturation = 1.0 - least / np.maximum(most, 1.0)
+    between = (green >= lower[:, ::2].min(axis=1)) & (green <= lower[:, ::2].max(axis=1))
+    neutral = np.flatnonzero(between & (saturation <= _MOST_CAST))
+    gains, needed = np.ones(3, np.float32), math.ceil(_NEUTRAL_SHARE * len(lower))
+    if len(neutral) >= needed:
+        brightest = np.percentile(most[neutral], 98)
+        neutral = neutral[most[neutral] >= _LIGHT_SHARE * brightest]
+        chosen = neutral[np.argsort(saturation[neutral], kind="stable")[:needed]]
+        light = np.median(lower[chosen], axis=0)
+        if light.min() < (1.0 - _CAST) * light.max():
+            gains = light.max() / light
+    if bright < _DIM:
+        gains = gains * min(_BRIGHT / max(bright, 1.0), _MOST_GAIN)
+    return gains.astype(np.float32)
+
+
+def in_white_light(rgb: np.ndarray) -> np.ndarray:
+    """Return a picture (h, w, 3) uint8 as in white, bright light; see `light_gains`."""
+    gains = light_gains(rgb)
+    if (gains == 1.0).all():
+        return rgb
+    values = np.arange(256, dtype=np.float32)[:, None] * gains
+    return cv2.LUT(rgb, np.clip(np.rint(values), 0, 255).astype(np.uint8)[None])
 
 
 def colour_names(rgb: np.ndarray) -> np.ndarray:
@@ -98,6 +151,7 @@ def colour_of(rgb: np.ndarray, box: np.ndarray, mask: np.ndarray | None = None) 
 def compose_captions(found: Detections) -> tuple[str, ...]:
     """Return colour and label of each box, such as "white car": a captioner without a model."""
     rgb, masks = found.observation.rgb, found.mask
+    rgb = in_white_light(rgb) if rgb is not None and len(found) else None
     out = []
     for i, box in enumerate(found.xyxy_px):
         colour = "" if rgb is None else colour_of(rgb, box, None if masks is None else masks[i])

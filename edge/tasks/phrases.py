@@ -26,7 +26,7 @@ PHRASES: dict[str, str] = {
     # Verbs.
     "go": "go|drive|move|head|navigate|walk|travel|proceed|continue|come|roll|return|steer|get|"
     "make your way|go on|drive on|keep going|keep driving|run|swing|squeeze|take me|bring me|"
-    "lead me|guide me",
+    "lead me|guide me|advance",
     "pass": "pass|pass by|overtake|bypass",
     "stop": "stop|halt|park|wait|end|come to a stop|come to a halt|stand|pull up|pull over|meet me|"
     "wait for me|go and stand|go and stop|go and wait",
@@ -37,14 +37,18 @@ PHRASES: dict[str, str] = {
     "a circle around|a full circle around|a lap around",
     "clockwise": "clockwise",
     "counterclockwise": "counterclockwise|anticlockwise|counter clockwise|anti clockwise",
-    "across": "cross|across|cross over|over to the other side of|to the other side of",
+    "across": "cross|across|cross over|over to the other side of|to the other side of|"
+    "cross over to the other side of",
     "turn": "turn|rotate",
     "turn around": "turn around|turn round|turn back|make a u turn|do a u turn|take a u turn",
     "degrees": "degrees|degree",
     # Restrictions of the whole path, and of the distance from its end.
     "avoid": "avoid|avoiding|but avoid|while avoiding|keep away from|keep clear of|stay clear of|"
     "stay away from|steer clear of|keeping away from|staying away from|keep off|stay off|"
-    "without going near|without coming near|without getting near",
+    "without going near|without coming near|without getting near|but keep clear of|"
+    "but stay clear of|but keep away from|but stay away from|do not drive on|don't drive on|"
+    "do not drive over|don't drive over|without driving on|without driving over|"
+    "without crossing",
     "keep to": "keep to|keep on|stay on|remain on|keeping to|keeping on|staying on|but keep to|"
     "but stay on",
     "gap": "but stay|but keep|but stop|but not closer than|but no closer than|not closer than|"
@@ -76,6 +80,11 @@ PHRASES: dict[str, str] = {
         f"{before} the {gap} between"
         for before in ("through", "in", "into")
         for gap in ("gap", "space", "middle")
+    )
+    + "".join(
+        f"|to {place} {middle} between"
+        for place in ("the spot", "the point", "the place", "a spot", "a point", "a place")
+        for middle in ("midway", "halfway", "in the middle")
     ),
     "in front of": "in front of|to the front of|at the front of",
     "behind": "behind|to the back of|at the back of",

@@ -187,11 +187,23 @@ def _read_limits(
     return None
 
 
+class UnseenGroundError(TranslationError):
+    """A kind of ground that the scene does not have.
+
+    Attributes:
+        kind: the kind; see `edge.tasks.phrases.GROUNDS`.
+    """
+
+    def __init__(self, message: str, part: str, position: int, kind: str) -> None:
+        super().__init__(message, part, position)
+        self.kind = kind
+
+
 def _read_ground(reader: TokenReader, scene: Scene | UnseenScene) -> str:
     """Read `the road`; return the kind of ground, or "" if no name of ground comes.
 
     Raises:
-        TranslationError: the scene has no such ground.
+        UnseenGroundError: the scene has no such ground.
     """
     at = reader.at
     reader.skip("article")
@@ -204,7 +216,11 @@ def _read_ground(reader: TokenReader, scene: Scene | UnseenScene) -> str:
         kinds = dict.fromkeys(ground_kind(region.label) for region in scene.regions.values())
         if kind not in kinds:
             there = ", ".join(kinds) or "no named ground"
-            reader.refuse(f"no ground here has that name; there is {there}", token)
+            hint = f"no ground here has that name; there is {there}"
+            try:
+                reader.refuse(hint, token)
+            except TranslationError as error:
+                raise UnseenGroundError(str(error), error.part, error.position, kind) from None
     return kind
 
 

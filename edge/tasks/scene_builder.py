@@ -21,11 +21,11 @@ from edge.perception.detection.detector import check_rgb
 from edge.tasks import terrain
 from edge.tasks.captions import caption_with_place
 from edge.tasks.ground import reachable
+from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.objects import (
     MapObject,
     ObjectMap,
     box_around,
-    first_in_voxels,
     main_clusters,
     overlap_share,
 )
@@ -47,7 +47,6 @@ MARGIN_SHARE = 0.05
 MAX_RANGE_M = 300.0
 """Points beyond this are an error of the sensor or the file."""
 MAX_DEPTH_POINTS = 60_000  # of a depth image; a larger one is thinned
-GROUND_VOXEL_M = 0.2  # side of the cells in which ground points of one kind count once
 MASK_SCALE = 4
 """Factor by which masks are enlarged before contours are drawn, for finer corners."""
 
@@ -87,13 +86,9 @@ class SceneBuilder:
     ) -> None:
         self.objects, self.map = ObjectMap(), RollingMap(mapping)
         self._pipeline, self._radius_m = pipeline, radius_m
-        self._ground_labels = tuple(ground_labels)
         if pipeline.ground is not None and not ground_labels:
-            self._ground_labels = (*pipeline.ground.kinds, terrain.GROUND)
-        self._range_m = mapping.range_m
-        self._body_m = mapping.min_range_m  # nearer points are the robot's own body
-        self._most_m = mapping.obstacle_max_m  # higher points are over the robot
-        self._ground = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind of ground points
+            ground_labels = (*pipeline.ground.kinds, terrain.GROUND)
+        self._mapping, self._ground = mapping, GroundVotes(ground_labels)
         self._newest: Observation | None = None
         self._contours: dict[int, list[np.ndarray]] = {}
 
@@ -123,16 +118,17 @@ class SceneBuilder:
         points_m = _moved(T_map_cloud, cloud_m)
         self.map.update_cloud(cloud_m, T_map_base, T_base_cloud)
         base_z_m = float(T_map_base[2, 3])
-        ground = terrain.estimate_ground(points_m, pose.x_m, pose.y_m, base_z_m, self._range_m)
+        ground = terrain.estimate_ground(
+            points_m, pose.x_m, pose.y_m, base_z_m, self._mapping.range_m
+        )
         above = terrain.height_above(ground, points_m)
         if ground_kind is None and self._pipeline.ground is not None:
             ground_kind = _kinds_in_picture(
                 self._pipeline.ground, observation, cloud_m, T_base_cloud, above
             )
         if ground_kind is not None:
-            # The crown of a tree does not hide the ground below it.
-            votes = (np.linalg.norm(cloud_m, axis=1) >= self._body_m) & ~(above > self._most_m)
-            self._add_ground(points_m[votes, :2], ground_kind[votes])
+            votes = _may_vote(cloud_m, above, self._mapping)
+            self._ground.add(points_m[votes, :2], ground_kind[votes])
         result = run_pipeline(self._pipeline, observation)
         self._newest, self._contours = observation, {}
         for i, obj in _add_result(self.objects, result, cloud_m, points_m, above):
@@ -147,27 +143,54 @@ class SceneBuilder:
         if self._newest is None:
             raise ValueError("no frame was added; call SceneBuilder.add first")
         occupancy = terrain.with_blind_spot(uninflated(self.map), self._newest.pose)
-        kind, labels = None, self._ground_labels
+        kind, labels = None, self._ground.kinds
         if labels:
-            xy_m, point_kind = self._ground[:, :2], self._ground[:, 2].astype(np.int64)
-            pose = self._newest.pose
-            kind = terrain.classify_ground(occupancy, pose, xy_m, point_kind, len(labels))
+            kind = self._ground.classify(occupancy, self._newest.pose)
         contours = {i: lines for i, lines in self._contours.items() if i in self.objects.objects}
         return _scene(
             self._newest, occupancy, kind, labels or (terrain.GROUND,),
             self.objects.objects.values(), contours, self._radius_m,
         )  # fmt: skip
 
-    def _add_ground(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
-        """Store votes for the kind of ground. Points of other things vote too.
 
-        So a cell at a kerb does not count as half a road.
-        """
-        is_plausible = np.isfinite(xy_m).all(axis=1)
-        new = np.column_stack((xy_m[is_plausible], kind[is_plausible])).astype(np.float32)
-        # One vote for each kind and place, so that near ground has no greater weight.
-        first = first_in_voxels(new, np.array([GROUND_VOXEL_M, GROUND_VOXEL_M, 1.0]))
-        self._ground = np.concatenate((self._ground, new[first]))
+def add_ground(
+    votes: GroundVotes, ground: GroundKinds, observation: Observation, mapping: config.MappingConfig
+) -> None:
+    """Add the kinds of ground that one picture shows to votes of these kinds.
+
+    Points outside the picture do not vote: a turn of the robot takes no name from the ground.
+
+    Args:
+        votes: the votes.
+        ground: names the kind in each pixel.
+        observation: the frame, with a camera and a cloud or depth.
+        mapping: settings of the occupancy map.
+
+    Raises:
+        ValueError: the frame has no usable image, or see `cloud_of`.
+        ModelError: the network failed.
+    """
+    cloud_m, T_base_cloud = cloud_of(observation)
+    cloud_m = cloud_m[np.linalg.norm(cloud_m, axis=1) <= mapping.range_m]
+    points_m = _moved(observation.T_map_base @ T_base_cloud, cloud_m)
+    x_m, y_m, z_m = observation.T_map_base[:3, 3].tolist()
+    height = terrain.estimate_ground(points_m, x_m, y_m, z_m, mapping.range_m)
+    above = terrain.height_above(height, points_m)
+    kind = _kinds_in_picture(ground, observation, cloud_m, T_base_cloud, above)
+    keep = _may_vote(cloud_m, above, mapping) & (kind <= len(ground.kinds))
+    votes.add(points_m[keep, :2], kind[keep])
+
+
+def _may_vote(
+    cloud_m: np.ndarray, above_m: np.ndarray, mapping: config.MappingConfig
+) -> np.ndarray:
+    """Return the points that vote for the kind of ground, (n,) bool.
+
+    Nearer points are the robot's own body. Higher points are over the robot: the crown of a tree
+    does not hide the ground below it.
+    """
+    is_body = np.linalg.norm(cloud_m, axis=1) < mapping.min_range_m
+    return ~is_body & ~(above_m > mapping.obstacle_max_m)
 
 
 def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> None:
@@ -311,8 +334,11 @@ def scene_of_map(
     found: Detections | None = None,
     floor: str = "floor",
     object_map: ObjectMap | None = None,
+    ground: GroundVotes | None = None,
 ) -> Scene:
     """Build a scene from the service's map and instances; each piece of free floor is one region.
+
+    Votes name the kind of free ground. They neither open nor close cells.
 
     Args:
         view: the map.
@@ -320,16 +346,28 @@ def scene_of_map(
         instances: they become the objects, with their own ids.
         radius_m: see `SceneBuilder`.
         found: boxes of the same picture. A box around an instance's centre is its contour.
-        floor: label of free ground.
+        floor: label of free ground without another name.
         object_map: object map of the same objects. A tracker keeps only a few points of an
             instance, and may have several instances of a large object.
+        ground: votes for kinds of ground; None: all free ground is `floor`.
     """
     objects = _with_all_points(
         [instance for instance in instances if len(instance.points_m)], object_map or ObjectMap()
     )
     contours = {} if found is None else _contours_by_object(objects, found)
     occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
-    return _scene(observation, occupancy, None, (floor,), objects, contours, radius_m)
+    kind, labels = None, (floor,)
+    if ground is not None:
+        labels = (*ground.kinds, floor)
+        kind = ground.classify(occupancy, observation.pose)
+        kind[kind == 0] = len(labels)
+        kind[~_free_ground(occupancy, observation.pose)] = 0
+    return _scene(observation, occupancy, kind, labels, objects, contours, radius_m)
+
+
+def _free_ground(occupancy: Grid, pose: SE2) -> np.ndarray:
+    """Return the free cells that the robot could drive to, (h, w) bool."""
+    return reachable(occupancy.cells == 0, occupancy, pose)
 
 
 def _with_all_points(instances: Sequence[Instance], object_map: ObjectMap) -> list[MapObject]:
@@ -498,7 +536,7 @@ def _scene(
     """
     pose = observation.pose
     if kind is None:
-        kind = reachable(occupancy.cells == 0, occupancy, pose).astype(np.uint8)
+        kind = _free_ground(occupancy, pose).astype(np.uint8)
     regions, cells = terrain.regions_of(occupancy, kind, labels)
     allowed = reachable(open_cells(occupancy, cells, radius_m), occupancy, pose)
     described = {obj.id: _scene_object(obj, pose, cells, allowed) for obj in objects}

@@ -45,7 +45,6 @@ class MotionLimits:
     """Highest speeds and accelerations that may be commanded.
 
     Attributes:
-        speed_mps: highest speed.
         turn_radps: highest turn rate.
         accel_mps2: highest acceleration, also when braking.
         turn_accel_radps2: highest change of the turn rate in a second.

@@ -37,14 +37,7 @@ Run = dict[str, Any]
 
 
 def run_identity(plan: Any, frames: int, ranks: int, device: str) -> Run:
-    """Return the identity of a run, in types that `torch.load` reads without running code.
-
-    Args:
-        plan: the run's plan, a dataclass.
-        frames: number of training images.
-        ranks: number of processes that share each batch.
-        device: as PyTorch names it.
-    """
+    """Return the identity of a run, in types that `torch.load` reads without running code."""
     return {"plan": asdict(plan), "ranks": ranks, "frames": frames, "device": device}
 
 
@@ -66,11 +59,7 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
-    """Return the checkpoint to continue from; None if there is none yet.
-
-    Raises:
-        ExportError: the checkpoint is of another run; the message names a key that differs.
-    """
+    """Return the checkpoint to continue from; None if there is none yet."""
     if not path.is_file():
         return None
     checkpoint = load(path, device)

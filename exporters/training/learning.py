@@ -91,13 +91,7 @@ class Learner:
         self._started_s = time.monotonic()
 
     def step(self, loss: Tensor, clip: float, share: Callable[[], None] | None = None) -> None:
-        """Learn from a batch.
-
-        Args:
-            loss: loss of the batch.
-            clip: largest norm of the gradients.
-            share: function that averages the gradients over all processes.
-        """
+        """Learn from a batch."""
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         if share is not None:

@@ -45,14 +45,7 @@ def took_ms(run: Callable[[int], object], runs: int) -> dict[str, float]:
 
 
 def publish(files: Mapping[str, Path], cards: list[dict[str, Any]], out: Path, note: str) -> None:
-    """Put ONNX files and their cards into `out`, files before cards; on an error, put nothing.
-
-    Args:
-        files: source file by its new name.
-        cards: contents of the cards.
-        out: folder.
-        note: comment at the top of each card.
-    """
+    """Put ONNX files and their cards into `out`, files before cards; on an error, put nothing."""
     contents = {name: path.read_bytes() for name, path in files.items()}
     for card in cards:
         body = yaml.safe_dump(card, sort_keys=False, width=100)

@@ -55,7 +55,7 @@ def as_stranger(temporary) -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
-def test_a_user_without_a_home_is_told_which_variable_to_set(as_stranger, temporary):
+def test_an_error_without_a_home_names_the_variable_to_set(as_stranger, temporary):
     done = as_stranger("models", "list")
     assert done.returncode == os.EX_CONFIG
     assert f"user {STRANGER} has no home folder: set EDGE_CACHE_DIR" in done.stderr

@@ -59,7 +59,7 @@ def test_models_check_refuses_it_in_one_line(put, capsys, how):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_models_check_of_an_endless_model_ends_when_told_to(put, number):
+def test_models_check_of_an_endless_model_ends_at_a_signal(put, number):
     put("hostile", **ENDLESS["always"])
     command = [
         *python_module("edge.cli"),

@@ -54,7 +54,7 @@ class Port:
         ).encode()
 
     def say(self, request: bytes) -> bytes:
-        """All that is answered; whoever says no more is told so at once."""
+        """All answers; a client that sends no more gets one at once."""
         with socket.create_connection((HERE, self.port), PATIENCE_S) as sock:
             answer = b""
             with suppress(ConnectionResetError, BrokenPipeError):

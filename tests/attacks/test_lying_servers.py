@@ -1,4 +1,4 @@
-"""Servers that drip, lie and go on for ever: whoever asks them ends with one line that says so.
+"""Servers that drip, lie and never end: the client ends with one line that says so.
 
 The servers are real ones on this machine that speak bytes, so that they can do what no HTTP
 library would. Only the limit that a server runs into is short, as machines may be busy.
@@ -211,7 +211,7 @@ def test_redirects_end(tmp_path, talk, message):
         (-1, r"does not speak HTTP \(bad Content-Length\)"),
     ],
 )
-def test_a_length_that_is_a_lie_is_told(tmp_path, told, message):
+def test_a_wrong_length_is_reported(tmp_path, told, message):
     def talk(line: Line) -> None:
         line.hear()
         sent = CONTENT[:6000] if told < 0 else CONTENT

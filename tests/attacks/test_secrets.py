@@ -105,7 +105,7 @@ def files_of(folder: Path) -> Iterator[str]:
             yield path.read_bytes().decode("utf-8", "replace")
 
 
-def test_no_secret_is_told(edge, config, tmp_path, environ, say):
+def test_no_secret_is_shown(edge, config, tmp_path, environ, say):
     report = tmp_path / "report"
     service = edge("--log-level", "debug", "run", config, "--report", report, **environ)
     service.says("ready:")

@@ -1,4 +1,4 @@
-"""Requests to a running service: each is answered once, and nobody waits for ever."""
+"""Requests to a running service: each is answered once, and no client waits forever."""
 
 from __future__ import annotations
 
@@ -374,7 +374,7 @@ def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session,
     for request in requests:
         request.answer({"did": request.do})
     assert [status.answer, stop.answer] == [{"did": "status"}, {"did": do}]
-    preparing.done("b")  # nobody waits for it
+    preparing.done("b")  # no client waits for it
     assert begin_all(server, 1) == ["e"]
     assert after[0].answer == {"began": "e"}
     assert preparing.begun == ["a", "b", "e"]

@@ -58,7 +58,7 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
     [
         (4, 0, [0, 0, 0], 0),
         (4, 3, [3, 0, 0], 0),
-        (4, 4, [4, 0, 0], 0),  # whoever comes late finds it full
+        (4, 4, [4, 0, 0], 0),  # full for a late client
         (4, 6, [4, 2, 0], 0),
         (4, 11, [4, 4, 3], 1),
         (4, None, [4, 4, 4], 2),

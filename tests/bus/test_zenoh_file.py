@@ -1,4 +1,4 @@
-"""Zenoh's own file under our settings, and what is said of one that cannot be used."""
+"""Zenoh's own file under our settings, and the errors of an unusable one."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from edge.geometry import SE2
 from edge.logs import CLEAR_LINE
 from edge.loop.latency import LatencyRing
 from edge.loop.result import TickResult, mission_facts
-from edge.loop.service import DETECT
+from edge.loop.stages import DETECT
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
 from edge.tasks.facts import lengths_m

@@ -158,7 +158,7 @@ def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
         ("PACKAGE", "^the package, {}: .* install it where all users can read it"),
     ],
 )
-def test_it_is_said_what_of_this_installation_cannot_be_read(private, monkeypatch, what, says):
+def test_unreadable_parts_of_the_installation_are_reported(private, monkeypatch, what, says):
     """A pyenv's Python lies in a home, wherever the environment that is linked to it lies."""
     file = private.parent / "python3"
     file.touch()

@@ -1,4 +1,4 @@
-"""onnxruntime is tried in a process of its own, whose end is told in one line."""
+"""onnxruntime is tried in its own process, whose end is reported in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`edge play`: a robot's recording through the real service, and what is told of it."""
+"""`edge play`: a robot's recording through the real service, and its report."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path,
 
 
 def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
-    """The robot drives and then stands for a long time: nobody sent it anywhere."""
+    """The robot drives and then stands for a long time without a goal."""
     kept = tmp_path / "checkpoint.json"
     mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.5, "time_limit_s": 0.5}
     sinks = [{"kind": "mcap", "options": {"folder": str(tmp_path / "sink")}}]

@@ -59,5 +59,5 @@ def test_it_finds_the_one_of_two_that_was_named_from_afar():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["refrigerator", "wardrobe", "backpack"])
-def test_it_reaches_what_the_demo_is_told_to_find(target):
+def test_the_demo_reaches_its_target(target):
     assert run(target).distance_m(target) <= 1.0

@@ -36,7 +36,7 @@ def there_and_back() -> ClosedLoop:
 def test_it_goes_to_a_place_that_it_has_not_seen_and_comes_back(there_and_back):
     loop = there_and_back
     assert loop.service.status.phase == "reached", loop.notes.events
-    assert loop.service.mission.reached == ("dock", "here")
+    assert loop.service.mission.sets.reached == ("dock", "here")
     assert loop.drive.motion.pose.distance_to(*START) < 0.5
     kinds = [goal.kind for goal in loop.notes.goals]
     assert kinds[-1] == "place"
@@ -89,7 +89,7 @@ def test_it_drives_around_a_zone_and_the_way_is_longer():
     def path_m(*items) -> float:
         loop = driven("go to the dock", FAR, *items)
         assert loop.service.status.phase == "reached", loop.notes.events
-        return loop.service.mission.path_m
+        return loop.service.mission.meter.path_m
 
     zone = Zone("mat", "keep_out", square(2.9, 1.8, 0.3))
     assert path_m(zone) > path_m() + 0.05

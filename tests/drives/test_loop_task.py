@@ -68,7 +68,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
     loop = at_the_oven
     mission = loop.service.mission
     assert loop.service.status.phase == "reached", loop.notes.events
-    assert mission.reached == ()
+    assert mission.sets.reached == ()
     kinds = [step.kind for step in mission.log]
     assert kinds[:4] == ["start", "target", "seen", "trajectory"]
     assert kinds[-1] == "end"
@@ -122,7 +122,7 @@ def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
     assert loop.service.status.phase == "reached", loop.notes.events
     assert any("it may be any of these: exploring further" in e for e in loop.notes.events)
     assert [goal.kind for goal in loop.notes.goals].count("instance") >= 1
-    assert loop.service.mission.reached == ()
+    assert loop.service.mission.sets.reached == ()
 
 
 def test_what_it_may_be_any_of_when_all_are_known_ends_it(monkeypatch):
@@ -299,7 +299,7 @@ def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(
     loop.service = Service(
         config, spec, loop.worker, make_policy(config.policy, config.path), [loop.notes], again
     )
-    assert loop.service.mission.elapsed_s > 1.0
+    assert loop.service.mission.meter.elapsed_s > 1.0
     assert states(loop) == ["driven", "looked for"]
     sent = len(loop.notes.goals)
     loop.run(300)

@@ -43,7 +43,7 @@ def steps(loop: ClosedLoop, seconds: float) -> None:
         loop.step()
 
 
-def test_it_waits_as_long_as_it_was_told_without_moving(tmp_path):
+def test_it_waits_for_the_given_time_without_moving(tmp_path):
     loop = loop_of(tmp_path, 'F "wait 3 s"')
     steps(loop, 1.5)
     status = loop.service.status
@@ -70,7 +70,7 @@ def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
     assert loop.service.mission.target == "start"
 
 
-def test_exploring_ends_with_its_time_and_tells_what_was_found(tmp_path):
+def test_exploring_ends_with_its_time_and_reports_what_was_found(tmp_path):
     loop = loop_of(tmp_path, 'F "explored for 6 s"', time_limit_s=3.0).run(60)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -122,7 +122,7 @@ def in_rooms(folder: Path, formula: str) -> ClosedLoop:
     return loop
 
 
-def test_exploring_a_room_stays_inside_and_tells_what_is_there(tmp_path):
+def test_exploring_a_room_stays_inside_and_reports_what_is_there(tmp_path):
     loop = in_rooms(tmp_path, 'F "explored workshop"').run(100)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -156,7 +156,7 @@ def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
     assert loop.service.status.phase == phase, loop.service.status
 
 
-def test_a_check_that_finds_nothing_tells_where_the_thing_was_before(tmp_path):
+def test_a_check_that_finds_nothing_reports_where_the_object_was_before(tmp_path):
     loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
     assert loop.service.status.reason.startswith("yes")
     formula, now_ns = 'F "check bed in workshop"', loop.drive.motion.stamp_ns
@@ -185,7 +185,7 @@ def test_it_comes_to_the_caller(tmp_path):
     assert loop.drive.motion.pose.distance_to(3.0, 2.0) < 0.8
 
 
-def test_it_patrols_for_some_time_and_tells_the_round(tmp_path):
+def test_it_patrols_for_some_time_and_reports_the_round(tmp_path):
     loop = loop_of(tmp_path, "F start")
     site = Site((Place("dock", SE2(3.0, 2.0, 0.0)), Place("shelf", SE2(1.5, 1.0, 0.0))))
     fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})

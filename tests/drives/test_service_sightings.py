@@ -38,7 +38,7 @@ def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
     few = loop.config.perception.model_copy(
         update={"detector": loop.config.perception.detector.model_copy(update={"background": ()})}
     )
-    loop.service._worker.exchange(make_detector(few, ("sofa",), truth=loop.truth))
+    loop.service.perception.worker.exchange(make_detector(few, ("sofa",), truth=loop.truth))
     before = len(loop.notes.goals)
     driven_m = loop.drive.motion.path_m
     loop.run(300)

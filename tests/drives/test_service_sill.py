@@ -158,7 +158,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
     [(1000.0, 3.0), (5.0, 18.0), (9.0, 18.0)],
     ids=["says nothing", "fails soon", "fails late"],
 )
-def test_a_robot_that_stands_whatever_it_is_told_teaches_the_map(tmp_path, fails_after_s, within_s):
+def test_a_robot_that_ignores_commands_teaches_the_map(tmp_path, fails_after_s, within_s):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()

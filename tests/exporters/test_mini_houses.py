@@ -1,4 +1,4 @@
-"""The data of the small detector: houses, what is said of their things, pictures, batches."""
+"""The data of the small detector: houses, phrases for their objects, pictures, batches."""
 
 from __future__ import annotations
 

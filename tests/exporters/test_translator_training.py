@@ -71,7 +71,7 @@ def test_batches_have_both_directions_but_for_what_is_refused() -> None:
     assert len(sources) == len(sentences) < len(batch)
 
 
-def test_training_goes_on_and_its_file_says_what_it_says(tmp_path: Path) -> None:
+def test_training_continues_and_its_file_gives_the_same_results(tmp_path: Path) -> None:
     whole = train(PHRASES, [], WORDS, PLAN, tmp_path / "whole.pt")
     train(PHRASES, [], WORDS, PLAN, tmp_path / "again.pt")
     assert parity_of(whole, tmp_path) < 0.05

@@ -87,7 +87,7 @@ def _write_preprocessor(folder: Path, size: dict, crop: dict | None) -> None:
 
 
 def _alive(model):
-    """Weights large enough that inputs tell, and biases and norms that are not 0 and 1."""
+    """Weights large enough that inputs matter, and biases and norms that are not 0 and 1."""
     import torch
 
     with torch.no_grad():
@@ -202,4 +202,20 @@ def write_owlv2(folder: Path, seed: int = 0, config: dict | None = None) -> Path
     model.save_pretrained(folder)
     side = model.config.vision_config.image_size
     _write_preprocessor(folder, {"height": side, "width": side}, crop=None)
+    return folder
+
+
+def write_segformer(folder: Path, labels: tuple[str, ...], seed: int = 0) -> Path:
+    """Write SegFormer: four stages of one block, 8 to 32 channels, for 64 x 64 px."""
+    import torch
+    from transformers import SegformerConfig, SegformerForSemanticSegmentation
+
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(seed)
+    config = SegformerConfig(
+        depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], num_attention_heads=[1, 2, 2, 4],
+        decoder_hidden_size=32, id2label=dict(enumerate(labels)),
+    )  # fmt: skip
+    _alive(SegformerForSemanticSegmentation(config)).save_pretrained(folder)
+    _write_preprocessor(folder, {"height": 64, "width": 64}, crop=None)
     return folder

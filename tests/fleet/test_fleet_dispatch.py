@@ -29,7 +29,7 @@ FAILED = robot("a", "m.1", "failed", "no bed")
 
 
 class Fleet:
-    """A roster that sees what it is told to, and a dispatcher that looks at it.
+    """A roster with given robots, and a dispatcher that reads it.
 
     Attributes:
         robots: who is there; None: the router is gone.
@@ -80,7 +80,7 @@ def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, betwee
         assert fleet.given_to(109.9, FREE, AT_IT) == []
     else:
         fleet.router_is_gone()
-    assert fleet.given_to(200.0, *missing) == []  # counted anew
+    assert fleet.given_to(200.0, *missing) == []  # counted again
     assert fleet.given_to(209.9, *missing) == []
     assert fleet.given_to(210.0, *missing) == ["b"]
 
@@ -138,7 +138,7 @@ def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
     ],
 )
 def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
-    """Whatever it reports in between, and though nobody else is there."""
+    """Whatever it reports in between, and even without another robot."""
     fleet = Fleet(BED, accepts=True)
     gives, now_s = 0, 0.0
     for _ in range(3 * MAX_TRIES):
@@ -155,10 +155,10 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
 
 def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
     spec = prepare(LIMITS, instruction="go to the bed and the sofa")
-    first = plan(spec, LIMITS, {}, share=True)
+    first = plan(spec, {}, share=True)
     bed, sofa = (part.id for part in first.parts)
     past = (PastMission(sofa, "failed", "no sofa"),)
     account = dataclasses.replace(robot("a", bed, "searching").status_reply, past=past)
-    assert plan(spec, LIMITS, {"a": Robot("a", account)}, share=True) == first
+    assert plan(spec, {"a": Robot("a", account)}, share=True) == first
     over = dataclasses.replace(account, phase="reached")
-    assert plan(spec, LIMITS, {"a": Robot("a", over)}, share=True).id != first.id
+    assert plan(spec, {"a": Robot("a", over)}, share=True).id != first.id

@@ -45,7 +45,7 @@ def test_nobody_and_nothing():
 @pytest.mark.parametrize(
     ("robots", "expected"),
     [
-        # One part a robot, in the order of parts and names where nothing else tells them apart.
+        # One part a robot; ties go by the order of parts and names.
         ([robot("b"), robot("a")], {"m.1": "a", "m.2": "b"}),
         # Who knows where it is, and is nearer.
         ([robot("a"), robot("b", bed=9.0)], {"m.1": "b", "m.2": "a"}),

@@ -84,7 +84,7 @@ class Sharing:
         spec = prepare(LIMITS, instruction=words)
         with open_roster(settings_of(port, "any")) as seen:
             how = {"share": True, **how}
-            self.mission = plan(spec, LIMITS, seen.ask_status(), **how)
+            self.mission = plan(spec, seen.ask_status(), **how)
             dispatcher = Dispatcher(seen, self.mission, self.told.append, patience_s)
             while not self._stop.is_set():
                 orders = dispatcher.step()
@@ -149,7 +149,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
     assert fleet("new", "frobnicate the bed")[0] == 65
 
 
-def test_who_watches_is_told_of_changes_only(port, robots, tmp_path):
+def test_a_watcher_gets_only_changes(port, robots, tmp_path):
     anna = robots("anna")
     watching = Edge("fleet", "list", "--watch", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     try:
@@ -172,7 +172,7 @@ def test_a_mission_in_three_parts_is_done_by_three(port, robots):
     assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 
-def test_what_everybody_fails_at_is_told_with_their_reasons(port, robots):
+def test_a_part_that_all_robots_fail_is_reported_with_their_reasons(port, robots):
     anna, bob = robots("anna"), robots("bob", blind_to=frozenset({"bed"}))
     sharing = Sharing(port, "go to the bed", patience_s=0.5, share=False)
     eventually(lambda: not anna.mission.done)
@@ -230,7 +230,7 @@ def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(por
     assert sum(robot.service.begun for robot in both) == 6
 
 
-def test_a_robot_back_from_afar_is_told_that_another_is_at_it(port, robots, monkeypatch):
+def test_a_robot_that_returns_learns_that_another_has_its_part(port, robots, monkeypatch):
     anna = robots("anna")
     sharing = Sharing(port, "go to the bed", patience_s=0.5)
     eventually(lambda: not anna.mission.done)

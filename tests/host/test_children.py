@@ -16,7 +16,7 @@ from edge.perception.process import link
 
 
 def test_nothing_is_imported_from_the_working_directory(tmp_path, monkeypatch):
-    """Not even what lies beside the package, where that is not installed."""
+    """Not even the files next to a package that is not installed."""
     ours, here = tmp_path / "ours", tmp_path / "here"
     for folder in (ours, here):
         (folder / "program").mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""A step that cannot be told to stop is left to its thread."""
+"""A step that cannot be stopped is left to its thread."""
 
 from __future__ import annotations
 

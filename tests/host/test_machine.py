@@ -47,7 +47,7 @@ def test_where_nothing_can_be_read_there_is_still_a_description(tmp_path):
     assert machine.busy_s(tmp_path) is None
 
 
-def test_a_jetson_tells_its_board_power_mode_and_clocks(tmp_path):
+def test_a_jetson_reports_its_board_power_mode_and_clocks(tmp_path):
     put(tmp_path, ORIN)
     found = machine.describe(tmp_path)
     assert found["cpu"] == "Cortex-A78AE"

@@ -1,4 +1,4 @@
-"""Memory goes back to the system: in a process of its own, whose heap nobody else uses."""
+"""Memory goes back to the system: in its own process, whose heap no other test uses."""
 
 from __future__ import annotations
 

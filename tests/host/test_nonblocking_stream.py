@@ -1,4 +1,4 @@
-"""A stream that nobody waits for, on real pipes."""
+"""A stream that never blocks, on real pipes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeyp
     outlet = NonBlockingStream(stream)
     for _ in range(MUCH):
         assert outlet.write(LINE) == len(LINE)
-    outlet.drain()  # though nobody reads
+    outlet.drain()  # without a reader
     came = lost = 0
     with open(read, encoding="utf-8", closefd=False) as reader:
         while came + lost < MUCH:  # neither more nor less, or it waits for ever

@@ -21,7 +21,7 @@ def test_the_priority_ends_with_the_block():
     assert policy() == os.SCHED_OTHER
 
 
-def test_a_missing_right_is_said_and_survived(monkeypatch, caplog):
+def test_a_missing_permission_is_reported_and_survived(monkeypatch, caplog):
     def refuse(*_args):
         raise PermissionError(1, "Operation not permitted")
 

@@ -324,7 +324,7 @@ def test_what_one_has_already_is_not_sent_again():
 )
 def test_every_answer_says_what_a_page_may_do(request_head, status):
     with serve({}, HERE, 0) as port:
-        # A line that is too long is cut there: bytes that nobody reads would lose the answer.
+        # A line that is too long is cut there: unread bytes would lose the answer.
         end = b"" if len(request_head) > LONGEST_LINE else b"\r\n\r\n"
         answer = say(port, request_head + end)
     head, _, body = answer.partition(b"\r\n\r\n")

@@ -36,7 +36,7 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
     )
     for name in NAMES:
         services[name].says("target: ")
-    sharing.says("carl gets: ")  # else its answer dies with it, and nobody knows that it began
+    sharing.says("carl gets: ")  # else its answer is lost, and its start stays unknown
     services["carl"].process.send_signal(signal.SIGKILL)
     sharing.says("carl is offline; another robot gets the part unless it is back within 3 s")
     assert sharing.wait() == 0, sharing.output

@@ -1,4 +1,4 @@
-"""`edge demo --live`: the page of a real run, from its start to its end, and told what to do."""
+"""`edge demo --live`: the page of a real run, from its start to its end, with commands."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ HIDDEN = {
 
 
 class RosRobot:
-    """Publishes what the simulator sends, and drives by its controller where Nav2 is told to."""
+    """Publishes what the simulator sends, and drives by its controller to Nav2's goals."""
 
     def __init__(self, session: zenoh.Session, port: int, name: str, dialect: Dialect) -> None:
         settings, body = builtin_config(name).ros2, ROBOTS[name]

@@ -209,7 +209,7 @@ def test_a_real_server_finds_what_is_found_here_and_may_come_and_go(server, caps
 
     try:
         for _ in range(2):
-            assert found() is None  # nobody listens yet, or any more
+            assert found() is None  # no server listens yet, or any more
             with start():
                 answer = eventually(found, "it was never asked again")
                 np.testing.assert_allclose(answer.score, wanted.score, atol=1e-4)

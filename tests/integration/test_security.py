@@ -283,7 +283,7 @@ def test_idle_connections_keep_nobody_out(etc, kind):
 
 
 @pytest.mark.slow
-def test_a_robot_is_driven_as_the_page_says(etc, edge, tmp_path):
+def test_a_robot_is_driven_as_the_documentation_says(etc, edge, tmp_path):
     """Each process with a certificate of its own; a stranger who lies changes nothing."""
     port = free_port()
     section = page_section("0.0.0.0:7447", etc).replace("7447", str(port))

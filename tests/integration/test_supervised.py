@@ -1,4 +1,4 @@
-"""The service as systemd sees it: a process, a socket that it tells how it is, and signals.
+"""The service as systemd sees it: a process, a socket for its state, and signals.
 
 No systemd takes part, for it wants a machine of its own; the socket is real, the process is, and
 what hangs does hang.

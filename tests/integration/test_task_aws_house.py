@@ -18,7 +18,7 @@ TASK = "go around the left of the sofa, then stop at the desk"
 BESIDE_M = 2.0
 """Largest distance from the outline of an object that the robot drives around."""
 AT_THE_DESK_M = 1.3
-"""The chair before the desk, or the bin beside it, is taken for a part of it: that costs 0.3 m."""
+"""The chair or the bin at the desk is taken for a part of it: that costs 0.3 m."""
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from edge.types import Observation
 
 PEER = Path(__file__).with_name("zenoh_peer.py")
 CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
-# A put to a stopped peer was seen to wait 5 s; whoever has it done elsewhere takes milliseconds.
+# A put to a stopped peer was seen to wait 5 s; on another thread it takes milliseconds.
 
 
 @pytest.fixture

@@ -142,7 +142,7 @@ def test_a_wait_is_shown_and_ends_by_the_button(page, house):
     page.says("#phase", "REACHED")
 
 
-def test_what_is_not_understood_is_said_and_changes_nothing(page, house):
+def test_a_request_that_is_not_understood_is_refused_and_changes_nothing(page, house):
     order(page, INSTRUCTION)
     page.until("!document.getElementById('new-error').hidden")
     assert page.run("document.querySelector('#new-error b')") is None

@@ -52,7 +52,7 @@ def test_before_the_first_tick_there_is_nothing(sink):
     assert sink.snapshot is None
 
 
-def test_while_nobody_looks_nothing_dear_is_asked_for(sink, clock):
+def test_without_viewers_nothing_expensive_is_requested(sink, clock):
     dear = {name: lambda: pytest.fail("gathered for nobody") for name in DEAR}
     rgb = np.zeros((30, 40, 3), np.uint8)
     sink.tick(result(observation=seen(rgb), **dear))

@@ -90,7 +90,7 @@ def test_the_page_itself_is_public_and_nothing_else_is(view):
     assert "http" not in html.replace("http.token_file", "")
 
 
-def test_whatever_is_said_is_json_without_infinities(view):
+def test_all_pages_are_json_without_infinities(view):
     view.sink.mark_watched()
     view.sink.tick(result(**full()))
     moment, story = fetch(view, "/live/now")["moment"], fetch(view, "/live/story")

@@ -60,7 +60,7 @@ def test_a_board_that_is_not_cool_has_no_room():
     assert plant.run(62).level == 0
 
 
-def test_steps_up_in_vain_come_ever_more_seldom():
+def test_steps_up_in_vain_become_rarer():
     """A board that is cool once something is given up, and hot once it is taken back."""
     plant = Plant(costs_ms=(10.0, 10.0))
     while plant.now_s < 20_000:

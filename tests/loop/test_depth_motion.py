@@ -69,7 +69,7 @@ class Eye:
         return max((m for m in found if not math.isnan(m)), default=math.nan)
 
 
-def test_nothing_seen_tells_nothing(house):
+def test_nothing_seen_proves_nothing(house):
     empty = np.zeros((8, 8), np.float32)
     eye = Eye(house)
     camera = CameraModel.from_hfov(8, 8, 1.0)

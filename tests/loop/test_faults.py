@@ -33,7 +33,7 @@ def test_nothing_failed(faults, told):
     assert told == []
 
 
-def test_each_kind_is_told_once_on_one_line_and_counted(faults, told, caplog):
+def test_each_kind_is_reported_once_on_one_line_and_counted(faults, told, caplog):
     fail(faults, 3)
     fail(faults, 2, error=KeyError)
     fail(faults, 1, step="orders")

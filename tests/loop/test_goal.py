@@ -492,19 +492,21 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
     assert case.tick((3.0, 0.0), after_s=2.5).candidate_xy_m == (3.0, 0.0)
 
 
-def test_the_search_waits_for_what_came_into_the_way_to_go():
+@pytest.mark.parametrize("path_m", [math.inf, 5.0], ids=["space out of reach", "all in reach"])
+def test_the_search_waits_for_what_came_into_the_way_to_go(path_m):
     """Forget arrivals whenever nothing is left, but not on the way to a viewpoint."""
     case = Case()
     case.turn_round()
+    case.map.walled, case.pool.candidates.path_m[0] = [(3.0, 0.0)], path_m
     for small_too in (False, False, True):
-        case.tick(after_s=11.0)
+        case.tick((3.0, 0.0), after_s=11.0)
         assert case.goals.exhausted
         case.map.arrived = True
-        assert case.tick(after_s=11.0) is None
+        assert case.tick((3.0, 0.0), after_s=11.0) is None
         assert (case.map.arrived, case.map.small_too) == (False, small_too)
         case.map.generation += 2
-        case.tick(after_s=4.0)
-        assert not case.goals.exhausted, "it may go in the next seconds"
+        case.tick((3.0, 0.0), after_s=4.0)
+        assert case.goals.exhausted == math.isfinite(path_m), "it may go in the next seconds"
     case.map.arrived = True
     case.tick()
     assert case.map.arrived, "ten seconds between two tries"

@@ -1,4 +1,4 @@
-"""The shedder over a real swapper and worker, with detectors that are as slow as they are told."""
+"""The shedder over a real swapper and worker, with detectors of a given slowness."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
     b.until(lambda: b.shedder.level == 1)
 
 
-def test_another_power_mode_is_told(bench):
+def test_another_power_mode_is_reported(bench):
     b = bench().sees(COOL).sees(COOL.__class__({}, {}, {}, {}, {}, {}, "15W"))
     (said,) = b.said
     assert said.startswith("load shedding: the board's power mode changed from MAXN to 15W; ")
@@ -256,7 +256,7 @@ def test_there_is_none_without_levels_nor_where_runs_replay(lockstep, levels):
     assert status_message(closed.service.result())["load_shedding"] is None
 
 
-def test_a_service_tells_of_each_step_in_its_status_and_to_its_sinks():
+def test_a_service_reports_each_step_in_its_status_and_to_its_sinks():
     closed = service(False, levels=LEVELS[1:])
     shedder = closed.service.load_shedder
     try:

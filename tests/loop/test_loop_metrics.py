@@ -86,7 +86,9 @@ def test_after_some_ticks(watched):
     assert found["edge_stage_duration_seconds_count"]["detect"] == 10
     assert found["edge_detector_images_total"]["detected"] == 10
     assert found["edge_detector_state"]["ok"] == 1
-    assert found["edge_model_info"] == {(loop.service._worker.detector.name, "detector"): 1}
+    assert found["edge_model_info"] == {
+        (loop.service.perception.worker.detector.name, "detector"): 1
+    }
     assert found["edge_mission_state"][loop.service.status.phase] == 1
     assert sum(found["edge_mission_state"].values()) == 1
     assert found["edge_mission_targets"] == {(): 1}
@@ -125,7 +127,7 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
+def test_sinks_with_a_status_report_what_they_could_not_send():
     class Slow:
         def __init__(self, **counts: int) -> None:
             self.status = WorkerStats(**counts).status
@@ -148,7 +150,7 @@ def test_sinks_that_say_how_they_are_tell_what_they_could_not_send():
     assert statuses([]) == {}
 
 
-def test_a_checkpoint_tells_what_was_written(tmp_path):
+def test_a_checkpoint_reports_what_was_written(tmp_path):
     watched = Watched().watch()
     assert "edge_checkpoint_written_total" not in watched.scrape()
     checkpoint = ServiceCheckpoint(watched.closed.config, tmp_path / "mission.json", None)

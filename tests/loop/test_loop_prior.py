@@ -1,4 +1,4 @@
-"""The prior beside the loop: what it makes of sightings and of the map cut into rooms."""
+"""The prior in the background, from objects and from the map cut into rooms."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_no_opinion(by, things, target):
     assert lifts(p, target) == []
 
 
-def test_what_stands_near_tells():
+def test_objects_near_by_change_the_prior():
     p, empty = prior("cooccurrence"), NO_REGIONS
     p.step(empty, seen(("toilet paper", 1, 0), ("bed", -6, 0)))
     by_sink, by_bed, far = lifts(p, "toilet", (0, 0), (-5, 0), (0, 9))
@@ -94,7 +94,7 @@ def test_not_through_walls():
     assert behind == 1 < beside
 
 
-def test_rooms_tell_as_far_as_they_reach():
+def test_rooms_change_the_prior_inside_them():
     """A room of 5 m × 6 m, one end of which holds what only a bathroom does."""
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
     p = prior("rooms")
@@ -140,7 +140,7 @@ def test_what_changed_is_looked_at_again():
 
 
 @pytest.mark.parametrize("by", BY)
-def test_a_layer_of_it_says_what_it_says_of_each_place(by):
+def test_its_layer_has_its_value_at_each_place(by):
     p = prior(by)
     assert p.layer("toilet")().cells.size == 0
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))

@@ -84,8 +84,8 @@ def running_of(
     servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
-        service._worker = service._health._worker = worker
-    return RunningService(closed.config, service, service._worker, source, servers)
+        service.perception.worker = service._health._worker = worker
+    return RunningService(closed.config, service, service.perception.worker, source, servers)
 
 
 def run_out(run: RunningService, seen: list[Observation]) -> None:
@@ -157,10 +157,10 @@ def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(
 
 
 def test_the_service_takes_the_stages_in_the_order_of_the_table():
-    from edge.loop import service
+    from edge.loop import stages
 
     for index, stage in enumerate(STAGES):
-        assert getattr(service, stage.name.upper()) == index
+        assert getattr(stages, stage.name.upper()) == index
         assert (resources.PACKAGE.parent / stage.code).exists(), stage.code
 
 
@@ -171,7 +171,7 @@ def broken(*_, **__) -> None:
 BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "on_pose_jump"),
     "check": lambda run: (run.service.plausibility, "permitted_use"),
-    "detect": lambda run: (run.service._worker, "submit"),
+    "detect": lambda run: (run.service.perception.worker, "submit"),
     "map": lambda run: (run.service, "_map"),
     "lift": lambda run: (run.service.map._back_projector, "back_project"),
     "candidates": lambda run: (run.service.map, "gather"),
@@ -249,7 +249,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     failing, passing = DEGRADED_AFTER + 2, 3
     seen = blanks(closed, failing + passing)
-    detector = closed.service._worker.detector
+    detector = closed.service.perception.worker.detector
     run = running_of(closed, seen, worker=DetectorWorker(detector, inline))
     service, stop, states = run.service, threading.Event(), []
     whole = detector.detect
@@ -275,7 +275,7 @@ def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(i
     assert status_message(service.result())["loop"]["state"] == "ok"
 
 
-def test_who_detects_is_told_once_at_each_change():
+def test_each_change_of_the_detector_is_reported_once():
     """A detector on a server is replaced by one here, fails altogether, and works again."""
     far, near = Health(), Health("ok", "near answers until far does again: no connection")
     loads, ill = Health("building engine", "5 s"), Health("degraded", "near: it ended")
@@ -295,7 +295,7 @@ def test_who_detects_is_told_once_at_each_change():
 
 
 class Sink:
-    """Notes the stamps of the ticks that it is told of."""
+    """Notes the stamps of the ticks that it gets."""
 
     def __init__(self) -> None:
         self.stamps_ns: list[int] = []
@@ -326,7 +326,7 @@ def test_a_sink_that_fails_costs_the_others_nothing():
 
 
 @pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
-def test_a_frame_that_a_stage_fails_on_is_told_as_dealt_with(stage, monkeypatch):
+def test_a_frame_that_a_stage_fails_on_is_published_as_handled(stage, monkeypatch):
     """In lockstep the simulator's clock stands still until it is."""
     sink = Sink()
     closed = ClosedLoop(

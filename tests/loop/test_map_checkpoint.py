@@ -108,7 +108,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     run = Run(path, settings).ticks(ticks)
     run.service.checkpoint.close()
     run.beside = run.another()
-    # What it says is nobody's to obey.
+    # Its content is not trusted.
     run.beside._publisher._sinks = [RunLog()]
     return run
 
@@ -138,7 +138,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         for name in ("id", "kind", "first_seen_ns", "path_m", "gain_m2", "blocked", "confidence"):
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
-        np.testing.assert_array_equal(one.scores, other.scores)
+        np.testing.assert_array_equal(one.perception.scores, other.perception.scores)
         assert told(one.goal) == told(other.goal)
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all

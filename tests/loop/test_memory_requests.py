@@ -65,7 +65,7 @@ def test_filters_leave_out_objects(loop):
     assert found
 
 
-def test_what_looks_alike_is_told_as_such(loop):
+def test_similar_objects_are_reported_as_such(loop):
     answer = ask(loop, '{"do": "find", "name": "countertop"}')
     assert answer["text"].startswith("no countertop has been seen")
     assert "; a table (similar) " in answer["text"]

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from simulated import simulated
 from task_scenes import STREET, Thing, street
 
-from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, _find_again
+from edge.loop.behaviours import plan_worker
+from edge.loop.behaviours.plan_worker import SAME_OBJECT_M, PlanResult, _find_again, run_request
+from edge.tasks.objects import ObjectMap
+from edge.tasks.refine import refine
+from edge.tasks.scene import Region
+from edge.tasks.value_map import PathMargins
+from edge.trajectory.pursuit import MotionLimits
 
 
 @pytest.mark.parametrize(
@@ -27,3 +35,24 @@ def test_a_thing_that_got_another_number_is_found_again(things, asked, found):
         scene.objects[i] = replace(one, points_m=one.position_m[None])
     thing = _find_again(asked, scene)
     assert (None if thing is None else thing.id) == found
+
+
+@pytest.mark.parametrize(
+    ("chosen", "drivable"), [({"lawn"}, {2}), ({"road", "lawn"}, {1, 2}), ({"path"}, {1, 2})]
+)
+def test_a_path_keeps_to_its_kinds_of_ground_when_their_regions_get_other_ids(
+    chosen, drivable, monkeypatch
+):
+    """If no ground of these kinds is left, it may use all."""
+    scene, limits = street(), MotionLimits(1.0, 1.0, 1.0, 1.0)
+    driven = refine(scene, [np.array([[2.0, 0.0]])], {7}, PathMargins(0.3), limits)
+    now = replace(scene, regions={k: Region(k, s, 9.0) for k, s in ((1, "road"), (2, "lawn"))})
+    monkeypatch.setattr(plan_worker, "_scene", lambda request: now)
+    asked = []
+    monkeypatch.setattr(plan_worker, "refine_again", lambda scene, before, *_: asked.append(before))
+    request = plan_worker.PlanRequest(
+        simulated({}), "go straight for 2 metres", 0, (1,), 1, None, None, (), ObjectMap(), None,
+        None, before=PlanResult(refined=driven, grounds=frozenset(chosen)),
+    )  # fmt: skip
+    run_request(request)
+    assert [before.drivable for before in asked] == [drivable]

@@ -150,7 +150,7 @@ def test_a_lidar_that_freezes_is_noticed_with_each_camera():
 
 @pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
 def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
-    """While the robot drives straight on nothing tells; by the next turn, or stop, it does."""
+    """A straight drive proves nothing; the next turn or stop does."""
     world = {"kind": "generated", "seed": seed}
     loop = ClosedLoop(simulated({
         "loop": {"lockstep": True}, "mission": {"target": "surfboard"},
@@ -341,7 +341,7 @@ def test_clouds_are_judged_where_they_map(cloud_m, check):
     assert (found, judge.failing()) == ("none" if check else "", check)
 
 
-def test_a_fault_is_told_once_it_lasts_and_again_only_after_a_while():
+def test_a_lasting_fault_is_reported_and_again_only_after_a_while():
     judge = Judge()
     bad = room() | {"depth_m": np.zeros((48, 64), np.float32)}
     judge.see(**bad)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from live_patience import eventually
 from simulated import simulated
+from tiny_ground import put_network
 
 from edge.config import Config, ConfigError, Section, load, parse
 from edge.lab.eval.closed_loop import ClosedLoop
@@ -107,6 +108,26 @@ def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
     assert bench.service.status.phase == "failed"
     assert "4 m" in bench.service.status.reason
     assert f"reload: {outcome}" in bench.closed.notes.events
+
+
+def test_another_network_is_loaded_before_the_present_one_goes(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    assert bench.service.ground is None
+    one = {"ground": put_network().model_dump()}
+    assert bench.reload(config(tasks=one)) == "switched: tasks.ground"
+    present = bench.service.ground
+    assert present.name == "tiny-ground"
+    other = put_network(name="other-ground", ground={"terrain": "lawn"})
+    nobody = {"ground": {"model": "nobody"}}
+    assert "'nobody'" in bench.reload(config(tasks=nobody))
+    assert bench.service.ground is present
+    more = {**one, "trajectory": {"max_jump_m": 1.0}}
+    assert bench.reload(config(tasks=more)) == "switched: tasks.trajectory.max_jump_m"
+    assert bench.service.ground is present
+    assert "switched: " in bench.reload(config(tasks={"ground": other.model_dump()}))
+    assert bench.service.ground.kinds == ("lawn",)
+    assert "switched: " in bench.reload(config())
+    assert bench.service.ground is None
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 from simulated import simulated
+from tiny_ground import put_network
 
 from edge import launch
-from edge.config import Config
+from edge.config import Config, TasksConfig
 from edge.errors import ConfigError, Stopped
 from edge.host.checkpoint import Checkpoint, save
 from edge.host.ports import free_port
@@ -98,6 +99,13 @@ def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
     settings = config(instruction="go to the sofa", checkpoint=str(tmp_path / "mission.json"))
     with open_service(settings, [], asked, formula) as running:
         assert running.service.mission.spec.translation.instruction == expected
+
+
+def test_a_service_has_the_network_that_names_ground(tmp_path, monkeypatch):
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
+    tasks = TasksConfig(ground=put_network())
+    with open_service(config().model_copy(update={"tasks": tasks}), []) as running:
+        assert running.service.ground.name == "tiny-ground"
 
 
 NOWHERE = "no_such_module:A"

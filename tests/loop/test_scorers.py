@@ -1,4 +1,4 @@
-"""Scorers beside the loop: what they say is taken up, and the robot does without it."""
+"""Scorers in the background: their answers are used, and the robot drives without them."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_robot_goes_on_when_the_server_never_answers():
         loop.close()  # or the time limit of the test is over before that of the server
 
 
-def test_after_a_jump_of_the_pose_nothing_said_before_counts():
+def test_answers_from_before_a_pose_jump_do_not_count():
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url)))
         eventually(lambda: loop.step() or loop.scorers.answers.choice)
@@ -193,7 +193,7 @@ def test_the_running_detectors_scores_are_taken_from_its_detections():
     assert loop.scorers.names() == [name]
 
 
-def test_what_stands_around_is_told_too():
+def test_objects_around_are_in_the_prompt():
     tracker, around = InstanceTracker(simulated().perception), TrackedObjects(8)
     seen_ns = 5 * IN_VIEW_NS
     center = np.array([4.0, 1.0, 0.5], np.float32)
@@ -205,7 +205,7 @@ def test_what_stands_around_is_told_too():
         around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
         around.last_seen_ns[i] = seen_ns - ago_ns
     told = objects_in_view(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
-    # What is rejected, seen once or seen long ago is not told, under any name.
+    # Objects that are rejected, seen once or seen long ago are not named.
     assert [(s.label, s.distance_m) for s in told] == [("stove", pytest.approx(2.0))]
 
 

@@ -137,7 +137,7 @@ def test_what_was_asked_before_the_pose_jumped_is_not_written():
     ("feeds", "asked"),
     [
         ("choice", ["bed", "lamp", "bed", "sofa", "bed", "lamp"]),
-        (None, ["bed"] * 6),  # no one would read what is said of the others
+        (None, ["bed"] * 6),  # the values of the others are not read
     ],
 )
 def test_every_target_is_asked_about_the_active_one_most(feeds, asked):

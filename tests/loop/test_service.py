@@ -90,7 +90,7 @@ def test_a_result_says_the_same_later():
     assert published() != before
 
 
-TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # which nobody answers
+TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # without an answer
 
 
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
@@ -161,7 +161,7 @@ def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
     assert_stops(notes.goals[-1], coasted)
     assert service.goal is None
     assert service.status.phase == "searching"
-    # When there is something to be seen again, it chooses afresh.
+    # When there is something to be seen again, it chooses again.
     loop.drive.step(2.0, 0.0, 0.0)
     loop.step()
     assert notes.goals[-1].stamp_ns > notes.goals[before].stamp_ns
@@ -317,7 +317,7 @@ def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
 
 
 class Late(DetectorWorker):
-    """Gives out what it found one tick later, as a worker beside the loop does."""
+    """Returns what it found one tick later, like a worker in the background."""
 
     found: Detections | None = None
 
@@ -330,7 +330,7 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
     loop = ClosedLoop(
         config(mission={"target": "television"}, perception={"min_hits": 1}), colour=False
     )
-    loop.service._worker = Late(loop.service._worker.detector, inline=True)
+    loop.service.perception.worker = Late(loop.service.perception.worker.detector, inline=True)
     while not loop.service.map.tracker.of("television"):
         loop.step()
     slots = []
@@ -407,7 +407,7 @@ def test_the_steady_tick_allocates_no_large_arrays(watched, monkeypatch):
     assert max(peaks) < 300_000, peaks
 
 
-def test_a_result_tells_of_candidates_the_way():
+def test_a_result_has_the_candidates_and_the_path():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     nothing = loop.service.result()
     assert (len(nothing.candidates().score), len(nothing.path())) == (0, 0)
@@ -432,7 +432,7 @@ def test_a_result_tells_of_candidates_the_way():
         ("both", False, ["looked at", "likely place of bed"]),
     ],
 )
-def test_where_a_target_may_be_is_a_layer_where_a_prior_tells(prior, idle, layers):
+def test_likely_places_of_a_target_are_a_layer_if_there_is_a_prior(prior, idle, layers):
     loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}), colour=False)
     if idle:
         loop.service.mission.set_idle()

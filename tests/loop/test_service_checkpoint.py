@@ -54,7 +54,7 @@ def test_which_reading_was_taken_is_saved(path):
 def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     run = run_of(path, "F (sofa & F television)")
     run.service.mission.id = "1f.2"
-    while not run.service.mission.reached:
+    while not run.service.mission.sets.reached:
         run.step()
     old = run.service
     mission = run.killed().service.mission
@@ -87,7 +87,7 @@ def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(pat
 
 
 def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
-    """A checkpoint is a file: whoever may write it must not write the log."""
+    """A checkpoint is a file: a user who may write it must not write the log."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
     run = run_of(path, "F bed").ticks(1)
     run.service.checkpoint.close()
@@ -123,7 +123,7 @@ def test_a_restart_that_saw_nothing_loses_no_object(path):
     assert places.read_bytes() == before
     run.ticks(1).service.checkpoint.close()
     assert run.service.map.tracker.of("television")
-    assert run.service.mission.failed == {"television"}
+    assert run.service.mission.sets.failed == {"television"}
 
 
 def test_objects_come_back_under_an_order_that_came_before_the_first_image(path):
@@ -144,7 +144,7 @@ def test_what_had_failed_is_not_detected_again_by_the_same_instance(path):
     run = television_given_up(path).ticks(3)
     run.service.checkpoint.close()
     assert run.service.map.tracker.of("television")
-    assert run.service.mission.failed == {"television"}
+    assert run.service.mission.sets.failed == {"television"}
     assert run.service.mission.target == "bed"
 
 

@@ -105,7 +105,7 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     assert watched.page("/readyz")[0] == 200
 
 
-def test_data_that_is_doubted_is_not_ready(watched):
+def test_implausible_data_make_it_not_ready(watched):
     watched.vitals.ready()
     watched.see()
     watched.beat(1.0)
@@ -184,9 +184,7 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     assert watched.vitals.problems() == ("no usable observations",)
 
 
-def test_that_no_file_can_be_opened_is_told_once_and_makes_it_not_ready(
-    watched, monkeypatch, caplog
-):
+def test_too_many_open_files_are_reported_once_and_make_it_not_ready(watched, monkeypatch, caplog):
     short = "no file or connection can be opened (Too many open files; see `ulimit -n`)"
     watched.vitals.ready()
     for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):

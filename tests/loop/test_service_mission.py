@@ -47,7 +47,7 @@ def test_a_choice_a_sequence_and_a_prohibition(weights, seed):
     assert len(reached) == 2
     assert loop.distance_m("television") <= 1.0
     assert loop.drive.motion.collisions == 0
-    assert (loop.service.mission.knowledge.distance_m is not None) == (weights == "distance")
+    assert (loop.service.mission.sets.knowledge.distance_m is not None) == (weights == "distance")
     loop.service.close()
 
 
@@ -118,7 +118,7 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     def refuse(prompts):
         raise PromptError("prompt 'qwerty': not in the vocabulary")
 
-    monkeypatch.setattr(loop.service._worker.detector, "set_prompts", refuse)
+    monkeypatch.setattr(loop.service.perception.worker.detector, "set_prompts", refuse)
     before = loop.service.mission
     assert (
         refusal(loop, "new", prepare(loop.config.mission, formula="F qwerty"))
@@ -130,10 +130,10 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
 def test_a_pose_jump_ends_what_was_known_of_distances():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
-    while loop.service.mission.knowledge.distance_m is None:
+    while loop.service.mission.sets.knowledge.distance_m is None:
         loop.step()
     loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
-    assert loop.service.mission.knowledge.distance_m is None
+    assert loop.service.mission.sets.knowledge.distance_m is None
     assert loop.service._travel_costs.poll() is None
     loop.service.close()
 
@@ -153,7 +153,7 @@ def test_pause_has_the_robot_stand_and_resume_go_on():
     assert loop.service.status.phase == "reached", loop.notes.events
 
 
-def test_a_flood_of_equal_requests_is_told_of_once():
+def test_a_flood_of_equal_requests_is_reported_once():
     loop = ClosedLoop(config("F television"), colour=False).run(2)
     for do in ("resume", *["pause"] * 5, *["resume"] * 5):
         ask(loop, do)
@@ -199,7 +199,7 @@ def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
 
 
 def test_a_stop_next_to_what_must_not_be_reached_is_reported_before():
-    """The demo house has no such place, so the forbidden thing is put beside the goal."""
+    """The demo house has no such place, so the forbidden object is put next to the goal."""
     loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.log):
         loop.step()
@@ -224,7 +224,7 @@ def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
     return Instance(instance_id, label, point[0], point, 0.9, 9, 0, 0)
 
 
-def test_status_tells_formula_state_plan_sets_and_why():
+def test_the_status_has_formula_state_plan_sets_and_reason():
     loop = ClosedLoop(config(CHOICE), colour=False).run(3)
     told = status_message(loop.service.result())["mission"]
     assert told["formula"] == CHOICE

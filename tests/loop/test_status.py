@@ -34,7 +34,7 @@ def test_a_task_that_is_driven():
     assert said["trajectory"][said["index"]] == task.refined.poses[40, [0, 1, 3]].round(3).tolist()
 
 
-def test_what_a_model_wrote_is_told_without_what_drives_a_terminal():
+def test_text_of_a_model_is_shown_without_control_characters():
     said = task_json(by_a_model())
     first, second = said["rounds"]
     assert (first["code"], first["error"][:14]) == ("", "the answer has")

@@ -79,7 +79,7 @@ def test_a_bump_is_forgotten(open_again):
     assert_consistent(grid)
 
 
-def test_the_same_place_again_is_remembered_afresh():
+def test_the_same_place_again_is_remembered_again():
     grid = seen_around()
     bump(grid, PLACE, 0)
     bump(grid, (-1.0, 0.0), 5)
@@ -171,7 +171,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
         (0.65, 0.0, True),  # it begins where the inflation of the robot's front ends
         (0.4, 0.0, False),
         (0.75, math.pi, False),
-        (0.75, 1.2, False),  # beside the way
+        (0.75, 1.2, False),  # next to the path
         (0.82, 1.2, True),  # so too, but touched
         (0.82, 2.0, False),  # behind
     ],

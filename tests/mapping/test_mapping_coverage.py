@@ -47,7 +47,7 @@ def window(grid: RollingMap) -> np.ndarray:
 
 
 def show_twin(raw, looks, x, y, first, between, rays, near, far, enough, then):
-    """Twin of `show` in window coordinates: what each ray shows anew; changes `looks`."""
+    """Twin of `show` in window coordinates: what is new in each ray; changes `looks`."""
     n, shown, fresh = len(raw), set(), []
     for k in range(rays):
         angle, anew = first + between * k, 0

@@ -1,4 +1,4 @@
-"""Points, polar bins, local ground: kernels against twins, and what they must tell apart."""
+"""Points, polar bins, local ground: kernels against twins, and what they must distinguish."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from edge import config
 from edge.geometry import SE2, CameraModel, se3
 from edge.mapping import points
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
+from edge.mapping.ground import find_floor, fit_floor, sweep_ground
 from edge.mapping.layers import OCCUPIED
 
 F = np.float32
@@ -52,7 +53,7 @@ def test_point_kernels_agree_with_their_twins(seed, n, share, high_m, lean):
     np.testing.assert_allclose(scan.far_slope, far_slope, rtol=1e-5)
 
     floor = np.array([0.0, *lean])
-    total, count = points.sweep_ground(scan, POLAR, floor, 0.6, 0.3, 0.1, 3.0, 20.0)
+    total, count = sweep_ground(scan, POLAR, floor, 0.6, 0.3, 0.1, 3.0, 20.0)
     ground, passing, reach, near = twins.sweep_twin(
         lowest, scan.far_slope, POLAR, 0.6, floor, 0.3, 0.1, 3.0
     )
@@ -87,13 +88,11 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
     xyz[2] += rng.choice([0.0, 0.4, -0.3], n, p=[0.8, 0.1, 0.1])
     points.bin_points(n, n, F(0.6), F(3.0), inv_res, fx, fy, POLAR, scan)
     for search_m in (1.5, 3.0):
-        found = points.find_floor(
-            scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m, np.ones((2, 64))
-        )
+        found = find_floor(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m, np.ones((2, 64)))
         expected = twins.find_twin(scan.lowest_m, POLAR, 0.6, base_z, 0.1, search_m)
         np.testing.assert_allclose(found, expected, atol=1e-6)
         fitted = np.array([floor[0], 1.0, 1.0])
-        fits = points.fit_floor(scan.lowest_m, POLAR, 0.6, 0.1, search_m, fitted)
+        fits = fit_floor(scan.lowest_m, POLAR, 0.6, 0.1, search_m, fitted)
         plane = twins.fit_twin(scan.lowest_m, POLAR, 0.6, floor[0], 0.1, search_m)
         assert fits == (plane is not None)
         level = np.array([floor[0], 0.0, 0.0])
@@ -276,7 +275,7 @@ def lidar_map(boxes, slope=0.0):
     return grid
 
 
-def test_floor_obstacle_and_overhang_are_told_apart_for_a_tilted_lidar():
+def test_floor_obstacle_and_overhang_are_distinguished_for_a_tilted_lidar():
     grid = lidar_map([(2, -0.5, 0, 2.3, 0.5, 0.5), (-0.5, 2, 1.3, 0.5, 3, 1.5)])
     assert grid.state_at(2.01, 0.01) == 100
     assert grid.state_at(1.5, 0.0) == 0

@@ -67,7 +67,7 @@ def drive(grid: RollingMap, xs: np.ndarray, boxes: list) -> None:
 
 
 def posts(gap_m: float) -> list:
-    """Two posts beside the x axis at x = 1, with a gap between them, in a wall."""
+    """Two posts next to the x axis at x = 1, with a gap between them, in a wall."""
     half = gap_m / 2
     return [(0.9, half, 0.0, 1.1, 2.5, 1.0), (0.9, -2.5, 0.0, 1.1, -half, 1.0)]
 

@@ -189,7 +189,7 @@ def test_whole_view_scores_are_blended_as_vlfm_does(seed):
         total = np.where(c > 0, c + weight, 1.0)
         value = np.where(c > 0, (weight * value + c * float(score[1])) / total, value)
         weight = np.where(c > 0, (weight**2 + c**2) / total, weight)
-        # The targets may be told in any order.
+        # The targets may come in any order.
         values.write_view(seen, ("sofa", "bed"), score[::-1])
     got = unpacked(values, 1)
     np.testing.assert_allclose(got[1], weight, atol=4 * HALF_STEP)
@@ -329,7 +329,7 @@ def test_values_roll_with_the_map():
     assert np.isnan(out[0])  # forgotten, not only out of sight
 
 
-def test_a_snapshot_without_anything_said_is_empty():
+def test_a_snapshot_without_values_is_empty():
     assert value_map(()).snapshot("bed").cells.shape == value_map().snapshot("bed").cells.shape
     assert value_map().snapshot("bed").cells.shape == (0, 0)
 

@@ -96,7 +96,7 @@ def test_with_the_token_an_agent_calls_tools(served):
      {"Authorization": SECRET}, {"Authorization": f"Basic {SECRET}"}, {"X-Token": SECRET}],
 )  # fmt: skip
 @pytest.mark.parametrize("method", ["GET", "POST", "DELETE", "OPTIONS"])
-def test_without_the_token_nothing_is_asked_or_told(served, headers, method):
+def test_without_the_token_nothing_is_asked_or_answered(served, headers, method):
     before = len(served.asked)
     for path in ("", "/", "/../docs"):
         answer = httpx.request(method, served.url + path, headers=headers, json=PING)

@@ -95,7 +95,7 @@ def shortest(automaton: Automaton, state: int, weight) -> tuple[float, int]:
             if math.isinf(w) or t == node[0]:
                 continue
             after = (t, node[1] if letter == NOTHING else letter)
-            w = round(w * 1e6) + 1e-4  # one step more is dearer than nothing else
+            w = round(w * 1e6) + 1e-4  # one more step costs least
             if not graph.has_edge(node, after) or graph[node][after]["weight"] > w:
                 graph.add_edge(node, after, weight=w)
             if after not in seen:

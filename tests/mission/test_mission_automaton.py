@@ -14,11 +14,10 @@ from hypothesis import given
 from ltl_semantics import holds
 from test_mission_ltl import formulas
 
-from edge.config import MissionConfig
 from edge.errors import UserError
 from edge.mission.logic import automaton as automaton_module
 from edge.mission.logic.automaton import CompileError, compile_formula, steps_left
-from edge.mission.logic.limits import MAX_STATES, MAX_STEPS, CompileBudget
+from edge.mission.logic.limits import CompileBudget
 from edge.mission.logic.ltl import parse
 
 CASE_1 = (
@@ -72,7 +71,7 @@ def test_agrees_with_the_definition_on_all_short_words(f):
 
 @given(formulas())
 def test_minimal(f):
-    """Myhill–Nerode: any two states are told apart by a word, every state can be reached."""
+    """Myhill–Nerode: a word distinguishes any two states, every state can be reached."""
     automaton = compile_formula(f)
     n = automaton.n_states
     apart = automaton.accepting[:, None] != automaton.accepting[None, :]
@@ -199,13 +198,6 @@ def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
     }  # fmt: skip
     assert len(outputs) == 1
     assert outputs.pop().count("\n") == len(formulas)
-
-
-def test_the_configuration_has_the_same_limits():
-    assert (MissionConfig().max_states, MissionConfig().compile_limit_steps) == (
-        MAX_STATES,
-        MAX_STEPS,
-    )
 
 
 def test_limit_of_size():

@@ -48,19 +48,19 @@ SAID = [
 
 
 @pytest.mark.parametrize(("formula", "english"), SAID)
-def test_says(formula: str, english: str) -> None:
+def test_english_of_a_formula(formula: str, english: str) -> None:
     assert describe(parse(formula)) == english
 
 
 @pytest.mark.parametrize("formula", [formula for formula, said in SAID if "See to" not in said][2:])
-def test_what_is_said_means_the_formula(formula: str) -> None:
+def test_the_english_means_the_formula(formula: str) -> None:
     """The grammar reads the sentence back as the same language."""
     f = parse(formula)
     (again,) = readings(describe(f))
     assert distinguishing_trace(again, f) is None
 
 
-def test_every_kind_of_benchmark_task_is_said_faithfully() -> None:
+def test_the_english_of_every_kind_of_benchmark_task_is_faithful() -> None:
     """Sentence → formula → sentence → formula: the language never changes."""
     for task in generate(200, seed=3):
         (again,) = readings(describe(task.formula))
@@ -81,7 +81,7 @@ def _formulas(children: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula
 
 
 @given(st.recursive(NAMES.map(ap), _formulas, max_leaves=8))
-def test_any_formula_is_said_and_never_wrongly(formula: Formula) -> None:
+def test_any_formula_has_english_that_is_never_wrong(formula: Formula) -> None:
     """A formula that is not read literally has the same language when read back.
 
     "Do not reach the bed until the sofa is reached" has more readings, the literal one first.

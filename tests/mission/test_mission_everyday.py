@@ -250,7 +250,7 @@ def test_a_ban_is_kept_next_to_a_remark(ban, name, remark):
 @pytest.mark.parametrize(
     "ban", ["do not do not enter", "don't uh don't enter", "never never enter"]
 )
-def test_a_negation_that_is_said_again_stays_one(ban):
+def test_a_repeated_negation_stays_one(ban):
     found = translate(MissionConfig(), f"Go to the bed, {ban} the kitchen.", SITE)
     assert str(found.formula) == "F bed & G !kitchen"
 
@@ -265,7 +265,7 @@ def test_a_correction_of_nothing_is_refused():
         tidy_up("explore, sorry, bathroom")
 
 
-def test_a_reason_that_is_left_out_is_told():
+def test_a_reason_that_is_left_out_is_reported():
     found = translate(MissionConfig(), "Go to the bed, I heard a noise!")
     assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
 

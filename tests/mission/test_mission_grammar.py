@@ -394,7 +394,7 @@ def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
 
 @pytest.mark.parametrize("filler", PHRASES["filler"])
 def test_words_that_mean_nothing_change_nothing(filler: str) -> None:
-    """In front, behind the verb's object, or after the mood: somewhere each is said."""
+    """Each stands somewhere: in front, behind the verb's object, or after the mood."""
     said = (
         f"{filler} go to the bed",
         f"go to the bed {filler}",
@@ -464,7 +464,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", EXTREMES, ids=range(len(EXTREMES)))
-def test_a_refusal_shows_little_of_what_was_said(text: str) -> None:
+def test_a_refusal_shows_little_of_the_text(text: str) -> None:
     with pytest.raises(TranslationError) as refusal:
         parse_english(text)
     shown = str(refusal.value)

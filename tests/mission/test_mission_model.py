@@ -23,7 +23,7 @@ KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
 
 
 class Stub:
-    """A network that writes what it is told to.
+    """A network that writes given text.
 
     Args:
         written: formulas with their probability, and how well each tells a sentence back, a word.
@@ -55,8 +55,8 @@ SAID = "go to the sofa, then to the bed"
 BELIEVED = [
     (SAID, [SURE], True, ["F (sofa & F bed)"]),
     (SAID, [SURE, (OTHER, 0.02, -2.0)], True, ["F (sofa & F bed)"]),
-    (SAID, [SURE, (OTHER, 0.02, -1.1)], True, ["F (sofa & F bed)"]),  # told worse
-    (SAID, [SURE, (OTHER, 0.02, -0.1)], False, ["F (sofa & F bed)"]),  # told better
+    (SAID, [SURE, (OTHER, 0.02, -1.1)], True, ["F (sofa & F bed)"]),  # a worse text
+    (SAID, [SURE, (OTHER, 0.02, -0.1)], False, ["F (sofa & F bed)"]),  # a better text
     (SAID, [("F & <0> F <1>", 0.7, -1.0), (OTHER, 0.3, -1.5)], False,
      ["F (sofa & F bed)", "F sofa & F bed"]),
     (SAID, [("F & <0> F <1>", 0.98, -4.0)], False, ["F (sofa & F bed)"]),  # words unaccounted for
@@ -98,7 +98,7 @@ DOUBTS = [
 
 
 @pytest.mark.parametrize(("said", "doubts"), DOUBTS)
-def test_slips_are_told(said: str, doubts: tuple[str, ...]) -> None:
+def test_slips_are_reported(said: str, doubts: tuple[str, ...]) -> None:
     assert NeuralTranslator(Stub(SURE)).read(said).doubts == doubts
 
 
@@ -124,7 +124,7 @@ def test_refusals(said: str, hint: str) -> None:
 
 
 @pytest.mark.parametrize("written", [[], [(REFUSED, 0.6, 0.0), ("F <0>", 0.4, -1.0)]])
-def test_what_no_formula_says(written: list[tuple[str, float, float]]) -> None:
+def test_text_without_a_formula(written: list[tuple[str, float, float]]) -> None:
     with pytest.raises(TranslationError, match="could not be translated to a mission"):
         NeuralTranslator(Stub(*written)).read(SAID)
 

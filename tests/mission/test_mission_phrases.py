@@ -217,7 +217,7 @@ ASKED_ABOUT = [
 
 _IN_TURN = "F (sofa & F (bed & F desk)) & !bed W sofa & !desk W bed"
 _ONCE_EACH = f"{_IN_TURN} & !sofa W sofa W !sofa W bed & !bed W bed W !bed W desk"
-ALL_OF_THEM = [  # what is said of all that was asked for
+ALL_OF_THEM = [  # phrases about all targets
     ("visit the sofa and the bed, each only once",
      "F sofa & F bed & !F (sofa & F (!sofa & F sofa)) & !F (bed & F (!bed & F bed))"),
     ("visit the sofa, then the bed. never visit them again",

@@ -70,7 +70,7 @@ def test_case_studies_of_the_paper(text, steps):
         ("F(a | b)", {}, "elsewhere", "a"),
         ("F(a | b)", {"detected": ["a", "b"]}, "b", "b"),
         ("F(a | b)", {"detected": ["a"]}, "b", "a"),
-        # Six w_det are as dear as 0.06, and a shorter path of the same cost comes first.
+        # Six w_det cost as much as 0.06, and a shorter path of the same cost comes first.
         ("F(a & X F(b & X F c)) | F(d & X F e)", {"detected": "abcde"}, None, "d"),
         ("F a & F b & F c", {}, "c", "c"),
         ("F a & F b & F c", {"detected": ["b"]}, "c", "c"),
@@ -145,7 +145,7 @@ METRES = PlannerVitl(weights="distance")
 
 
 def test_no_way_leads_back_to_what_was_just_reached_because_a_detour_seems_shorter():
-    """a has a second instance beside b: to there and on is no way to b by the first."""
+    """a has a second instance next to b: a path to it is no path to b by the first."""
     distance = np.array([[0, 2.0], [2.0, 0], [0.9, 6.0]])
     planner = make_planner(METRES, compiled("F (a & X b)"))
     state = planner.automaton.step(0, "a")
@@ -328,7 +328,7 @@ def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
         ("edge.mission.logic.ltl:Formula", {"op": "true"}, "it has no plan()"),
     ],
 )
-def test_what_is_no_planner_is_told_in_a_line(kind, options, words):
+def test_an_unusable_planner_is_reported_in_one_line(kind, options, words):
     with pytest.raises(ConfigError) as told:
         make_planner(PlannerPlugin(kind=kind, options=options), compiled("F a"), "Reach a.")
     assert words in str(told.value)

@@ -1,4 +1,4 @@
-"""Missions that repeat: a patrol with rounds, for some time, or until told."""
+"""Missions that repeat: a patrol with rounds, for some time, or until a stop."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_the_rounds_are_counted_and_the_last_one_ends_it():
     assert mission.status("searching").reason == "round 1 of 3"
     assert patrol(mission, 3) == ["dock", "shelf", "dock"]
     assert mission.status("searching").reason == "round 2 of 3"
-    assert (mission.trace, mission.reached) == (("dock",), ("dock",))
+    assert (mission.trace, mission.sets.reached) == (("dock",), ("dock",))
     assert patrol(mission, 1) == ["shelf"]
     assert patrol(mission, 2) == ["dock", "shelf"]
     status = mission.status("searching")

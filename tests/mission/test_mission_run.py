@@ -26,7 +26,7 @@ def kinds(mission: MissionRun) -> list[str]:
 
 def test_a_new_mission_has_a_target_and_has_done_nothing():
     mission = begun()
-    assert (mission.target, mission.trace, mission.reached) == ("chair", (), ())
+    assert (mission.target, mission.trace, mission.sets.reached) == ("chair", (), ())
     assert kinds(mission) == ["start", "target"]
     assert not mission.done
     assert mission.status("searching").phase == "searching"
@@ -39,7 +39,7 @@ def test_a_seen_branch_is_switched_to_at_once():
     assert mission.target == "sofa"
     mission.on_detections({}, 2 * S)
     assert mission.target == "sofa", "of equals, the one that is pursued"
-    assert mission.knowledge.detected == frozenset()
+    assert mission.sets.knowledge.detected == frozenset()
     assert kinds(mission)[2:] == ["seen", "target"]
 
 
@@ -57,7 +57,7 @@ def test_reaching_the_targets_in_order_fulfils_it():
 def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
     mission = begun()
     mission.abandon_target("found no chair", S)
-    assert (mission.target, mission.failed) == ("sofa", {"chair"})
+    assert (mission.target, mission.sets.failed) == ("sofa", {"chair"})
     mission.abandon_target("found no sofa", 2 * S)
     status = mission.status("searching")
     assert status.phase == "failed"
@@ -70,9 +70,9 @@ def test_what_failed_is_tried_again_only_when_another_one_is_seen():
     mission.abandon_target("no way to it", 2 * S)
     assert mission.target == "sofa"
     mission.on_detections({"chair": 4}, 3 * S)
-    assert (mission.target, mission.failed) == ("sofa", {"chair"})
+    assert (mission.target, mission.sets.failed) == ("sofa", {"chair"})
     mission.on_detections({"chair": 9}, 4 * S)
-    assert (mission.target, mission.failed) == ("chair", frozenset())
+    assert (mission.target, mission.sets.failed) == ("chair", frozenset())
 
 
 def test_what_failed_before_a_restart_needs_a_newer_instance_too():
@@ -81,15 +81,15 @@ def test_what_failed_before_a_restart_needs_a_newer_instance_too():
     second = MissionRun(mission.spec, config)
     second.restore((), (), {"chair"}, 1.0, 1.0, False)
     second.start(0)
-    second.mark_stale_before(7)
+    second.sets.mark_stale_before(7)
     second.on_detections({"chair": 7}, S)
-    assert second.failed == {"chair"}
+    assert second.sets.failed == {"chair"}
     second.abandon_target("no way to it", 2 * S)
     assert second.reason == "chair failed before the restart; no way to it"
     third = MissionRun(mission.spec, config)
     third.restore((), (), {"chair"}, 1.0, 1.0, False)
     third.start(0)
-    third.mark_stale_before(7)
+    third.sets.mark_stale_before(7)
     third.on_detections({"chair": 8}, S)
     assert third.target == "chair"
 
@@ -135,7 +135,7 @@ def test_time_passes_without_a_pose_but_not_while_paused():
     mission.pause(False)
     mission.observe(None, 105 * S)
     mission.check_limits(105 * S)
-    assert mission.elapsed_s == pytest.approx(9)
+    assert mission.meter.elapsed_s == pytest.approx(9)
     assert not mission.done
 
 
@@ -153,9 +153,9 @@ def test_it_goes_on_where_another_run_of_it_stopped():
     first.on_reached("", 2 * S)
     config = MissionConfig()
     second = MissionRun(prepare(config, formula=CHOICE), config)
-    second.restore(first.trace, first.reached, first.failed, 12.0, 3.0, False)
+    second.restore(first.trace, first.sets.reached, first.sets.failed, 12.0, 3.0, False)
     second.start(0)
-    assert (second.state, second.target, second.elapsed_s) == (first.state, "tv", 12.0)
+    assert (second.state, second.target, second.meter.elapsed_s) == (first.state, "tv", 12.0)
 
 
 def test_with_distances_the_nearer_branch_wins_by_the_margin():

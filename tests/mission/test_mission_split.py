@@ -49,7 +49,7 @@ def test_parts(formula, parts):
         ("F bed & X sofa", "X sofa counts other robots' steps"),
     ],
 )
-def test_it_is_said_why_a_mission_stays_whole(formula, why):
+def test_the_reason_why_a_mission_stays_whole(formula, why):
     assert split(ltl.parse(formula)).unsplit_reason == why
 
 

@@ -111,7 +111,7 @@ TOGETHER = [
         "",
         True,
     ),
-    # Nobody is to guess at what is no order, or reaches nobody knows how far.
+    # No guess at a text that is no order, or whose scope is unknown.
     (
         "have you been to the bed?",
         _reader("F bed"),
@@ -140,7 +140,7 @@ def test_auto_takes_what_is_agreed_on(
     assert (found.backend, found.confident) == (by, sure)
 
 
-def test_a_mission_tells_that_the_language_model_had_no_part_in_it() -> None:
+def test_a_mission_reports_that_the_language_model_did_not_answer() -> None:
     read = combined_backend(_reader("F bed", sure=False), _dead)
     found = Translator("auto", read).translate(STRANGE, reading=1)
     warning = "translated without the language model: http://base: nothing listens there"

@@ -1,4 +1,4 @@
-"""A server that sends files as told, also badly; a card and an empty cache."""
+"""A server that sends files, also badly; a card and an empty cache."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_an_unsound_model_is_one_line(put, task, change, message):
     assert "\n" not in str(raised.value)
 
 
-def test_what_onnxruntime_says_in_no_known_letters_is_one_line(put, capfd):
+def test_undecodable_text_of_onnxruntime_becomes_one_line(put, capfd):
     path = put("detect")
     path.write_bytes(path.read_bytes().replace(b"Sigmoid", b"Sig\xd3oid"))
     assert (

@@ -115,7 +115,7 @@ def test_what_is_not_the_file_is_refused_and_leaves_nothing(
     assert left(tmp_path) == {}
 
 
-def test_a_server_that_sends_more_than_it_tells_is_not_heard_out(tmp_path, server):
+def test_a_server_that_sends_more_than_announced_is_cut_off(tmp_path, server):
     server.put("/w.pt", CONTENT, told=len(CONTENT) // 2)
     with pytest.raises(FetchError, match="sha256"):
         fetch(server, tmp_path)
@@ -215,13 +215,13 @@ def test_a_small_file_is_small(server):
         read_small(server.url("/said"), LIMITS)
 
 
-def test_a_proxy_that_cannot_be_used_is_told(monkeypatch, server, tmp_path):
+def test_a_proxy_that_cannot_be_used_is_reported(monkeypatch, server, tmp_path):
     monkeypatch.setenv("all_proxy", "gopher://127.0.0.1:9")
     with pytest.raises(FetchError, match="the proxy in the environment variables cannot be used"):
         fetch(server, tmp_path)
 
 
-def test_a_log_is_told_how_far_it_is(server, tmp_path, monkeypatch, capsys):
+def test_the_log_has_the_progress(server, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("edge.host.progress.LOG_PERIOD_S", 0.0)
     server.put("/w.pt", CONTENT)
     fetch(server, tmp_path)

@@ -42,7 +42,7 @@ def test_rows_are_aligned(put_card, capsys):
     assert "2.9 MB" in words
 
 
-def test_an_encoders_parity_is_told_by_its_embeddings(put_card, capsys):
+def test_an_encoders_parity_is_that_of_its_embeddings(put_card, capsys):
     parity = {"reference": "torch", "inputs": 41, "cosine": 0.9987, "rank_agreement": 0.97}
     put_card({**TEXT, "parity": parity})
     assert main(["models", "list"]) == 0

@@ -1,4 +1,4 @@
-"""`edge models export` and `quantize`: what they ask for, and what they tell the exporter."""
+"""`edge models export` and `quantize`: their questions, and their options for the exporter."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch,
     assert started[0][10:] == [*cards, "--precision", *told]
 
 
-def test_a_card_that_names_its_precision_is_not_told_another(started, capsys):
+def test_a_card_that_names_its_precision_gets_no_other(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
     assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
     assert "small: its card sets the precision" in capsys.readouterr().err
@@ -204,6 +204,14 @@ def test_a_family_that_comes_as_a_folder_names_the_folder(put_card, capsys):
         assert (
             "`edge models export owlv2-base --weights FOLDER` makes it, from a folder of " in error
         )
+
+
+def test_a_network_for_ground_names_its_folder_and_its_licence(capsys):
+    assert main(["models", "export", "segformer-b0-fp32"]) == os.EX_UNAVAILABLE
+    error = capsys.readouterr().err
+    assert "`edge models export segformer-b0 --weights FOLDER` makes it, from a folder of " in error
+    assert main(["models", "list", "segformer-b0-int8-cpu"]) == 0
+    assert "non-commercial" in capsys.readouterr().out
 
 
 def test_a_detector_with_its_own_text_encoder_needs_no_vocabulary(started, put_card, monkeypatch):

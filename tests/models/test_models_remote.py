@@ -54,7 +54,7 @@ def test_check_asks_the_server(far, capsys, binary, how):
          "invalid answer: the answer lacks the output 'scores'; check what runs there"),
     ],
 )  # fmt: skip
-def test_check_tells_of_a_model_that_is_none(far, capsys, run, why):
+def test_check_reports_an_unusable_model(far, capsys, run, why):
     with serving(KServe(run)) as server:
         far(server.url)
         assert main(["models", "list", "--check", "far"]) == 1

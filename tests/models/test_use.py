@@ -36,7 +36,7 @@ def followed(service: Service, patience: int = 100) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("end", ["kept", "rolled back", "refused"])
-def test_every_change_is_told_once(end):
+def test_every_change_is_reported_once(end):
     service = Service(
         swap("loading"), swap("loading", "building engine: 5 s"), swap("checking"),
         swap("checking"), swap("on probation", "fast", progress="1 of 9 images"),
@@ -54,7 +54,7 @@ def test_a_swap_that_is_over_at_once():
     assert followed(Service(swap("refused", "no"))) == [("refused", "no")]
 
 
-def test_the_end_of_another_swap_is_not_told_as_the_end_of_this_one():
+def test_the_end_of_another_swap_is_not_reported_as_the_end_of_this_one():
     with pytest.raises(RequestError, match="another swap began before this one ended"):
         followed(Service(swap("loading"), swap("kept", number=2)))
 

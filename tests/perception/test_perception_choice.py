@@ -78,7 +78,7 @@ def test_no_frontiers_or_no_camera_no_marks(make_observation):
 
 
 def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
-    """Also for a camera that is turned, pitched and beside the robot's middle."""
+    """Also for a camera that is turned, pitched and off the robot's middle."""
     camera = CameraModel.from_hfov(80, 64, 1.3)
     T_base_camera = to_optical(se3(0.1, 0.2, 0.6, pitch_rad=0.3))
     T_map_base = SE2(2.0, -1.0, 0.7).matrix(z_m=0.4)

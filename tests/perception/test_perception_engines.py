@@ -194,7 +194,7 @@ def test_two_at_once_build_one_engine(tmp_path):
     assert build.count == 0
 
 
-def test_a_build_is_told_of_while_it_goes_on():
+def test_a_build_reports_its_progress():
     told = []
     with report_progress("tiny", told.append, every_s=0.001) as note:
         eventually(lambda: told)

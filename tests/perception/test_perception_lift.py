@@ -132,7 +132,9 @@ def test_cloud_and_depth_agree(make_observation):
         ({}, "cloud", "no cloud"),
     ],
 )
-def test_what_is_lacking_is_counted_and_told_once(make_observation, change, way, message, caplog):
+def test_missing_inputs_are_counted_and_reported_once(
+    make_observation, change, way, message, caplog
+):
     """A LiDAR or depth camera that falls silent must not end the loop."""
     seen = dataclasses.replace(make_observation(depth_m=wall_with_thing()), **change)
     lifter = BackProjector(

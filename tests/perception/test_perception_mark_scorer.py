@@ -71,7 +71,7 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
 
 
 class FakeSession:
-    """Says what it is told to say."""
+    """Answers with given probabilities."""
 
     def __init__(self, directions, scene=0.0) -> None:
         self.directions, self.scene, self.feeds = directions, scene, []
@@ -177,7 +177,7 @@ def test_a_card_that_is_none_is_named_with_its_key(card, says):
 
 
 class Slow(FakeSession):
-    """Runs until it is told to end."""
+    """Runs until a command to end."""
 
     def run(self, names, feed, options):
         if self.feeds:

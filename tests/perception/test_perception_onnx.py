@@ -138,7 +138,7 @@ def test_prompts_change_at_run_time(tiny, make_observation):
     assert detector.prompts == ("trash bin", "chair")
 
 
-def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
+def test_a_background_that_fits_better_is_a_boxs_competing_class(tiny, make_observation):
     seen = make_observation(rgb=image())
     alone = tiny(prompts=("sofa",)).detect(seen)
     assert alone.not_suppressed().tolist() == [True]
@@ -151,7 +151,7 @@ def test_a_background_that_fits_better_is_a_boxs_rival(tiny, make_observation):
 
 
 def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny, make_observation):
-    """A chair that is a fair sofa too is told as both: the tracker weighs many images."""
+    """A chair that also resembles a sofa is detected as both: the tracker weighs many images."""
     seen = make_observation(rgb=image())
     found = tiny(prompts=("sofa", "chair")).detect(seen)
     assert [found.prompts[k] for k in found.class_id] == ["chair", "sofa"]
@@ -172,7 +172,7 @@ def test_independent_prompts_compete_only_if_they_are_background(
     assert found.not_suppressed().tolist() == kept
 
 
-def test_a_background_that_the_model_does_not_know_is_left_out_and_told_once(tiny, caplog):
+def test_a_background_that_the_model_does_not_know_is_left_out_and_reported_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
     assert detector._prompt_set.classes.n_classes == 3
@@ -205,7 +205,7 @@ def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, -1e6])
-def test_boxes_that_cannot_be_are_dropped_counted_and_told_once(
+def test_boxes_that_cannot_be_are_dropped_counted_and_reported_once(
     tiny, make_observation, caplog, value
 ):
     boxes = BOXES.copy()
@@ -316,7 +316,7 @@ def test_what_stands_around_has_boxes_of_its_own(
     assert context.xyxy_px.shape == (len(found), 4)
 
 
-def test_a_kind_of_one_target_is_still_a_rival_of_the_other(tiny, make_observation):
+def test_a_kind_of_one_target_still_competes_with_the_other(tiny, make_observation):
     found = tiny(prompts=("bed", "sofa"), background=("sofa bed", "chair")).detect(
         make_observation(rgb=image())
     )

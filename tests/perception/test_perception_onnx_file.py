@@ -183,7 +183,7 @@ SOUND = detector(
 
 
 @given(st.data())
-def test_damage_is_said_or_does_no_harm(data):
+def test_damage_is_reported_or_does_no_harm(data):
     cut = data.draw(st.integers(0, len(SOUND)))
     damaged = bytearray(SOUND[:cut])
     for _ in range(data.draw(st.integers(0, 5)) if damaged else 0):

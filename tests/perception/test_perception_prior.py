@@ -113,7 +113,7 @@ def test_a_room_is_what_it_holds():
     assert belief[2, 1] > 0.9
 
 
-def test_where_nothing_was_seen_the_room_next_door_tells():
+def test_without_objects_the_adjacent_room_decides():
     """Only doors between the two kinds of rooms are in the data.
 
     The houses have no data on two rooms of a kind, so a bedroom may be next to a bedroom.

@@ -157,7 +157,7 @@ def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_process_that_ends_is_told_once_and_started_again(make, seen, caplog):
+def test_a_process_that_ends_is_reported_once_and_started_again(make, seen, caplog):
     caplog.set_level(logging.INFO)
     detector = make()
     ends = {
@@ -375,7 +375,7 @@ def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch)
 
 
 def outlive(monkeypatch):
-    """Stand-in for a process that the kernel cannot end: nobody's SIGKILL reaches it."""
+    """Stand-in for a process that the kernel cannot end: no SIGKILL reaches it."""
     monkeypatch.setattr(link.subprocess.Popen, "kill", lambda process: None)
     for module, limit in ((link, "_STOP_S"), (link, "_KILL_S"), (supervised, "_CLOSE_S")):
         monkeypatch.setattr(module, limit, 0.01)

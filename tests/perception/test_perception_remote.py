@@ -106,7 +106,7 @@ def test_boxes_are_those_of_the_model_here(model, far, picture, binary):
         assert server.asked[:3] == ["/v2", "/v2/models/m", "/v2/models/m/infer"]
 
 
-def test_a_prompt_that_nobody_knows_is_told_without_the_server(far):
+def test_an_unknown_prompt_is_reported_without_the_server(far):
     there = far("http://127.0.0.1:1")
     with pytest.raises(PromptError, match="xylograph"):
         there.set_prompts(["xylograph"])
@@ -225,7 +225,7 @@ def limit(there: RemoteDetector, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(("behave", "kind", "why"), BAD)
-def test_whatever_a_server_does_costs_an_image_and_is_told(
+def test_a_fault_of_the_server_costs_one_image_and_is_reported(
     model, far, picture, behave, kind, why, monkeypatch
 ):
     limit_s = 0.3 if kind == "timeout" else LIMIT_S

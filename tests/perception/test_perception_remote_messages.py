@@ -149,7 +149,7 @@ IMAGES = {"name": "images", "datatype": "FP32", "shape": [-1, 3, 4, 4]}
         ({"outputs": [{"name": "a\nb"}]}, "the model has no 'boxes' among its outputs (a b)"),
     ],
 )  # fmt: skip
-def test_a_model_of_other_inputs_or_outputs_is_told(metadata, why):
+def test_a_model_of_other_inputs_or_outputs_is_reported(metadata, why):
     def check():
         inputs, outputs = {"images": ("FP32", (1, 3, 4, 4))}, {"boxes": ("FP32", (1, None, 4))}
         messages.check_metadata(json.dumps(metadata).encode(), inputs, outputs)

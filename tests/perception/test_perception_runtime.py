@@ -99,7 +99,7 @@ def test_a_model_that_onnxruntime_cannot_run_is_one_line(tmp_path, change, says)
     assert len(str(error.value)) < 400
 
 
-def test_providers_without_options_are_told_nothing():
+def test_providers_without_options_get_none():
     assert provider_options(CPU, 1, engine(), Path("/e/key")) == {}
     assert provider_options("CUDAExecutionProvider", 1, engine(), Path("/e/key")) == {
         "device_id": "1"
@@ -110,7 +110,7 @@ def test_providers_without_options_are_told_nothing():
     ("precision", "fp16", "int8"),
     [("fp32", "False", "False"), ("fp16", "True", "False"), ("int8-trt", "True", "True")],
 )
-def test_what_onnxruntimes_tensorrt_is_told(precision, fp16, int8):
+def test_options_of_onnxruntimes_tensorrt(precision, fp16, int8):
     told = provider_options(ORT_TENSORRT, 2, engine(precision, cache=Path("/e")), Path("/e/key"))
     assert told == {
         "device_id": "2",

@@ -202,7 +202,7 @@ def surface(x_m, y_m=0.0, z_m=0.6, half_m=0.15, seed=7):
         "nothing", "itself", "another", "less sure", "surer", "surer beside it", "the same thing",
     ],
 )  # fmt: skip
-def test_what_is_surer_to_be_something_else_is_doubted(scene, seen, doubtful):
+def test_an_object_with_a_likelier_class_is_tentative(scene, seen, doubtful):
     s = scene()
     for _ in range(5):
         s.see(*seen, words=("chair", "sofa", "double bed"))
@@ -249,7 +249,7 @@ def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 6))
-def test_the_strongest_rival_agrees_with_its_twin(seed, n):
+def test_the_strongest_competing_class_agrees_with_its_twin(seed, n):
     random = np.random.default_rng(seed)
     centers = random.uniform(-0.5, 0.5, (n, 3)).astype(np.float32)
     points = np.zeros((n, kernels.POINTS, 3), np.float32)

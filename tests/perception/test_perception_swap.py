@@ -28,7 +28,7 @@ NAN = float("nan")
 
 
 class Fake:
-    """Finds one box in every image, as told; from image `from_` on it does what `then` says."""
+    """Finds one box in every image; from image `from_` on it does what `then` says."""
 
     def __init__(self, name="new", words=("chair", "bed"), from_=0, **then):
         self.name, self.words, self.closed, self.images = name, words, 0, 0
@@ -315,7 +315,7 @@ class Slow(Fake):
         super().set_prompts(prompts)
 
 
-def test_an_engine_that_is_built_is_told_of(bench):
+def test_the_build_of_an_engine_is_reported(bench):
     b = bench(Slow())
     b.building = Health("building engine", "40 s")
     b.swapper.request("new", False, 0)

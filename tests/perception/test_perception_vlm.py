@@ -65,12 +65,12 @@ def a_view(model, seed=0):
         (["yes", " Yes", "NO", "No.", "not"], ("Yes", "No"), [[0, 1], [2, 3]]),
     ],
 )
-def test_an_answer_is_every_token_that_says_it(tokens, answers, expected):
+def test_an_answer_is_every_token_with_its_text(tokens, answers, expected):
     assert [ids.tolist() for ids in answer_token_ids(tokens, answers)] == expected
 
 
 @given(st.lists(st.floats(-50, 50, width=32), min_size=5, max_size=5), st.floats(-30, 30))
-def test_eq_4_is_a_softmax_over_the_answers_as_servers_tell_it(logits, shift):
+def test_eq_4_is_a_softmax_over_the_answers_of_servers(logits, shift):
     """Known by all logits or by all log-probabilities, with and without a space before."""
     tokens = ["A", " A", "B", "the", "C"]
     logits = np.array(logits)
@@ -457,11 +457,11 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", [*BROKEN, *WRONG])
-def test_what_is_wrong_is_told_in_one_line(models_dir, what):
+def test_what_is_wrong_is_reported_in_one_line(models_dir, what):
     card = publish(models_dir, "smolvlm")
     spoil, says = {**BROKEN, **WRONG}[what]
     spoil(card)
-    if what in WRONG:  # damage that no hash tells
+    if what in WRONG:  # damage that no hash shows
         pin(card)
     with pytest.raises(ModelError, match=says) as raised:
         opened(card)
@@ -479,7 +479,7 @@ def test_what_is_wrong_is_told_in_one_line(models_dir, what):
         ({"min_pixels": 1 << 60}, "tokens, but image_tokens of the card is 100"),
     ],
 )
-def test_sizes_of_patches_that_lie_are_told_in_one_line(models_dir, told, says):
+def test_wrong_sizes_of_patches_are_reported_in_one_line(models_dir, told, says):
     card = publish(models_dir, "qwen2-vl")
     change_json("preprocessor_config.json", **told)(card)
     pin(card)
@@ -526,7 +526,7 @@ def sound(tmp_path_factory):
 
 @pytest.mark.parametrize("family", FAMILIES)
 @given(st.randoms(use_true_random=False), st.data())
-def test_changed_files_are_told_in_one_line_or_do_no_harm(sound, family, chance, data):
+def test_changed_files_are_reported_in_one_line_or_do_no_harm(sound, family, chance, data):
     """Though their hashes are right: nothing but a ModelError is raised, whatever the bytes."""
     card, contents = sound[family]
     file = data.draw(st.sampled_from(sorted(contents)))

@@ -1,4 +1,4 @@
-"""Models beside the loop: no frame is held longer than need be, whatever they do."""
+"""Models in the background: no frame is held longer than needed."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
 
 
 class Thinks:
-    """A choice scorer that answers when it is told to."""
+    """A choice scorer that answers on command."""
 
     name = "thinks"
 
@@ -564,7 +564,7 @@ def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key)
 
 
 def test_a_recording_names_no_files(drive, tmp_path, monkeypatch):
-    """A detector that it asks for opens the files of its card, and writes beside them."""
+    """A detector that it names opens the files of its card, and writes next to them."""
     folder = tmp_path / "engines"
     onnx = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "engine_cache": str(folder),
             "vocabulary": str(tmp_path / "words.npz")}  # fmt: skip

@@ -16,8 +16,7 @@ from edge.errors import UnavailableError
 from edge.host.ports import free_port
 from edge.host.web_server import serve
 from edge.loop.latency import LatencyRing, Span
-from edge.loop.service import MAP
-from edge.loop.stages import STAGES
+from edge.loop.stages import MAP, STAGES
 from edge.recording import commands
 from edge.recording.channels import STATUS
 from edge.recording.file import McapWriter, RecordingError
@@ -47,7 +46,7 @@ def checked(trace: dict) -> list[dict]:
 
 
 def ticks(spans: int, beside: list[tuple[int, int]] = ()) -> list[Span]:
-    """Ticks of every stage for 1 us each; beside them what took (begin, took) ns."""
+    """Ticks of every stage for 1 us each, and background spans of (begin, took) ns."""
     found = []
     for k in range(spans):
         begin_ns = 10**12 + k * 10**6

@@ -123,13 +123,13 @@ def test_the_section_of_the_page_has_a_plan_too():
         ({"ros2": {"topics": {"odom": "a b"}}}, r"ros2\.topics\.odom: string should match"),
     ],
 )
-def test_what_is_wrong_with_it_is_told_in_one_line(data, said):
+def test_its_faults_are_reported_in_one_line(data, said):
     with pytest.raises(ConfigError, match=f"^<defaults>: {said}[^\n]*$"):
         process.make_plan(simulated(data))
 
 
 @pytest.mark.parametrize("key", ["python", "setup"])
-def test_a_file_that_is_not_there_is_told(key):
+def test_a_file_that_is_not_there_is_reported(key):
     with pytest.raises(UnavailableError, match=f"^<defaults>: ros2.adapter.{key}: cannot read /no"):
         process.command_of(adapted({key: "/no/such"}))
 
@@ -154,7 +154,7 @@ def node(tmp_path, monkeypatch) -> Path:
     return tmp_path / "node.py"
 
 
-def test_a_node_that_fails_is_started_again_until_it_is_told_to_stop(node, tmp_path, caplog):
+def test_a_node_that_fails_is_started_again_until_a_stop(node, tmp_path, caplog):
     node.write_text(
         "import os, sys\n"
         "plan = sys.stdin.readline()\n"
@@ -192,6 +192,6 @@ def test_the_setup_file_is_sourced_first(node, tmp_path):
     assert (tmp_path / "said").read_text() == "made-up"
 
 
-def test_it_tells_where_the_launch_file_is(capsys):
+def test_it_prints_where_the_launch_file_is(capsys):
     assert main(["ros2-adapter", "--launch-file"]) == 0
     assert Path(capsys.readouterr().out.strip()).read_text("utf-8").count("respawn=True") == 1

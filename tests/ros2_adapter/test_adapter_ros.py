@@ -107,7 +107,7 @@ def service(config) -> Iterator[Service]:
 
 @pytest.fixture
 def odometry(service) -> Iterator[Ros2Subscription]:
-    """As long as the service hears it, somebody looks where the robot goes."""
+    """As long as the service hears it, a sensor watches the robot's way."""
     subscription = service.hear("odom")
     yield subscription
     subscription.close()
@@ -158,7 +158,7 @@ def test_what_nobody_hears_is_not_taken_from_ros(adapter, service, robot):
     robot.says('"watched": 0', times=before + 1)
 
 
-def test_a_silent_topic_is_told_with_the_reason(adapter, service):
+def test_a_silent_topic_is_reported_with_the_reason(adapter, service):
     nothing = service.hear("lidar/scan")
     adapter.says("/nowhere: no message yet: it has no publisher")
     nothing.close()
@@ -194,7 +194,7 @@ ON_ITS_WAY = [("accepted", ""), ("accepted", "1 recoveries, 2.5 m left")]
         (REJECTED, [], ("failed", "refused by navigate_to_pose")),
     ],
 )
-def test_what_the_action_says_of_a_goal_is_its_answer(
+def test_the_actions_status_of_a_goal_is_its_answer(
     adapter, service, robot, odometry, x_m, on_its_way, end
 ):
     stamp_ns = int(x_m)

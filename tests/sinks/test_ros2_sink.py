@@ -129,7 +129,7 @@ def test_a_goal_and_its_end(make, theirs, answers, distribution, status, state, 
 
 
 @pytest.mark.parametrize("via", ["bridge", "adapter"])
-def test_a_goal_through_what_tells_no_types(make, theirs, answers, via):
+def test_a_goal_through_a_peer_without_types(make, theirs, answers, via):
     sink = make(via=via)
     sink.tick(driving(9))
     nav2 = Nav2(theirs, "jazzy", dialect=dialect_of(via, "edge"))
@@ -316,7 +316,7 @@ def test_a_lost_result_is_asked_for_again(make, nav2, answers, monkeypatch):
     assert answers(2)[1].state == "reached"
 
 
-def test_the_status_tells_what_the_result_does_not(make, nav2, answers, monkeypatch):
+def test_the_status_has_what_the_result_lacks(make, nav2, answers, monkeypatch):
     monkeypatch.setattr(navigate, "RESULT_LATE_S", 0.0)
     make().tick(driving(1))
     goal_id = first_goal(nav2)

@@ -1,4 +1,4 @@
-"""The sink over a real session: what goes out, how often, and that nobody waits."""
+"""The sink over a real session: what it sends, how often, and that it never blocks."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def settle(sink: ZenohSink, ears: Ears) -> None:
     ears.hear("tick")
 
 
-def test_a_first_tick_says_everything_once(sink, ears):
+def test_a_first_tick_sends_everything_once(sink, ears):
     for now_ns in (10**9, 10**9 + 1):
         sink.tick(result(now_ns, observation=observation(now_ns)))
     stamp_ns, grid = messages.decode_occupancy_grid(ears.hear("map"))

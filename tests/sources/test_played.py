@@ -58,7 +58,7 @@ CONFIG = simulated({"perception": {"detector": {"kind": "sim"}}})
 
 
 class Seen(SimpleNamespace):
-    """The observations of a recording, and all that was told."""
+    """The observations of a recording, and all log lines."""
 
 
 def play(path: Path, config: Config = CONFIG, rate: float | None = None) -> Seen:
@@ -210,7 +210,7 @@ def test_topics_are_found_and_listed(tmp_path, name):
 
 BASE, FOOT = ("base_link", OPTICAL, MOUNT), ("base_footprint", "base_link", se3(z_m=0.1))
 FRAMES: dict[str, tuple[list[Sent], float, str]] = {
-    # What is sent, x in the map at first, and what is told.
+    # The messages, x in the map at first, and the log line.
     "no tf": (plain(), 0.0, "no tf in the recording"),
     "map from odom": (
         together(odometry(frame="odom"), camera(), static(BASE), moving("map", "odom", 3.0)),

@@ -126,7 +126,7 @@ def test_a_file_becomes_observations_again_and_again(tmp_path, caplog):
     assert not [record for record in caplog.records if "camera" in record.name]
 
 
-def test_a_camera_that_is_not_there_is_told_and_opened_when_it_comes(tmp_path, caplog, monkeypatch):
+def test_a_missing_camera_is_reported_and_opened_when_it_comes(tmp_path, caplog, monkeypatch):
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(module, "PAUSE_S", 0.01)
     path = tmp_path / "a.avi"
@@ -163,7 +163,7 @@ class Stream(Quiet):
 
 
 @pytest.mark.parametrize("then", ["end", "stall"])
-def test_a_stream_that_ends_or_stalls_is_told_and_opened_again(then, caplog, monkeypatch):
+def test_a_stream_that_ends_or_stalls_is_reported_and_opened_again(then, caplog, monkeypatch):
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(module, "PAUSE_S", 0.01)
     monkeypatch.setattr(module, "STALL_S", 0.5)

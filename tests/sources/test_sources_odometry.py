@@ -1,4 +1,4 @@
-"""Odometry: order of stamps, interpolation, jumps, clocks set anew."""
+"""Odometry: order of stamps, interpolation, jumps, clocks that are set again."""
 
 from __future__ import annotations
 

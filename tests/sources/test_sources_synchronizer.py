@@ -591,7 +591,7 @@ def test_typed_messages_need_no_wire_and_are_opened_only_when_used():
         synchronizer.offer(typed.Odometry(stamp_ns, SE2(1e-9 * stamp_ns, 0.0, 0.0).matrix()))
         synchronizer.offer(frame(typed.DepthImage, stamp_ns, 2.5))
         synchronizer.offer(frame(typed.Image, stamp_ns, 9))
-        synchronizer.offer(frame(typed.Cloud, stamp_ns, 0.0))  # nobody asked for it
+        synchronizer.offer(frame(typed.Cloud, stamp_ns, 0.0))  # not configured
     observation = synchronizer.poll()
     assert observation.pose.x_m == pytest.approx(3e-9 * FRAME_NS)
     assert (observation.depth_m == 2.5).all()

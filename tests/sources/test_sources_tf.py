@@ -77,7 +77,7 @@ def test_up_and_down_the_tree(target, source, expected):
         # Newer ones may come; what is older is too late for all.
         ([(0, 0.0), (100, 1.0)], 130, 1.0, 30),
         ([(50, 0.0), (100, 1.0)], 30, None, -20),
-        # What is said rarely moves in steps.
+        # A transform that is sent rarely moves in steps.
         ([(0, 0.0), (501, 1.0)], 400, 0.0, 0),
         ([(0, 0.0), (501, 1.0)], 501, 1.0, 0),
         ([(0, 0.0), (501, 1.0)], 9_000, 1.0, 0),

@@ -1,10 +1,19 @@
 from __future__ import annotations
 
 import numpy as np
+import painted_scenes
 import pytest
+from painted_scenes import PAINTS
 
 from edge.geometry import SE2
-from edge.tasks.captions import COLOURS, colour_names, colour_of, place_of
+from edge.tasks.captions import (
+    COLOURS,
+    colour_names,
+    colour_of,
+    in_white_light,
+    light_gains,
+    place_of,
+)
 from edge.types import MASK_SIDE
 
 COLOURED = {
@@ -42,13 +51,50 @@ def test_the_mask_says_which_pixels_count():
 @pytest.mark.parametrize(
     ("paint", "name"),
     [((40, 4, 4), "red"), ((45, 8, 6), "red"), ((8, 14, 44), "blue"), ((14, 14, 16), "black"),
-     ((30, 34, 44), "black")],
+     ((30, 34, 44), "black"), ((5, 12, 6), "black")],
 )  # fmt: skip
 def test_in_the_shade_a_car_keeps_its_colour(paint, name):
     """Among tyres, windows and its own shadow, which are black."""
     rgb = painted((6, 6, 8))
     rgb[6:14] = paint
     assert colour_of(rgb, WHOLE, np.ones((MASK_SIDE, MASK_SIDE), np.bool_)) == name
+
+
+@pytest.mark.parametrize("light", painted_scenes.LIGHTS)
+@pytest.mark.parametrize("place", painted_scenes.PLACES)
+def test_colours_keep_their_names_in_other_light(place, light):
+    results = painted_scenes.results(place, light)
+    wrong = [(true, given) for true, given in results if true != given]
+    assert len(wrong) <= 3, wrong
+
+
+@pytest.mark.parametrize("place", painted_scenes.PLACES)
+def test_full_light_is_left_as_it_is(place):
+    rgb = painted_scenes.picture(place, (190, 40, 36), "full")
+    assert in_white_light(rgb) is rgb
+    assert painted_scenes.results(place, "full") == [(name, name) for name, _ in PAINTS]
+
+
+@pytest.mark.parametrize("place", painted_scenes.PLACES)
+def test_no_paint_turns_black_in_the_shade_of_a_bright_picture(place):
+    greys = ("black", "gray", "white")
+    results = painted_scenes.results(place, "30 %", shaded=True)
+    assert [(a, b) for a, b in results if a not in greys and b in greys] == []
+    assert [b for a, b in results if a == "black"] == ["black", "black"]
+
+
+@pytest.mark.parametrize(
+    ("rgb", "gains"),
+    [
+        (painted((0, 0, 0), 1, 1), (4, 4, 4)),  # as much as there is
+        (painted((190, 40, 36)), (1, 1, 1)),  # red, but no lamp is as red
+        (painted((96, 132, 74)), (1, 1, 1)),  # no light is green
+        (np.vstack((painted((100, 160, 220)), painted((128, 128, 128)))), (1, 1, 1)),  # a blue sky
+        (painted((200, 160, 110)), (1, 1.25, 200 / 110)),
+    ],
+)
+def test_the_light_is_judged_by_what_is_neutral(rgb, gains):
+    np.testing.assert_allclose(light_gains(rgb), gains, rtol=1e-3)
 
 
 def test_what_has_every_colour_has_none():

@@ -1,75 +1,36 @@
-"""Kinds of ground by a network that names the class of each pixel, run by onnxruntime.
-
-The network classifies by colour: green is terrain, blue is sky, dark is a car, all else is road.
-"""
+"""Kinds of ground by a network that names the class of each pixel, run by onnxruntime."""
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import scans
-import yaml
+from tiny_ground import HW, OUTPUTS, put_network
 
 from edge import config
 from edge.cli.preflight import named_models
 from edge.host import resources
+from edge.mapping.grid import RollingMap
 from edge.perception.masks.ground import GroundClassifier
-from edge.perception.runtime.card_types import CITYSCAPES
 from edge.perception.runtime.cards import ModelError, check_installed, load_card
+from edge.tasks import ground_votes
+from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
-from edge.tasks.scene_builder import SceneBuilder
+from edge.tasks.scene_builder import OUTDOORS, SceneBuilder, add_ground, uninflated
 from edge.tasks.write import write_trajectory
 
 pytest.importorskip("onnxruntime")
-parser = pytest.importorskip("onnx.parser")
 
 GREEN, BLUE, DARK = (20, 200, 20), (150, 190, 240), (10, 10, 10)
-ROWS = {"road": (0, 0, 0, 0.4), "terrain": (-1, 2, -1, 0), "sky": (-2, 0, 2, 0.3),
-        "car": (-9, -9, -9, 2)}  # fmt: skip
-"""Class → its score's factors of red, green and blue, and its bias."""
-HW = 64, 96
-OUTPUTS = {
-    "scores": ("float[1,19,r,c] y", "y = Conv (x, w, b)"),
-    "best class": ("int64[1,r,c] y", "s = Conv (x, w, b) y = ArgMax<axis = 1, keepdims = 0> (s)"),
-}
-HEADER = '<ir_version: 8, opset_import: ["": 17]>'
-
-
-def onnx_of(declared, made):
-    rows = [ROWS.get(name, (0, 0, 0, -99)) for name in CITYSCAPES]
-    w = ", ".join(str(float(value)) for row in rows for value in row[:3])
-    b = ", ".join(str(float(row[3])) for row in rows)
-    text = f"""{HEADER} g (float[1,3,{HW[0]},{HW[1]}] x) => ({declared}) {{
-      w = Constant<value = float[19,3,1,1] {{{w}}}> ()
-      b = Constant<value = float[19] {{{b}}}> () {made} }}"""
-    return parser.parse_model(text).SerializeToString()
 
 
 @pytest.fixture
 def put(tmp_path, monkeypatch):
     """put(output, **changes): the network, and its card."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
-    resources.models_dir().mkdir(parents=True, exist_ok=True)
-
-    def write(output="scores", **changes):
-        content = onnx_of(*OUTPUTS[output])
-        (resources.models_dir() / "tiny.onnx").write_bytes(content)
-        card = {
-            "name": "tiny-ground", "task": "ground", "family": "tiny", "file": "tiny.onnx",
-            "sha256": hashlib.sha256(content).hexdigest(), "sources": [], "license": "MIT",
-            "precision": "fp32", "derived_from": None, "parity": None,
-            "input": {"height": HW[0], "width": HW[1]},
-            "preprocess": {"color": "rgb", "scale": 1 / 255, "mean": [0] * 3, "std": [1] * 3,
-                           "fit": "stretch"},
-        }  # fmt: skip
-        path = resources.models_dir() / "tiny-ground.yaml"
-        path.write_text(yaml.safe_dump(card | changes))
-        return config.GroundModel(model="tiny-ground")
-
-    return write
+    return put_network
 
 
 @pytest.mark.parametrize("output", OUTPUTS)
@@ -109,8 +70,8 @@ def test_a_configuration_is_checked_before_it_runs(put):
     )
     (model,) = [m for m in named_models(settings) if m.key == "tasks.ground.model"]
     check_installed(load_card(model.name))
-    (resources.models_dir() / "tiny.onnx").unlink()
-    with pytest.raises(ModelError, match=r"tiny\.onnx: model tiny-ground is not there"):
+    (resources.models_dir() / "tiny-ground.onnx").unlink()
+    with pytest.raises(ModelError, match=r"tiny-ground\.onnx: model tiny-ground is not there"):
         check_installed(load_card(model.name))
 
 
@@ -142,6 +103,29 @@ def test_ground_has_the_kind_that_the_picture_shows(put):
     assert kind_at(10.4, -3.0) is None  # the car
     written = write_trajectory("go onto the grass", scene, config.TasksConfig())
     assert kind_at(*written.coarse.points_m[-1][:2]) == "lawn"
+
+
+def test_a_turn_takes_no_name_from_the_ground_and_old_votes_go(put, monkeypatch):
+    ground = GroundClassifier(put())
+    seen, _ = scans.street(())
+    green = replace(seen, rgb=np.full_like(seen.rgb, GREEN))
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    behind = replace(green, T_base_camera=turn @ seen.T_base_camera)
+    votes, grid = GroundVotes(ground.kinds), RollingMap(OUTDOORS)
+    grid.update_cloud(seen.cloud_m, seen.T_map_base, seen.T_base_lidar)
+
+    def kinds_at(*places_m):
+        kind = votes.classify(uninflated(grid), seen.pose)
+        return [kind[uninflated(grid).cell_of(*xy_m)] for xy_m in places_m]
+
+    add_ground(votes, ground, green, OUTDOORS)
+    assert kinds_at((10.0, 0.0), (-10.0, 0.0)) == [3, 0]
+    add_ground(votes, ground, behind, OUTDOORS)
+    assert kinds_at((10.0, 0.0), (-10.0, 0.0)) == [3, 3]
+    monkeypatch.setattr(ground_votes, "MOST_VOTES", 500)
+    add_ground(votes, ground, behind, OUTDOORS)
+    assert kinds_at((10.0, 0.0))[0] == 0
+    assert votes.classify(uninflated(grid), seen.pose).any()
 
 
 def test_without_a_network_no_kind_is_guessed():

@@ -96,7 +96,23 @@ def test_no_sentence_is_read_wrong_and_most_are_read():
     print(*sorted(counts.items()), sep="\n")  # pytest -s: the table of docs/evaluation.md
     assert wrong == []
     assert counts["free", "right"] >= 40
+    assert counts["fresh", "right"] >= 28
+    assert counts["last", "right"] >= 16
     assert counts["paper", "right"] >= 6
+
+
+@pytest.mark.parametrize(
+    ("instruction", "read"),
+    [
+        ("advance to the gate", "to gate 5"),
+        ("cross over to the other side of the road", "across road"),
+        ("go to the gate without driving over the grass", "avoid lawn; to gate 5"),
+        ("go to the gate, but stay away from the fence", "avoid fence 11; to gate 5"),
+        ("drive to a point halfway between the gate and the van", "between gate 5 and van 1"),
+    ],
+)
+def test_more_words_for_the_same(instruction, read):
+    assert describe_steps(parse_steps(instruction, SCENE)) == read
 
 
 @pytest.mark.parametrize("instruction", [row[1] for row in ROWS])

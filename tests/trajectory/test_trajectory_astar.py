@@ -205,7 +205,7 @@ def test_heuristic_changes_the_work_and_not_the_cost(h_weight):
     assert plan.expansions >= astar.plan(costmap, *ends, WORKSPACE).expansions
 
 
-def test_cost_overflow_is_said_and_not_wrapped():
+def test_cost_overflow_is_reported_and_not_wrapped():
     weights = np.zeros((1200, 1200), np.uint8)  # a serpentine, 360,000 cells of the top weight
     weights[::4], weights[2::4] = 255, 255
     weights[1::4, -1], weights[3::4, 0] = 255, 255

@@ -32,7 +32,6 @@ class Ros2Node:
     """A node; for one thread, which must call `update` periodically.
 
     Args:
-        session: an open session.
         domain: ROS 2 domain id.
         name: name of the node, in the root namespace.
         dialect: the naming scheme of the graph.
@@ -116,7 +115,6 @@ class _Ros2Endpoint:
     """Base of all endpoints: a token that follows the graph's type name and hash.
 
     Args:
-        node: the node it belongs to.
         kind: see `edge.bus.ros2.names.Kind`: `MP` is a publisher, `MS` a subscription, `SS` a
             service server, `SC` a service client.
         topic: topic or service, with a leading slash.
@@ -185,7 +183,6 @@ class Ros2Publisher(_Ros2Endpoint):
     """Publishes payloads of one type.
 
     Args:
-        node: the node it belongs to.
         topic: topic with a leading slash.
         type_name: ROS 2 name.
         latched: transient local: a late subscriber gets the last message. The bridge and the
@@ -250,7 +247,6 @@ class Ros2Subscription(_Ros2Endpoint):
     """The newest messages of a topic, of several types; best effort, as usual for sensors.
 
     Args:
-        node: the node it belongs to.
         topic: topic with a leading slash.
         types: accepted types. The first is announced until another one has a publisher.
         capacity: see `edge.bus.session.Ring`.
@@ -305,7 +301,6 @@ class Ros2Client(_Ros2Endpoint):
     """Calls a service without blocking; the caller polls the answer.
 
     Args:
-        node: the node it belongs to.
         service: name of the service, with a leading slash.
         type_name: ROS 2 name.
         timeout_s: longest time until the answer.

@@ -44,8 +44,6 @@ class Ros2RequestServer:
 
     Args:
         node: the node of the topics; this server closes it.
-        request_topic: topic of requests.
-        answer_topic: topic of answers.
         queues: queue of each key of `edge.bus.topics.REQUESTS`.
     """
 

@@ -121,10 +121,7 @@ class LaserScan:
     - less than range_min, -inf or NaN: no measurement.
 
     Attributes:
-        stamp_ns: stamp of the message.
-        frame_id: frame of the sensor.
         angle_min_rad: angle of beam 0.
-        angle_increment_rad: angle from beam to beam.
         range_min_m: see above.
         range_max_m: see above.
         ranges_m: (n,) float32, a read-only view of the payload.

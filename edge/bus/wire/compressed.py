@@ -45,8 +45,6 @@ class CompressedHeader:
     """The header of a compressed image.
 
     Attributes:
-        stamp_ns: stamp of the message.
-        frame_id: frame of the camera.
         height: height of the image in pixels.
         width: width of the image in pixels.
         content: `colour`; `16UC1`: plain depth; `inverse`: quantized 32FC1 depth: a value v > 0

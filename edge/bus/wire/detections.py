@@ -23,10 +23,7 @@ class Box3D(NamedTuple):
     """An object with its box, whose axes are those of the frame.
 
     Attributes:
-        id: number of the object.
-        name: class of the object.
         score: confidence in [0, 1].
-        center_m: centre of the box.
         size_m: sides of the box; 0 if they are not known.
     """
 

@@ -39,8 +39,6 @@ class ImageHeader:
     """The header of an image message, checked against the payload's size.
 
     Attributes:
-        stamp_ns: stamp of the message.
-        frame_id: frame of the camera.
         height: height in pixels.
         width: width in pixels.
         encoding: such as `rgb8`.

@@ -30,13 +30,11 @@ class Marker:
     """One visualization_msgs/Marker.
 
     Attributes:
-        group: namespace of the marker.
         id: number of the marker; unique in its group.
         kind: `ARROW`, `CUBE`, `LINE_STRIP`, `SPHERE_LIST` or `TEXT`.
         scale_m: size along x, y, z. For a text, z is the height. For a list of spheres, all are the
             diameter. For a line, x is the width.
         colour: red, green, blue, alpha, 0 to 1.
-        pose: pose in the plane.
         z_m: height of the pose.
         text: text of a `TEXT`.
         points_m: (n, 3) centres of the spheres of a list, or corners of a line.

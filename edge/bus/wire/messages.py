@@ -127,7 +127,6 @@ class OdometryMessage:
     """nav_msgs/Odometry: pose of the base in `map`, and twist in the base frame.
 
     Attributes:
-        stamp_ns: stamp of the message.
         T_map_base: (4, 4) float64 pose.
         v_mps: forward speed.
         w_radps: turn rate, left positive.
@@ -205,7 +204,6 @@ class CameraCalibration:
     """sensor_msgs/CameraInfo for the images as they are sent, with binning and roi applied.
 
     Attributes:
-        stamp_ns: stamp of the message.
         camera: rectified camera: from the projection matrix P, or from K if P is zero.
         lens: distortion of the raw image; None if all coefficients are zero.
         cut: binning and roi as text; empty if whole images are sent.

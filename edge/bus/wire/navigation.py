@@ -31,12 +31,10 @@ ALL_GOALS = bytes(16)
 """Goal id that cancels all goals of an action (action_msgs/CancelGoal)."""
 
 
-def encode_send_goal(
-    goal_id: bytes, stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME, tree: str = ""
-) -> bytes:
-    """Encode NavigateToPose_SendGoal_Request; `tree`: behavior tree, "" for Nav2's default."""
+def encode_send_goal(goal_id: bytes, stamp_ns: int, pose: SE2, frame_id: str = MAP_FRAME) -> bytes:
+    """Encode NavigateToPose_SendGoal_Request, with Nav2's default behavior tree."""
     writer = CdrWriter().write(_UUID, 1, goal_id).header(stamp_ns, frame_id)
-    return write_pose(writer, pose.matrix()).string(tree).bytes()
+    return write_pose(writer, pose.matrix()).string("").bytes()
 
 
 def encode_dock_goal(
@@ -148,8 +146,6 @@ class Feedback:
     """NavigateToPose_FeedbackMessage: progress of a goal.
 
     Attributes:
-        goal_id: id of the goal.
-        pose: pose of the robot.
         elapsed_ns: time since the goal was accepted.
         recoveries: number of recoveries so far.
         distance_m: distance that is left to drive.

@@ -23,7 +23,6 @@ class Transform:
     """geometry_msgs/TransformStamped.
 
     Attributes:
-        stamp_ns: stamp of the transform.
         parent: name of the parent frame.
         child: name of the child frame.
         T: (4, 4) float64, takes points of `child` to `parent`.

@@ -131,10 +131,6 @@ def match_to_reference(reference: DetectedBoxes, candidate: DetectedBoxes) -> Ta
 def agreement(reference: list[DetectedBoxes], candidate: list[DetectedBoxes]) -> dict[str, Any]:
     """Compare a variant's boxes with those of its FP32 model, frame by frame.
 
-    Args:
-        reference: boxes of the FP32 model, for each frame.
-        candidate: boxes of the variant.
-
     Returns:
         `recall`, `precision`, `score_error` (mean relative difference of the hits' scores) and
         `boxes` (number of reference boxes).
@@ -152,12 +148,6 @@ def against_truth(
     prompts: Sequence[str],
 ) -> dict[str, Any]:
     """Return recall and precision against the ground truth.
-
-    Args:
-        found: boxes of each image.
-        truth: objects of each image.
-        relations: (labels, prompts); see `frames.relations_of`.
-        prompts: the prompts' texts.
 
     Returns:
         `recall`, `precision`, `things` (objects that count), `boxes`, and `by_prompt`: prompt →

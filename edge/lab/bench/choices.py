@@ -98,11 +98,6 @@ def families() -> list[str]:
 def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
     """Compare the choice models of a family without detectors, print the table and save it.
 
-    Args:
-        family: the cards' family.
-        args: parsed command line: `providers`, `threads` and `json`.
-        pictures: images to make the views of.
-
     Returns:
         The exit status: 0, or 1 if no model could run.
 
@@ -121,11 +116,6 @@ def run(family: str, args: argparse.Namespace, pictures: BenchFrames) -> int:
 
 def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> list[Row]:
     """Return one row for each choice model of a family on each provider.
-
-    Args:
-        family: the cards' family.
-        args: parsed command line: `providers` and `threads`.
-        pictures: images to make the views of.
 
     Raises:
         UserError: an option cannot be used.

@@ -65,11 +65,6 @@ def from_world(config: Config, count: int, inputs_hw: Sequence[tuple[int, int]])
     The camera is the configured one, scaled up to the largest model input, so that no model gets an
     enlarged image.
 
-    Args:
-        config: names the world, the camera and the robot.
-        count: number of views.
-        inputs_hw: input height and width [px] of the models.
-
     Raises:
         edge.lab.sim.base.WorldError: the world cannot be loaded.
     """
@@ -138,11 +133,7 @@ def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -
 
 
 def from_folder(folder: Path, count: int) -> BenchFrames:
-    """Read the first `count` images of a folder, by name; their ground truth is unknown.
-
-    Raises:
-        UserError: the folder has no image, or an image cannot be read.
-    """
+    """Read the first `count` images of a folder, by name; their ground truth is unknown."""
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _IMAGES)[:count]
     if not paths:
         raise UserError(f"--images {folder}: no images ({', '.join(_IMAGES)}); give another folder")

@@ -29,7 +29,6 @@ class DetectorJob:
 
     Attributes:
         detector: the model and how to run it.
-        prompts: words to detect.
         rgb: frames, (h, w, 3) uint8 each.
         tau_det: boxes with this score or less are left out.
     """
@@ -46,7 +45,6 @@ class DetectorMeasurement:
 
     Attributes:
         stages_ns: (n, 3) int64, time of preprocessing, session and postprocessing of each frame.
-        found: boxes of each frame.
         load_s: time to load the model and run the warm-up frames.
         memory_mb: growth of the process's resident memory.
         gpu_memory_mb: growth of the GPU memory in use; None if unknown.

@@ -259,11 +259,7 @@ def ensure_recording(
 def _with_progress(
     messages: Iterable[Message], seconds: float, stop: threading.Event | None
 ) -> Iterator[Message]:
-    """Yield the messages, with a log line every few recorded seconds.
-
-    Raises:
-        Stopped: `stop` was set.
-    """
+    """Yield the messages, with a log line every few recorded seconds."""
     first_ns, logged_s = None, 0.0
     for message in messages:
         if stop is not None and stop.is_set():

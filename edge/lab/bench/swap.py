@@ -36,8 +36,6 @@ class SwapBench:
     """Requests the swap at half time, and measures the loop before it and during it.
 
     Args:
-        running: the running service.
-        model: model to swap to.
         seconds: length of the whole measurement.
     """
 
@@ -77,11 +75,7 @@ class SwapBench:
             self._during = self._end_span(now_ns)
 
     def figures(self) -> dict[str, Any]:
-        """Return the swap's outcome and both time spans, ready for JSON.
-
-        Raises:
-            UserError: the swap did not end.
-        """
+        """Return the swap's outcome and both time spans, ready for JSON."""
         swap = self._running.service.detector_swap.status()
         if not self._during:
             raise UserError(

@@ -38,7 +38,6 @@ class Variant(NamedTuple):
     """One detector (model card) on one provider.
 
     Attributes:
-        card: the detector's model card.
         provider: a name of `PROVIDERS`.
     """
 
@@ -53,10 +52,6 @@ def families() -> list[str]:
 
 def variants(family: str, providers: Sequence[str]) -> list[Variant]:
     """Return the variants of a family, sorted by provider, then input size, then precision.
-
-    Args:
-        family: the cards' family.
-        providers: names of `PROVIDERS` to use.
 
     Raises:
         UserError: the family has no detector; the message lists those that have one.

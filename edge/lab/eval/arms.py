@@ -23,9 +23,7 @@ class ExperimentArm:
     """An experiment arm: one configuration to run episodes with.
 
     Attributes:
-        name: given by the user.
         base: the configuration that `settings` change.
-        settings: the changes.
         id: hash of the whole configuration; any change gives another id.
         path: source of `base`, for messages.
         forgets: True: the service forgets map and objects before each goal of a session.
@@ -109,11 +107,7 @@ def merged(*parts: Mapping[str, Any]) -> Data:
 
 
 def read_arms(path: Path) -> dict[str, Data]:
-    """Read arms from a YAML file: a section of settings for each name.
-
-    Raises:
-        ConfigError: the file cannot be read or has another form.
-    """
+    """Read arms from a YAML file: a section of settings for each name."""
     data = read_yaml(path)
     if not isinstance(data, dict) or not data:
         raise ConfigError(
@@ -134,9 +128,6 @@ def parse_arm(words: Sequence[str]) -> tuple[str, Data]:
 
     >>> parse_arm(["search", "policy.kind=search", "perception.detector={kind: sim}"])
     ('search', {'policy': {'kind': 'search'}, 'perception': {'detector': {'kind': 'sim'}}})
-
-    Raises:
-        ConfigError: a setting has another form.
     """
     name, *settings = words
     data: Data = {}

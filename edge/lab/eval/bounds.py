@@ -35,10 +35,6 @@ class KnownPlace:
     The cost of a frontier is the path to it, by the map, plus the path from there to the target, by
     the floor plan. The SPL that is still missing is lost by the controller, the detector and the
     stop decision.
-
-    Args:
-        world: the world that the robot is in.
-        robot_radius_m: radius of its footprint.
     """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
@@ -46,7 +42,6 @@ class KnownPlace:
         self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
-        """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)
@@ -76,10 +71,6 @@ class KnownPlace:
 class KnownRoom:
     """Policy that drives to a room with a target and searches there as `search` does.
 
-    Args:
-        world: the world that the robot is in.
-        robot_radius_m: radius of its footprint.
-
     Raises:
         ValueError: the world has no room data.
     """
@@ -95,7 +86,6 @@ class KnownRoom:
         self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
-        """See `Policy.score`."""
         candidates, target = context.candidates, context.target
         if target not in self._left_m:
             self._left_m[target] = self._distance_field_m(target)

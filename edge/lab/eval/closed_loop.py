@@ -24,6 +24,7 @@ from edge.loop.service import Service
 from edge.memory import Site, SiteFile
 from edge.perception.detection.sim import Segmentation
 from edge.perception.factory import make_detector
+from edge.perception.masks.ground import make_ground_classifier
 from edge.perception.masks.masker import make_masker
 from edge.perception.worker import DetectorWorker
 from edge.policies import make_policy
@@ -48,7 +49,6 @@ class RunLog:
         self.answers: list[GoalStatus] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         self.goals += result.goals
         self.answers += result.goal_statuses
         self.events += (event.text for event in result.events)
@@ -69,7 +69,6 @@ class ClosedLoop:
     plugin may ask for the simulator's `world` and `robot_radius_m` (`edge.lab.eval.bounds`).
 
     Attributes:
-        config: of the service, the robot and the simulator.
         notes: collects the goals, events and goal statuses.
         sinks: more sinks; each gets the result of each tick, as in a service.
         world: the world, already loaded with `config`; None: load `sim.world`.
@@ -77,8 +76,6 @@ class ClosedLoop:
             scorers that need no colour (see `wants_colour`).
         task: replaces the configuration's mission (`edge.tasks.mission_spec`).
         site: places and zones at the start.
-        service: the service.
-        controller: the motion controller.
         ghosts: measures cells that stay occupied behind people; None: no people.
         drive: the robot's motion; it knows its true pose.
         rig: the robot's camera; of two, which take turns, that of the last image.
@@ -127,7 +124,7 @@ class ClosedLoop:
         policy = make_policy(config.policy, config.origin("policy"), truth)
         self.service = Service(
             config, spec, self.worker, policy, sinks, scorers=self.scorers,
-            site=SiteFile(site=self.site),
+            site=SiteFile(site=self.site), ground=make_ground_classifier(config.tasks),
         )  # fmt: skip
         self.controller = Controller(config)
         self._seq = 0
@@ -224,5 +221,5 @@ def wants_colour(config: Config) -> bool:
     is_user_plugin = isinstance(config.policy, PolicyPlugin) and not config.policy.kind.startswith(
         "edge."
     )
-    masked = perception.segmenter.kind != "none"
+    masked = perception.segmenter.kind != "none" or config.tasks.ground is not None
     return scored or masked or is_user_plugin or perception.detector.kind != "sim"

@@ -148,11 +148,7 @@ def sensing_settings(config: Config) -> dict[str, Any]:
 
 
 def objects_of(world: World, target: str) -> list[WorldObject]:
-    """Return the world's objects with this name.
-
-    Raises:
-        UserError: there are none; the message lists what there is.
-    """
+    """Return the world's objects with this name."""
     found = [o for o in world.objects if names.same_name(o.label, target)]
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
@@ -183,9 +179,6 @@ def plan(
         min_distance_m: shortest allowed path from a start to its target.
         per_world: at most this number of episodes in a world, drawn at random.
         min_size_m: in several worlds, a name all of whose objects are smaller is no target.
-
-    Raises:
-        UserError: a world cannot be loaded, or no episode is possible.
     """
     episodes: list[Episode] = []
     for setup in world_setups(config, worlds):
@@ -224,9 +217,6 @@ def plan_missions(
         count: at most this number of missions in a world.
         seed: of the random missions and starts.
         min_distance_m: shortest allowed path of a mission.
-
-    Raises:
-        UserError: a world cannot be loaded, or no mission is possible.
     """
     episodes: list[Episode] = []
     for number, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
@@ -251,7 +241,6 @@ class WorldSetup(NamedTuple):
     """A loaded world, and settings for its episodes.
 
     Attributes:
-        world: the world.
         section: `sim.world` of the configuration.
         sensing: see `Episode`.
         radius_m: radius of the robot's footprint.

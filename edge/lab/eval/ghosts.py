@@ -25,9 +25,6 @@ class GhostClock:
     Cells that are closed only because an occupied one is near do not count: that one may be out of
     view. It needs odometry without drift, so that the service's map and the world agree.
 
-    Args:
-        world: the world with its people.
-
     Attributes:
         longest_s: the result so far [s].
     """

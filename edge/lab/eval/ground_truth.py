@@ -41,7 +41,6 @@ class GroundTruth(NamedTuple):
     Attributes:
         x_m: x of the robot in `map`.
         y_m: y of the robot in `map`.
-        yaw_rad: its heading.
         path_m: length of the path driven so far.
         collisions: number of collisions so far.
         ids: (h, w) uint16 object ids of the picture, 0 = none.
@@ -77,7 +76,6 @@ class GroundTruthLogger:
     """Sink that compares the service's results with ground truth.
 
     Args:
-        config: of the episode.
         world: the simulated world.
         truth: returns the ground truth of an observation's stamp [ns].
         keep_out_m: polygons of keep-out zones, each (n, 2) float64.
@@ -88,7 +86,6 @@ class GroundTruthLogger:
         seconds: time of `now` since the first observation [s].
         objects: by target, the objects of the world.
         trail: [x, y] of the robot [m], `TRAIL_M` apart.
-        goals: goals that the service sent.
         status: the newest status of the mission.
         first_sights: by target, the first time that it was seen; no entry if it never was.
         stops: for each `reached` report, the label and the true distance [m]. Reports of which
@@ -144,7 +141,6 @@ class GroundTruthLogger:
         self._anchor = (0.0, 0.0, 0.0)
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         try:
             self.goals += result.goals
             self.status = result.status
@@ -281,9 +277,6 @@ class GroundTruthLogger:
         - `budget`: time or path ran out.
         - `never seen`: the mission was abandoned, and the target was never in view.
         - `stuck`: the mission was abandoned although the target was confirmed.
-
-        Args:
-            pursued: the target at the end.
         """
         if self.wrong_stops:
             return "wrong thing"

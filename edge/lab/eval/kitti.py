@@ -93,11 +93,7 @@ class KittiFrame:
 
 
 def frames_in(folder: Path, labelled: bool = True) -> list[int]:
-    """Return the numbers of the frames with image, scan and (if `labelled`) labels, ascending.
-
-    Raises:
-        KittiError: there are none.
-    """
+    """Return the numbers of the frames with image, scan and (if `labelled`) labels, ascending."""
     kinds = [("image_2", "png"), ("velodyne", "bin")]
     if labelled:
         kinds.append(("labels", "label"))
@@ -121,9 +117,6 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         folder: of the sequence.
         number: of the frame.
         labelled: False: the labels are not read and may be missing.
-
-    Raises:
-        KittiError: a file is missing or invalid.
     """
     calibration = _matrices(folder / "calib.txt")
     separate = folder / "Tr_velo_to_cam0.txt"
@@ -320,11 +313,7 @@ def kitti_scene(
 
 
 def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
-    """Read some frames of a sequence; see `read_frame`.
-
-    Raises:
-        KittiError: see `read_frame`; or `numbers` is empty.
-    """
+    """Read some frames of a sequence; see `read_frame`."""
     if not numbers:
         available = frames_in(folder, labelled)
         raise KittiError(f"{folder}: no frame chosen; choose some of {available}")
@@ -337,14 +326,7 @@ def scene_of(
     radius_m: float,
     by_labels: bool = True,
 ) -> Scene:
-    """Build the scene of some frames, at the time of the last.
-
-    Args:
-        frames: the frames.
-        pipeline: finds the objects.
-        radius_m: radius of the robot that drives there; see `SceneBuilder`.
-        by_labels: see `kitti_scene`.
-    """
+    """Build the scene of some frames, at the time of the last."""
     builder = SceneBuilder(pipeline, OUTDOORS, radius_m, GROUND_LABELS if by_labels else ())
     for frame in frames:
         builder.add(frame.observation, frame.ground_kind if by_labels else None)
@@ -365,11 +347,7 @@ def _mask(pixels: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 
 def _rigid(rows: np.ndarray, where: object) -> np.ndarray:
-    """Return the (4, 4) transform of the first three rows.
-
-    Raises:
-        KittiError: it is not rigid, or its translation is farther than `map` can represent.
-    """
+    """Return the (4, 4) transform of the first three rows."""
     T = np.eye(4)
     T[:3] = rows
     R = T[:3, :3]

@@ -11,11 +11,6 @@ REACHED_M = 1.0
 def episode_spl(success: np.ndarray, shortest_m: np.ndarray, path_m: np.ndarray) -> np.ndarray:
     """Return success weighted by path length (Anderson et al. 2018, eq. 1), as in VL-Nav's table I.
 
-    Args:
-        success: bool, or 0 and 1.
-        shortest_m: geodesic distance from each start to the nearest place of success.
-        path_m: length of the driven path.
-
     Returns:
         Array of their common shape, in [0, 1]. A path shorter than the shortest earns no bonus.
 

@@ -120,11 +120,7 @@ class MissionCostFields:
     """Cost-to-go fields of the missions in a world.
 
     Args:
-        world: the world.
         robot_radius_m: radius of the robot's footprint.
-
-    Attributes:
-        plan: floor plan of the world.
     """
 
     def __init__(self, world: World, robot_radius_m: float) -> None:

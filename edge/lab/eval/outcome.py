@@ -30,11 +30,6 @@ class EpisodeOutcome:
     """The end of an episode, judged by the simulator's ground truth.
 
     Attributes:
-        episode: id of the episode.
-        arm: name of the arm.
-        arm_id: hash of the arm's configuration.
-        world: name of the world.
-        kind: kind of world.
         target: name of the object to find; None for a mission.
         instruction: text of the mission.
         start: x and y [m], yaw [rad].
@@ -44,11 +39,9 @@ class EpisodeOutcome:
         reason: why the episode ended, in one line.
         failure: one of `FAILURES`; None for a success.
         path_m: length of the driven path, by ground truth.
-        elapsed_s: simulated time.
         wall_s: real time.
         distance_m: distance at the end to the nearest footprint of a target; None for a mission.
         left_m: metres left to drive at the end; None for a mission, and if there is no path.
-        collisions: number of collisions.
         first_sight_s: time at which a target was first in view; None: never.
         first_sight_path_m: length of the path driven until then.
         wrong_stops: number of `reached` reports that were wrong.
@@ -120,14 +113,7 @@ class EpisodeOutcome:
 def crashed_outcomes(
     arm: ExperimentArm, episode: Episode, why: str, done: int = 0
 ) -> list[EpisodeOutcome]:
-    """Build the outcomes of the parts of an episode that could not be run to their end.
-
-    Args:
-        arm: the arm.
-        episode: the episode.
-        why: the reason.
-        done: number of parts that were finished before the error.
-    """
+    """Build the outcomes of the parts of an episode that could not be run to their end."""
     crashed = crashed_outcome(arm, episode, why)
     if not episode.goals:
         return [crashed]
@@ -162,9 +148,6 @@ class OutcomeFile:
 
     Args:
         folder: made if it is missing.
-
-    Attributes:
-        known: the outcomes of the file, by key.
 
     Raises:
         FileError: the file cannot be read or written.

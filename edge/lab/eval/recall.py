@@ -23,10 +23,6 @@ class RecallCounter:
     Args:
         tau_det: least score of a detection that becomes an instance.
         range_m: pixels that are farther away do not count.
-
-    Attributes:
-        views: number of views.
-        detected: number of views that were detected.
     """
 
     def __init__(self, tau_det: float, range_m: float) -> None:

@@ -27,8 +27,6 @@ class RevisitCounter:
 
     Args:
         config: gives the camera.
-        world: the world that the robot is in.
-        range_m: range of the detector.
 
     Attributes:
         revisited_m2: area seen in searches that earlier legs had already seen [m²].
@@ -76,7 +74,6 @@ class SeenFloor:
     Args:
         plan: its occupied cells block the view.
         hfov_rad: horizontal field of view.
-        range_m: range of the camera.
     """
 
     def __init__(self, plan: FloorPlan, hfov_rad: float, range_m: float) -> None:

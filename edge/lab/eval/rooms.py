@@ -38,10 +38,6 @@ class RoomVerdict:
     """A mapped room, compared with the true room that most of its floor lies in.
 
     Attributes:
-        world: name of the world.
-        id: of the mapped room.
-        truth: kind of the true room.
-        share: share of the mapped floor that lies in it.
         also: kinds of all true rooms with at least `_PART_SHARE` of the mapped floor.
         kinds: kinds that the robot reports; empty if none is certain.
         best: kind that the robot finds most likely, certain or not.
@@ -66,12 +62,9 @@ class RoomGoalOutcome:
     """A drive to a room of a kind.
 
     Attributes:
-        world: name of the world.
-        kind: the wanted kind.
         phase: how the mission ended.
         success: True if the service reported `reached` and the robot is in a room of the kind.
         seconds: simulated time.
-        reason: by the service.
     """
 
     world: str

@@ -67,9 +67,6 @@ def plan_sessions(
         min_distance_m: shortest allowed path to a goal, from the start or from any place that
             counts as at the last goal.
         moved: share of the movable objects that are moved before each goal but the first.
-
-    Raises:
-        UserError: a world cannot be loaded, or no session is possible.
     """
     sessions = []
     for world, section, sensing, radius_m in world_setups(config, worlds):
@@ -229,11 +226,7 @@ class _Session:
         forget_distances()
 
     def _shortest_m(self, goal: str, x_m: float, y_m: float) -> float:
-        """Return the shortest path to a goal.
-
-        Raises:
-            UserError: there is none.
-        """
+        """Return the shortest path to a goal."""
         left_m = remaining_m(self._config, self._world, goal, x_m, y_m)
         if left_m is None:
             raise UserError(

@@ -71,7 +71,6 @@ class TranslationScore:
     """The result of one case.
 
     Attributes:
-        case: the case.
         outcome: "right"; "right if weak" (right if the reference's `!x U y` is read as the weak
             until, which does not require y); "wrong"; "asked" (the translator asked which reading
             is meant); or "refused".

@@ -52,8 +52,6 @@ class TranslationCase:
 
     Attributes:
         part: group of cases; the counts are by group.
-        sentence: the instruction.
-        formula: the correct formula.
         endless: the formula is about infinite traces.
         others: more correct formulas.
     """
@@ -72,11 +70,7 @@ def benchmark_cases(n: int, seed: int = 0) -> list[TranslationCase]:
 
 @contextmanager
 def _table(path: Path, what: str) -> Iterator[io.TextIOWrapper]:
-    """Open a table of sentences.
-
-    Raises:
-        UserError: the file cannot be read or has another form.
-    """
+    """Open a table of sentences."""
     try:
         with open_regular(path) as file:
             yield io.TextIOWrapper(file, encoding="utf-8", newline="")
@@ -166,9 +160,6 @@ def from_prefix(text: str) -> Formula:
     """Parse a formula in prefix notation, as in Lang2LTL's data: `& F a U ! b c`.
 
     `i` is implication and `e` equivalence. A word that is not an operator is a proposition.
-
-    Raises:
-        ValueError: the text is not a formula.
 
     Example:
         >>> str(from_prefix("& F a F b"))

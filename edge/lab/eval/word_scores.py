@@ -77,12 +77,6 @@ def score_for(count: WordCount, everything: WordCount, precision: float, least: 
 
     Few objects say little, so the share is drawn to that of all words: `PRIOR_OBJECTS`.
 
-    Args:
-        count: the word's objects.
-        everything: the objects of all words.
-        precision: wanted share of right objects.
-        least: lowest score to return.
-
     Returns:
         `least`, or more by a multiple of 0.05; `NEVER` if no score is high enough.
 
@@ -220,13 +214,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _table(counts: dict[str, WordCount], precision: float, least: float) -> str:
-    """Return a table of the words, most views first, and the lines for the configuration.
-
-    Args:
-        counts: by word.
-        precision: wanted share of right objects.
-        least: lowest score to return.
-    """
+    """Return a table of the words, most views first, and the lines for the configuration."""
     everything = WordCount()
     for count in counts.values():
         everything.add(count)

@@ -39,8 +39,6 @@ class EpisodeJob(NamedTuple):
     """One episode to run with one arm.
 
     Attributes:
-        arm: the arm.
-        episode: the episode.
         processes: run over Zenoh, with simulator and controller as processes.
         page: folder for a report; None: no report.
     """
@@ -140,13 +138,7 @@ def run_in_workers(
 def take_job(
     waiting: deque[EpisodeJob], loaded: WorldSection | None, others: Sequence[WorldSection | None]
 ) -> EpisodeJob:
-    """Take the next job of a worker: loading a world takes seconds, so each loads its own.
-
-    Args:
-        waiting: the jobs; the one that is returned is removed.
-        loaded: the world that the worker has.
-        others: the worlds of the other workers.
-    """
+    """Take the next job of a worker: loading a world takes seconds, so each loads its own."""
     index = next((k for k, job in enumerate(waiting) if job.episode.world == loaded), None)
     if index is None:
         free = (k for k, job in enumerate(waiting) if job.episode.world not in others)

@@ -16,7 +16,6 @@ class ZoneEntryCounter:
 
     Args:
         zones_m: polygons, each (n, 2) float64.
-        radius_m: radius of the robot.
 
     Attributes:
         entries: number of entries so far. A start inside a zone is none.

@@ -35,11 +35,6 @@ def with_zones(config: Config, episodes: Sequence[Episode], seed: int) -> list[E
 
     The zone is a polygon, often not convex. It may leave a detour or none. An episode of a target
     that has no room for a zone is left out.
-
-    Args:
-        config: gives the robot.
-        episodes: of single targets.
-        seed: of the zones.
     """
     found: list[Episode] = []
     worlds = {str(episode.world): episode.world for episode in episodes}

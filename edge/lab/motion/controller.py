@@ -127,9 +127,6 @@ class Controller:
     def on_map(self, grid: Grid) -> None:
         """Use a newer map; if it blocks the path, plan again at the next step.
 
-        Args:
-            grid: occupancy grid, inflated by the robot's radius.
-
         Raises:
             ValueError: the map cannot be used; the map before stays.
         """
@@ -163,12 +160,6 @@ class Controller:
         self, pose: SE2, v_mps: float, w_radps: float, now_ns: int
     ) -> tuple[VelocityCommand, list[GoalStatus]]:
         """Run one control step.
-
-        Args:
-            pose: robot pose in `map`.
-            v_mps: measured speed.
-            w_radps: measured turn rate.
-            now_ns: stamp of the pose.
 
         Returns:
             The command until the next step, and answers to the goal (none, or one).

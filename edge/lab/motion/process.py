@@ -156,11 +156,7 @@ class Bus:
 
 
 def parse_tick(payload: bytes) -> int:
-    """Return the stamp of `{"stamp": ns}`.
-
-    Raises:
-        ValueError: one line that says what is wrong.
-    """
+    """Return the stamp of `{"stamp": ns}`."""
     stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
         raise ValueError(

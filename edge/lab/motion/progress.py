@@ -30,12 +30,7 @@ class ProgressMonitor:
         self._detours = 0
 
     def update(self, remaining_m: float, now_ns: int) -> bool:
-        """Return True while there is progress: False after `wait_s` without one.
-
-        Args:
-            remaining_m: length of the rest of the path.
-            now_ns: time of the pose.
-        """
+        """Return True while there is progress: False after `wait_s` without one."""
         if self._best_m is None or remaining_m <= self._best_m - NEARER_M:
             self._best_m, self._since_ns = remaining_m, now_ns
         elif remaining_m > self._best_m + _DETOUR_M and self._detours < DETOURS:

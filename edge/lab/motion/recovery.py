@@ -81,8 +81,6 @@ class Recovery:
         costmap: map to check the straight way on.
         trail: the robot's trail. None: the way back did not move the robot. It then drives
             away from the blocked cells around it, if the map is free there, else it turns.
-        limits: speed limits.
-        now_ns: start of the attempt.
     """
 
     def __init__(

@@ -42,8 +42,6 @@ class ArrowStyle(NamedTuple):
     """Look of an arrow.
 
     Attributes:
-        colour: of the line.
-        width: of the line.
         ink: colour of the label.
         order: arrows with a higher one lie on top.
     """
@@ -70,8 +68,6 @@ class GraphLayout(NamedTuple):
     """Positions in px, y downwards.
 
     Attributes:
-        width: of the page.
-        height: of the page.
         nodes: (x, y) of each node.
         routes: points (x, y) that each arrow passes between its states; its label is at the first.
         half: half the width of the widest label.
@@ -192,13 +188,7 @@ def _draw_arrow(
 
 
 def _port(centre: tuple[float, float], side: int, towards_y: float) -> tuple[float, float]:
-    """Return the point where an arrow touches a state's rim: higher on the rim if it goes up.
-
-    Args:
-        centre: of the state.
-        side: 1 for the right side, -1 for the left one.
-        towards_y: height of the arrow's next point.
-    """
+    """Return the point where an arrow touches a state's rim: higher on the rim if it goes up."""
     offset = max(-0.65 * RADIUS, min(0.65 * RADIUS, FAN * (towards_y - centre[1])))
     return centre[0] + side * math.sqrt(RADIUS**2 - offset**2), centre[1] + offset
 

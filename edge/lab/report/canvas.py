@@ -122,12 +122,7 @@ def png(axes: Axes) -> bytes:
 
 
 def img(axes: Axes, alternative: str) -> str:
-    """Return a page as an `<img>` with its SVG inside: no script can run in it, nothing is fetched.
-
-    Args:
-        axes: the page.
-        alternative: text for readers who cannot see the drawing.
-    """
+    """Return a page as an `<img>` with its SVG inside; it runs no script and fetches nothing."""
     width_px = 72 * axes.figure.get_figwidth()
     source = quote(svg(axes).decode("utf-8"), safe=" /:=(),;'")
     return (

@@ -40,10 +40,5 @@ def document(title: str, body: str, machine: str, style: str = "", script: str =
 
 
 def data_url(kind: str, content: bytes) -> str:
-    """Return an image as a data URL.
-
-    Args:
-        kind: "png" or "jpeg".
-        content: the image file's bytes.
-    """
+    """Return an image as a data URL."""
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

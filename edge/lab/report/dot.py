@@ -15,11 +15,6 @@ def to_dot(automaton: Automaton, state: int | None = None, plan: Sequence[str] =
     A letter is a proposition that becomes true. Letters with the same next state share an edge, and
     letters that keep the state are left out. States without a path to success are grey, the current
     state is filled, and the plan's edges are bold.
-
-    Args:
-        automaton: the automaton.
-        state: current state; None for none.
-        plan: letters to come, from the current state on.
     """
     at, planned = 0 if state is None else state, set()  # planned: (state, next state) pairs
     for letter in plan:

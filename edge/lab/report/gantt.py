@@ -61,7 +61,6 @@ class PursuitInterval(NamedTuple):
     Attributes:
         label: name of the target.
         start_s: start of the interval, since the start of the run.
-        end_s: its end.
         settled: True if the target was reached or failed in that time, and for the last interval.
         reason: text of the event that started it.
     """

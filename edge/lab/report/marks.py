@@ -38,11 +38,6 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
 
     Goals at frontiers are numbered where there is room. Goals on a task's trajectory are left out:
     they lie on its line (`edge.lab.report.tasks`).
-
-    Args:
-        axes: the map.
-        record: the run.
-        scale: of the marks.
     """
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):
@@ -120,14 +115,7 @@ def objects(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]
 
 
 def instances(axes: Axes, record: RunRecord, scale: float, taken: list[raster.Box]) -> None:
-    """Draw the surface points of every instance, and labels if there is room.
-
-    Args:
-        axes: the map.
-        record: the run.
-        scale: of the marks.
-        taken: space of the labels drawn so far, in points; it is extended.
-    """
+    """Draw the surface points of every instance, and labels if there is room."""
     numbers = _order_reached(record)
     ranked = sorted(record.instances, key=lambda i: _rank(record, i))
     for rank, instance in enumerate(ranked):
@@ -222,7 +210,7 @@ def _label(
         words: text of the label.
         xy_m: the point.
         colour: of the label's background.
-        taken: see `instances`.
+        taken: space of the labels drawn so far, in points; it is extended.
         prominent: True for a large label that is always drawn.
     """
     size = 10.5 if prominent else 8.0

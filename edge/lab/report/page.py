@@ -86,13 +86,7 @@ def _unwritable(directory: Path, error: OSError) -> ReportError:
 
 
 def html(record: RunRecord, png: bytes, linked: bool = False) -> str:
-    """Return the page as text, with `png` as its picture.
-
-    Args:
-        record: the run.
-        png: content of the map's PNG file.
-        linked: see `edge.lab.report.tasks.section`.
-    """
+    """Return the page as text, with `png` as its picture."""
     mission = record.mission
     colour = palette.outcome_colour(mission.phase)
     reason = f'<p class="reason">{escape(mission.reason)}</p>' if mission.reason else ""

@@ -32,14 +32,7 @@ def is_coloured_by_target(record: RunRecord) -> bool:
 
 
 def draw(figure: Figure, axes: Axes, record: RunRecord, place: Rect) -> None:
-    """Draw the path with a white border that sets it off from the map, and its legend.
-
-    Args:
-        figure: figure for the legend.
-        axes: the map.
-        record: the run.
-        place: of the legend, in fractions of the figure.
-    """
+    """Draw the path with a white border that sets it off from the map, and its legend."""
     from matplotlib.collections import LineCollection
 
     if len(record.trajectory) < 2:

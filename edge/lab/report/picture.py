@@ -31,10 +31,6 @@ class MapLayout(NamedTuple):
     """Sizes in inches; the map's shape decides the picture's.
 
     Attributes:
-        width: of the picture.
-        height: of the picture.
-        map_width: of the map.
-        map_height: of the map.
         marks: scale of the marks: 1 in a small house, down to 0.3 on larger maps.
     """
 

@@ -24,11 +24,9 @@ class Keyframe:
     """A camera image with its boxes.
 
     Attributes:
-        stamp_ns: of the image.
         rgb: (h, w, 3) uint8, a copy, downsampled if the image was large.
         xyxy_px: (n, 4) float32 boxes in pixels of `rgb`.
         score: (n,) float32 of each box.
-        labels: prompt of each box.
         is_target: (n,) bool, True for a box of a target.
     """
 
@@ -60,7 +58,6 @@ class ChoiceFrame:
     """An answer of the choice model, with its image.
 
     Attributes:
-        stamp_ns: time at which the image was taken.
         rgb: (h, w, 3) uint8, the image with letters drawn on it.
         target: object that the question was about.
         letters: (letter, P of ViTL eq. 4) of each mark whose frontier still exists.
@@ -82,12 +79,7 @@ class RunRecord:
 
     Attributes:
         title: the instruction, or "Find the TARGET".
-        config_path: file of the configuration.
-        robot: name of the robot.
-        detector: the detector as text.
         targets: boxes and instances with these names, or synonyms, are targets.
-        mission: status of the mission at the end.
-        latency: latencies of all stages.
         mission_facts: instruction, translation and outcome of the mission; None if unknown.
         task: the task at the end of the run; None if the mission was no task.
         task_at_trajectory_start: status of the task when each of its trajectories began, in order
@@ -100,7 +92,6 @@ class RunRecord:
         goals: goals that were sent, in order of time.
         instances: objects that the mission looked for.
         objects: remembered objects, the most confident first.
-        rooms: rooms of the map.
         site: places and zones.
         frames: camera images with boxes.
         asked: answers of the choice model, in order of time.

@@ -32,10 +32,6 @@ T = TypeVar("T")
 class HeadTailBuffer(Generic[T]):
     """Keeps the first and the last items of a sequence of any length.
 
-    Args:
-        first: number of first items to keep.
-        last: number of last items to keep.
-
     Attributes:
         count: number of items so far, with those that were left out.
     """
@@ -79,7 +75,6 @@ class ReportRecorder:
         self._start_ns: int | None = None
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         seen, observation = result.detections, result.observation
         if self._start_ns is None:
             self._start_ns = _first_ns(result)
@@ -106,12 +101,7 @@ class ReportRecorder:
         """See `edge.loop.result.Sink`."""
 
     def record(self, end: TickResult, counters: Mapping[str, float]) -> RunRecord:
-        """Return the record of the run, with its end.
-
-        Args:
-            end: result of the last tick.
-            counters: the source's counters.
-        """
+        """Return the record of the run, with its end."""
         self.tick(end)
         start_ns = self._start_ns or 0
         poses, stamps_ns = self._path.arrays()

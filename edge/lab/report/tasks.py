@@ -33,12 +33,7 @@ _TOO_CLOSE = (1, 99)  # least and largest map value of free cells too near to an
 
 
 def section(record: RunRecord, linked: bool) -> str:
-    """Return the task's HTML: instruction, writer, answers and trajectories; empty without a task.
-
-    Args:
-        record: the run.
-        linked: True if `SCENE_NAME` lies next to the page.
-    """
+    """Return the task's HTML: instruction, writer, answers and trajectories; "" without a task."""
     task = record.task
     if task is None:
         return ""

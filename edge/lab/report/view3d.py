@@ -63,8 +63,6 @@ class Line:
     Attributes:
         name: text of its check box.
         points_m: (n, 2 or 3) float64 in `map`; without heights it lies on the ground.
-        colour: CSS colour.
-        breadth_px: width of the line.
     """
 
     name: str

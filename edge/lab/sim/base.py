@@ -31,12 +31,10 @@ class WorldObject:
 
     Attributes:
         id: value in the images of object ids, from 1.
-        name: unique name.
         label: common name (`edge.names`).
         category: name in the world's file.
         center_m: centre of its box, in `map`.
         size_m: extents of the box along its own x, y, z.
-        yaw_rad: yaw of the box.
         footprint_m: (k, 2) float32 samples of the floor that it covers; None for the whole box.
     """
 
@@ -136,9 +134,7 @@ class World(Protocol):
     """A place for the simulated robot; see `edge.lab.sim.worlds.load_world`.
 
     Attributes:
-        name: of the world.
         objects: the objects that a robot may look for; their ids count from 1.
-        start: pose at which the robot starts.
         plan: occupied cells of the floor.
         rooms: each as rectangles of its floor (x0, y0, x1, y1) [m]; empty if unknown.
         room_kinds: kind of each room; empty if unknown.
@@ -180,9 +176,6 @@ def free_poses(
     """Return random poses that the robot can reach from the world's start, repeatably for a seed.
 
     The poses are at least `margin_m` farther from obstacles than the robot's radius.
-
-    Raises:
-        WorldError: the start itself is not free for this radius.
     """
     rng = np.random.default_rng(seed)
     plan = world.plan

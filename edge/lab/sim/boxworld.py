@@ -53,7 +53,6 @@ class BoxWorld:
     All arrays have one entry for each of the p primitives, in the same order.
 
     Args:
-        name: of the world.
         structure: primitives of the building, in `map`.
         furniture: each object with its primitives, in `map`.
         start: pose at which the robot starts.
@@ -109,7 +108,6 @@ class BoxWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """See `edge.lab.sim.base.World`."""
         if self._hit_primitive.shape != out_depth_m.shape:
             self._hit_primitive = np.empty(out_depth_m.shape, np.int32)
         hit = self._hit_primitive
@@ -124,17 +122,12 @@ class BoxWorld:
         kernels.write_object_ids(hit, self.owner, *self._depth_range_m, out_depth_m, out_ids)
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """See `edge.lab.sim.base.World`."""
         rays = (fan.directions, fan.el_min_rad, fan.el_step_rad)
         kernels.cast_fan(self.shape, self.geometry, T_map_lidar, *rays, out_ranges_m)
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan
 
     def move(self, object_id: int, x_m: float, y_m: float) -> None:
-        """Move an object's centre to another place on the floor.
-
-        Raises:
-            KeyError: no such object.
-        """
+        """Move an object's centre to another place on the floor."""
         k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
         if k is None:
             raise KeyError(f"world {self.name}: no object has the id {object_id}")

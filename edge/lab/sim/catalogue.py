@@ -42,6 +42,7 @@ _LABELS = {
     "toilets unit": "toilet", "puff": "ottoman", "baby bed": "crib", "bath": "bathtub",
     "island bath": "bathtub", "class seat": "chair", "convertible sofa bz": "sofa",
     "sofa seat": "sofa", "bonsai tree": "houseplant",
+    "yucca": "houseplant", "park trashcan": "trash can", "residential trashcan": "trash can",
 }  # fmt: skip
 """Name in a catalogue -> our name, where the two differ."""
 # From the models' axes (x right, y up, z to the viewer) to ours (x to the viewer, y left, z up).
@@ -75,11 +76,7 @@ class CatalogueModel:
 
 @lru_cache(maxsize=4)
 def read_catalogue(folder: Path) -> tuple[CatalogueModel, ...]:
-    """Return the models of all `.sh3f` files in a folder, always in the same order.
-
-    Raises:
-        WorldError: there is no such file, or one cannot be read.
-    """
+    """Return the models of all `.sh3f` files in a folder, always in the same order."""
     files = sorted(folder.glob("*.sh3f"))
     if not files:
         raise WorldError(
@@ -90,11 +87,7 @@ def read_catalogue(folder: Path) -> tuple[CatalogueModel, ...]:
 
 
 def _models_of(file: Path) -> list[CatalogueModel]:
-    """Return the models of one catalogue file, without too large ones.
-
-    Raises:
-        WorldError: the file cannot be read.
-    """
+    """Return the models of one catalogue file, without too large ones."""
     # Number of the model -> its keys and values, for example 3 -> {"name": "Brown sofa", …}.
     rows: defaultdict[int, dict[str, str]] = defaultdict(dict)
     try:
@@ -158,9 +151,6 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
 
     The transforms (4, 4) put the model on the floor at the origin: front at +x, in metres, in the
     catalogue's size. Textures are reduced to 256 pixels.
-
-    Raises:
-        WorldError: the OBJ file cannot be read.
     """
     import trimesh
     from trimesh.resolvers import ZipResolver

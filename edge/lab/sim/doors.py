@@ -33,10 +33,6 @@ class SlidingDoor:
     Attributes:
         jamb_m: end of the doorway at which it opens; the other end is where it slides to.
         along: unit vector from there, (x, y).
-        width_m: width of the doorway.
-        height_m: its height.
-        open_s: time that it stays open.
-        shut_s: time that it stays shut.
         clock_s: time since it began to open.
         shut_m: width of the doorway that it closes now.
     """
@@ -51,13 +47,7 @@ class SlidingDoor:
     shut_m: float = 0.0
 
     def distance_m(self, x_m: float, y_m: float, width_m: float | None = None) -> float:
-        """Return the distance from a point to the door; inf while it is open.
-
-        Args:
-            x_m: x of the point in `map`.
-            y_m: y of the point.
-            width_m: width of the door in place of `shut_m`.
-        """
+        """Return the distance from a point to the door; inf while it is open."""
         width_m = self.shut_m if width_m is None else width_m
         if width_m <= 0.0:
             return math.inf
@@ -100,11 +90,7 @@ class SlidingDoor:
 
 
 def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[SlidingDoor]:
-    """Return doors for a share of the doorways of a house. No door is shut where the robot is.
-
-    Raises:
-        WorldError: the world is a mesh.
-    """
+    """Return doors for a share of the doorways of a house. No door is shut where the robot is."""
     if share == 0.0:
         return []
     if not isinstance(world, BoxWorld):

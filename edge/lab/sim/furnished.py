@@ -63,7 +63,6 @@ class PlacedModel:
     """A model at its place.
 
     Attributes:
-        model: the model.
         x_m: x of its middle in `map`.
         y_m: y of its middle in `map`.
         z_m: height of its lower side above the floor.
@@ -143,7 +142,6 @@ class Furnisher:
     """Chooses and places the models of a house.
 
     Args:
-        models: of the catalogue.
         rng: draws all choices.
     """
 
@@ -229,12 +227,7 @@ class Furnisher:
         return self._by_name[label]
 
     def _put_on(self, holder: PlacedModel, taken: list[PlacedModel]) -> list[PlacedModel]:
-        """Return small objects at free places on top of a piece of furniture.
-
-        Args:
-            holder: the piece of furniture.
-            taken: objects that already stand on it.
-        """
+        """Return small objects at free places on top of a piece of furniture."""
         rng, on_top = self._rng, list(taken)
         for _ in range(rng.count(0, _MAX_SMALL)):
             model = rng.pick(self._small)

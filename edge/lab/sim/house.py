@@ -46,8 +46,6 @@ class Room(Section):
     Attributes:
         name: unique name: the kind of room, with a number if there are several.
         rect: x0, y0, x1, y1.
-        floor: material of the floor.
-        color: colour of the floor.
     """
 
     name: str
@@ -61,7 +59,6 @@ class Opening(Section):
 
     Attributes:
         at_m: distance of its middle from the wall's start.
-        width_m: width.
         height_m: height of the gap, above the sill.
         sill_m: height of the wall below it.
     """
@@ -123,11 +120,7 @@ class House(Section):
 
 
 def read_house(path: Path) -> House:
-    """Read and validate a house file.
-
-    Raises:
-        WorldError: one line with file, place and fault.
-    """
+    """Read and validate a house file."""
     try:
         data = json.loads(read_regular(path))
     except OSError as error:
@@ -147,11 +140,7 @@ def read_house(path: Path) -> House:
 
 
 def load_house(section: WorldHouse, config: Config) -> BoxWorld:
-    """Load a built-in house by name, or a house from a JSON file.
-
-    Raises:
-        WorldError: no such house, or a fault in its file.
-    """
+    """Load a built-in house by name, or a house from a JSON file."""
     built_in = HOUSES / f"{section.house}.json"
     path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():

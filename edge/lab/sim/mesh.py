@@ -104,9 +104,6 @@ class MeshWorld:
     """World of a textured mesh; see `edge.lab.sim.base.World`.
 
     Args:
-        name: of the world.
-        faces: all triangles.
-        objects: the objects.
         owner: (n,) uint16, id of the object that each triangle belongs to; 0 for the building.
         config: robot and camera.
         rooms: see `edge.lab.sim.base.World`.
@@ -148,7 +145,6 @@ class MeshWorld:
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """See `edge.lab.sim.base.World`."""
         height, width = out_depth_m.shape
         inverse, face, weights, origins, rays = self._buffers_of(
             out_depth_m.shape,
@@ -177,7 +173,6 @@ class MeshWorld:
         )
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
-        """See `edge.lab.sim.base.World`."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -244,11 +239,6 @@ def objects_of(
 
     An object has the faces of the nodes with its name; a node's name may go on after a dot. If no
     node has its name, it has the faces in its box. A face in several boxes belongs to the smallest.
-
-    Args:
-        faces: all triangles.
-        items: the objects as `read_objects` returns them.
-        reach_m: height of the robot; only lower parts of an object are in its footprint.
     """
     owner = np.zeros(len(faces.node), np.uint16)
     centers = faces.triangles.mean(axis=1)

@@ -22,10 +22,8 @@ class MotionState:
     """State of the robot at one instant.
 
     Attributes:
-        stamp_ns: the instant.
         pose: true pose in `map`.
         odometry: pose by odometry, with drift.
-        v_mps: speed.
         w_radps: turn rate.
         collisions: number of collisions so far.
         bumped: True while the robot stands where it collided.
@@ -50,9 +48,6 @@ class DriveTrain:
 
     The odometry drifts by a constant fraction of the distance driven and of the angle turned, drawn
     once from the seed. This models a wrong wheel radius, not noise that averages out.
-
-    Raises:
-        WorldError: the start is not free.
     """
 
     def __init__(

@@ -31,13 +31,7 @@ Message = tuple[Topic, bytes]
 
 
 def _check_above_floor(config: Config, key: str, z_m: float) -> None:
-    """Raise WorldError for a sensor in or below the floor, on which the robot's base is.
-
-    Args:
-        config: names the file in the message.
-        key: key of the sensor's height in the configuration.
-        z_m: height of the sensor above the base.
-    """
+    """Raise WorldError for a sensor in or below the floor, on which the robot's base is."""
     if z_m <= 0.0:
         raise WorldError(
             f"{config.locate(key)}: got {z_m:g} m, but the simulated robot's base is on the "
@@ -50,13 +44,11 @@ class CameraRig:
 
     Args:
         config: camera settings and noise.
-        world: world to render.
         colour: if False, `rgb` is None, and an image takes half the time.
         index: which camera of the robot; see `Observation.camera_index`.
 
     Attributes:
         index: as in `Args`.
-        model: intrinsics.
         T_base_camera: (4, 4) pose of the camera on the robot.
         rgb: (h, w, 3) uint8, the last image, or None.
         depth_m: (h, w) float32 z-depth of the last image, NaN for nothing.
@@ -109,9 +101,6 @@ class CameraRig:
 
 class CameraPair:
     """Two cameras that take images in turn.
-
-    Args:
-        cameras: the cameras.
 
     Attributes:
         rate_hz: images per second of both.

@@ -64,7 +64,6 @@ class StreetObject:
     """An object in the street.
 
     Attributes:
-        label: its name.
         colour: colour word; "" if it has no single colour.
         x_m: position in the road's frame.
         y_m: position in the road's frame.
@@ -96,7 +95,6 @@ class Street:
     """A street in the road's frame: x along its middle, y left.
 
     Attributes:
-        name: of the world.
         start: the robot's start pose in the road's frame.
         width_m: from the farthest house on the right to the farthest on the left; centred.
         grounds: areas of the ground; later ones lie on top of earlier ones.
@@ -217,12 +215,7 @@ def load_street(section: WorldStreet, config: Config) -> BoxWorld:
 
 
 class _PlacedObjects:
-    """Objects placed so far; refuses overlaps, the surroundings of the robot's start, and breaks.
-
-    Attributes:
-        rng: draws the objects.
-        accepted: objects placed so far.
-    """
+    """Objects placed so far; refuses overlaps, breaks, and the surroundings of the start."""
 
     def __init__(self, rng: PortableRng, start: SE2, breaks: list[Break]) -> None:
         self.rng, self._breaks = rng, breaks

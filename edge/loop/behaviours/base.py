@@ -10,6 +10,7 @@ import numpy as np
 from edge.config import Config
 from edge.policies.base import PolicyInput
 from edge.tasks.facts import TaskStatus
+from edge.tasks.pipeline import GroundKinds
 from edge.types import Goal, Instance
 
 
@@ -47,8 +48,8 @@ class Behaviour(Protocol):
     def facts(self) -> TaskStatus | None:
         """Return the state of the trajectory; None for a behaviour without one."""
 
-    def reconfigure(self, config: Config) -> None:
-        """Use another configuration from the next tick on."""
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
+        """Use another configuration, and what names kinds of ground, from the next tick on."""
 
     def on_pose_jump(self) -> None:
         """Drop all data in the old frame, after a pose jump."""

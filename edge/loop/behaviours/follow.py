@@ -30,16 +30,18 @@ from edge.config import Config, WriterModel
 from edge.geometry import SE2
 from edge.host.worker import Worker
 from edge.loop.behaviours.plan_worker import (
-    SAME_OBJECT_M,
+    GroundUpdate,
     ObjectMapUpdate,
     PlanRequest,
     PlanResult,
+    Request,
     log_line,
     release_frame,
     run_request,
 )
 from edge.loop.behaviours.search import newest_ids
-from edge.loop.goal import MIN_IMAGES, GoalTracker
+from edge.loop.behaviours.stop_verification import StopVerification
+from edge.loop.goal import GoalTracker
 from edge.loop.input_log import TASK, InputLog
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
@@ -53,7 +55,9 @@ from edge.tasks.follow import (
     goal_ahead,
     index_at_goal,
 )
+from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.objects import ObjectMap
+from edge.tasks.pipeline import GroundKinds
 from edge.tasks.refine import RefinedTrajectory
 from edge.text import one_line
 from edge.types import Detections, Goal, Instance, Observation
@@ -66,10 +70,10 @@ CHECK_PERIOD_NS = 500_000_000
 """Period of the check for obstacles on the path ahead."""
 RETRY_NS = 2_000_000_000
 """Period of new tries to write a trajectory that was not possible with the objects seen so far."""
+GROUND_PERIOD_NS = 1_000_000_000
+"""Least time between two images whose ground is named."""
 TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
-FACING_RAD = math.radians(25.0)
-"""The robot faces an object if the angle to it is not larger than this."""
 SAME_PLACE_M = 0.5
 """If the robot is blocked twice within this distance, a new trajectory is written."""
 _MAX_TEXT_CHARS = 300
@@ -80,10 +84,8 @@ class FollowBehaviour:
 
     Args:
         mission: The mission of the task. It has the time, the limits and the log.
-        config: The configuration.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
         input_log: Input log, which records the worker's results.
+        ground: Names the kinds of ground in images; None: all ground is of one kind.
 
     Attributes:
         phase: Current phase of the task.
@@ -96,15 +98,22 @@ class FollowBehaviour:
         semantic_map: SemanticMap,
         goals: GoalTracker,
         input_log: InputLog,
+        ground: GroundKinds | None = None,
     ) -> None:
-        self._config = config
+        self._config, self._ground = config, ground
         self._mission, self._map, self._goals = mission, semantic_map, goals
-        self._inner_worker: Worker[ObjectMapUpdate | PlanRequest, PlanResult] = Worker(
+        self._inner_worker: Worker[Request, PlanResult] = Worker(
             "task", run_request, inline=config.loop.lockstep, drop=release_frame
         )
         self._worker: Any = input_log.wrap(TASK, self._inner_worker)
-        self._objects = ObjectMap()  # only the worker uses it
+        self._forget_surroundings()
         self._restart()
+
+    def _forget_surroundings(self) -> None:
+        """Forget the objects and the ground that images showed. Only the worker uses them."""
+        self._objects = ObjectMap()
+        self._ground_votes = None if self._ground is None else GroundVotes(self._ground.kinds)
+        self._ground_ns: int | None = None  # loop time of the newest image for `_ground_votes`
 
     def _restart(self) -> None:
         """Reset all state, and begin with the first step that was not driven."""
@@ -124,10 +133,7 @@ class FollowBehaviour:
         self._checked_ns = 0  # newest check of the path, or newest try to write
         self._n_verified = self._mission.state  # number of steps whose stops were verified
         self._next_stop: tuple[int, int] | None = None  # next stop: its step, the index of its pose
-        self._unverified: list[tuple[int, str]] = []  # objects to verify at this stop
-        self._verified: set[int] = set()  # instances that were verified at this stop
-        self._images = 0  # number of images since `_stopped_ns`
-        self._stopped_ns = 0  # when the robot began to look at the next object of a stop
+        self._stop: StopVerification | None = None  # the present or the last stop
 
     @property
     def _by_model(self) -> bool:
@@ -197,18 +203,15 @@ class FollowBehaviour:
         return self._goals.goal
 
     def _advance(self, context: PolicyInput, stuck: bool) -> None:
-        """Do what the current phase needs in this tick.
-
-        Args:
-            context: Observation, detections and time of the tick.
-            stuck: True if the robot should drive but stands still.
-        """
+        """Do what the current phase needs in this tick."""
         # Phases: looking (for objects), writing, driving, verifying (the objects of a stop).
         observation, detections = context.observation, context.detections
         pose, now_ns = context.pose, context.now_ns
+        self._name_ground(observation, now_ns)
         if detections is not None:
             self._add_detections(detections)
-            self._images += 1
+            if self._stop is not None:
+                self._stop.on_image()
         if (result := self._worker.poll()) is not None and self._request is not None:
             self._on_plan(result, self._request, now_ns)
         if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
@@ -239,18 +242,21 @@ class FollowBehaviour:
             )
             apart_m = 0.0 if exact else RESEND_M
             self._goals.override(ahead, self._mission, now_ns, apart_m)
-        elif self._turning is not None:
-            self._goals.override(self._turning, self._mission, now_ns, 0.0)
+        elif (turn := self._turning if self._stop is None else self._stop.turn) is not None:
+            self._goals.override(turn, self._mission, now_ns, 0.0)
         else:
             self._goals.idle()
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         self._config = config
+        if ground is not self._ground:
+            self._ground = ground
+            self._forget_surroundings()
 
     def on_pose_jump(self) -> None:
         """Begin again after a pose jump. The trajectory is invalid in the new frame."""
         self._worker.discard_all()
-        self._objects = ObjectMap()
+        self._forget_surroundings()
         self._restart()
 
     def close(self) -> None:
@@ -324,6 +330,24 @@ class FollowBehaviour:
             self._checked_ns, self._all_seen = now_ns, self._goals.exhausted
             self._request_plan(observation, None)
 
+    def _name_ground(self, seen: Observation, now_ns: int) -> None:
+        """Name the ground that the image shows, in the background, at most once a period.
+
+        Nothing waits for the network but the next request, so it gets no image while one waits.
+        """
+        votes, classifier, newest_ns = self._ground_votes, self._ground, self._ground_ns
+        if votes is None or classifier is None or self._request is not None:
+            return
+        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        is_due = newest_ns is None or now_ns - newest_ns >= GROUND_PERIOD_NS
+        pictured = seen.rgb is not None and seen.camera is not None
+        if is_due and ranged and pictured and self._inner_worker.idle:
+            self._ground_ns = now_ns
+            seen.hold()
+            self._inner_worker.submit(
+                GroundUpdate(seen, classifier, votes, self._config.mapping), GroundUpdate
+            )
+
     def _add_detections(self, found: Detections) -> None:
         """Add the detections to the object map, in the background."""
         perception, seen = self._config.perception, found.observation
@@ -369,6 +393,7 @@ class FollowBehaviour:
             at_request,
             tuple(instances.values()),
             self._objects,
+            self._ground_votes,
             None if found is None else replace(found, observation=at_request),
             before,
             self._index,
@@ -463,60 +488,19 @@ class FollowBehaviour:
         if self._next_stop is None:
             self._continue(now_ns)
             return
-        self._unverified = list(self._result.stops[self._next_stop[0] - self._result.n_done])
-        self._verified.clear()
-        self.phase, self._stopped_ns, self._images = "verifying", now_ns, 0
+        objects = self._result.stops[self._next_stop[0] - self._result.n_done]
+        self._stop = StopVerification(objects, self._map.tracker, self._log, now_ns)
+        self.phase = "verifying"
 
     def _verify(self, pose: SE2, stuck: bool, now_ns: int) -> None:
-        """Verify the next object of the stop.
-
-        An object that is too far away to verify is accepted.
-        """
-        (number, label), perception = self._unverified[0], self._config.perception
-        near = [
-            one
-            for one in self._map.tracker.of(label)
-            if one.distance_m(pose.x_m, pose.y_m) <= min(SAME_OBJECT_M, perception.confirm_range_m)
-            and one.id not in self._verified
-        ]
-        near.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
-        obj = self._map.tracker.get(number)
-        found = next((one for one in near if self._map.tracker.confirmed(one)), None)
-        is_away = obj is not None and obj.state != "rejected" and not near
-        if obj is not None and is_away and not self._map.tracker.confirmed(obj):
-            away_m = obj.distance_m(pose.x_m, pose.y_m)
-            text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
-            self._log(text, now_ns)
-        if is_away or found is not None:
-            self._verified.add(number if found is None else found.id)
-            self._turning, self._stopped_ns, self._images = None, now_ns, 0
-            self._unverified.pop(0)
-            if not self._unverified:
-                self._leave_stop(now_ns)
-            return
-        if near and not self._faces(near[0], pose, stuck):
-            self._stopped_ns, self._images = now_ns, 0
-        elif (
-            self._images >= MIN_IMAGES
-            and (now_ns - self._stopped_ns) * 1e-9 > self._config.mission.verify_s
-        ):
-            if near:  # the object may have got another id
-                number = near[0].id
-            self._map.tracker.reject(number)
-            text = f"{label} {number} was not confirmed from near by, rejected: exploring further"
-            self._log(text, now_ns)
+        """Verify the objects of the stop; search for another one if one is rejected."""
+        assert self._stop is not None
+        result = self._stop.step(pose, stuck or self._goal_ended, self._config, now_ns)
+        if result == "verified":
+            self._leave_stop(now_ns)
+        elif result == "rejected":
             self._restart()
             self._goals.retarget(self._mission)
-
-    def _faces(self, obj: Instance, pose: SE2, stuck: bool) -> bool:
-        """Return True if the robot faces an object, or its turn has ended; else turn it, once."""
-        bearing_rad = pose.bearing_to(*obj.center_m[:2].tolist())
-        if self._turning is None:
-            if abs(bearing_rad) <= FACING_RAD:
-                return True
-            self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + bearing_rad)
-            return False
-        return stuck or self._goal_ended
 
     def _leave_stop(self, now_ns: int) -> None:
         """Drive on after all objects of a stop were verified, or end the trajectory."""

@@ -6,26 +6,29 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Union
 
 import numpy as np
 
-from edge.config import Config, TasksConfig, WriterModel
+from edge.config import Config, MappingConfig, TasksConfig, WriterModel
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ground_of
+from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.manoeuvres import limited_ground
 from edge.tasks.object_phrases import AmbiguousObjectError
 from edge.tasks.objects import ObjectMap
 from edge.tasks.on_demand import FrameDetector
-from edge.tasks.pipeline import open_pipeline
+from edge.tasks.phrases import ground_kind
+from edge.tasks.pipeline import GroundKinds, open_pipeline
 from edge.tasks.prompt import system_prompt, task_text
-from edge.tasks.reading import route_limits
+from edge.tasks.reading import UnseenGroundError, route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.scene_builder import add_detections, scene_of_map
+from edge.tasks.scene_builder import add_detections, add_ground, scene_of_map
 from edge.tasks.value_map import PathMargins
 from edge.tasks.write import PlanAttempt, write_trajectory
 from edge.trajectory.pursuit import MotionLimits
@@ -56,6 +59,7 @@ class PlanResult:
         stops: One item for each step of this trajectory: the (id, label) pairs of the objects at
             which the step ends. The last item belongs to step `n_done`. Empty if a model wrote
             the trajectory.
+        grounds: Labels of the regions that were chosen for the trajectory.
         n_done: Number of steps of the task that are done at the end of the trajectory.
         understood: See `edge.tasks.facts.TaskStatus`.
         prompt: See `edge.tasks.facts.TaskStatus`.
@@ -70,6 +74,7 @@ class PlanResult:
     speed_mps: float | None = None
     stops_at: tuple[int, str] | None = None
     stops: tuple[tuple[tuple[int, str], ...], ...] = ()
+    grounds: frozenset[str] = frozenset()
     n_done: int = 0
     understood: str = ""
     prompt: str = ""
@@ -92,6 +97,23 @@ class ObjectMapUpdate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GroundUpdate:
+    """A request to name the kinds of ground in an image.
+
+    Attributes:
+        observation: Frame with the image. It is held until `release_frame`.
+        classifier: Names the kind in each pixel.
+        votes: Votes of the task for kinds of ground.
+        mapping: Settings of the map.
+    """
+
+    observation: Observation
+    classifier: GroundKinds
+    votes: GroundVotes
+    mapping: MappingConfig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PlanRequest:
     """A request to the worker to write or refine a trajectory, with all data that it needs.
 
@@ -106,6 +128,7 @@ class PlanRequest:
         observation: Observation with the robot's pose.
         instances: Objects of the targets.
         objects: Object map of the task.
+        ground: Votes of the task for kinds of ground; None: the ground has no kinds.
         found: Detections of the image for a model; None if it gets none.
         before: Earlier result, whose trajectory is refined again from `index` on. None: write a
             new trajectory.
@@ -125,6 +148,7 @@ class PlanRequest:
     observation: Observation
     instances: Sequence[Instance]
     objects: ObjectMap
+    ground: GroundVotes | None
     found: Detections | None
     before: PlanResult | None = None
     index: int = 0
@@ -145,11 +169,14 @@ def log_line(result: PlanResult, refined: RefinedTrajectory, request: PlanReques
     return f"trajectory of {length_m:.1f} m: {origin}{notes}"
 
 
-def run_request(request: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
-    """Carry out a request. Never raise, because the task waits for a result."""
-    if isinstance(request, ObjectMapUpdate):
+Request = Union[ObjectMapUpdate, GroundUpdate, PlanRequest]
+
+
+def run_request(request: Request) -> PlanResult | None:
+    """Carry out a request. A `PlanRequest` never raises, because the task waits for a result."""
+    if not isinstance(request, PlanRequest):
         try:
-            add_detections(request.objects, request.found, request.range_m)
+            _update(request)
         finally:
             release_frame(request)
         return None
@@ -166,10 +193,19 @@ def run_request(request: ObjectMapUpdate | PlanRequest) -> PlanResult | None:
         return PlanResult(error=f"a bug in edge: {type(error).__name__}: {error}")
 
 
-def release_frame(request: ObjectMapUpdate | PlanRequest) -> None:
+def _update(request: ObjectMapUpdate | GroundUpdate) -> None:
+    if isinstance(request, GroundUpdate):
+        add_ground(request.votes, request.classifier, request.observation, request.mapping)
+    else:
+        add_detections(request.objects, request.found, request.range_m)
+
+
+def release_frame(request: Request) -> None:
     """Release the frame of a request."""
     if isinstance(request, ObjectMapUpdate):
         request.found.observation.release()
+    elif isinstance(request, GroundUpdate):
+        request.observation.release()
 
 
 def _write(request: PlanRequest) -> PlanResult:
@@ -217,11 +253,22 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
         )  # fmt: skip
     except UserError as error:
         ambiguous = error.things if isinstance(error, AmbiguousObjectError) else ()
+        hopeless = isinstance(error, TranslationError) and not _may_appear(error, request)
         return replace(
-            result, error=str(error), hopeless=isinstance(error, TranslationError),
+            result, error=str(error), hopeless=hopeless,
             ambiguous=ambiguous, rounds=tuple(request.attempts),
         )  # fmt: skip
-    return replace(result, refined=refined, rounds=tuple(request.attempts))
+    grounds = frozenset(scene.regions[k].label for k in refined.drivable if k in scene.regions)
+    return replace(result, refined=refined, rounds=tuple(request.attempts), grounds=grounds)
+
+
+def _may_appear(error: TranslationError, request: PlanRequest) -> bool:
+    """Return True if the network can name the ground that was not seen so far."""
+    return (
+        isinstance(error, UnseenGroundError)
+        and request.ground is not None
+        and error.kind in map(ground_kind, request.ground.kinds)
+    )
 
 
 def _frame_detector(request: PlanRequest) -> FrameDetector | None:
@@ -248,6 +295,9 @@ def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory
         clearance_m = _margins(config).clearance_m
         avoided = route_limits(request.instruction, scene)
         scene = limited_ground(ground_of(scene, clearance_m), avoided, clearance_m).scene
+    # The ids of regions are those of an earlier scene.
+    chosen = {k for k, region in scene.regions.items() if region.label in before.grounds}
+    refined = replace(refined, drivable=frozenset(chosen or scene.regions))
     refined = refine_again(scene, refined, request.index, _margins(config), limits)
     return replace(before, refined=refined)
 
@@ -294,6 +344,7 @@ def _scene(request: PlanRequest) -> Scene:
         radius_m,
         request.found,
         object_map=request.objects,
+        ground=request.ground,
     )
 
 

@@ -47,9 +47,6 @@ class Pursuit(Generic[DestinationType]):
 
     Args:
         destination: The active target; None for a thing.
-        mission: The mission.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
     """
 
     def __init__(
@@ -221,13 +218,7 @@ class WaitPursuit(Pursuit[WaitTarget]):
 
 
 class CheckAnswer:
-    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no.
-
-    Args:
-        check: The check.
-        mission: The mission.
-        semantic_map: The semantic map.
-    """
+    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no."""
 
     def __init__(self, check: CheckTarget, mission: MissionRun, semantic_map: SemanticMap) -> None:
         self.label = check.name

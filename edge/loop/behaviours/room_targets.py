@@ -20,7 +20,6 @@ class RoomKindPrior:
     """A prior of frontiers by the kind of room that they are in or lead to.
 
     Args:
-        rooms: The known rooms.
         kind: The kind of room that is searched for.
     """
 
@@ -55,11 +54,6 @@ def is_closed(room: MappedRoom, semantic_map: SemanticMap, kind: str | None = No
     If only its objects show that it is of `kind`, it is closed, too, if most of these objects are
     in a zone. So neither the open part of an open-plan kitchen nor the room from which a closed
     kitchen is visible is a kitchen to go to.
-
-    Args:
-        room: The room.
-        semantic_map: The semantic map.
-        kind: The wanted kind of room; None if the room is wanted for another reason.
     """
     zones = semantic_map.grid.zones
     if not zones.any:

@@ -30,6 +30,7 @@ from edge.mission.run import MissionRun
 from edge.mission.travel_cost import TravelCostEstimator
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
+from edge.tasks.pipeline import GroundKinds
 from edge.types import Goal, Instance
 
 
@@ -58,10 +59,6 @@ class SearchBehaviour:
     """A behaviour that pursues the active target: a thing to search for, or a destination.
 
     Args:
-        mission: The mission.
-        config: The configuration.
-        semantic_map: The semantic map.
-        goals: The goal tracker.
         travel_costs: Estimates travel costs between targets; None if the planner does not use them.
     """
 
@@ -118,7 +115,7 @@ class SearchBehaviour:
     def facts(self) -> None:
         """Return None, since there is no trajectory."""
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
         self._config = config
 
     def on_pose_jump(self) -> None:

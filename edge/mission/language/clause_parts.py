@@ -197,7 +197,6 @@ class Condition:
 
     Attributes:
         kind: "before", "after", "until", "unless" or "when" ("once" is "when").
-        token: first token of the condition.
         things: objects of the event.
         only: "only after …", "only before …".
         denied: "not before …", or an event that is negated ("once you have not …").
@@ -224,12 +223,10 @@ class Clause:
     """The content of one clause.
 
     Attributes:
-        token: first token of the clause.
         mood: "do" (an order), "must" (a duty) or "can" (a permission).
         negated: "do not", "never", "avoid".
         only: "only" before the verb.
         things: objects of the clause; None for "do not stop (until …)".
-        conditions: conditions of the clause.
         avoiding: objects to avoid on the way ("while avoiding", "without").
         during: the avoidance has "while", so it ends with this clause.
         never: objects to avoid permanently ("while always avoiding").
@@ -242,7 +239,6 @@ class Clause:
         instant: token of "in the next step", exactly.
         soon: "as soon as", which applies to duties only.
         again: "again", "any more", "revisit".
-        first: the clause comes first.
         trails: the clause comes after the clause before it ("… after that").
         returns: "return to", "go back to": the clause comes after all clauses before it.
         bound: destination given first: "to reach x, go through y".
@@ -253,8 +249,6 @@ class Clause:
         several_ways: the route has "a and b" in one part.
         only_way: no other route is allowed.
         enroute: the clause is "on the way" to an earlier goal.
-        always: token of "always".
-        ends: the clause comes at the end.
         elsewhere: the clause names only exceptions ("any room but a"), so another goal is needed.
         each: limit of visits to each place ("no revisiting").
         out_of_turn: a ban on another order than the given one.

@@ -94,8 +94,6 @@ class Discourse:
     """The state of the parser for one instruction.
 
     Attributes:
-        reader: the token reader.
-        memory: antecedents of pronouns.
         goal: the goal so far.
         rules: rules that hold throughout, in every alternative.
         asks: True if something was asked for without an upper limit.

@@ -39,7 +39,6 @@ class Flow:
     Attributes:
         moved: True if the clause was a plain order to go somewhere: "go to a go to b" is in order.
         passed: True if the clause only passed through somewhere.
-        verb: verb of the clause.
         denied: True if the clause forbade something, so that a bare "then the bed" is ambiguous.
         barred: True if the clause was a plain "do not visit a".
         until: objects that end the clause's ban.

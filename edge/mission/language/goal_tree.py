@@ -34,12 +34,7 @@ Goal = Union["Visit", "InSequence", "AllOf", "AnyOf"]
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """A number of separate visits to one of several objects.
-
-    Attributes:
-        options: names of the objects.
-        times: number of visits.
-    """
+    """A number of separate visits to one of several objects."""
 
     options: tuple[str, ...]
     times: int = 1
@@ -61,7 +56,6 @@ class AllOf:
     """A set of goals in any order, with rules.
 
     Attributes:
-        goals: the goals.
         rules: formulas that hold from the start.
     """
 
@@ -71,11 +65,7 @@ class AllOf:
 
 @dataclass(frozen=True, slots=True)
 class AnyOf:
-    """A choice of goals: at least one of them.
-
-    Attributes:
-        goals: the alternatives.
-    """
+    """A choice of goals: at least one of them."""
 
     goals: tuple[Goal, ...]
 
@@ -128,13 +118,7 @@ def rules(goal: Goal) -> list[Formula]:
 
 
 def formula_of_goal(goal: Goal, tail: Formula, starts: frozenset[str]) -> Formula:
-    """Return the formula "the goal is achieved at some time, and then `tail`", without rules.
-
-    Args:
-        goal: the goal.
-        tail: formula of what comes after it.
-        starts: names with which `tail` may begin.
-    """
+    """Return the formula "the goal is achieved at some time, and then `tail`", without rules."""
     if isinstance(goal, Visit):
         return _formula_of_visits(goal, tail, starts)
     if isinstance(goal, InSequence):

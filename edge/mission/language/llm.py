@@ -193,7 +193,6 @@ class LlmTranslator:
     """Translator that asks the configured language model.
 
     Args:
-        config: the language model and its server.
         must_live: see `ChatClient`.
 
     Raises:

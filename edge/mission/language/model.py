@@ -84,7 +84,6 @@ class CandidateReading:
     """One meaning that a sentence may have.
 
     Attributes:
-        formula: one of the formulas with this meaning.
         p: share of all formulas with this meaning in the probability of all hypotheses.
         back_translation_log_p: log probability of the sentence given `tokens` [nats].
         tokens: the formula in prefix notation, as the hypothesis writes it that explains the
@@ -229,11 +228,7 @@ class NeuralTranslator:
     def _correct(
         self, instruction: str
     ) -> tuple[DelexicalisedText, tuple[str, ...], tuple[str, ...]]:
-        """Return the delexicalised instruction, its words with slips corrected, and the doubts.
-
-        Raises:
-            TranslationError: it is too long, or has more slips than `MOST_SLIPS`.
-        """
+        """Return the delexicalised instruction, its words with slips corrected, and the doubts."""
         instruction, text, doubts = self._correct_names(instruction)
         if len(text.words) > MOST_WORDS:
             late = text.starts[MOST_WORDS]
@@ -278,10 +273,6 @@ class NeuralTranslator:
         """Return True if an unexplained word changes the meaning.
 
         An unknown word does not count: the question shows it.
-
-        Args:
-            word: the word.
-            gain: gain of log probability of the sentence without the word [nats].
         """
         if word in _CHANGING_WORDS or word in NUMBERS or word.isdecimal():
             return True

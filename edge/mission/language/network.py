@@ -95,11 +95,6 @@ class TranslationNetwork:
 
         Beam search over the tokens that the prefix notation allows. Probabilities are normalised
         over the allowed tokens.
-
-        Args:
-            words: words of the instruction.
-            n_names: number of names in the instruction; each is a placeholder in the formula.
-            beam: most hypotheses to keep.
         """
         across = self._encode(words)
         target = np.array([[self._ids[TO_FORMULA]]], np.int64)
@@ -141,10 +136,6 @@ class TranslationNetwork:
         """Return the log probability [nats] of each sentence, given the formula.
 
         This back-translation checks a reading.
-
-        Args:
-            tokens: the formula in prefix notation.
-            sentences: words of each sentence.
         """
         across = self._encode(tokens)
         ids = [[self._ids.get(word, self._ids[UNKNOWN]) for word in words] for words in sentences]
@@ -179,11 +170,7 @@ class TranslationNetwork:
 
 
 def _parse_vocabulary(path: Path, text: str) -> tuple[str, ...]:
-    """Return the tokens of the metadata `VOCABULARY` of a file.
-
-    Raises:
-        ModelError: a token that formulas need is missing.
-    """
+    """Return the tokens of the metadata `VOCABULARY` of a file."""
     try:
         tokens = json.loads(text)
     except ValueError:

@@ -20,10 +20,6 @@ _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
 def quote_places(instruction: str, names: Iterable[str]) -> str:
     """Put the names of places into double quotes, without their articles.
 
-    Args:
-        instruction: English text.
-        names: names of places, in lower case.
-
     Example:
         >>> quote_places("Go to the charging dock.", ["charging dock"])
         'Go to "charging dock".'

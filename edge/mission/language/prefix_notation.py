@@ -87,11 +87,6 @@ def allowed(written: Sequence[str], n_names: int, most: int) -> Iterator[str]:
     """Yield the tokens that may come next, so that the formula can be completed within the limits.
 
     None is yielded when the formula is complete.
-
-    Args:
-        written: the tokens so far.
-        n_names: number of names that the formula may use.
-        most: largest number of tokens.
     """
     n_missing = 1  # operands that are missing
     name_only = [False]  # for each missing operand: True if it must be a name or a choice of names

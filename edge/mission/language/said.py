@@ -279,12 +279,7 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
 
 
 def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
-    """Return a matched utterance.
-
-    Args:
-        kind: its topic or its `do`.
-        slots: slot -> its text.
-    """
+    """Return a matched utterance."""
     room = bare(slots.get("room", ""))
     if kind in QUESTIONS:
         about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()

@@ -220,9 +220,6 @@ def chain_waits(waits: Sequence[tuple[tuple[str, ...], NounPhrase]]) -> Goal | N
     """Return a, then b, then c for `do not visit c until b, and do not visit b until a`.
 
     Return None if the waits are no such chain.
-
-    Args:
-        waits: see `ClauseMeaning.waits`.
     """
     # Name → the name before it; `first` is the name without one before it.
     before = {name: until.names[0] for names, until in waits for name in names}

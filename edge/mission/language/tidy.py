@@ -190,11 +190,7 @@ def strip_politeness(text: str) -> str:
 
 
 def _apply_corrections(text: str) -> str:
-    """Return the text with each self-correction carried out: "the bed, sorry, the sofa".
-
-    Raises:
-        TranslationError: it is unclear which words a correction replaces.
-    """
+    """Return the text with each self-correction carried out: "the bed, sorry, the sofa"."""
     while found := _CORRECTS.search(text):
         before, after = text[: found.start()].rstrip(" ,"), text[found.end() :].lstrip(" ,")
         if not before or not after:

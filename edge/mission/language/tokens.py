@@ -202,12 +202,10 @@ class TokenReader:
     """A cursor on the tokens of an instruction.
 
     Args:
-        text: the instruction.
         tokens: tokens of another lexicon; None uses the mission's lexicon.
         picks: the choice to take at ambiguous tokens, by offset of the token.
 
     Attributes:
-        tokens: the tokens.
         at: index of the next token.
         forks: number of choices at each ambiguous token, by offset of the token.
     """

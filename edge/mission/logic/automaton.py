@@ -37,7 +37,6 @@ class Automaton:
     equivalent exactly if their arrays are equal.
 
     Attributes:
-        formula: the compiled formula.
         propositions: its propositions, in order of first appearance.
         delta: (n_states, len(propositions) + 1) int32, the next state for each letter; the last
             column is NOTHING.

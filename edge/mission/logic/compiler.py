@@ -95,13 +95,7 @@ class _Nodes:
         self._early: set[int] = set()
 
     def number(self, op: str, *args: int, name: str = "") -> int:
-        """Return the number of a subformula; a new one gets the next number.
-
-        Args:
-            op: see `Formula.op`.
-            args: numbers of its operands.
-            name: name of a proposition.
-        """
+        """Return the number of a subformula; a new one gets the next number."""
         if op == "!" and args[0] in self._negated:
             return self._negated[args[0]]
         key = (op, args, name)

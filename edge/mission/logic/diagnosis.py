@@ -33,11 +33,6 @@ def diagnose(
 ) -> Diagnosis:
     """Return why a formula is useless as a mission, if it is.
 
-    Args:
-        automaton: automaton of the formula.
-        max_states: limit while searching for the conflict in a contradiction.
-        max_steps: limit of all compilations of that search together.
-
     Raises:
         CompileError: a limit was exceeded.
     """

@@ -10,9 +10,9 @@ from __future__ import annotations
 from edge.errors import UserError
 
 MAX_STATES = 20_000
-"""Default limit of the states of each automaton."""
+"""Limit of the states of each automaton."""
 MAX_STEPS = 30_000_000
-"""Default limit of the steps of all compilations together."""
+"""Limit of the steps of all compilations together."""
 
 PER_NODE = 4  # steps to visit a node, and to visit each of its operands
 _CELLS = 16  # array cells that NumPy processes in one step
@@ -23,13 +23,7 @@ class CompileError(UserError):
 
 
 class CompileBudget:
-    """The limits of one or several compilations, and the steps used so far.
-
-    Attributes:
-        max_states: limit of the states of each automaton.
-        max_steps: limit of the steps.
-        steps: steps used so far.
-    """
+    """The limits of one or several compilations, and the steps used so far."""
 
     def __init__(self, max_states: int = MAX_STATES, max_steps: int = MAX_STEPS) -> None:
         self.max_states = max_states
@@ -42,7 +36,7 @@ class CompileBudget:
         if self.steps > self.max_steps:
             raise CompileError(
                 f"formula: not compiled within {self.max_steps} steps; use fewer targets or "
-                "constraints, or raise mission.compile_limit_steps"
+                "constraints"
             )
 
     def spend_cells(self, cells: int) -> None:
@@ -54,5 +48,5 @@ class CompileBudget:
         if n > self.max_states:
             raise CompileError(
                 f"formula: needs an automaton of more than {self.max_states} states; use fewer "
-                "targets or constraints, or raise mission.max_states"
+                "targets or constraints"
             )

@@ -21,21 +21,20 @@ CLOSED, FREE, UNKNOWN = 0, 1, 2
 UNREACHED = np.int32(2**31 - 1)
 """Cost of a cell without a path."""
 _OCCUPIED = 100  # value of an obstacle in the map
-_MAX_UNKNOWN_COST = 100.0
+_UNKNOWN_COST = 3.0  # cost of a metre over unknown cells, in metres
+_SNAP_M = 1.2  # largest distance from an object, or from the robot, to its nearest cell
+_CELL_M = 0.2  # approximate cell size of the search; at least the map's cell size is used
 
 
 def distances(
     snapshot: Grid,
     robot_xy_m: tuple[float, float],
     positions: Sequence[np.ndarray],
-    unknown_cost: float = 3.0,
-    snap_m: float = 1.2,
-    cell_m: float = 0.2,
 ) -> np.ndarray:
     """Return `MissionKnowledge.distance_m`: driving distances from objects and robot to objects.
 
     Paths are the shortest 8-connected ones without cutting corners. A path to an object ends at the
-    free cell nearest to the object, within `snap_m`. It may also end at another cell around the
+    free cell nearest to the object, within `_SNAP_M`. It may also end at another cell around the
     object that is connected to the nearest cell; the extra distance to the object then counts as
     driven. So an object at a wall is not reached from the next room. Unknown cells are used if no
     cell nearby is free.
@@ -46,26 +45,18 @@ def distances(
         robot_xy_m: position of the robot in `map`.
         positions: for each object of the mission (m, 2) float64, its known instances in `map`;
             (0, 2) for none. The nearest instance counts.
-        unknown_cost: cost of a metre over unknown cells, in metres, 1 … 100.
-        snap_m: largest distance from an object, or from the robot, to its nearest cell.
-        cell_m: approximate cell size of the search; at least the map's cell size is used.
 
     Returns:
         (k + 1, k) float64 for k = len(positions), last row from the robot. 0 from an object to
         itself. inf if there is no path, no instance, or no cell near the instance that the robot
         may enter.
 
-    Raises:
-        ValueError: `unknown_cost` is out of range.
-
     Example:
         >>> grid = Grid(np.zeros((20, 20), np.int8), (0.0, 0.0), 0.2)
         >>> distances(grid, (0.5, 0.5), [np.array([[2.5, 0.5]])]).round(1).tolist()
         [[0.0], [2.0]]
     """
-    if not 1.0 <= unknown_cost <= _MAX_UNKNOWN_COST:
-        raise ValueError(f"unknown_cost: expected 1 to {_MAX_UNKNOWN_COST:g}, got {unknown_cost}")
-    factor = max(1, int(cell_m / snapshot.resolution_m + 1e-6))
+    factor = max(1, int(_CELL_M / snapshot.resolution_m + 1e-6))
     side_m = factor * snapshot.resolution_m
     height, width = (-(-side // factor) for side in snapshot.cells.shape)  # rounded up
     # A closed border of one cell saves bounds checks in the wavefront.
@@ -73,11 +64,11 @@ def distances(
     coarsen(snapshot.cells, factor, state)
     x_m, y_m = snapshot.origin_xy_m
     # The grid of the search; each of its cells is a block of cells of the map.
-    blocks, radius = Grid(state, (x_m - side_m, y_m - side_m), side_m), snap_m / side_m
+    blocks, radius = Grid(state, (x_m - side_m, y_m - side_m), side_m), _SNAP_M / side_m
     ends = [_path_ends(state, blocks.to_cells(np.reshape(p, (-1, 2))), radius) for p in positions]
     robot = nearest_cell(state, *blocks.to_cells(robot_xy_m), radius)
     start = np.array([[robot, 0]] if robot >= 0 else [], np.int64).reshape(-1, 2)
-    weight = np.array([0, 1.0, unknown_cost])  # by state of the cell
+    weight = np.array([0, 1.0, _UNKNOWN_COST])  # by state of the cell
     step = np.rint(np.outer([STRAIGHT, DIAGONAL], weight)).astype(np.int32)
     return _cost_matrix(state, step, ends, [*ends, start]) / STRAIGHT * side_m
 

@@ -17,7 +17,6 @@ class MissionKnowledge:
 
     Attributes:
         detected: D, detected and not reached yet.
-        reached: R.
         failed: B, abandoned. Takes precedence if a letter is in another set too.
         distance_m: (k + 1, k) float64, driving distance in metres from letter i (row k: from the
             robot) to letter j; inf or NaN if unknown. Only used with distances as weights.
@@ -41,7 +40,6 @@ class TargetPlan:
         feasible: True if acceptance can be reached without a failed object.
         blocked_by: failed objects on the shortest path to acceptance; () if feasible, or if
             success is impossible in any case.
-        reason: why this target, in one line.
         options: (first letter, cost of the best path that begins with it), cheapest first.
             Letters that lead to a dead state or change nothing are left out.
     """

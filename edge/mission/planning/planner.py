@@ -60,10 +60,6 @@ def make_planner(
 def find_plugin_planner(config: PlannerPlugin, where: str) -> Callable[..., Planner]:
     """Return a function that creates the configured plugin for a mission.
 
-    Args:
-        config: the section.
-        where: path of the section, for errors.
-
     Raises:
         ConfigError: see `edge.config.components.component_factory`.
     """

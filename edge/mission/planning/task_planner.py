@@ -13,7 +13,6 @@ class TaskPlanner:
 
     Args:
         targets: names that the detector looks for, at least one.
-        steps: steps of the task.
     """
 
     def __init__(self, targets: Sequence[str], steps: Sequence[TaskStep]) -> None:
@@ -22,13 +21,7 @@ class TaskPlanner:
     def plan(
         self, state: int, knowledge: MissionKnowledge, current: str | None = None
     ) -> TargetPlan:
-        """Return the plan; it has no steps if nothing is left to detect.
-
-        Args:
-            state: number of driven steps.
-            knowledge: detected and failed objects.
-            current: the present target.
-        """
+        """Return the plan; it has no steps if nothing is left to detect."""
         to_see = dict.fromkeys(name for step in self._steps[state:] for name in step.names)
         failed = tuple(label for label in to_see if label in knowledge.failed)
         if failed:

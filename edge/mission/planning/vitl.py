@@ -187,9 +187,6 @@ def _weights_m(distance_m: np.ndarray | None, known: list[bool]) -> np.ndarray:
 
     Returns:
         (k + 1, k) float64.
-
-    Raises:
-        ValueError: the matrix has a wrong shape.
     """
     k = len(known)
     metres = np.full((k + 1, k), EXPLORE_M)

@@ -18,7 +18,6 @@ class FallbackDetector:
 
     Args:
         remote: detects while its server answers.
-        local: detects otherwise.
     """
 
     def __init__(self, remote: RemoteDetector, local: Detector) -> None:
@@ -48,7 +47,6 @@ class FallbackDetector:
             raise
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`."""
         return self._models.ask(observation, lambda: self._local.detect(observation))
 
     def health(self) -> Health:

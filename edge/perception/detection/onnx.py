@@ -78,7 +78,6 @@ class _PromptSet:
 
     Attributes:
         prompts: names of the objects to look for.
-        classes: the text classes of the prompts.
         class_scores: (anchors, classes) float32, buffer for the score of each class.
         anchor, label, score: (anchors * (prompts + context),), see `kernels.candidates`.
         bound: the session with its inputs and outputs; None after `close`.
@@ -98,7 +97,6 @@ class _Placement:
     """Position and scale of an image in the network's input.
 
     Attributes:
-        width_px, height_px: size of the image.
         scale: input pixels per image pixel.
         top, left: first row and column of the image in the input.
         resized: buffer for the scaled image; None if the scale is 1.
@@ -246,7 +244,6 @@ class OnnxDetector:
         return known
 
     def detect(self, observation: Observation) -> Detections:
-        """See `Detector.detect`."""
         start_ns = time.perf_counter_ns()
         rgb, prompt_set = check_rgb(observation), self._prompt_set
         self._fill_input(rgb)
@@ -295,7 +292,6 @@ class OnnxDetector:
         return prompt_set.class_scores[:, : len(prompt_set.prompts)].max(axis=0)
 
     def health(self) -> Health:
-        """See `Detector.health`."""
         return Health()
 
     def close(self) -> None:
@@ -355,11 +351,6 @@ class OnnxDetector:
         """Return the boxes of targets and of the context.
 
         The scores that compete with the targets go to `_competing_score`.
-
-        Args:
-            prompt_set: the current prompts.
-            boxes: (a, 4) float32.
-            scores: (a, texts) float32.
         """
         tau, targets = np.float32(self.config.tau_vl), len(prompt_set.prompts)
         named = targets + len(prompt_set.classes.context)

@@ -29,7 +29,6 @@ class ProcessDetector(SupervisedProcess):
     While no process is ready, `detect` raises at once.
 
     Args:
-        perception: configuration of the detector and of the process.
         prompts: names of the objects to look for.
         progress: see `make_detector`; called at later starts, too.
         cancelled: see `make_detector`.
@@ -123,7 +122,6 @@ class ProcessDetector(SupervisedProcess):
         return self._run_link(first, request, self._report_loading)
 
     def _ready(self, again: bool) -> None:
-        """See `SupervisedProcess`."""
         self._model_health = Health()
         self._set_state(Health())
 

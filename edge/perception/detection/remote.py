@@ -34,8 +34,6 @@ class RemoteDetector:
     start before the server does.
 
     Args:
-        detector: configuration of the detector.
-        card: card of the model, with its server.
         prompts: names of the objects to look for.
         progress: see `make_detector`.
         clock: returns the time in seconds.

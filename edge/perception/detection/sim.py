@@ -49,7 +49,6 @@ class _Roles(NamedTuple):
 
     Attributes:
         prompts: names of the objects to look for.
-        words: the context words.
         classes: class of object i at index i: the index of a prompt, or `len(prompts)` plus the
             index of a word, or -1 for an object that is not looked for.
     """
@@ -86,7 +85,6 @@ class SimDetector:
     a run replays the same.
 
     Args:
-        detector: the configuration.
         prompts: names of the objects to look for.
         truth: returns the ground truth of an image; None: there is no ground truth, and `detect`
             raises.
@@ -125,7 +123,6 @@ class SimDetector:
         return self._prompts_and_nouns[0]
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
-        """See `Detector.set_prompts`."""
         prompts = check_prompts(prompts)
         try:
             nouns = tuple(_noun(prompt) for prompt in prompts)
@@ -179,7 +176,6 @@ class SimDetector:
         )
 
     def health(self) -> Health:
-        """See `Detector.health`."""
         return Health()
 
     def close(self) -> None:

@@ -25,7 +25,6 @@ class TextClasses:
     Attributes:
         words: the texts of all classes, in the order of the classes.
         class_of_text: (texts,) int32, index of each text's class, ascending.
-        n_classes: number of classes.
         context: canonical names of the classes from `len(prompts)` on.
         competes: (2, prompts, classes) bool, True if a class is another object than the prompt
             names. Row 0 is for an object wholly in view, row 1 for an object that the image border
@@ -91,11 +90,6 @@ def competing_classes(
     Two things that look almost alike in one view (`names.look_alike`) do not compete in one image.
     A contrast of the prompt (another colour, another size if it is visible) competes all the same.
     The trackers, which weigh many images, may separate more things.
-
-    Args:
-        prompts: names of the objects to look for.
-        classes: a name of each class, the prompts first.
-        text: the detector's text encoder.
 
     Returns:
         (2, prompts, classes) bool.

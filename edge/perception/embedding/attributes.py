@@ -209,9 +209,6 @@ def nearest(word: str, vocabulary: Vocabulary, n: int = 5) -> list[str]:
 class AttributeEncoder:
     """A `TextEncoder` that reads category, colour and size.
 
-    Args:
-        card: card of the model.
-
     Raises:
         ModelError: the model is missing or unusable, or its file has no vocabulary.
 
@@ -254,7 +251,6 @@ class AttributeEncoder:
         return []
 
     def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        """See `TextEncoder.contrasts`."""
         return contrasting(self._read(prompt), self.vocabulary, whole)
 
     def __repr__(self) -> str:

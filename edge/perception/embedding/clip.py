@@ -43,9 +43,6 @@ class ClipTextEncoder:
     Embeddings are cached, some 2 KB a text. When a mission arrives while the robot drives, the loop
     waits only for the mission's own words: the background classes are in the cache.
 
-    Args:
-        card: card of the model.
-
     Raises:
         ModelError: the model, its tokenizer or a package is missing or unusable.
     """
@@ -61,7 +58,6 @@ class ClipTextEncoder:
         self._rows: dict[str, np.ndarray] = {}  # unit row of each text encoded so far
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """See `TextEncoder.embed`."""
         sentence = self.card.tokenizer.sentence
         return self.encode([sentence.format(self.resolve(p)) for p in check_prompts(prompts)])[None]
 
@@ -112,7 +108,6 @@ class ClipImageEncoder:
     """An image encoder: one image → one unit row.
 
     Args:
-        card: card of the model.
         providers, threads, device_id, engine: see `open_session`.
 
     Raises:

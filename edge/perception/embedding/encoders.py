@@ -24,10 +24,6 @@ def make_text_encoder(card: DetectCard, vocabulary: str | None) -> TextEncoder:
     The card may name the encoder. If it names none, the encoder is that of CLIP ViT-B/32: the text
     model if its file is there, else the vocabulary.
 
-    Args:
-        card: card of the detector.
-        vocabulary: configured path; see `find_vocabulary`.
-
     Raises:
         ModelError: the model's file exists, but cannot be used.
         PromptError: there is neither a model nor a vocabulary, or the embeddings have another
@@ -63,12 +59,7 @@ def check_text_encoder(card_name: str | None, vocabulary: str | None) -> None:
 
 
 def open_text_encoder(named: TextCard | None, vocabulary: str | None) -> TextEncoder:
-    """Open a text encoder; see `make_text_encoder`.
-
-    Args:
-        named: the encoder's card; None for CLIP ViT-B/32's.
-        vocabulary: configured path; see `find_vocabulary`.
-    """
+    """Open a text encoder; see `make_text_encoder`."""
     if named is not None and named.tokenizer.kind == "attributes":
         return AttributeEncoder(named)
     models = [named] if named is not None else _vocabulary_models()

@@ -60,11 +60,7 @@ class PromptError(UserError, ValueError):
 
 
 class TextEncoder(Protocol):
-    """Turns prompts into embeddings for a detector or an image encoder.
-
-    Attributes:
-        dim: length of an embedding.
-    """
+    """Turns prompts into embeddings for a detector or an image encoder."""
 
     dim: int
 

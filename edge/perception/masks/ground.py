@@ -14,8 +14,10 @@ from edge.perception.runtime.card_types import GroundCard
 from edge.perception.runtime.cards import ModelError, load_card_of, verify_model
 from edge.perception.runtime.engines import EngineOptions
 from edge.perception.runtime.sessions import open_session, raise_as_model_error
+from edge.text import one_line
 
 _KEY = "tasks.ground.providers"  # configuration key, for messages
+_LONGEST_ERROR = 300  # characters
 
 
 class GroundClassifier:
@@ -24,12 +26,17 @@ class GroundClassifier:
     Attributes:
         name: the model's card.
         kinds: names of the kinds of ground.
+        settings: the settings that it was made from.
+        n_done: number of pictures that were classified.
+        failed: number of pictures for which the network failed.
+        last_error: the newest error, one line; empty if there was none.
 
     Raises:
         ModelError: card, file or providers are unusable.
     """
 
-    def __init__(self, settings: config.GroundModel) -> None:
+    def __init__(self, settings: config.OnnxModel) -> None:
+        self.settings, self.last_error = settings, ""
         self._card = card = load_card_of(GroundCard, settings.model)
         self.name, self.kinds = card.name, tuple(dict.fromkeys(card.ground.values()))
         self._session = open_session(
@@ -43,7 +50,8 @@ class GroundClassifier:
             np.uint8,
         )
         with raise_as_model_error(f"model {self.name}: it fails at its first image"):
-            self.classify(np.zeros((32, 32, 3), np.uint8))
+            self._run(np.zeros((32, 32, 3), np.uint8))
+        self.n_done = self.failed = 0
 
     def classify(self, rgb: np.ndarray) -> np.ndarray:
         """Return (h, w) uint8 for a picture (h, w, 3) uint8: index into `kinds` plus 1; 0: none.
@@ -51,13 +59,34 @@ class GroundClassifier:
         Raises:
             ModelError: the output does not fit the card.
         """
+        try:
+            kind = self._run(rgb)
+        except Exception as error:
+            self.failed, self.last_error = self.failed + 1, one_line(error, _LONGEST_ERROR)
+            raise
+        self.n_done += 1
+        return kind
+
+    def status(self) -> dict[str, object]:
+        """Return counts for the status message, JSON-ready."""
+        return {
+            "model": self.name, "made": self.n_done, "failed": self.failed,
+            "last_error": self.last_error,
+        }  # fmt: skip
+
+    def _run(self, rgb: np.ndarray) -> np.ndarray:
         (out, *_) = self._session.run(None, {self._input: pixels_of(rgb, self._card)})
         kind = self._kind_of[class_map(out, self._card)]
         return cv2.resize(kind, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
 
-    def close(self) -> None:
-        """Release the session; do not call `classify` afterwards."""
-        self._session = None
+
+def make_ground_classifier(tasks: config.TasksConfig) -> GroundClassifier | None:
+    """Make the classifier that the configuration asks for; None: it asks for none.
+
+    Raises:
+        ModelError: see `GroundClassifier`.
+    """
+    return None if tasks.ground is None else GroundClassifier(tasks.ground)
 
 
 def pixels_of(rgb: np.ndarray, card: GroundCard) -> np.ndarray:

@@ -32,14 +32,12 @@ class ObjectPrior:
     """The learned counts and weights; n things, k kinds of room.
 
     Attributes:
-        n_rooms: number of rooms.
         things: canonical names, n.
         rooms_with_both: (n, n) int64, symmetric, number of rooms that hold both things; on the
             diagonal, rooms that hold the thing.
         near_bias: (n,) float32, log-odds of a thing near a place without evidence.
         near_weight: (n, n) float32; row t: log-odds that each thing in sight adds for thing t. All
             zero if that did not help on held-out houses.
-        kinds: names of kinds of rooms, k.
         kind_rooms: (k,) int64, rooms of each kind.
         kind_rooms_with: (k, n) int64, rooms of each kind with each thing in view.
         neighbours: (k, k) float64, likelihood ratio that rooms of two kinds share a door, compared

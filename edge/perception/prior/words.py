@@ -27,7 +27,6 @@ class PriorWordIndex:
     """Index of words: finds a word's row in the table, and remembers it.
 
     Args:
-        table: the prior.
         vocabulary: words and their unit embeddings, (v, d) float32; None: words match by name only.
     """
 

@@ -46,12 +46,9 @@ class ModelProcessClient:
 
     Args:
         request: what the program reads at its start, without the fields that all programs get.
-        name: name of the model.
-        frames: the frame file.
         program: command line; by default the one for detectors.
 
     Attributes:
-        name: name of the model.
         fault: why the process was killed, or how it ended; empty while it runs.
 
     Raises:
@@ -139,11 +136,6 @@ class ModelProcessClient:
         self, rgb: np.ndarray, prompts: Sequence[str], timeout_s: float
     ) -> wire.DetectorReply:
         """Detect the prompts in an image.
-
-        Args:
-            rgb: (h, w, 3) uint8, contiguous.
-            prompts: names of the objects to look for.
-            timeout_s: `perception.process.timeout_s`; see `ask`.
 
         Raises:
             PromptError: a prompt cannot be used.

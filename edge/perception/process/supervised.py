@@ -30,7 +30,6 @@ class RestartDelay(NamedTuple):
     """The pause before a restart.
 
     Attributes:
-        seconds: length of the pause.
         limit: True if the process has ended too often (`MOST_ENDS`).
     """
 
@@ -73,7 +72,6 @@ class SupervisedProcess(ABC):
     all on that thread.
 
     Attributes:
-        name: name of the model.
         restarts: number of restarts begun.
     """
 
@@ -155,14 +153,7 @@ class SupervisedProcess(ABC):
         progress: ProgressCallback,
         program: Sequence[str] = (),
     ) -> tuple[float, str]:
-        """Run one process from its start to its end; for the result and the errors see `_run_once`.
-
-        Args:
-            first: see `_run_once`.
-            request: see `ModelProcessClient`.
-            progress: see `ModelProcessClient.wait_ready`.
-            program: see `ModelProcessClient`.
-        """
+        """Run one process to its end; for the result and the errors see `_run_once`."""
         link = ModelProcessClient(request, self.name, self._frames, program)
         try:
             link.wait_ready(

@@ -218,10 +218,6 @@ class FrameFile:
     def write(self, seq: int, rgb: np.ndarray) -> None:
         """Write an image over the one before.
 
-        Args:
-            seq: positive, different for every image.
-            rgb: (h, w, 3) uint8, contiguous.
-
         Raises:
             OSError: no memory for an image of this size.
         """
@@ -256,10 +252,6 @@ class FrameView:
 
         After use, the caller checks with `is_whole` that the image was not overwritten.
 
-        Args:
-            seq: number of the image.
-            image_hw: height and width in pixels.
-
         Raises:
             ValueError: another image, or part of one, is there.
         """
@@ -276,11 +268,7 @@ class FrameView:
 
 
 def _map(fd: int, needed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Map the file: its bytes, and the two sequence numbers at its beginning.
-
-    Raises:
-        ValueError: the file has fewer bytes than needed.
-    """
+    """Map the file: its bytes, and the two sequence numbers at its beginning."""
     size = os.fstat(fd).st_size
     if size < needed:
         raise ValueError(f"frame file: {size} bytes, {needed} are needed")

@@ -70,7 +70,6 @@ class HostBound:
             binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         self._binding.synchronize_inputs()
         self._session.run_with_iobinding(self._binding)
         self._binding.synchronize_outputs()
@@ -81,10 +80,8 @@ class DeviceBound:
     """A session on a device: inputs are uploaded before a run, outputs downloaded after it.
 
     Args:
-        session: session of onnxruntime.
         inputs, outputs, live: see `bind`.
         device: onnxruntime's name of the device type, `cuda` (`cpu` works too).
-        index: number of the device.
     """
 
     def __init__(
@@ -115,7 +112,6 @@ class DeviceBound:
             binding.bind_ortvalue_output(name, value)
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         for value, array in self._live:
             value.update_inplace(array)
         self._binding.synchronize_inputs()

@@ -158,7 +158,6 @@ class Parity(_Part):
     The images were not used for calibration.
 
     Attributes:
-        reference: the source variant.
         images: number of images.
         recall: share of the source variant's boxes that this variant finds.
         precision: share of this variant's boxes that the source variant has.
@@ -176,7 +175,6 @@ class EmbeddingParity(_Part):
     """Comparison of an encoder with its source variant.
 
     Attributes:
-        reference: the source variant.
         inputs: number of images or texts.
         cosine: lowest cosine between the two variants' embeddings of one input.
         rank_agreement: see `exporters.encoder_parity`; None if nothing was ranked.
@@ -274,7 +272,6 @@ class _FileCard(BaseCard):
 
     @property
     def files(self) -> tuple[FileCard, ...]:
-        """See `BaseCard.files`."""
         return (self,)
 
     @property

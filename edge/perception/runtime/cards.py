@@ -237,11 +237,7 @@ def verify_file(card: FileCard, path: Path) -> bool:
 
 
 def _check_hash(card: FileCard, path: Path, believe_cache: bool = False) -> bool:
-    """Check the file's hash and size; return False if no hash is known to compare with.
-
-    Raises:
-        ModelError: the file has another hash or size.
-    """
+    """Check the file's hash and size; return False if no hash is known to compare with."""
     expected, size = _expected(card, path)
     if expected is None:
         return False

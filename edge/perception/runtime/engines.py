@@ -123,12 +123,6 @@ def report_progress(
 ) -> Iterator[Callable[[str], None]]:
     """Call `progress` at once and then every few seconds: a build must not look like a hang.
 
-    Args:
-        model: name of the model.
-        progress: called with the state `building engine`.
-        first: progress text until the first call of the function.
-        every_s: period in seconds.
-
     Yields:
         A function that sets the progress text, for any thread.
     """
@@ -164,12 +158,6 @@ def get_or_build(
     key: Key, cache: Path, build: Callable[[Path], None], progress: ProgressCallback
 ) -> Path:
     """Return the folder of an engine, readable for every user; build it if it is missing.
-
-    Args:
-        key: see `Key`.
-        cache: folder of engines.
-        build: writes the engine's files into an empty folder.
-        progress: called while another process builds the same engine.
 
     Raises:
         ModelError: the cache cannot be used; nothing was built then.

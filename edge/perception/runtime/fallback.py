@@ -31,8 +31,6 @@ class FallbackModel(Generic[Item, Result]):
 
     Args:
         kind: what the models are, for the log.
-        server: name of the model on the server.
-        local: name of the model on this computer.
         ask_server: returns the server's answer; a UserError means that it gave none.
         hold: called before an item is given to the background.
         release: called when the background is done with it.

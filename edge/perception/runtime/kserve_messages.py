@@ -32,13 +32,7 @@ Shape = tuple["int | None", ...]
 def infer_request(
     inputs: Mapping[str, np.ndarray], outputs: Sequence[str], binary: bool
 ) -> tuple[dict[str, str], bytes]:
-    """Build the headers and body of a request.
-
-    Args:
-        inputs: arrays of the types in `DTYPES`.
-        outputs: names of the outputs.
-        binary: True: send and ask for tensors as bytes.
-    """
+    """Build the headers and body of a request."""
     entries: list[dict[str, Any]] = []
     blocks: list[bytes] = []
     for name, array in inputs.items():
@@ -104,11 +98,6 @@ def check_metadata(
     """Compare a server's metadata of a model with the expected inputs and outputs.
 
     Servers need not list inputs and outputs; without a list nothing is compared.
-
-    Args:
-        body: body of the server's answer.
-        inputs: datatype and shape by name.
-        outputs: datatype and shape by name.
 
     Raises:
         ValueError: the model is another; one line.

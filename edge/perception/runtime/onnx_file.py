@@ -105,7 +105,6 @@ class OnnxFile(NamedTuple):
     """The declarations of a model.
 
     Attributes:
-        ir: version of the ONNX IR.
         opset: version of ONNX's own operators.
         unknown_domains: domains of operators that neither onnxruntime nor the model itself defines,
             also in subgraphs.
@@ -151,10 +150,6 @@ def check_network(path: Path, is_covered: Callable[[str], bool]) -> None:
 
 def check_fixed(path: Path, key: str) -> None:
     """Check that every input of a network has a fixed shape, as TensorRT's engines need.
-
-    Args:
-        path: path of the file.
-        key: configuration key that asked for TensorRT, for the message.
 
     Raises:
         ModelError: an input has a free size.
@@ -399,14 +394,7 @@ class _Reader:
         self._fields = self._parts = 0  # numbers of fields and messages so far
 
     def message(self, kind: str, begin: int, end: int, depth: int) -> Tree:
-        """Parse one message and the messages in it that are in `_FIELDS`.
-
-        Args:
-            kind: the message's name in `_FIELDS`.
-            begin: position of its first byte.
-            end: position after its last byte.
-            depth: number of messages around it.
-        """
+        """Parse one message and the messages in it that are in `_FIELDS`."""
         self._parts += 1
         if self._parts > MAX_PARTS:
             raise NotOnnxError(f"there are more than {MAX_PARTS} parts")

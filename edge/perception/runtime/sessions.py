@@ -178,11 +178,7 @@ def _load(
 
 @contextlib.contextmanager
 def raise_as_model_error(what: str) -> Iterator[None]:
-    """Turn any error of a model or its runtime within the block into a ModelError of one line.
-
-    Args:
-        what: beginning of the line: the model, and what it failed at.
-    """
+    """Turn any error of a model or its runtime within the block into a ModelError of one line."""
     try:
         yield
     except UserError:

@@ -79,12 +79,6 @@ def open_engine(path: Path, device_id: int, options: EngineOptions) -> TensorrtS
 def build_plan(trt: Any, path: Path, shapes: Mapping[str, Any], note: Callable[[str], None]) -> Any:
     """Build the engine of an ONNX file, which takes minutes.
 
-    Args:
-        trt: the module `tensorrt`.
-        path: the ONNX file.
-        shapes: see `EngineOptions.shapes`.
-        note: called with the progress.
-
     Returns:
         The serialized engine, a buffer.
 
@@ -191,7 +185,6 @@ class TensorrtSession:
     Args:
         owners: TensorRT objects that own `engine`; the session keeps them alive.
         engine: engine of TensorRT.
-        device: the GPU.
     """
 
     def __init__(self, owners: Any, engine: Any, device: Device) -> None:
@@ -216,7 +209,6 @@ class TensorrtSession:
     def bind(
         self, inputs: Mapping[str, np.ndarray], outputs: Shapes, live: Sequence[str]
     ) -> BoundSession:
-        """See `edge.perception.runtime.binding.bind`."""
         return TensorrtBound(self, inputs, outputs, live)
 
     def execute(self, shapes: Shapes, addresses: Mapping[str, int]) -> None:
@@ -270,7 +262,6 @@ class TensorrtBound:
         device.wait()
 
     def run(self) -> Sequence[np.ndarray]:
-        """See `BoundSession.run`."""
         device = self._session.device
         with self._session.exclusive:
             device.use()

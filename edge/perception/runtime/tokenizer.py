@@ -12,11 +12,6 @@ from edge.text import one_line
 def read_tokenizer(path: Path, model: str, install: str) -> Any:
     """Read a `tokenizers.Tokenizer`, without padding or truncation.
 
-    Args:
-        path: path of `tokenizer.json`.
-        model: name of the model, for messages.
-        install: command to run if the package is missing.
-
     Raises:
         ModelError: the package is not installed, or the file is no tokenizer.
     """

@@ -62,7 +62,6 @@ class PairSimilarity:
 
     Args:
         name: name of the scorer's card.
-        image: encoder of images.
         text: encoder of texts, into the same embedding space.
 
     Raises:
@@ -81,7 +80,6 @@ class PairSimilarity:
         self._rows = np.empty((0, text.dim), np.float32)
 
     def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
-        """See `SimilarityScorer.score`."""
         self.prepare(prompts)
         return self._rows @ self._image.embed(rgb)
 
@@ -118,7 +116,6 @@ class DetectorSimilarity:
         self._detector = detector
 
     def score(self, rgb: np.ndarray, prompts: Sequence[str]) -> np.ndarray:
-        """See `SimilarityScorer.score`."""
         if tuple(prompts) != self._detector.prompts:
             self._detector.set_prompts(prompts)
         return self._detector.best_scores(rgb)
@@ -149,11 +146,6 @@ def make_similarity(
     card: SimilarityCard, perception: PerceptionConfig, prompts: Sequence[str]
 ) -> SimilarityScorer:
     """Make the scorer of a card, with its own model sessions.
-
-    Args:
-        card: the scorer's card.
-        perception: settings of the detector, which the scorer's models share.
-        prompts: first prompts to score; they are encoded now.
 
     Raises:
         ModelError: a model is missing or unusable.

@@ -43,7 +43,6 @@ class SwapAttempt(ABC, Generic[Model, Item]):
     worker's thread calls `on_result`; the caller of `ModelSwap.step` calls the other methods.
 
     Attributes:
-        name: name of the new model.
         previous: the model that runs when the attempt begins.
         model: the new model; None until it is loaded.
         load_progress: progress of a slow load (an engine build), in one line; empty otherwise.
@@ -100,7 +99,6 @@ class SwapAttempt(ABC, Generic[Model, Item]):
         """
 
     def status(self) -> dict[str, object]:
-        """See `ModelSwap.status`."""
         before = "loading" if self.model is None else "checking"
         return {
             "state": "on probation" if self.switched else before,
@@ -148,13 +146,11 @@ class ModelSwap(Generic[Model]):
     """Replaces a worker's model; all methods must be called from one thread, the loop's.
 
     Args:
-        worker: runs the model.
         report: called with a line for every step.
         clock: returns seconds, for `LOAD_TIMEOUT_S`.
 
     Attributes:
         outcomes: number of swaps since the start, by outcome (`FINAL_STATES`).
-        number: number of swaps that were begun.
     """
 
     def __init__(

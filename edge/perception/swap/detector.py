@@ -42,7 +42,6 @@ class DetectorSwap(ModelSwap[Detector]):
 
     Args:
         perception: see the attribute of this name.
-        worker: runs the detector.
         report, clock: see `ModelSwap`.
         make: makes the new detector.
 
@@ -138,7 +137,6 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
             self._lock.release()
 
     def end(self) -> None:
-        """See `SwapAttempt.end`."""
         self._worker.previous = None
         self._samples.clear()
         super().end()
@@ -214,9 +212,6 @@ class _DetectorAttempt(SwapAttempt[Detector, Observation]):
 
         A model that never returns, crashes or takes all memory is killed there. In this process
         nothing could end it, and no other swap could begin.
-
-        Raises:
-            UserError: the model fails, or returns invalid boxes.
         """
         with closing(self._load(perception)) as detector:
             self._await_samples()

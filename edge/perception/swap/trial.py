@@ -118,13 +118,7 @@ def failure(error: Exception) -> str:
 
 
 def invalid_output_reason(detector: Detector, before: int, found: Detections) -> str:
-    """Return the reason to reject invalid boxes or scores; "" if all are valid.
-
-    Args:
-        detector: the new model, which counts invalid boxes.
-        before: the model's `invalid_boxes` before it ran on this image.
-        found: the model's detections.
-    """
+    """Return the reason to reject invalid boxes or scores; "" if all are valid."""
     if (invalid := detector.invalid_boxes - before) > 0:
         return f"it returns {invalid} boxes of an image that are {WHY_INVALID}"
     faults = [invalid_boxes_reason(found.xyxy_px, found.score, found.competing_score)]
@@ -145,11 +139,6 @@ def boxes_found_again(
     Only boxes with a score of at least `tau` that are not suppressed count. A box is found again if
     the new model has a box with the same prompt, an IoU of at least `MATCH_IOU`, and at least
     `MATCH_SCORE` times the old score. Samples with other prompts than the runs do not count.
-
-    Args:
-        samples: images with the running model's detections.
-        runs: detections of the new model, one for each sample.
-        tau: score threshold.
 
     Returns:
         (boxes of the running model, those found again).

@@ -168,7 +168,6 @@ class InstanceTracker:
     the score by `DECAY` (`expire`).
 
     Args:
-        perception: the configuration.
         sightings: all objects seen, updated with the newest image first; None: no evidence of other
             objects.
 
@@ -236,12 +235,7 @@ class InstanceTracker:
         return sorted(found, key=lambda instance: (-instance.score, instance.id))
 
     def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
-        """Merge the detections of one image, strongest first.
-
-        Args:
-            boxes: detections with positions.
-            stamp_ns: stamp of the image.
-        """
+        """Merge the detections of one image, strongest first."""
         seen = boxes.detections
         pose = seen.observation.pose
         name_of_class = [names.canonical(prompt) for prompt in seen.prompts]

@@ -32,7 +32,6 @@ class BackProjectedBoxes:
     """Positions of the boxes of `detections`, as arrays parallel to them.
 
     Attributes:
-        detections: the boxes.
         center_m: (n, 3) float32 in `map`, median of the surface points.
         points_m: (n, POINTS, 3) float32 in `map`; the first `n_points[i]` of row i count.
         n_points: (n,) int32, number of surface points of each box.
@@ -61,9 +60,6 @@ class BackProjector:
     A box also shows what is in front of and behind the object. In the inner part of the box, the
     surface is chosen that fits the box best (see `lift_kernels.choose_surface`), without the floor
     under the object. If the detections have masks, only samples on the mask count.
-
-    Args:
-        perception: the configuration.
 
     Attributes:
         skipped: number of observations with boxes but without the camera, depth or cloud needed.

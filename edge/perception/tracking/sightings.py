@@ -53,7 +53,6 @@ class TrackedObjects:
     An object that is seen elsewhere, while its old place is seen empty, keeps its id.
 
     Attributes:
-        n: number of rows.
         generation: raised by each relevant change: a row is new, gone or moved, or its confidence
             changed.
         words: canonical names; only grows at its end.
@@ -155,7 +154,6 @@ class ObservedObject(NamedTuple):
     Attributes:
         id: id of the object's row.
         xyxy_px: (4,) float32, box of the object in the image.
-        score: score of the box.
     """
 
     id: int
@@ -170,9 +168,6 @@ class ObjectTracker:
     a known place. Each view that should show an object but has no box for it lowers the object's
     confidence. The arrays are allocated once: over `MAX_SIGHTINGS` the least confident object is
     dropped.
-
-    Args:
-        perception: the configuration.
 
     Attributes:
         read_only: read-only view, for policies.

@@ -27,8 +27,6 @@ class AdapterEnds(NamedTuple):
     """The two ends of the adapter: a ROS node and a Zenoh session.
 
     Attributes:
-        node: rclpy node.
-        session: Zenoh session.
         zenoh: the imported module `zenoh`.
         wake: makes the node's thread check its queues now; any thread may call it.
     """
@@ -181,7 +179,6 @@ class ToRos:
     Args:
         ends: node and session.
         topic_plan: entry of the topic in the plan, see `FromRos`.
-        max_bytes: largest message.
     """
 
     def __init__(self, ends: AdapterEnds, topic_plan: dict[str, Any], max_bytes: int) -> None:

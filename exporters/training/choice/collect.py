@@ -112,11 +112,6 @@ class Views:
 class _Collector:
     """Sink of the service that stores a view at each tick whose image shows a frontier.
 
-    Args:
-        seed: seed of the house.
-        world: the house.
-        radius_m: radius of the robot.
-
     Attributes:
         loop: the running service and robot; set before the first tick.
         rows: one tuple for each view so far, in the order of the fields of `Views`.
@@ -142,7 +137,6 @@ class _Collector:
         self.rows: list[tuple] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         observation, loop = result.observation, self.loop
         if observation is None or loop is None:
             return

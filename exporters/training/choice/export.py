@@ -152,17 +152,7 @@ def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
 def held_out_figures(
     net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]
 ) -> dict[str, Any]:
-    """Return the card's figures on held-out houses.
-
-    Args:
-        net: the trained net.
-        trunk: the detector's trunk.
-        model: the joined ONNX file.
-        paths: files of the held-out views.
-
-    Raises:
-        ExportError: the file's answers differ from the net's.
-    """
+    """Return the card's figures on held-out houses."""
     views = load_views(paths)
     data = Data(views, make_features(paths, trunk), trunk.level_scales, trunk.words)
     logits = evaluate.logits_of(net, data, views)
@@ -182,14 +172,7 @@ def held_out_figures(
 
 
 def put_in_place(run: Path, out: Path, command: str, houses: int) -> None:
-    """Export the trained model, measure it on the views in `held-out`, and publish it.
-
-    Args:
-        run: folder of the training run.
-        out: folder for the model and its card.
-        command: command that repeats the training.
-        houses: number of training houses.
-    """
+    """Export the trained model, measure it on the views in `held-out`, and publish it."""
     net = ChoiceNet(len(looks.CATEGORIES))
     state = checkpoints.averaged(run / "checkpoint.pt", net)
     trunk, model = Trunk(DETECTOR_FILE, TEXT_FILE), run / f"{NAME}.onnx"

@@ -56,7 +56,6 @@ class Trunk:
     """The small detector up to its embeddings, as an ONNX model.
 
     Args:
-        detector: ONNX file of the detector.
         text: ONNX file of the phrase encoder.
 
     Attributes:

@@ -37,9 +37,6 @@ class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
-        steps: number of steps.
-        views: views in a step.
-        targets: targets for each view.
         rate: see `learning.LearningRates`.
         decay: see `learning.LearningRates`.
         warm_up: see `learning.LearningRates`.
@@ -92,7 +89,6 @@ class Data:
 
     Args:
         views: images and marks.
-        features: features of the views.
         level_scales: see `features.Trunk`.
         words: see `features.Trunk`.
 
@@ -219,12 +215,6 @@ def _cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
 
 def train(data: Data, plan: TrainingPlan, kinds: int, checkpoint: Path) -> ChoiceNet:
     """Train, or continue from `checkpoint`; return the averaged weights.
-
-    Args:
-        data: views to train on.
-        plan: length and learning rates.
-        kinds: number of categories.
-        checkpoint: file to continue from and to write.
 
     Raises:
         ExportError: there is nothing to learn from, or `checkpoint` is of another run, or none.

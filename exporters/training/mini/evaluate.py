@@ -120,13 +120,7 @@ def held_out_frames(folder: Path) -> Frames:
 
 
 def measure(model: Path, text: Path, frames: Frames) -> Report:
-    """Run the detector on all images.
-
-    Args:
-        model: ONNX file of the detector.
-        text: ONNX file of the phrase encoder.
-        frames: images to measure on.
-    """
+    """Run the detector on all images."""
     detector, encoder = cpu_session(model, 2), cpu_session(text, 1)
     # Phrases of a category alone, without colour and size; token c + 1 is category c.
     categories = np.zeros((len(looks.CATEGORIES), 3), np.int64)
@@ -176,7 +170,6 @@ class _Question:
         kind: key of `Report.pairs`.
         phrase: (3,) int64, see `looks`.
         right: index of the object that it is true of.
-        wrong: index of the other one.
     """
 
     kind: str
@@ -294,13 +287,7 @@ def _latency(
 
 
 def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
-    """Raise ExportError, with all faults, if a model may not replace the shipped one.
-
-    Args:
-        held_out: the card's figures on held-out houses.
-        step: training steps done.
-        steps: training steps of the plan.
-    """
+    """Raise ExportError, with all faults, if a model may not replace the shipped one."""
     faults = [] if step >= steps else [f"trained only {step} of {steps} steps"]
     faults += [f"{key} {held_out[key]} < {floor}" for key, floor in FLOORS.items()
                if not held_out[key] >= floor]  # fmt: skip

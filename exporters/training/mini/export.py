@@ -75,12 +75,7 @@ def calibration_feeds(frames: Frames, encoder: nn.Module, seed: int = 0) -> list
 
 
 def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
-    """Return the cards of the detector, the phrase encoder, and the similarity of names.
-
-    Args:
-        folder: folder with the ONNX files, whose hashes the cards have.
-        measured: figures for the detector's card.
-    """
+    """Return the cards of the detector, the phrase encoder, and the similarity of names."""
     common = {
         "family": FAMILY, "sources": [], "license": LICENSE, "derived_from": None, "parity": None,
     }  # fmt: skip
@@ -104,12 +99,7 @@ def make_cards(folder: Path, measured: dict[str, dict]) -> list[dict]:
 
 
 def training_figures(state: dict[str, Any], command: str) -> dict[str, float | int | str]:
-    """Return the training entry of the detector's card.
-
-    Args:
-        state: the checkpoint.
-        command: command that repeats the training.
-    """
+    """Return the training entry of the detector's card."""
     return {
         "command": command, "seed": state["plan"]["seed"], "houses": state["frames"] // PER_HOUSE,
         "frames": state["frames"], "processes": state["ranks"], "device": state["device"],
@@ -120,13 +110,7 @@ def training_figures(state: dict[str, Any], command: str) -> dict[str, float | i
 def held_out_figures(
     before: evaluate.Report, after: evaluate.Report, bytes_: int
 ) -> dict[str, float | int]:
-    """Return the evaluation entry of the detector's card.
-
-    Args:
-        before: report of the FP32 model.
-        after: report of the INT8 model.
-        bytes_: size of the INT8 file.
-    """
+    """Return the evaluation entry of the detector's card."""
     return {
         "first_seed": evaluate.SEEDS[0], "houses": len(evaluate.SEEDS),
         "frames": len(evaluate.SEEDS) * evaluate.PER_HOUSE, **after.summary(),
@@ -150,12 +134,6 @@ def make_files(run: Path, model: Model) -> dict[str, float | int]:
 
 def put_in_place(run: Path, out: Path, command: str, gate: bool) -> None:
     """Export the trained model, measure it, and put its files and cards into `out`.
-
-    Args:
-        run: folder of the training run.
-        out: folder for the files and cards.
-        command: command that repeats the training.
-        gate: False to publish also a model that misses the required figures.
 
     Raises:
         ExportError: the model misses the required figures, and `gate` is True.

@@ -94,7 +94,6 @@ class _Builder:
 
     Attributes:
         rng: draws everything, so the order of the calls decides the house.
-        height_m: height of the rooms.
         objects: objects placed so far.
         appearances: their appearances, in the same order.
     """

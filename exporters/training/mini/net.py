@@ -31,7 +31,6 @@ class Widths:
         trunk: channels of the trunk's stages.
         blocks: residual blocks of the trunk's stages after the first.
         neck: channels of the neck's levels.
-        box_head: channels inside a head, for the box.
         text_head: channels inside a head, for the embedding.
     """
 
@@ -49,7 +48,6 @@ class Conv(nn.Sequential):
         c_in: channels of the input.
         c_out: channels of the output.
         k: side of the kernel.
-        stride: stride.
     """
 
     def __init__(self, c_in: int, c_out: int, k: int = 3, stride: int = 1) -> None:

@@ -84,12 +84,6 @@ def train_on_cores(
     Each process takes its share of every batch, and the gradients are averaged once a step. Threads
     would synchronise after every layer, and wait for the slowest core each time.
 
-    Args:
-        frames: picklable function that returns the images; each process calls it.
-        plan: length and learning rates.
-        checkpoint: file to continue from and to write.
-        cores: number of processes.
-
     Raises:
         ExportError: a batch cannot be divided by the number of processes.
     """

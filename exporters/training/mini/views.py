@@ -111,12 +111,6 @@ def make_frames(seeds: Sequence[int], per_house: int, folder: Path, workers: int
 
     Several processes may do this in one folder: each renders to its own file.
 
-    Args:
-        seeds: seeds of the houses.
-        per_house: images of each house.
-        folder: folder of the images.
-        workers: processes that render.
-
     Raises:
         ExportError: the images do not fit on the disk.
     """

@@ -53,10 +53,6 @@ def fit_table(
 ) -> tuple[dict[str, Any], dict[int, learn.Fit]]:
     """Fit the weights of a table to samples.
 
-    Args:
-        data: the counted part of the table.
-        samples: samples to fit to.
-
     Returns:
         The whole table, and the fit of each target by its index in `things`.
     """

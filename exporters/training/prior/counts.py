@@ -54,11 +54,6 @@ def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
 def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequence[str]) -> dict:
     """Count the rooms with each visible object by kind of room, and the doors between kinds.
 
-    Args:
-        plans: the houses.
-        things: names of the objects to count.
-        kinds: kinds of room.
-
     Returns:
         `names`; `rooms` of each kind; `rooms_with` each object, by kind; `doors` between two kinds
         and `pairs` of two kinds in a house, symmetric.

@@ -57,12 +57,10 @@ class Explorer:
     """A robot in an unknown house.
 
     Args:
-        plan: the house.
         cell: row and column at which it starts.
         random: decides which objects are detected.
 
     Attributes:
-        plan: the house.
         known: (h, w) bool, cells that it has mapped.
         thing_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.
         seen: (n,) bool, detected objects.

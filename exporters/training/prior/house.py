@@ -37,7 +37,6 @@ class HousePlan:
         wall: (h, w) bool, walls, and furniture that is high enough to hide what is behind it.
         closed: (h, w) bool, cells where the robot cannot stand.
         room: (h, w) int16, index of the room, -1 outside.
-        kinds: kind of each room.
         doors: pairs of rooms (smaller index first) whose floors touch without a wall.
         word: (n,) int32, name of each visible object, as an index into `words`.
         xy_m: (n, 2) float64, centre of each object, in the house's frame.

@@ -134,10 +134,6 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
 
     A target has weights only if its model predicts held-out houses better than the target's share
     does, by a standard error (`Fit.has_opinion`).
-
-    Args:
-        fits: fit of each target, by its index.
-        things: names of the objects.
     """
     bias, weights = [0] * len(things), {}
     for target, fit in fits.items():
@@ -202,11 +198,6 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
     """Yield (predicted likelihood ratio, observed ratio, number of places) of each bin.
 
     Both ratios are means over the bin's places, relative to the mean over all places.
-
-    Args:
-        samples: all samples.
-        fits: fit of each target.
-        edges: bin edges of the predicted ratio.
     """
     predicted, true, weights = [], [], []
     for target, fit in fits.items():

@@ -62,8 +62,6 @@ class PriorInputs:
     """The robot's knowledge in the form of the prior's inputs, for its current frontiers.
 
     Args:
-        explorer: the robot.
-        frontiers: its current frontiers.
         row: index of each of the plan's objects in the prior's table; -1 for none.
         m: number of objects in the prior's table.
 
@@ -101,14 +99,7 @@ class PriorInputs:
 def gather(
     plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequence[str], seed: int = 0
 ) -> Samples:
-    """Explore every house `RUNS` times; return the samples.
-
-    Args:
-        plans: the houses.
-        things: names of the objects in the prior's table.
-        kinds: kinds of room.
-        seed: seed of the explorations.
-    """
+    """Explore every house `RUNS` times; return the samples."""
     row_of = {name: i for i, name in enumerate(things)}
     parts: list[tuple[np.ndarray, ...]] = []  # of each decision
     for number, plan in enumerate(plans):

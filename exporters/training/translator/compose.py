@@ -72,8 +72,6 @@ class Phrases:
     """Tables of `phrases.yaml`.
 
     Attributes:
-        slots: phrases for each slot.
-        families: all families.
         refused: templates of sentences that no formula expresses.
         goals: families whose formula says what to reach: it begins with F or &.
         bans: families whose formula forbids something or sets an order: its first token
@@ -203,12 +201,7 @@ class Composer:
 
 
 def delexicalised(sentence: str, tokens: Sequence[str]) -> Pair:
-    """Replace letters by placeholders in the order of their first use, as `delexicalise_text` does.
-
-    Args:
-        sentence: sentence with $a for the letter a.
-        tokens: its formula over the same letters.
-    """
+    """Replace letters by placeholders in the order of their first use (`delexicalise_text`)."""
     order: dict[str, str] = {}  # letter -> placeholder
     words: list[str] = []
     for word in sentence.split():

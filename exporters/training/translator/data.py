@@ -108,12 +108,7 @@ class _FormulaMatcher:
         self._known: dict[Formula, tuple[str, ...] | None] = {}
 
     def tokens_of(self, formula: Formula, names: Sequence[str]) -> tuple[str, ...] | None:
-        """Return the family's formula over placeholders; None if no family matches.
-
-        Args:
-            formula: formula over names.
-            names: the names, in the order of their first use.
-        """
+        """Return the family's formula over placeholders; None if no family matches."""
         key = _with_plain_names(formula, names)
         if key not in self._known:
             self._known[key] = self._search(key, len(names))
@@ -157,14 +152,7 @@ def corpora(lang2ltl: Path | None, clean_up: Path | None) -> dict[str, list[Tran
 
 @dataclass(slots=True)
 class Source:
-    """Endless source of pairs: composed ones, and a share of human ones.
-
-    Attributes:
-        composer: source of composed pairs.
-        human: human pairs to draw from.
-        share: share of human pairs.
-        rng: draws them.
-    """
+    """Endless source of pairs: composed ones, and a share of human ones."""
 
     composer: Composer
     human: Sequence[Pair]

@@ -21,11 +21,7 @@ TIMED = 300
 
 
 def translators(path: Path) -> dict[str, Translator]:
-    """Return translators that use a file: `model` alone, and `auto`, which tries the grammar first.
-
-    Args:
-        path: ONNX file of the model.
-    """
+    """Return translators that use a file: `model`, and `auto`, which tries the grammar first."""
     small = small_model_backend(NeuralTranslator(TranslationNetwork.from_file(path)))
     return {
         "model": Translator("model", small),

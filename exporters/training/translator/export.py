@@ -43,14 +43,7 @@ class EncoderDecoder(nn.Module):
 
 
 def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, Tensor]:
-    """Return random inputs of `EncoderDecoder`, by name.
-
-    Args:
-        net: the network.
-        words: number of source words.
-        tokens: number of new tokens of the target.
-        past: number of earlier tokens of the target.
-    """
+    """Return random inputs of `EncoderDecoder`, by name."""
     size, rows = net.size, 2  # rows: targets that are decoded at once
     parts, width = 2 * size.decoder_layers, size.width // size.heads
     n_tokens = net.table.num_embeddings
@@ -65,16 +58,8 @@ def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, 
 def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
     """Write the network as ONNX.
 
-    Args:
-        net: the network.
-        vocabulary: its tokens.
-        out: file to write.
-
     Returns:
         The largest difference of a logit from the network's.
-
-    Raises:
-        ExportError: the difference is above `MAX_LOGIT_ERROR`.
     """
     module = EncoderDecoder(net.eval())
     free = {  # axes of any length

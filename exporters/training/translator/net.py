@@ -24,8 +24,6 @@ class Size:
     Attributes:
         width: length of a token's vector.
         heads: number of attention heads.
-        encoder_layers: number of layers.
-        decoder_layers: number of layers.
         longest: largest number of tokens of a source or a target.
         dropout: share of the values that are dropped in training.
     """

@@ -30,7 +30,6 @@ class TrainingPlan:
     """Length and learning rates of a run.
 
     Attributes:
-        steps: number of steps.
         rate: see `learning.LearningRates`.
         human: share of human sentences.
         pairs: sentences in a step, each in both directions.

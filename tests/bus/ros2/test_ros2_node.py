@@ -127,7 +127,7 @@ def test_a_service_of_a_peer_answers(port, node):
 
 
 @pytest.mark.parametrize("dialect", [names.BRIDGE, names.plain_dialect("edge/ros2/")])
-def test_without_tokens_routing_tells_who_is_there(port, session, dialect):
+def test_without_tokens_routing_shows_the_peers(port, session, dialect):
     node = Ros2Node(session, 0, "edge_test", dialect)
     mine, client = node.publisher("/goal_pose", POSE), node.client("/nav/cancel", POSE, 5.0)
     assert (mine.has_subscribers(), client.has_server()) == (False, False)

@@ -442,7 +442,7 @@ def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(p
     ("on", "name"),
     [("cpu", None), ("cuda", "GPU 3"), ("ort-tensorrt", "GPU 3"), ("tensorrt", "GPU 3")],
 )
-def test_the_process_tells_which_gpu_it_used(monkeypatch, on, name):
+def test_the_process_reports_which_gpu_it_used(monkeypatch, on, name):
     monkeypatch.setattr(measure, "gpu_of", lambda device_id: (f"GPU {device_id}", "8.7"))
     settings = config.DetectorOnnx(providers=variants.PROVIDERS[on], device_id=3)
     assert measure.used_gpu(settings) == name

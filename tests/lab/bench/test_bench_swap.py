@@ -56,7 +56,7 @@ def test_nothing_is_asked_before_anything_is_seen(bench):
         bench.figures()
 
 
-def test_what_was_lost_is_told_by_stretch(bench):
+def test_losses_are_reported_by_stretch(bench):
     bench.after(0)
     bench.after(10)
     bench.after(990)  # 98 beats late, and halfway

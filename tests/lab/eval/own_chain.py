@@ -1,4 +1,4 @@
-"""A chain of one's own, as a user may write it: one box, wherever it is told."""
+"""A user's own pipeline: one box, at the configured place."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from edge.errors import ConfigError
 from edge.lab.eval.arms import make_arms, merged, parse_arm, read_arms
 
 
-def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
+def test_an_arm_says_what_differs_and_has_an_id_of_its_own(tmp_path):
     config = small_house(tmp_path, policy={"kind": "hvl", "w_vl": 2.0})
     near, hvl = make_arms(config, {"near": {"policy": {"kind": "nearest_frontier"}}, "hvl": {}})
     whole = parse(merged(near.base, near.settings))
@@ -29,7 +29,7 @@ def test_a_column_says_what_differs_and_has_an_id_of_its_own(tmp_path):
         ({"sensors": {"camera": {"hfov_deg": 90}}}, False),
     ],
 )
-def test_the_id_tells_of_all_that_a_column_decides(tmp_path, change, same):
+def test_the_id_depends_on_all_that_an_arm_decides(tmp_path, change, same):
     config = small_house(tmp_path)
     one, other = make_arms(config, {"one": {}, "other": change})
     assert (one.id == other.id) == same

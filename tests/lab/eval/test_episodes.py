@@ -27,7 +27,7 @@ def test_episodes_are_seeded_free_and_far():
     assert len({e.id for e in planned}) == 4
 
 
-def test_too_few_starts_are_told():
+def test_too_few_starts_are_reported():
     with pytest.raises(UserError, match="only 0 of 1 starts are 500 m"):
         plan(HOUSE, [], ["bed"], 1, 0, 500.0)
 
@@ -47,7 +47,7 @@ def blocked(tmp_path, **sim):
     return simulated({"sim": {"world": world, **sim}})
 
 
-def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_told(tmp_path, caplog):
+def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_reported(tmp_path, caplog):
     worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
     assert [e.world["house"] for e in planned] == ["demo"]
@@ -91,7 +91,7 @@ def test_missions_are_planned_in_each_world():
         episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
 
 
-def test_the_sensors_go_with_an_episode_and_its_id_tells_them():
+def test_the_sensors_belong_to_an_episode_and_its_id():
     (here,) = plan(HOUSE, [], ["bed"], 1, 0, 2.0)
     wide = simulated({"sensors": {"camera": {"hfov_deg": 100}}})
     (there,) = plan(wide, [], ["bed"], 1, 0, 2.0)

@@ -123,7 +123,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_what_cannot_be_used_is_told_in_one_line(tmp_path, case):
+def test_what_cannot_be_used_is_reported_in_one_line(tmp_path, case):
     damage, words = BROKEN[case]
     folder = write(tmp_path)
     damage(folder)
@@ -198,7 +198,7 @@ def test_a_real_street_becomes_a_scene(sequence):
     assert all(thing.nearest_m for thing in scene.objects.values())
 
 
-def test_what_a_robot_would_run_into_is_told_by_points(tmp_path):
+def test_obstacles_are_found_by_points(tmp_path):
     """Compare standing objects up to the robot's height with their points."""
     frame = read_frame(write(tmp_path), 0)
     solid = solid_m([frame])

@@ -59,7 +59,7 @@ def test_lines_that_are_no_outcomes_are_refused(tmp_path, text):
         OutcomeFile(tmp_path)
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
+def test_a_place_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="file"):
         OutcomeFile(tmp_path / "file")

@@ -1,4 +1,4 @@
-"""Columns on episodes: the same outcomes from whoever runs them, and each only once."""
+"""Arms on episodes: the same outcomes from every way to run them, and each only once."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_no_tasks_have_no_outcomes():
     assert list(run_in_workers([], 2, stop)) == []
 
 
-def test_an_episode_replays_the_same_and_tells_its_story(tasks, alone):
+def test_an_episode_replays_the_same_and_has_its_mission_log(tasks, alone):
     task, first = tasks[0], alone[0]
     assert exact(run_episode(task.arm, task.episode, in_process)) == exact(first)
     assert first.success
@@ -271,7 +271,7 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
     ],
 )
-def test_what_cannot_be_run_is_told_at_once(yaml_path, capsys, options, message):
+def test_what_cannot_be_run_is_reported_at_once(yaml_path, capsys, options, message):
     assert main([*COMMAND, yaml_path, *options]) != 0
     assert message in capsys.readouterr().err
 

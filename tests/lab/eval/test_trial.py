@@ -81,7 +81,7 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
     assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_reached_is_told(tmp_path, capsys):
+def test_what_cannot_be_reached_is_reported(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
     assert code == os.EX_DATAERR
     assert "the path straight on is blocked" in capsys.readouterr().err
@@ -173,13 +173,13 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
     assert said.count("\n") == 1
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
+def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
     assert "out: cannot be written: File exists; choose another folder" in capsys.readouterr().err
 
 
-def test_a_model_leaves_what_it_was_told_and_what_it_said(tmp_path, capsys):
+def test_the_prompt_and_the_answer_of_a_model_are_kept(tmp_path, capsys):
     answers = ("```python\nimport os\n```", GOOD)
     with serving(saying(*answers)) as server:
         code, out = trajectory(

@@ -297,7 +297,7 @@ def test_a_held_robot_recovers_once_and_then_fails():
     assert (walk.now_ns - 10**9) / 1e9 < 2 * CONFIG.motion.stuck_s
     assert walk.blocked == [ahead, behind, ahead]
     walk.goal(1, SE2(5.0, 2.0, 0.0))
-    assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # told once
+    assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # reported once
 
 
 def test_a_robot_in_contact_at_its_side_gets_free():
@@ -322,7 +322,7 @@ def test_a_robot_in_contact_at_its_side_gets_free():
     assert walk.states[-1] == (2, "reached")
 
 
-def test_a_held_robot_that_is_told_to_turn_was_blocked_nowhere():
+def test_a_held_robot_that_should_turn_was_blocked_nowhere():
     walk = Walk(SE2(1.0, 2.0, 0.0), held=True)
     walk.goal(1, SE2(1.0, 2.0, 3.0))
     walk.run(30)

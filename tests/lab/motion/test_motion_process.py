@@ -31,7 +31,7 @@ STEP_S = 0.1
 
 
 class Robot:
-    """Simulator and service in one: moves as told, in lockstep or not."""
+    """Simulator and service in one: moves as commanded, in lockstep or not."""
 
     def __init__(self, config: Config) -> None:
         self.session = open_session(config.zenoh, "listen")

@@ -22,7 +22,7 @@ HERE = SE2(1.0, 2.0, 0.0)
     ("steps", "after"),
     [
         ([], None),
-        ([(0.0, 0.0)] * 50, None),  # told to stand
+        ([(0.0, 0.0)] * 50, None),  # commanded to stand
         ([(0.0, 0.5)] * 10, 6),  # 0.3 m in vain
         ([(0.0, -0.5)] * 10, 6),
         ([(0.0, 0.1)] * 40, 30),
@@ -32,8 +32,8 @@ HERE = SE2(1.0, 2.0, 0.0)
         ([*[(0.0, 0.5)] * 5, (0.06, 0.5), *[(0.0, 0.5)] * 6], 11),  # it came free once
     ],
 )
-def test_a_robot_pushes_that_was_told_to_drive_in_vain(steps, after):
-    """Steps of 0.1 s: how far it came, at what speed it was told to drive."""
+def test_a_robot_that_drives_in_vain_is_pushing(steps, after):
+    """Steps of 0.1 s: the distance driven, and the commanded speed."""
     contact, x, said = ContactDetector(0.3, 0.05), 0.0, []
     for moved_m, v_mps in steps:
         x += moved_m

@@ -1,4 +1,4 @@
-"""Drawings of automata: everything is said once, nothing else, and any name is safe."""
+"""Drawings of automata: each part is drawn once, nothing else, and any name is safe."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def test_what_was_asked_and_what_became_of_it(done):
     assert tasks.SCENE_NAME not in tasks.section(done, linked=False)
 
 
-def test_every_trajectory_is_told_and_drawn(done):
+def test_every_trajectory_is_reported_and_drawn(done):
     """The first step's, the second's, and the rest of that, refined again at its end."""
     first = driving(understood="past the left of van 1")
     second = driving(

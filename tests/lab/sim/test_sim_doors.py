@@ -1,4 +1,4 @@
-"""Doors in simulated houses: they open and close, are seen and felt, and close on nobody."""
+"""Doors in simulated houses: they open and close, are seen and felt, and hit no person."""
 
 from __future__ import annotations
 

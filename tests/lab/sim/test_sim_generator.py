@@ -52,7 +52,7 @@ def standing(things):
 
 
 def test_a_seed_is_the_same_house_everywhere():
-    """The hash is of the text; it may change on purpose only, since results are told by seed."""
+    """The hash is of the text; it may change on purpose only, since results name the seed."""
     text = "".join(generated_house(seed).model_dump_json() for seed in range(1000, 1020))
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "7f8e646b919ddd80"
     assert generated_house(1) != generated_house(2)

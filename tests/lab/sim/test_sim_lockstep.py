@@ -14,7 +14,7 @@ from edge.lab.sim.robot import MotionState
 
 
 class Drive:
-    """A body that only writes down what it was told."""
+    """A body that only records its commands."""
 
     def __init__(self, stop: threading.Event, steps: int) -> None:
         here = SE2(0.0, 0.0, 0.0)

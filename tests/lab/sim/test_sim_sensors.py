@@ -101,7 +101,7 @@ def test_one_ring_makes_a_scan_that_starts_behind_the_robot(world):
     np.testing.assert_allclose(scan.ranges_m, rig.ranges_m[0], rtol=1e-6)
 
 
-def test_odometry_and_truth_tell_of_the_same_instant(world):
+def test_odometry_and_truth_are_of_the_same_instant(world):
     settings = config(drift_m_per_m=0.2)
     body = DriveTrain(settings.robot, settings.sim, world, POSE, stamp_ns=1000)
     motion = body.step(1.0, 0.3, 0.0)

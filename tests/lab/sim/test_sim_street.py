@@ -24,7 +24,7 @@ def test_a_seed_is_a_street():
 
 
 def test_what_a_seed_means_does_not_change():
-    """Results are told by it."""
+    """Results name it."""
     digest = hashlib.sha256()
     for seed in range(200):
         drawn = street(seed, 0)

@@ -128,7 +128,7 @@ def test_demo_house_is_one_connected_furnished_home(demo: BoxWorld):
     for room in house.rooms:
         (x0, y0), (x1, y1) = demo.plan.grid.to_cells(np.reshape(room.rect, (2, 2))).astype(int)
         assert reachable[y0:y1, x0:x1].any(), room.name
-    # Every floor-standing thing can be stood beside.
+    # The robot can stand next to every object on the floor.
     row, col = np.nonzero(reachable)
     places = demo.plan.grid.centres_m(row, col)
     for item in demo.objects:

@@ -140,11 +140,7 @@ def read_records(path: Path) -> list[Record]:
 
 
 def _check(record: Record) -> Record:
-    """Return the record if it is valid.
-
-    Raises:
-        KeyError, TypeError, ValueError: a field is missing or wrong.
-    """
+    """Return the record if it is valid."""
     for key in ("episode", "arm", "world", "kind"):
         if not isinstance(record[key], str):
             raise ValueError(f"{key}: expected a text, got {bounded_repr(record[key], 40)}")
@@ -253,11 +249,7 @@ def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
 
 
 def baseline_of(outcomes: Outcomes, name: str | None) -> int:
-    """Return the index of the baseline arm; by default the first.
-
-    Raises:
-        UserError: there is no such arm.
-    """
+    """Return the index of the baseline arm; by default the first."""
     arms: Sequence[str] = outcomes.arms
     if name is None:
         return 0

@@ -25,14 +25,7 @@ from edge.text import one_line
 def html(
     comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing], title: str, machine: str
 ) -> str:
-    """Build the page.
-
-    Args:
-        comparison: the figures.
-        drawings: by world; a world without one gets trails without a floor plan.
-        title: plain text.
-        machine: description of the computer.
-    """
+    """Build the page."""
     outcomes = comparison.outcomes
     n, worlds = len(outcomes.episodes), len(set(outcomes.world.tolist()))
     words = f"{n} episodes in {worlds} worlds, {len(outcomes.arms)} arms"
@@ -75,14 +68,7 @@ def _trails(comparison: Comparison, drawings: Mapping[str, FloorPlanDrawing]) ->
 def _episode_row(
     comparison: Comparison, e: int, spl: np.ndarray, grounds: Mapping[str, TrailBackground]
 ) -> str:
-    """Build the row of an episode: its target, and a map for each arm.
-
-    Args:
-        comparison: the figures.
-        e: index of the episode.
-        spl: (A,) SPL of each arm.
-        grounds: backgrounds by world.
-    """
+    """Build the row of an episode: its target, and a map for each arm."""
     outcomes = comparison.outcomes
     arms = range(len(outcomes.arms))
     records = {a: outcomes.records[a, e] for a in arms if outcomes.ran[a, e]}

@@ -59,11 +59,7 @@ def run(args: argparse.Namespace) -> int:
 def compare_folder(
     folder: Path, baseline: str | None = None
 ) -> tuple[Comparison, dict[str, worlds.FloorPlanDrawing]]:
-    """Compare the outcomes of a folder; return the comparison, and drawings by world.
-
-    Raises:
-        UserError: there are no outcomes, or no such arm; or a file cannot be read.
-    """
+    """Compare the outcomes of a folder; return the comparison, and drawings by world."""
     path = folder / OUTCOMES_NAME
     found = read_records(path)
     if not found:
@@ -120,10 +116,6 @@ def add_world_data(
     outcomes: Outcomes, configs: Mapping[str, Config]
 ) -> tuple[Outcomes, np.ndarray, dict[str, worlds.FloorPlanDrawing]]:
     """Load the worlds of outcomes, and add what they know.
-
-    Args:
-        outcomes: the outcomes.
-        configs: by world, a configuration with its `sim.world`.
 
     Returns:
         The outcomes with the number of rooms; (A, E) metres left to drive when the target was first

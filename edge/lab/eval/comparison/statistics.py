@@ -31,7 +31,6 @@ class ComparisonMetric(NamedTuple):
     Attributes:
         title: head of its column in a table.
         digits: number of decimals.
-        words: description.
         values: returns (A, E) float64 of outcomes, NaN if an episode does not count.
         scale: factor for display.
         how: "mean"; "share" of yes and no; or "median", without an interval, for times, which have
@@ -140,12 +139,9 @@ class PairedDifference(NamedTuple):
     """An arm against the baseline, on the episodes that both ran.
 
     Attributes:
-        arm: name of the arm.
         n: number of these episodes.
         missing: number of episodes that only one of the two ran; they are left out.
         sr: mean difference of success, arm minus baseline.
-        spl: mean difference of SPL.
-        soft_spl: mean difference of soft SPL.
         spl_ratio: mean SPL of the arm over that of the baseline.
         both: number of episodes in which both succeeded.
         path_ratio: sum of paths of the arm over that of the baseline, of `both`.
@@ -172,8 +168,6 @@ class SplLoss(NamedTuple):
     """Decomposition of an arm's lost SPL: 1 = spl + failures + search + approach, on `n` episodes.
 
     Attributes:
-        n: number of episodes.
-        spl: mean SPL.
         failures: share of failed episodes.
         search: lost because the path until the target was first seen was not the shortest.
         approach: lost because the path from there was not the shortest.
@@ -195,7 +189,6 @@ class Comparison:
     """All figures of a set of outcomes.
 
     Attributes:
-        outcomes: the outcomes.
         baseline: index of the arm that the others are compared with.
         unit: the resampled unit, "world" or "episode".
         figures: by arm, by metric.

@@ -45,7 +45,6 @@ class ReportTable(NamedTuple):
 
     Attributes:
         name: short name, unique among the tables.
-        title: title above the table.
         head: titles of the columns.
         rows: cells of each row; the first names the row.
         note: explanation below the table; "": none.

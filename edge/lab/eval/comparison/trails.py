@@ -35,7 +35,6 @@ class TrailBackground(NamedTuple):
 
     Attributes:
         key: id of its symbols in the page; "" if there are none.
-        drawing: the floor plan.
     """
 
     key: str

@@ -24,7 +24,6 @@ class DelexicalisedFormula:
     """A formula over the propositions a, b, … in order of first appearance.
 
     Attributes:
-        formula: the formula.
         others: number of objects in the world that the formula does not name.
     """
 

@@ -53,7 +53,6 @@ class PlanningProblem:
     Attributes:
         automaton: over the objects that the formula names.
         n_propositions: number of objects that the formula names; they come first.
-        n_objects: number of objects in the world.
         moves: (n_states, n_objects + 1) int32 next states; the last column is "nothing reached".
         accepting: (n_states,) bool.
         steps_left: (n_states,) int32, fewest reached objects to acceptance, -1 if impossible.
@@ -82,7 +81,6 @@ class PlannerInput(NamedTuple):
     """The input of a planner.
 
     Attributes:
-        state: of the automaton.
         seen: bit i is set if object i's place is known; reached objects are included.
         reached: bit i is set if object i was reached.
         order: the reached objects, in order.

@@ -49,11 +49,7 @@ def write_tasks(path: Path, tasks: Sequence[BenchmarkTask]) -> None:
 
 
 def read_tasks(path: Path) -> list[BenchmarkTask]:
-    """Read tasks in the format of `write_tasks`. Objects may have any name that `edge.names` knows.
-
-    Raises:
-        TaskFileError: the file cannot be read, or a line is not a task that can be fulfilled.
-    """
+    """Read tasks in the format of `write_tasks`. Any name in `edge.names` is an object."""
     try:
         lines = read_regular(path).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -80,11 +76,7 @@ def read_tasks(path: Path) -> list[BenchmarkTask]:
 
 
 def _parse_task(line: str) -> BenchmarkTask:
-    """Parse a task.
-
-    Raises:
-        ValueError, UserError: the line is invalid.
-    """
+    """Parse a task."""
     try:
         data = read_json_object(line)
     except ValueError as error:

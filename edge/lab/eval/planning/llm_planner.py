@@ -94,12 +94,7 @@ class LlmPlanner:
     The mission fails if the model names no target that leads on, or says DONE too early.
 
     Args:
-        automaton: of the mission.
-        instruction: of the mission.
-        url: see `mission.translator.kind: llm`.
-        model: likewise.
-        api_key_env: likewise.
-        time_limit_s: likewise.
+        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
 
     Raises:
         ChatError: the URL or the key cannot be used; from `plan`, no usable answer.

@@ -31,7 +31,6 @@ class PlannerEntry(NamedTuple):
     """A planner of the comparison.
 
     Attributes:
-        make: makes the planner for a problem.
         words: description for the table's legend.
         knows_all_places: True if the planner knows all places at the start.
     """

@@ -37,9 +37,7 @@ class Row:
     """A planner's figures at one p_obs, or over all of them.
 
     Attributes:
-        planner: its name.
         p_obs: probability that an exploration finds its target; None for all together.
-        runs: number of runs.
         outcomes: number of runs by outcome.
         complete: share of completed runs.
         explorations: mean over completed runs.

@@ -78,11 +78,7 @@ def _report(
 
 
 def _check_writable(directory: Path) -> Path:
-    """Return the directory if results can be written there; checked before the work.
-
-    Raises:
-        UserError: it cannot be written.
-    """
+    """Return the directory if results can be written there; checked before the work."""
     from edge.host.files import make_writable
 
     try:
@@ -135,11 +131,7 @@ def _client(args: argparse.Namespace):  # type: ignore[no-untyped-def]
 
 
 def _parse_planners(text: str | None) -> tuple[str, ...]:
-    """Parse the names of planners.
-
-    Raises:
-        UserError: a name is unknown; the message lists all.
-    """
+    """Parse the names of planners."""
     from edge.lab.eval.planning.planners import PLANNERS
 
     if text is None:

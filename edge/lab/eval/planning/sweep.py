@@ -52,8 +52,6 @@ class SweepResults:
     """Every episode of a comparison.
 
     Attributes:
-        planners: names of the planners.
-        p_obs: values of p_obs.
         outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
             `NOT_RUN` (the optimum of a task that is too large to solve).
         explorations: the same shape, int32.
@@ -78,9 +76,7 @@ class TaskBatch(NamedTuple):
     """Tasks with one delexicalised formula, for one process.
 
     Attributes:
-        problem: problem of the formula.
         rows: index of each task in the results.
-        ids: id of each task.
     """
 
     problem: PlanningProblem
@@ -95,12 +91,6 @@ def run_tasks(
     progress: Callable[[int], None] = lambda done: None,
 ) -> SweepResults:
     """Run the comparison; the results do not depend on `jobs`.
-
-    Args:
-        tasks: the tasks.
-        settings: the settings.
-        jobs: number of processes.
-        progress: called with the number of tasks done so far.
 
     Raises:
         CompileError: a formula is beyond the compiler's limits.

@@ -46,10 +46,8 @@ class BenchmarkTask:
     """A sentence and its formula.
 
     Attributes:
-        id: unique.
         family: name of the template's family.
         objects: canonical names, in order of first appearance in the formula.
-        sentence: the instruction.
         formula: over `objects`.
     """
 
@@ -65,7 +63,6 @@ class Family:
     """A family of similar templates. Pairs are inclusive ranges of a uniform distribution.
 
     Attributes:
-        name: name of the family.
         share: relative frequency among the draws.
         branches: number of alternatives of the task ("…; or reach …").
         length: number of steps of each branch.

@@ -37,7 +37,6 @@ class Fault:
         name: its name for `--faults`.
         part: the affected part. Two faults at the same time affect two parts.
         what: description for the log.
-        inject: injects the fault.
         lasts_s: shortest and longest duration; a duration between them is drawn.
         within_s: time after the end within which `check_recovered` and all of `after` must hold
             together.
@@ -159,11 +158,7 @@ FAULTS: tuple[Fault, ...] = (
 
 
 def choose_faults(config: Config, names: Sequence[str] | None) -> list[Fault]:
-    """Return the faults that are possible with a configuration, or the named ones of them.
-
-    Raises:
-        UserError: a named fault does not exist, or is not possible.
-    """
+    """Return the faults that are possible with a configuration, or the named ones of them."""
     possible = {fault.name: fault for fault in FAULTS if fault.needs(config)}
     if names is None:
         return list(possible.values())

@@ -53,11 +53,7 @@ _MODEL_COMMAND = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
 def soak_config(config: Config, out: Path) -> Config:
-    """Return the configuration with free ports, and with all files below `out`.
-
-    Raises:
-        UserError: it runs in lockstep, and not in real time.
-    """
+    """Return the configuration with free ports, and with all files below `out`."""
     if config.loop.lockstep or config.sim.lockstep:
         where = config.locate("loop.lockstep", "sim.lockstep")
         raise UserError(
@@ -93,7 +89,6 @@ class SoakHarness:
         house: number of the robot's house, from 0.
         session: Zenoh session for requests and subscriptions.
         relay: passes on the messages between robot and service.
-        log: output of the service.
         family: all processes that the service and its children have ever started.
     """
 

@@ -29,8 +29,6 @@ class JitterSink:
     p50, p99 and maximum.
 
     Args:
-        config: gives the prefix.
-        session: publishes the messages.
         clock: returns seconds.
     """
 
@@ -45,7 +43,6 @@ class JitterSink:
         self._gaps_s: list[float] = []
 
     def tick(self, result: TickResult) -> None:
-        """See `edge.loop.result.Sink`."""
         now_s = self._clock()
         self._gaps_s.append(now_s - self._beat_s)
         self._beat_s = now_s

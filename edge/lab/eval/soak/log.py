@@ -14,7 +14,6 @@ class PipeLog:
     """Reads the pipe without blocking, and copies it to a file.
 
     Args:
-        pipe: path of the pipe, which is made.
         copy: path of the file that gets all output.
 
     Attributes:

@@ -41,19 +41,13 @@ class SoakMonitor:
     The soak's own thread reads the attributes. Times are `time.monotonic` in seconds.
 
     Attributes:
-        status: the newest status message.
-        status_s: time at which it arrived.
-        latency: the newest latency message.
         beats: (time, message) of the newest messages of `edge.lab.eval.soak.jitter`, oldest first.
-        began_s: time at which the monitor began.
         ready_problems: problems that `/readyz` reported in the last sample.
         is_ready: `/readyz` was 200 in the last sample.
-        sampled_s: time of the last sample.
         healthy_s: time at which `/healthz` was last 200.
         counts: number of goals, and of goals reached and failed.
         checkpoint_problem: why the mission's checkpoint cannot be read; "" if it can.
         map_problem: why the map file (the map's checkpoint) cannot be read; "" if it can.
-        recordings: check of the recordings.
         calm: True while no fault is active and the service has recovered from the last one. The
             caller sets it.
         bus_is_muted: True while a fault stops all published messages. The caller sets it.

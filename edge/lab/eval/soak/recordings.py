@@ -45,9 +45,6 @@ class RecordingCheck:
     Attributes:
         problem: first problem of a file or of the folder's size; "" if there is none.
         files: number of files that were read to their end.
-        messages: number of messages in them.
-        size_mb: size of the folder.
-        first: path of the first file.
     """
 
     def __init__(self, config: Config, out: Path) -> None:

@@ -39,7 +39,6 @@ class Rule:
     """A condition that must hold at every sample.
 
     Attributes:
-        name: for the report.
         what: description for docs/soak.md.
         problem: returns the reason why the condition does not hold; "" if it holds.
         ends_run: the run cannot continue once the condition does not hold.
@@ -162,11 +161,7 @@ class GrowthLimit:
     """A limit on the growth of a value.
 
     Attributes:
-        name: for the report.
         part: part of a sample, `service` or `model`.
-        key: key of the value in that part.
-        unit: of the value.
-        most_per_h: limit on the growth per hour.
         most_in_all: growth in the whole run that is always allowed, such as caches that fill. It
             decides in a short run.
     """

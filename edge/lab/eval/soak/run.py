@@ -70,11 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_out_folder(folder: Path) -> None:
-    """Make the folder if it is missing; refuse one that is not empty.
-
-    Raises:
-        FileError: it cannot be made, or it is not empty.
-    """
+    """Make the folder if it is missing; refuse one that is not empty."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
@@ -93,9 +89,7 @@ class SoakRun:
     Args:
         harness: the started processes.
         record: gets all that happens.
-        faults: the faults to inject.
         seed: of the order of the faults, their durations, and the missions.
-        lasts_s: length of the run.
     """
 
     def __init__(

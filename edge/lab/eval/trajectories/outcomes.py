@@ -47,14 +47,11 @@ class EpisodeFacts:
     """The data of an episode that tables and pictures need.
 
     Attributes:
-        id: of the episode.
         source: see `TrajectoryEpisode`.
         world: see `TrajectoryEpisode`.
         kind: see `TrajectoryTask`.
         category: see `TrajectoryTask`.
-        instruction: the text.
         robot_m: the robot's radius.
-        reference: the reference trajectory.
         things: outlines of the objects that the instruction names.
         occupied: outlines of the obstacles near the reference.
         label: class of the object at the end.
@@ -80,20 +77,14 @@ class TrajectoryOutcome:
     """The outcome of an episode with a method.
 
     Attributes:
-        episode: id of the episode.
-        method: name of the method.
         writer: "rules", or a model's name: what wrote the trajectory.
         success: there is a trajectory, and it ends within 1 m of the reference's end.
-        error_m: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
-        frechet_m: likewise.
-        ndtw: likewise.
+        error_m, frechet_m, ndtw: see `edge.lab.eval.trajectory_metrics.TrajectoryScores`.
         contacts: collisions in the scene's map, as OpenNav counts them.
         true_contacts: collisions with the true obstacles.
-        length_m: length of the trajectory.
         refused: one of `methods.REFUSALS`; "" if there is a trajectory.
         reason: why it was refused, in one line; "" if there is a trajectory.
         seconds: time of writing and refining.
-        path: the trajectory.
         at_thing: it ends as near to the object as the reference (`_AT_M`), on any side.
         true_depth_m: how much nearer than the robot's radius it comes to a true obstacle.
     """
@@ -171,10 +162,6 @@ def outcome_of(
 class ResultsFolder:
     """The saved episodes and outcomes of a folder. New ones are appended.
 
-    Attributes:
-        facts: by id of the episode.
-        outcomes: by key.
-
     Raises:
         FileError: a file cannot be read or written.
         UserError: a file has other content.
@@ -207,7 +194,6 @@ class TrajectoryResults:
     Attributes:
         methods: their names, with the writer's name if there are several writers.
         method_names: their names without that of the writer.
-        facts: of each episode.
         ran: (M, E) bool.
         numbers: by a name of `_NUMBERS`, (M, E) float64, NaN without an outcome.
         outcomes: by (method, episode) as indices.
@@ -224,11 +210,7 @@ class TrajectoryResults:
 def gather(
     facts: Iterable[EpisodeFacts], outcomes: Iterable[TrajectoryOutcome]
 ) -> TrajectoryResults:
-    """Return outcomes as arrays.
-
-    Raises:
-        UserError: the episode of an outcome is not among the facts.
-    """
+    """Return outcomes as arrays."""
     outcomes = list(outcomes)
     by_id = {one.id: one for one in facts}
     several = len({outcome.writer for outcome in outcomes}) > 1

@@ -55,7 +55,6 @@ class OutdoorEpisode:
     """A task in a street.
 
     Attributes:
-        name: name of the street.
         scene: without a camera; the robot stands at the origin of `map`.
         cloud_m: (n, 3) float32, the whole scan in `map`.
         place: the objects from which the task is made.

@@ -80,8 +80,6 @@ class Landmark:
     """An object that an instruction may name.
 
     Attributes:
-        id: unique.
-        label: its class.
         look: a word that distinguishes it from others of its class, such as its colour; "": none.
         at_m: (2,) float64, its middle in `map`.
         outline_m: (n, 2) float64, n >= 1, points of its outline on the ground, at most a cell
@@ -100,11 +98,8 @@ class ReferenceScene:
     """A place with its objects, and the pose of a robot.
 
     Attributes:
-        pose: of the robot.
-        landmarks: the objects.
         occupancy: int8 cells, 100 for occupied. The robot can drive over all others if `drivable`.
         drivable: (h, w) bool, the same cells.
-        robot_m: radius of the robot.
         reach_m: smallest and largest distance of a task's objects from the robot.
         unseen: (h, w) bool, cells that nothing shows; None: all is known.
     """
@@ -176,7 +171,6 @@ class TrajectoryTask:
     Attributes:
         kind: one of `KINDS`.
         category: one of `CATEGORIES`.
-        instruction: the text.
         landmarks: ids of the objects that it names, in order.
         segments: by part of the instruction, (n, 2) float64: the points that the rule above
             prescribes, such as an arc or a stop. `reference_m` leads through all of them.

@@ -136,12 +136,7 @@ def _detector(args: argparse.Namespace) -> Iterator[tuple[PerceptionPipeline | N
 
 
 def _config(args: argparse.Namespace) -> TasksConfig:
-    """Return the settings of tasks from the options.
-
-    Raises:
-        ConfigError: the URL or the model is invalid.
-        UserError: there is a model, but no URL.
-    """
+    """Return the settings of tasks from the options."""
     if args.url is None:
         if args.model is not None:
             raise UserError("--model: also give the URL of the model's server, with --url")

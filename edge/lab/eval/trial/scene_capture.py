@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from edge.lab.sim.sensors import CameraRig, LidarRig
 from edge.lab.sim.street import Street, street
 from edge.lab.sim.worlds import load_world
 from edge.perception.detection.sim import Segmentation, TruthAt
-from edge.perception.masks.ground import GroundClassifier
+from edge.perception.masks.ground import make_ground_classifier
 from edge.tasks.on_demand import FrameDetector
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks, open_pipeline
 from edge.tasks.scene import Scene
@@ -44,9 +44,7 @@ class SceneCapture:
     """A scene and its sensor data.
 
     Attributes:
-        name: name of the place.
         by: source of the objects, such as "the labels".
-        scene: the scene.
         cloud_m: (n, 3) float32 in `map`, every return.
         base_z_m: height of the ground under the robot, in `map`.
         detect: looks for a new name in the newest frame; None: objects come from labels.
@@ -182,12 +180,8 @@ def detector_pipeline(
     Raises:
         UserError: there is no detector, or nothing to look for.
     """
-    with ExitStack() as stack:
-        pipeline, by = stack.enter_context(_object_pipeline(config, words, truth))
-        if config.tasks.ground is not None:
-            ground = stack.enter_context(closing(GroundClassifier(config.tasks.ground)))
-            pipeline = pipeline._replace(ground=ground)
-        yield pipeline, by
+    with _object_pipeline(config, words, truth) as (pipeline, by):
+        yield pipeline._replace(ground=make_ground_classifier(config.tasks)), by
 
 
 @contextmanager

@@ -28,9 +28,7 @@ class TaskRun:
     """The results of an instruction, as far as it got.
 
     Attributes:
-        instruction: the text.
         view: the scene and its sensor data.
-        config: the configuration.
         rounds: the attempts of a model that writes; () for the rules.
         written: the coarse trajectory; None: there is none.
         refined: the refined trajectory, on the ground that the LiDAR saw; None: there is none.

@@ -86,15 +86,7 @@ class ModelFolders:
 
 
 def parse_xml(file: Path, content: bytes | None = None) -> ElementTree.Element:
-    """Return the root element of an XML file; document types and entities are refused.
-
-    Args:
-        file: the file, read unless `content` is given.
-        content: its content.
-
-    Raises:
-        WorldError: the file cannot be read, or is not such XML.
-    """
+    """Return the root element of an XML file; document types and entities are refused."""
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
 
     def refuse(*_: object) -> None:

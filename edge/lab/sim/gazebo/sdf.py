@@ -33,11 +33,8 @@ class ModelVisual(NamedTuple):
     Attributes:
         instance: name of the placed model, unique in the world but for its parts.
         model: name of the model that was placed, such as `aws_robomaker_residential_Sofa_01`.
-        name: of the visual.
         T_world_visual: (4, 4) pose.
-        geometry: its element.
         material: its element, or None.
-        file: the SDF file that has the visual.
     """
 
     instance: str
@@ -51,9 +48,6 @@ class ModelVisual(NamedTuple):
 
 class SdfReader:
     """Reads one world.
-
-    Args:
-        folders: has the included models.
 
     Attributes:
         problems: one line for each thing that was left out, and how often it was.
@@ -193,11 +187,7 @@ def _frame_name(element: Element) -> str | None:
 
 
 def _pose_in(scope: Element, element: Element, depth: int = 0) -> np.ndarray:
-    """Return the (4, 4) pose of an element of a world or model, relative to that.
-
-    Raises:
-        WorldError: the pose is no pose, or names a frame that is not there.
-    """
+    """Return the (4, 4) pose of an element of a world or model, relative to that."""
     T, name = _matrix(element), _reference(element)
     if name is None:
         return T
@@ -211,11 +201,7 @@ def _pose_in(scope: Element, element: Element, depth: int = 0) -> np.ndarray:
 
 
 def _matrix(element: Element) -> np.ndarray:
-    """Return an element's `<pose>` as a (4, 4) matrix; without one, the identity.
-
-    Raises:
-        WorldError: it has other than 6 numbers (7 for quaternions).
-    """
+    """Return an element's `<pose>` as a (4, 4) matrix; without one, the identity."""
     pose = element.find("pose")
     if pose is None or not (pose.text or "").strip():
         return np.eye(4)

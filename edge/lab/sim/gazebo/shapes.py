@@ -61,7 +61,6 @@ class ShapeLoader:
     """Loads meshes and materials, each file once.
 
     Args:
-        folders: have the files.
         problems: gets one line for each thing that is missing.
     """
 

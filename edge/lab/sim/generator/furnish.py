@@ -39,8 +39,6 @@ class PlacedItem:
 
     Attributes:
         category: key of `assemblies.CATEGORIES`.
-        x_m: centre.
-        y_m: centre.
         quarter: direction of its front, in quarter turns from +x.
         size_m: depth, width, height, as seen from its front.
         color: r, g, b, each 0 to 255.
@@ -81,7 +79,6 @@ class RoomReachability:
 
     Args:
         rect: the room, to the middle of its walls.
-        doors: its doors.
     """
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
@@ -94,9 +91,6 @@ class RoomReachability:
         """Return (rows, columns) bool: cells that a robot can reach from the doors.
 
         None if it cannot get from each door to all others and to all objects.
-
-        Args:
-            objects: objects in the room.
         """
         free = np.ones(self._shape, np.uint8)
         boxes = [(o.box, o.z_m > 0) for o in objects if o.category != "rug"]

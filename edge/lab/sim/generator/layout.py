@@ -77,10 +77,6 @@ class Door:
     """A gap in the wall between two rooms.
 
     Attributes:
-        rooms: indices of the two rooms.
-        x_m: centre of the gap.
-        y_m: centre of the gap.
-        width_m: width of the gap.
         upright: True if the wall runs along y (upright on the plan).
     """
 

@@ -43,10 +43,6 @@ def make_view_scorer(
 ) -> ViewScorer:
     """Make the scorer that the configuration names, ready to be asked.
 
-    Args:
-        choice: the configuration of the scorer.
-        perception: configuration that says if a local model runs in its own process.
-
     Raises:
         ChatError: the URL or the key of a server cannot be used.
         ModelError: a model or its card is missing or unusable.
@@ -72,10 +68,6 @@ def open_view_scorer(choice: ChoiceOnnx, process: ModelProcessConfig | None = No
     """Open the scorer of a local model: a mark network or a language model, by the card's task.
 
     A mark network is a small network that gets the marks' positions as numbers (`mark_scorer`).
-
-    Args:
-        choice: configuration of the scorer; `card` names the model's card.
-        process: rules for the model's own process; None: the model runs in this process.
 
     Raises:
         ModelError: a model or its card is missing or unusable.

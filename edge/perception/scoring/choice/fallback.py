@@ -41,7 +41,6 @@ class FallbackScorer:
             return remote, error
 
     def answer(self, prepared: tuple[Any, Any]) -> FrontierChoice | None:
-        """See `ViewScorer.answer`."""
         remote, local = prepared
 
         def ask_local() -> FrontierChoice | None:

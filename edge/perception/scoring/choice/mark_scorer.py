@@ -53,12 +53,7 @@ class MarkNetwork:
     Call `ask` from one thread at a time.
 
     Args:
-        card: the network's card.
-        text: encoder of the target.
         providers, threads, device_id: see `open_session`.
-
-    Attributes:
-        name: name of the card.
 
     Raises:
         ModelError: the model is missing or unusable, its first run fails, or the text encoder's
@@ -173,7 +168,6 @@ class MarkScorer:
     """A scorer (`edge.perception.worker`) of views, by a mark network.
 
     Args:
-        card: the network's card.
         network: the network, here or in its own process.
         limit_s: time limit of both questions together.
 

@@ -52,7 +52,6 @@ class ModelPrompt(NamedTuple):
     """A view as the model gets it; what `prepare` makes and `answer` takes.
 
     Attributes:
-        view: the view.
         part: an image with letters, (h, w, 3) uint8, or text.
         marks: the marks that have a letter, in the letters' order.
     """

@@ -35,11 +35,6 @@ class _Process(SupervisedProcess):
 
     While no process is ready, each question raises at once.
 
-    Args:
-        card: the model's card.
-        choice: the configuration of the scorer.
-        process: time limits of the process.
-
     Raises:
         ModelError, PromptError: the model cannot be loaded, or its process cannot be started.
     """
@@ -76,16 +71,13 @@ class _Process(SupervisedProcess):
         return link.ask(request, rgb, patience_s, LIMIT, partial(_decode, sizes))
 
     def _run_once(self, first: Future[None]) -> tuple[float, str]:
-        """See `SupervisedProcess`."""
         return self._run_link(first, self._request, log_progress, PROGRAM)
 
     def _ready(self, again: bool) -> None:
-        """See `SupervisedProcess`."""
         if again:
             log.info("model %s: its process runs again", self.name)
 
     def _ended(self, why: str, failed: Exception | None, pause: RestartDelay) -> None:
-        """See `SupervisedProcess`."""
         often = "ended too often, " if pause.limit else ""
         self._not_ready = f"{why}; {often}restarts in {pause.seconds:.1f} s"
         self._link = None
@@ -103,7 +95,6 @@ class ProcessModel(_Process):
     def __init__(
         self, card: ChoiceCard, choice: config.ChoiceOnnx, process: config.ModelProcessConfig
     ) -> None:
-        """See `_Process`."""
         self.takes_images = card.vision_encoder is not None
         super().__init__(card, choice, process)
 
@@ -138,17 +129,7 @@ class ProcessMarks(_Process):
 def _decode(
     sizes: Sequence[int], seq: int, header: dict[str, Any], block: bytes
 ) -> list[np.ndarray]:
-    """Check and unpack the probabilities of the answers.
-
-    Args:
-        sizes: number of answers of each question.
-        seq: expected sequence number.
-        header: header of the reply.
-        block: not used; a reply has no arrays.
-
-    Raises:
-        ValueError: the reply is invalid, for the reason given in one line.
-    """
+    """Check and unpack the probabilities of the answers."""
     if header.get("seq") != seq:
         raise ValueError(f"seq: expected {seq}, got {bounded_repr(header.get('seq'), 40)}")
     values = header.get("p")

@@ -35,7 +35,6 @@ class Mark(NamedTuple):
     """A frontier in the camera's view.
 
     Attributes:
-        id: id of the frontier's candidate.
         u_px: column in the observation's image.
         v_px: row in the observation's image.
         bearing_rad: angle from the robot's heading, positive to the left.
@@ -53,7 +52,6 @@ class DetectedObject(NamedTuple):
     """An object that was just detected.
 
     Attributes:
-        label: name of the object.
         bearing_rad: angle from the robot's heading, positive to the left.
         distance_m: straight distance from the robot.
     """
@@ -106,8 +104,6 @@ class FrontierChoice:
     """A model's answer for one view.
 
     Attributes:
-        stamp_ns: stamp of the view's observation.
-        target: target of the view.
         ids: (n,) ids of the candidates whose marks the model could choose; some of the candidates
             may no longer exist.
         p: (n,) float32, P(f_i | I_t, c_k) of ViTL eq. 4, the probability of each mark.

@@ -35,7 +35,6 @@ class ServerPrompt:
     """A view as the server gets it; what `prepare` makes and `answer` takes.
 
     Attributes:
-        view: the view.
         part: the part of a message's content with which both questions begin.
         marks: the marks that have a letter, in the letters' order.
     """
@@ -77,7 +76,6 @@ class ServerFrontierScorer:
     a server with a prompt cache reads the view once.
 
     Args:
-        client: client of the server.
         make_prompt: makes the prompt of a view: `picture_prompt` or `text_prompt`.
 
     Attributes:

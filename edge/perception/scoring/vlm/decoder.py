@@ -27,7 +27,6 @@ class KeyValueCache(NamedTuple):
     """Keys and values of the tokens read so far.
 
     Attributes:
-        length: number of tokens.
         arrays: (1, heads, length, d) each, by name of the decoder's input.
     """
 
@@ -46,8 +45,6 @@ class Decoder:
     """A decoder with its key-value cache as input and output, and the embedding of its tokens.
 
     Args:
-        files: files of the model.
-        session: session of the decoder.
         embedding: session of the token embedding; None: the decoder embeds tokens itself.
         deadline: time limit of the runs.
 
@@ -156,9 +153,6 @@ class Decoder:
 
         Returns:
             (cache of the wanted key and value outputs, logits or an empty array).
-
-        Raises:
-            ModelError: the cache has another length than the tokens read.
         """
         n, length = len(rows), past.length + len(rows)
         parts = np.split(rows[None], 1 + len(self.deepstack), axis=-1)

@@ -35,8 +35,6 @@ class ModelFiles:
     """The content of a model's folder.
 
     Attributes:
-        name: name of the model's card.
-        folder: folder of the files.
         config: content of `config.json`, the configuration of the network.
         image: settings for the preparation of images; None for a model that takes no images.
         processor: settings for the combination of texts and images; often empty.

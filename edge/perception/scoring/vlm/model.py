@@ -39,12 +39,10 @@ class LanguageModel:
     """A language model, loaded from the files of its card. Call `ask` from one thread at a time.
 
     Args:
-        card: the model's card.
         questions: questions with every answer that will ever be offered. The first run asks them.
         providers, threads, device_id: see `open_session`.
 
     Attributes:
-        name: name of the card.
         takes_images: True if it takes images, False if it takes text only.
 
     Raises:
@@ -184,11 +182,7 @@ class LanguageModel:
         return rows
 
     def _image_features(self, feeds: dict[str, np.ndarray]) -> np.ndarray:
-        """Return the (n, d) features of an image: row i replaces the embedding of image token i.
-
-        Args:
-            feeds: see `PreparedImage.feeds`.
-        """
+        """Return the (n, d) features of an image: row i replaces the embedding of image token i."""
         inputs = {}
         for value in self._vision.get_inputs():
             if value.name not in feeds:

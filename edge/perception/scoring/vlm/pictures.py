@@ -45,12 +45,6 @@ Prepare = Callable[[np.ndarray], PreparedImage]
 def make_prepare(files: ModelFiles, image_token: str, most_tokens: int) -> Prepare:
     """Return the function that prepares a model's images.
 
-    Args:
-        files: files of the model.
-        image_token: text of the image token.
-        most_tokens: largest number of tokens of an image. More tokens show more detail and take
-            longer to read.
-
     Raises:
         ModelError: the processor is not supported, or its configuration lacks something.
     """
@@ -79,9 +73,6 @@ def _resize(rgb: np.ndarray, size_wh: tuple[int, int], resample: Image.Resamplin
 
 class _Normalise:
     """Converts pixels, (h, w, 3) uint8, to the encoder's numbers, (3, h, w) float32.
-
-    Args:
-        settings: settings of the processor.
 
     Raises:
         KeyError, ValueError: mean or standard deviation are missing or invalid.

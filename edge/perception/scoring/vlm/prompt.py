@@ -18,11 +18,7 @@ Messages = list[dict[str, Any]]
 class Prompter:
     """Builds the text that a language model reads, and encodes it as token ids.
 
-    Args:
-        files: files of the model.
-
     Attributes:
-        tokenizer: tokenizer of the model.
         image_id: id of the token that image features replace; -1 if the model takes no images.
         image_token: text of that token; "" if the model takes no images.
 
@@ -31,7 +27,7 @@ class Prompter:
     """
 
     def __init__(self, files: ModelFiles) -> None:
-        self._name, self._special = files.name, files.special
+        self._name = files.name
         self.tokenizer = open_tokenizer(files)
         self.image_id, self.image_token = -1, ""
         if files.image is not None:

@@ -54,7 +54,7 @@ def test_what_is_no_outcome_is_named_with_its_line(tmp_path, line, words):
         written(tmp_path, record(), line)
 
 
-def test_arrays_have_a_row_a_column_and_nan_for_what_was_not_said():
+def test_arrays_have_a_row_for_each_arm_and_nan_for_missing_values():
     outcomes = gather(
         [
             record("house-10/bed", "a"),

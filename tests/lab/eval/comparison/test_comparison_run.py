@@ -73,7 +73,9 @@ def test_a_folder_is_compared(folder, capsys):
         (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),
     ],
 )
-def test_what_cannot_be_compared_is_told_in_a_line(folder, capsys, spoil, options, code, words):
+def test_what_cannot_be_compared_is_reported_in_one_line(
+    folder, capsys, spoil, options, code, words
+):
     spoil(folder)
     assert main(["eval", "episodes", "--compare", str(folder), *options]) == code
     said = [line for line in capsys.readouterr().err.splitlines() if "worlds" not in line]
@@ -81,7 +83,7 @@ def test_what_cannot_be_compared_is_told_in_a_line(folder, capsys, spoil, option
     assert words in said[0]
 
 
-def test_what_is_told_after_a_run():
+def test_the_report_after_a_run():
     assert run.summary_text([]) == "no outcomes"
     fields = {f.name for f in dataclasses.fields(EpisodeOutcome)}
     made = EpisodeOutcome(**{k: v for k, v in record().items() if k in fields})

@@ -100,7 +100,7 @@ def test_swapped_columns_negate_differences_and_invert_ratios(seed, worlds, left
     assert (there.n, there.won, there.lost) == (back.n, back.lost, back.won)
 
 
-def test_pairing_tells_apart_what_hard_worlds_hide():
+def test_pairing_shows_differences_that_hard_worlds_hide():
     """Worlds differ far more than columns do."""
     comparison = compare(gather(many({"a": 2.0, "b": 1.6}, 40, each=6, spread=1.2)), "a")
     (found,) = comparison.pairs

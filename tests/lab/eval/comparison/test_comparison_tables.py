@@ -47,7 +47,7 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
 @pytest.mark.parametrize(
     ("worlds", "words"), [(1, "of 1 world; they do not"), (12, "over 12 worlds")]
 )
-def test_what_was_resampled_is_told(worlds, words):
+def test_what_was_resampled_is_reported(worlds, words):
     assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
 
 

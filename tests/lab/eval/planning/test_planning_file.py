@@ -1,4 +1,4 @@
-"""Tasks as files: what is written is read back, and what is wrong is said in one line."""
+"""Tasks as files: they are read back as written, and faults are reported in one line."""
 
 from __future__ import annotations
 

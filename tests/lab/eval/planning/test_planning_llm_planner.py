@@ -1,4 +1,4 @@
-"""The LLM-planner: the paper's prompt, answers read defensively, failures told apart."""
+"""The LLM-planner: the paper's prompt, answers read defensively, kinds of failures."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def test_figures(results):
     assert vitl.explorations_to_optimum.value == pytest.approx(6 / 4)  # the third has no optimum
     assert (best.runs, best.explorations_to_optimum.value) == (2, 1.0)
     assert clairvoyant.steps_to_bound[:] == (1.0, 1.0, 1.0)
-    assert math.isnan(clairvoyant.explorations_to_optimum.value)  # it is told more
+    assert math.isnan(clairvoyant.explorations_to_optimum.value)  # it knows more
     assert (llm.runs, llm.complete.value, llm.outcomes) == (1, 0.0, {"violated": 1})
     assert math.isnan(llm.explorations.value)
 

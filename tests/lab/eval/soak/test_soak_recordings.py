@@ -42,7 +42,7 @@ def test_where_nothing_records_nothing_is_held(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_recorded_is_told_at_the_end(tmp_path):
+def test_nothing_recorded_is_reported_at_the_end(tmp_path):
     recordings = recorded(tmp_path)
     recordings.check_next_file()
     assert recordings.problem == ""
@@ -92,7 +92,7 @@ def flipped(drive: bytes) -> bytes:
     ],
     ids=["no end", "damaged", "empty", "noise"],
 )
-def test_what_cannot_be_read_is_told(tmp_path, drive, content, name, problem):
+def test_what_cannot_be_read_is_reported(tmp_path, drive, content, name, problem):
     recordings = recorded(tmp_path)
     lay(tmp_path, content(drive), name)
     recordings.check_next_file()
@@ -100,7 +100,7 @@ def test_what_cannot_be_read_is_told(tmp_path, drive, content, name, problem):
     assert problem in recordings.problem
 
 
-def test_a_folder_that_is_too_large_is_told(tmp_path):
+def test_a_folder_that_is_too_large_is_reported(tmp_path):
     recordings = recorded(tmp_path)
     path = lay(tmp_path, b"", NAME + PARTIAL)
     os.truncate(path, 513_000_000)  # a hole

@@ -1,4 +1,4 @@
-"""`edge soak` as a whole: real processes, real faults; and that what breaks is told."""
+"""`edge soak` as a whole: real processes, real faults, and reports of what breaks."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_minutes_of_all_faults(edge, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_service_that_is_killed_is_told_of(edge, tmp_path):
+def test_a_service_that_is_killed_is_reported(edge, tmp_path):
     out = tmp_path / "out"
     soak = edge("soak", small(tmp_path), "--minutes", "5", "--faults", TWO, "--out", out)
     soak.until(lambda: (out / "record.jsonl").exists() and of("sample", rows(out)))

@@ -44,7 +44,7 @@ def test_who_is_shut_in_has_no_tasks(kind):
         ([thing(2, "car", 6, 4, "red")], "the second car on the left"),
         ([thing(2, "car", 6, -4, "red")], "the nearest car on the left"),
         ([thing(2, "car", 13, 8, "red")], "the nearest car on the left"),
-        # As far as the other, or where nobody would count it, or not: no name is clear.
+        # As far as the other, or too far away to count, or not: no name is clear.
         ([thing(2, "car", 8.2, 5.8, "red")], None),
         ([thing(2, "car", 6, 0, "red")], None),
         ([thing(2, "car", -3, 4, "red")], None),
@@ -90,7 +90,7 @@ def test_an_end_that_depends_on_unseen_ground_is_not_certain(unseen, certain):
 
 
 @pytest.mark.parametrize("kind", ["past", "around"])
-def test_one_passes_on_the_side_that_is_said(kind):
+def test_the_passing_side_is_the_one_in_the_instruction(kind):
     found = all_of(kind, CAR, VAN)
     assert found
     for task in found:

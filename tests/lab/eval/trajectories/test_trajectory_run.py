@@ -1,4 +1,4 @@
-"""`edge eval trajectories`: what methods make, what is kept, what is told."""
+"""`edge eval trajectories`: what methods make, what is kept, what is printed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_no_episodes(tmp_path):
     assert gather([], []).methods == ()
 
 
-def test_each_method_does_what_it_is_told():
+def test_each_method_does_its_own_task():
     made = run_methods(episode(PAST), methods_of(RULES), RULES)
     assert "llm_tg" not in made
     assert not any(one.refused for one in made.values())
@@ -78,7 +78,7 @@ def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
     assert (tmp_path / "outcomes.jsonl").read_bytes() == text
 
 
-def test_a_crash_is_told_and_run_again(tmp_path, monkeypatch):
+def test_a_crash_is_reported_and_run_again(tmp_path, monkeypatch):
     def broken(*args, **options):
         raise RuntimeError("a bug\nof two lines")
 
@@ -121,7 +121,7 @@ def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
         ("house:/nowhere.yaml", "nowhere.yaml"),
     ],
 )
-def test_places_that_are_none_are_told_in_a_line(spec, words):
+def test_unknown_places_are_reported_in_one_line(spec, words):
     with pytest.raises(UserError, match=words) as told:
         next(episodes(["streets[0:1]", spec]))
     assert "\n" not in str(told.value)
@@ -137,7 +137,7 @@ def test_places_that_are_none_are_told_in_a_line(spec, words):
         (["--detector", "street"], "(sim) sees nothing in a real picture"),
     ],
 )
-def test_options_that_are_wrong_are_told_in_a_line(tmp_path, capsys, options, words):
+def test_options_that_are_wrong_are_reported_in_one_line(tmp_path, capsys, options, words):
     command = ["eval", "trajectories", "streets[0:1]", "--out", str(tmp_path), *options]
     assert main(command) != 0
     told = capsys.readouterr().err

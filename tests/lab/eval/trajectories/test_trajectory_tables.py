@@ -89,13 +89,13 @@ def test_pictures_take_hostile_words_as_they_are():
         ("outcomes.jsonl", json.dumps({**asdict(OURS[0]), "error_m": "far"}).encode()),
     ],
 )
-def test_a_folder_of_something_else_is_told_in_a_line(tmp_path, name, line):
+def test_a_folder_of_something_else_is_reported_in_one_line(tmp_path, name, line):
     (tmp_path / name).write_bytes(line + b"\n")
     with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
         ResultsFolder(tmp_path)
     assert "\n" not in str(told.value)
 
 
-def test_outcomes_of_no_episode_are_told():
+def test_outcomes_of_no_episode_are_reported():
     with pytest.raises(UserError, match="the episode e0 is missing"):
         gather(FACTS[1:], OURS)

@@ -1,0 +1,276 @@
+"""Patterns of the everyday errands that `errands` rewrites.
+
+A text begins with a space while the rules rewrite it, so each word of a pattern follows a space.
+The slots of a match are its named groups; see `templates`.
+"""
+
+from __future__ import annotations
+
+import re
+
+from edge.mission.language.everyday_words import (
+    AFTER_A_NAME,
+    ARTICLE,
+    MARK,
+    NAME,
+    PLAIN_NAME,
+    phrase_of,
+)
+from edge.mission.language.places import EXPLORED, HERE, START
+from edge.mission.language.spans import COUNT, DURATION
+from edge.mission.language.templates import END
+
+WAIT, CHECK = "wait", "check"
+"""First words of propositions; see also `places`."""
+CALLER = "caller"
+"""Name of the pose of the person who gives the order."""
+MAX_ROUNDS = 10
+"""Largest number of rounds of a patrol that becomes one sequence of stops."""
+
+CHECKS = """
+    {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
+            ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
+    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
+            {still} (there|in there)
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing>
+            there
+    {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
+    {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
+    {then} {goes} {check} {if} <thing> (is|are) {at}
+    {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <thing> {at}
+    {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
+    {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
+    {then} {goes} check for <thing> {at}
+    {then} {goes} check [on] <thing> {at} [for me|for us]*
+    {then} {goes} {check} <room> for <thing>
+"""
+SEARCHES = """
+    (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
+            [around|round|in|at|inside|through]* <room> for <thing>
+    (search|look) {whole} for <thing>
+"""
+EXPLORES = """
+    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
+            [everything] {time}
+    {goes} {look} <stops> {time}
+    {goes} (see|look|check|find out) what is (in|inside) <room>
+    {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
+    give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
+            (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
+            {time}
+    (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander)
+            (round|around|in|at|inside) (<room>|{whole})
+            {time}
+"""
+EXPLORES_HERE = """
+    {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
+            have a look around|take a look around|roam around|drive around|go exploring|map|
+            be [an|a|the] explorer|make [an] exploration) {time}
+"""
+PATROLS = """
+    {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
+    {patrol} <stops> , <often>
+    {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
+    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
+            all (day|night|the time)|over and over [again]|again and again)
+    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* (forever [and ever]|keep
+            (doing|repeating) (it|that|this) [forever|over and over|again]*)
+    {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
+    (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
+"""
+ROUNDS_FIRST = (
+    "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
+    "<stops>"
+)
+ERRAND_AND_BACK = """
+    {drive} {over} to <thing> , {back} , <often>
+    {drive} {over} to <thing> , {back} , [for] <count> {rounds}
+"""
+STARTS = """
+    {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
+    {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
+            (start|starting) (point|place|position|pose|spot))
+"""
+BACK_TO = "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>"
+CALLS = (
+    "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
+    "(here|to me|to us|to (where|wherever) (i am|we are)) "
+    "[[for] (a|one) (minute|moment|second|sec|bit)]"
+)
+BACKS = "{then} {back}"
+WAITS = """
+    {then} {hold} [for] <span> {where} <thing>
+    {then} {hold} {there} [for] <span> [there|here]
+    {then} {hold} {where} <thing> [for] <span>
+    {then} wait [for (me|us)] {where} <thing>
+    {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
+    {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
+"""
+# "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
+# (`other`), "the mug on the desk or by the bed" (`again`, `else`)
+RELATED = re.compile(
+    rf" (?P<thing>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
+    rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
+    rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
+    re.I,
+)
+# "we need the mug. Please find it.", "the mug next to the sofa: go to it", "a cup or a mug: find
+# either", "I lost the mug, look for it in the hall". The slot `order` has the words before the
+# pronoun, `any` is "either" or the like, and `later` and `at` are the relation at the end.
+INTRODUCED = re.compile(
+    r"^ (?P<opening>there (?:is|are) |(?:we|i) (?:need|want|am looking for|can not find|"
+    r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
+    r"(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) "
+    r"|either )?"
+    rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
+    r" (?:(?:should|must|ought to|will) be|is|are)(?: still| probably)*)?"
+    rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
+    r"(?: (?:somewhere|anywhere|again))?"
+    r"(?:[,.;!:]+|(?= (?:find|look|go|search)\b)) "
+    r"(?:so |please |kindly |and |(?:can|could|would|will) you )*"
+    r"(?P<order>[^,.;!?]*?) (?:it|them|that|(?P<there>there)|(?P<any>either(?: of them)?|"
+    r"one of (?:them|these|those|this)|whichever(?: (?:one )?you (?:can )?find)?))(?: there)?"
+    rf"(?: (?P<later>{phrase_of('relation')}) (?P<at>{NAME}))?(?=[,.;!?]|$)",
+    re.I,
+)
+GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
+_FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
+# "reception, but not through the hall", "room 3 first, then room 5"
+ROOM_FIRST = re.compile(
+    rf"^ (?P<name>{NAME})(?=(?: first)?(?:,? (?:and )?then |,? but |,? without )| first, )", re.I
+)
+# "find the mug, it should be on the desk"
+HINTED = re.compile(
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
+    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
+    rf"(?: {phrase_of('standing')})? (?P<relation>"
+    rf"{phrase_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
+    re.I,
+)
+# "I need the mug to be found"
+WANTED_FOUND = re.compile(
+    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {phrase_of('relation')} {NAME})?)"
+    r" (?:to be )?found(?=[.!]*$)",
+    re.I,
+)
+# "the nearest chair to the desk"
+NEAREST = re.compile(
+    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
+    rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
+    re.I,
+)
+# "the room with a piano"
+ROOM_WITH = re.compile(
+    rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
+)
+# "so you can go into the kitchen again"
+PERMITS = re.compile(
+    r"(?:so |and )?(?:you|the robot) (?:now )?(?:can|may|are (?:allowed|free|welcome) to) (?:now )?"
+    rf"(?:go|come|drive|enter|move|get)(?: (?:back|in|into|to|inside))* {NAME}(?: again)?[.!?]*$",
+    re.I,
+)
+# Other spelling of a relation → the relation.
+RELATIONS = {
+    "near of": "near", "near to": "near", "nearby": "near", "next of": "next to",
+    "beside of": "beside", "behind of": "behind",
+}  # fmt: skip
+# A word after which a name without an article may come.
+LEADS_TO_NAME = re.compile(
+    r"\b(?:find|to|for|me|us|or|avoid|near|reach|visit|locate|spot|see|seek|get)$", re.I
+)
+WHICH_ROOM = re.compile(r" (?:the )?(?P<which>next|largest|biggest|smallest) room(?! \d)\b", re.I)
+# `"wait 30 s" and go on`
+AFTER_WAIT = re.compile(r'(?P<wait>"wait[^"]*")(?:,? and(?: then)?|,)(?= (?!then)\w)')
+EXPLORED_TWICE = re.compile(r'( go to "explored")(?:,? and(?: then)? go to "explored")+')
+# "rooms 3, 4 and 5", and not "bays 2 and 3 times"
+_NUMBERED = re.compile(
+    r"\b(?P<kind>room|aisle|bay|ward|unit)s (?P<numbers>\d+\w?(?:(?:,? (?:and|or|then) |, )"
+    r"\d+\w?)+)\b(?! (?:times|rounds|min|sec|hour))",
+    re.I,
+)
+FIRST_REWRITES = (
+    # "afterwards to the hall", "and then into the hall"
+    (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
+    (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
+                rf" (?={ARTICLE} |{phrase_of('room')}\b|{MARK})", re.I), ", then to "),
+    # "and keep going until …"
+    (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
+                r"go on|repeat (?:it|that|this)|over and over(?: again)?|again and again)"
+                r"(?=,? (?:until|forever)\b)", re.I), ""),
+    # "three rounds: the hall and …", "patrol the hall and the office. Three rounds."
+    (re.compile(r"\b(rounds|laps|loops|circles|tours|times):(?= )", re.I), r"\1,"),
+    (re.compile(rf"[.;](?= (?:for )?{COUNT} (?:rounds|laps|loops|times)[.!]*$)", re.I), ","),
+    # "for ten minutes, patrol the hall and …"
+    (re.compile(rf"^ (?:for|during) (?P<span>{DURATION}),? (?P<order>(?:patrol|explore|guard)\b"
+                r"[^.;!?]*)", re.I), r" \g<order> for \g<span>"),
+    # "and when you are done, come back"
+    (re.compile(r",? and (?:when|once|after) you (?:are|have) (?:finish|finished|done|ready),?"
+                r"(?= (?:go|come|drive|return|find|look|visit)\b)", re.I), ", then"),
+    # "somewhere in the hall", "go really fast and …", "…, have a look for it"
+    (re.compile(r"\bsomewhere (?=(?:in|on|at|under|near) )", re.I), ""),
+    (re.compile(r" (?:super |very |really )(?:fast|quick)(?=,? and\b)", re.I), ""),
+    (re.compile(r"(?<=, )(?:can you |could you )?have a look for (?=it\b|them\b)", re.I), "find "),
+    # "and after go to …"
+    (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
+     ", then"),
+    # "a cup or one mug", "find me one mug"
+    (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
+    (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
+    (_NUMBERED, lambda found: re.sub(r"(?=\b\d)", f"{found['kind']} ", found["numbers"])),
+    # "before you have been to the hall", "passing close to it", "and stop right there."
+    (re.compile(r"\b(before|until|unless) you have been (?:past|to|by|through|at|in)\b", re.I),
+     r"\1 you have visited"),
+    (re.compile(r"\bpass(ing)? (?:near|close)(?: to| by)?\b", re.I), r"pass\1 by"),
+    (re.compile(r",? (?:and|then|and then) stop (?:right )?there(?=[.!]*$)", re.I), ""),
+)  # fmt: skip
+"""Replacements before all others: lists of numbered rooms, and other words for known ones."""
+THERE_AND = re.compile(
+    rf"(?P<go>(?:go|drive) to (?P<room>(?:the )?{NAME})|find {NAME}),? and"
+    rf"(?= (?:(?P<finds>find|look for)|look at|inspect|examine|{phrase_of('work')}) )",
+    re.I,
+)
+UNCLEAR = (
+    (  # `"explored hall", then the bed`, `"red mug" or under the …`, `"mug on the desk" and the …`
+        re.compile(
+            rf'"(?:{EXPLORED}|{CHECK}|{WAIT})\b[^"]*"(?:,| and then| and| or| then)+ '
+            rf'(?:{ARTICLE} |")'
+            rf'|"[^"]* [^"]*" (?:and|or) {phrase_of("relation")} '
+            rf'|"[^"]* {phrase_of("relation")} [^"]*" (?:and|or) '
+            rf"(?:{ARTICLE}|{phrase_of('room')}) ",
+            re.I,
+        ),
+        "unclear what to do with the second thing; name it in a sentence of its own",
+    ),
+    (
+        re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I),
+        "unclear order; say first what the robot does first",
+    ),
+    (
+        re.compile(r"(?<=\w) stop (?=(?:go|come|drive|find|look|return)\b)", re.I),
+        "unclear if the robot stops there or goes there instead; use two sentences",
+    ),
+    (  # "go to the room and …"
+        re.compile(
+            rf"\b(?:{ARTICLE}|every|each|any|all) rooms?"
+            r"(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
+            re.I,
+        ),
+        "unclear which room; name it",
+    ),
+    (
+        re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I),
+        "the robot can only check whether a thing is there; say for example 'check whether the "
+        "stove is in the kitchen'",
+    ),
+)
+"""Pattern of a text that is still unclear after all rules, and the hint of its refusal."""
+NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
+# Between the names of "mug on the desk", "room with a piano".
+BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
+# The mark or word before a clause.
+_CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
+GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
+IN_TURN = "go to <stops>"
+FINDS = re.compile(rf"{_CLAUSE_START}{phrase_of('find')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
+COMPOUND = re.compile(rf" (?P<name>{NAME})(?= {AFTER_A_NAME}\b|[,.;!?]|$)", re.I)

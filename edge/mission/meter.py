@@ -1,0 +1,72 @@
+"""Time and path of a mission, for its limits."""
+
+from __future__ import annotations
+
+from edge.geometry import SE2
+
+_JUMP_M = 1.0  # a longer step of the pose between two calls is no driving
+
+
+class MissionMeter:
+    """Counts time and driven path of a mission, without pauses.
+
+    Attributes:
+        elapsed_s: time since the first observation.
+        path_m: driven path.
+        exempt_s: part of `elapsed_s` that does not count towards the limit: targets with their own
+            duration, and in a mission that repeats, earlier rounds.
+        exempt_m: the same for `path_m`.
+        pursued_s: for each target, the time for which it was pursued since it was last reached,
+            failed or seen again.
+    """
+
+    def __init__(self) -> None:
+        self.elapsed_s = self.path_m = 0.0
+        self.exempt_s = self.exempt_m = 0.0
+        self.pursued_s: dict[str, float] = {}
+        self._last_ns: int | None = None
+        self._last_pose: SE2 | None = None
+
+    @property
+    def running(self) -> bool:
+        """True after the first `add`."""
+        return self._last_ns is not None
+
+    @property
+    def limited(self) -> tuple[float, float]:
+        """Time [s] and path [m] that count towards the limits."""
+        return self.elapsed_s - self.exempt_s, self.path_m - self.exempt_m
+
+    def add(
+        self, pose: SE2 | None, now_ns: int, target: str | None, exempt: bool, searching: bool
+    ) -> None:
+        """Add the time and path since the last call.
+
+        Args:
+            pose: None while the pose is unknown; time counts in any case.
+            now_ns: time of the loop.
+            target: the pursued target; None if none is pursued, so that nothing counts.
+            exempt: True if the target has its own duration.
+            searching: False if the sensors see nothing. The time then does not count as search.
+        """
+        passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9
+        self._last_ns = now_ns
+        step_m = 0.0
+        if pose is not None:
+            if self._last_pose is not None:
+                step_m = self._last_pose.distance_to(pose.x_m, pose.y_m)
+            self._last_pose = pose
+        if target is None:
+            return
+        step_m = step_m if step_m < _JUMP_M else 0.0
+        self.elapsed_s += passed_s
+        self.path_m += step_m
+        if exempt:
+            self.exempt_s += passed_s
+            self.exempt_m += step_m
+        if searching:
+            self.pursued_s[target] = self.pursued_s.get(target, 0.0) + passed_s
+
+    def begin_round(self) -> None:
+        """Exempt all time and path so far."""
+        self.exempt_s, self.exempt_m = self.elapsed_s, self.path_m
