@@ -76,7 +76,11 @@ class CatalogueModel:
 
 @lru_cache(maxsize=4)
 def read_catalogue(folder: Path) -> tuple[CatalogueModel, ...]:
-    """Return the models of all `.sh3f` files in a folder, always in the same order."""
+    """Return the models of all `.sh3f` files in a folder, always in the same order.
+
+    Raises:
+        WorldError: there is no such file, or one cannot be read.
+    """
     files = sorted(folder.glob("*.sh3f"))
     if not files:
         raise WorldError(
@@ -151,6 +155,9 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
 
     The transforms (4, 4) put the model on the floor at the origin: front at +x, in metres, in the
     catalogue's size. Textures are reduced to 256 pixels.
+
+    Raises:
+        WorldError: the OBJ file cannot be read.
     """
     import trimesh
     from trimesh.resolvers import ZipResolver
