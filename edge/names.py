@@ -140,18 +140,22 @@ BROADER: dict[str, tuple[str, ...]] = {
     "armchair": ("chair",),
     "bookcase": ("shelf",),
     "cushion": ("pillow",),
+    "bonsai tree": ("houseplant",),
     "bus": ("vehicle",),
+    "cactus": ("houseplant",),
     "car": ("vehicle",),
     "desk": ("table",),
     "house": ("building",),
     "motorcycle": ("vehicle",),
     "mug": ("cup",),
+    "orchid": ("houseplant",),
     "pillow": ("cushion",),
     "sofa bed": ("sofa", "bed"),
     "stool": ("chair",),
     "street light": ("pole",),
     "truck": ("vehicle",),
     "van": ("vehicle",),
+    "yucca": ("houseplant",),
 }
 """Canonical name → broader kinds of object, except its last word ("dining table" is a "table")."""
 

@@ -138,7 +138,13 @@ def calibration_feeds(
 def activation_ranges(
     model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
 ) -> dict[str, tuple[float, float]]:
-    """Return the 8-bit range of every activation that needs one, by tensor name."""
+    """Return the 8-bit range of every activation that needs one, by tensor name.
+
+    Args:
+        model: the float32 model.
+        feeds: inputs, one for each image.
+        tensors: see `collect_histograms`.
+    """
     histograms = collect_histograms(model, feeds, tensors)
     producer = {name: node.op_type for node in model.graph.node for name in node.output}
     consumers: dict[str, set[str]] = {}

@@ -172,6 +172,7 @@ def test_what_is_near_or_broader_stands_under_its_own_name():
     [
         ("couch", "sofa", True, True),
         ("armchair", "chair", True, True),
+        ("orchid", "houseplant", True, True),
         ("wardrobe", "cabinet", False, True),
         ("desk", "dining table", False, False),
         ("bed", "sofa", False, False),

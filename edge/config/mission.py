@@ -132,10 +132,10 @@ class MissionConfig(Section):
         stuck_s: a robot that does not move for this time, although it has a goal, is stuck.
         discard_s: a goal that failed is not chosen again for this time, which doubles with each
             failure at the same place.
-        probable: what to do if a search ends without a confirmed object, but an object was rejected
-            only because the detector was not sure. `refuse`: the target fails. `ask`: the robot
-            goes back to it and waits 60 s for `edge mission confirm`. `accept`: it goes back, and
-            the target counts as reached, "probably".
+        probable: what to do if a search ends, or comes to its limits, without a confirmed object,
+            but an object was rejected only because the detector was not sure. `refuse`: the target
+            fails. `ask`: the robot goes back to it and waits 60 s for `edge mission confirm`.
+            `accept`: it goes back, and the target counts as reached, "probably".
     """
 
     target: Name = "chair"

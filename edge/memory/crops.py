@@ -62,7 +62,12 @@ class CropStore:
         return None if found is None else found[1]
 
     def observe(self, seen: Sequence[ObservedObject], rgb: np.ndarray) -> None:
-        """Copy the views that are better than the stored ones, at most `_MAX_PER_IMAGE`."""
+        """Copy the views that are better than the stored ones, at most `_MAX_PER_IMAGE`.
+
+        Args:
+            seen: objects in the image.
+            rgb: (h, w, 3) uint8.
+        """
         ratings = [(obj, quality(obj.score, obj.xyxy_px, *rgb.shape[:2])) for obj in seen]
         better = [pair for pair in ratings if pair[1] > _MIN_GAIN * self._best.get(pair[0].id, 0.0)]
         better.sort(key=lambda pair: self._best.get(pair[0].id, 0.0) / pair[1])

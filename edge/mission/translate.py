@@ -49,9 +49,11 @@ class Translation:
     """An instruction and its translation.
 
     Attributes:
+        instruction: the given text.
         formula: its text parses back to the same formula.
         english: the formula in plain English, for the person who gave the instruction.
         backend: kind of the translator that read it.
+        seconds: duration of the translation.
         reading: number of the chosen reading, from 1; None if there is only one.
         readings: all readings of an ambiguous instruction in English, else empty.
         implied: True if the reading was chosen without a question, because it implies all others.

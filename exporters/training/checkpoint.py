@@ -59,7 +59,11 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def resume(path: Path, run: Run, device: str = "cpu") -> dict[str, Any] | None:
-    """Return the checkpoint to continue from; None if there is none yet."""
+    """Return the checkpoint to continue from; None if there is none yet.
+
+    Raises:
+        ExportError: the checkpoint is of another run; the message names a key that differs.
+    """
     if not path.is_file():
         return None
     checkpoint = load(path, device)

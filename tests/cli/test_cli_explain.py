@@ -8,7 +8,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -81,6 +81,7 @@ def test_all_readings_are_listed_and_one_is_chosen():
 
 
 @given(texts, st.booleans())
+@example('"\x08', False)
 def test_any_text_is_explained_or_refused_in_one_line(text, formula):
     try:
         lines = explained(text, formula)

@@ -219,6 +219,17 @@ def test_an_object_that_was_never_confirmed_is_probable(probable, phase, reason,
     assert re.match(reason, status.reason), status.reason
 
 
+@pytest.mark.parametrize(
+    "limit", [{"path_limit_m": 6.0}, {"time_limit_s": 25.0}, {"search_limit_s": 25.0}]
+)
+def test_it_goes_back_to_a_probable_object_before_a_limit_ends_the_search(limit, tmp_path):
+    status = (
+        loop_of(tmp_path, "F bed", NEVER_SURE, probable="accept", **limit).run(60).service.status
+    )
+    assert status.phase == "reached", status
+    assert re.match(r"probably, 0\.\d\d: bed$", status.reason), status.reason
+
+
 def test_a_person_confirms_a_probable_object(tmp_path):
     loop = loop_of(tmp_path, "F (bed & F start)", NEVER_SURE, probable="ask", time_limit_s=600)
     with pytest.raises(UserError, match="nothing to confirm"):

@@ -47,6 +47,9 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         The exit status: 0, or 1 if no variant could run.
+
+    Raises:
+        UserError: an option, the configuration or the world cannot be used.
     """
     config = load(args.config)
     family = _family(args.models, config)
@@ -133,6 +136,15 @@ def compare(
 
     A variant's boxes are compared with those of its FP32 model of the same input size, and with the
     ground truth if that is known.
+
+    Args:
+        config: names the world, the threshold and the report's configuration path.
+        todo: variants to measure.
+        pictures: frames to measure on.
+        settings: detector settings that all variants share.
+
+    Raises:
+        UserError: the text encoder is missing, or knows none of the labels in the frames.
     """
     resolve = make_text_encoder(todo[0].card, settings.vocabulary).resolve
     prompts, unknown = frames.prompts_for(pictures.labels, resolve)

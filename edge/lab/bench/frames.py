@@ -133,7 +133,11 @@ def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -
 
 
 def from_folder(folder: Path, count: int) -> BenchFrames:
-    """Read the first `count` images of a folder, by name; their ground truth is unknown."""
+    """Read the first `count` images of a folder, by name; their ground truth is unknown.
+
+    Raises:
+        UserError: the folder has no image, or an image cannot be read.
+    """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _IMAGES)[:count]
     if not paths:
         raise UserError(f"--images {folder}: no images ({', '.join(_IMAGES)}); give another folder")

@@ -75,7 +75,11 @@ class SwapBench:
             self._during = self._end_span(now_ns)
 
     def figures(self) -> dict[str, Any]:
-        """Return the swap's outcome and both time spans, ready for JSON."""
+        """Return the swap's outcome and both time spans, ready for JSON.
+
+        Raises:
+            UserError: the swap did not end.
+        """
         swap = self._running.service.detector_swap.status()
         if not self._during:
             raise UserError(

@@ -107,7 +107,11 @@ def merged(*parts: Mapping[str, Any]) -> Data:
 
 
 def read_arms(path: Path) -> dict[str, Data]:
-    """Read arms from a YAML file: a section of settings for each name."""
+    """Read arms from a YAML file: a section of settings for each name.
+
+    Raises:
+        ConfigError: the file cannot be read or has another form.
+    """
     data = read_yaml(path)
     if not isinstance(data, dict) or not data:
         raise ConfigError(
@@ -128,6 +132,9 @@ def parse_arm(words: Sequence[str]) -> tuple[str, Data]:
 
     >>> parse_arm(["search", "policy.kind=search", "perception.detector={kind: sim}"])
     ('search', {'policy': {'kind': 'search'}, 'perception': {'detector': {'kind': 'sim'}}})
+
+    Raises:
+        ConfigError: a setting has another form.
     """
     name, *settings = words
     data: Data = {}

@@ -139,7 +139,11 @@ def in_process(
 
 
 def step_to_end(loop: ClosedLoop, stop: threading.Event) -> None:
-    """Step until the mission has ended, or is overdue."""
+    """Step until the mission has ended, or is overdue.
+
+    Raises:
+        Stopped: `stop` was set.
+    """
     config = loop.config
     for _ in range(int(TIME_LIMIT_FACTOR * config.mission.time_limit_s / config.sim.step_s)):
         if loop.service.status.done:
@@ -222,7 +226,11 @@ class GroundTruthReader:
         self._heard: dict[int, dict[str, Any]] = {}  # by stamp
 
     def at(self, stamp_ns: int) -> GroundTruth:
-        """Wait for the ground truth of a stamp and return it."""
+        """Wait for the ground truth of a stamp and return it.
+
+        Raises:
+            UserError: it did not arrive in time.
+        """
         until_s = time.monotonic() + _LATE_S
         while True:
             for sample in self._ring.take():

@@ -148,7 +148,11 @@ def sensing_settings(config: Config) -> dict[str, Any]:
 
 
 def objects_of(world: World, target: str) -> list[WorldObject]:
-    """Return the world's objects with this name."""
+    """Return the world's objects with this name.
+
+    Raises:
+        UserError: there are none; the message lists what there is.
+    """
     found = [o for o in world.objects if names.same_name(o.label, target)]
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
@@ -179,6 +183,9 @@ def plan(
         min_distance_m: shortest allowed path from a start to its target.
         per_world: at most this number of episodes in a world, drawn at random.
         min_size_m: in several worlds, a name all of whose objects are smaller is no target.
+
+    Raises:
+        UserError: a world cannot be loaded, or no episode is possible.
     """
     episodes: list[Episode] = []
     for setup in world_setups(config, worlds):
@@ -217,6 +224,9 @@ def plan_missions(
         count: at most this number of missions in a world.
         seed: of the random missions and starts.
         min_distance_m: shortest allowed path of a mission.
+
+    Raises:
+        UserError: a world cannot be loaded, or no mission is possible.
     """
     episodes: list[Episode] = []
     for number, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):

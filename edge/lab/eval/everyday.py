@@ -97,7 +97,11 @@ class EverydayScore:
 
 
 def everyday_cases(path: Path) -> list[dict[str, Any]]:
-    """Read the sentences."""
+    """Read the sentences.
+
+    Raises:
+        UserError: the file cannot be read or has another form.
+    """
     try:
         with open_regular(path) as file:
             lines = file.read().decode().splitlines()

@@ -58,7 +58,11 @@ class JsonLinesFile(Generic[T]):
                 ) from None
 
     def append(self, line: bytes) -> None:
-        """Append a line, which must end with a newline."""
+        """Append a line, which must end with a newline.
+
+        Raises:
+            FileError: the disk is full, or the folder is gone.
+        """
         try:
             with self.path.open("ab", buffering=0) as file:
                 file.write(line)

@@ -93,7 +93,11 @@ class KittiFrame:
 
 
 def frames_in(folder: Path, labelled: bool = True) -> list[int]:
-    """Return the numbers of the frames with image, scan and (if `labelled`) labels, ascending."""
+    """Return the numbers of the frames with image, scan and (if `labelled`) labels, ascending.
+
+    Raises:
+        KittiError: there are none.
+    """
     kinds = [("image_2", "png"), ("velodyne", "bin")]
     if labelled:
         kinds.append(("labels", "label"))
@@ -117,6 +121,9 @@ def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
         folder: of the sequence.
         number: of the frame.
         labelled: False: the labels are not read and may be missing.
+
+    Raises:
+        KittiError: a file is missing or invalid.
     """
     calibration = _matrices(folder / "calib.txt")
     separate = folder / "Tr_velo_to_cam0.txt"
@@ -313,7 +320,11 @@ def kitti_scene(
 
 
 def read_frames(folder: Path, numbers: Sequence[int], labelled: bool = True) -> list[KittiFrame]:
-    """Read some frames of a sequence; see `read_frame`."""
+    """Read some frames of a sequence; see `read_frame`.
+
+    Raises:
+        KittiError: see `read_frame`; or `numbers` is empty.
+    """
     if not numbers:
         available = frames_in(folder, labelled)
         raise KittiError(f"{folder}: no frame chosen; choose some of {available}")

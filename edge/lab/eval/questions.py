@@ -37,6 +37,9 @@ def plan_questions(
         worlds: sections `sim.world`; empty: the configuration's own world.
         targets: names to ask for, if the robot can get to such an object.
         seed: of the starts.
+
+    Raises:
+        UserError: no world has any of the targets.
     """
     episodes = []
     for world, section, sensing, radius_m in world_setups(config, worlds):

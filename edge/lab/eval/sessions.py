@@ -67,6 +67,9 @@ def plan_sessions(
         min_distance_m: shortest allowed path to a goal, from the start or from any place that
             counts as at the last goal.
         moved: share of the movable objects that are moved before each goal but the first.
+
+    Raises:
+        UserError: a world cannot be loaded, or no session is possible.
     """
     sessions = []
     for world, section, sensing, radius_m in world_setups(config, worlds):

@@ -160,7 +160,11 @@ def contact_depth_m(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float)
 
 
 def _points(path_m: np.ndarray) -> np.ndarray:
-    """Return the points as float64, contiguous."""
+    """Return the points as float64, contiguous.
+
+    Raises:
+        ValueError: they are not (n, 2), n >= 1, or not finite.
+    """
     path = np.ascontiguousarray(path_m, np.float64)
     if path.ndim != 2 or path.shape[1] != 2 or not len(path) or not np.isfinite(path).all():
         raise ValueError(

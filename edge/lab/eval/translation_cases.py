@@ -161,6 +161,9 @@ def from_prefix(text: str) -> Formula:
 
     `i` is implication and `e` equivalence. A word that is not an operator is a proposition.
 
+    Raises:
+        ValueError: the text is not a formula.
+
     Example:
         >>> str(from_prefix("& F a F b"))
         'F a & F b'

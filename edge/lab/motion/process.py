@@ -156,7 +156,11 @@ class Bus:
 
 
 def parse_tick(payload: bytes) -> int:
-    """Return the stamp of `{"stamp": ns}`."""
+    """Return the stamp of `{"stamp": ns}`.
+
+    Raises:
+        ValueError: one line that says what is wrong.
+    """
     stamp = read_json_object(payload, _MAX_JSON).get("stamp")
     if type(stamp) is not int:
         raise ValueError(

@@ -176,6 +176,9 @@ def free_poses(
     """Return random poses that the robot can reach from the world's start, repeatably for a seed.
 
     The poses are at least `margin_m` farther from obstacles than the robot's radius.
+
+    Raises:
+        WorldError: the start itself is not free for this radius.
     """
     rng = np.random.default_rng(seed)
     plan = world.plan

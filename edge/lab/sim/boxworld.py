@@ -127,7 +127,11 @@ class BoxWorld:
         out_ranges_m[out_ranges_m > fan.range_m] = np.nan
 
     def move(self, object_id: int, x_m: float, y_m: float) -> None:
-        """Move an object's centre to another place on the floor."""
+        """Move an object's centre to another place on the floor.
+
+        Raises:
+            KeyError: no such object.
+        """
         k = next((k for k, item in enumerate(self.objects) if item.id == object_id), None)
         if k is None:
             raise KeyError(f"world {self.name}: no object has the id {object_id}")

@@ -41,8 +41,7 @@ _LABELS = {
     "machine", "drawers cabinet": "chest of drawers", "dryer machine": "clothes dryer",
     "toilets unit": "toilet", "puff": "ottoman", "baby bed": "crib", "bath": "bathtub",
     "island bath": "bathtub", "class seat": "chair", "convertible sofa bz": "sofa",
-    "sofa seat": "sofa", "bonsai tree": "houseplant",
-    "yucca": "houseplant", "park trashcan": "trash can", "residential trashcan": "trash can",
+    "sofa seat": "sofa", "park trashcan": "trash can", "residential trashcan": "trash can",
 }  # fmt: skip
 """Name in a catalogue -> our name, where the two differ."""
 # From the models' axes (x right, y up, z to the viewer) to ours (x to the viewer, y left, z up).
@@ -76,7 +75,11 @@ class CatalogueModel:
 
 @lru_cache(maxsize=4)
 def read_catalogue(folder: Path) -> tuple[CatalogueModel, ...]:
-    """Return the models of all `.sh3f` files in a folder, always in the same order."""
+    """Return the models of all `.sh3f` files in a folder, always in the same order.
+
+    Raises:
+        WorldError: there is no such file, or one cannot be read.
+    """
     files = sorted(folder.glob("*.sh3f"))
     if not files:
         raise WorldError(
@@ -151,6 +154,9 @@ def load_model(model: CatalogueModel) -> tuple[tuple[Any, np.ndarray], ...]:
 
     The transforms (4, 4) put the model on the floor at the origin: front at +x, in metres, in the
     catalogue's size. Textures are reduced to 256 pixels.
+
+    Raises:
+        WorldError: the OBJ file cannot be read.
     """
     import trimesh
     from trimesh.resolvers import ZipResolver

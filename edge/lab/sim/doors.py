@@ -90,7 +90,11 @@ class SlidingDoor:
 
 
 def make_doors(world: World, share: float, seed: int, robot: SE2) -> list[SlidingDoor]:
-    """Return doors for a share of the doorways of a house. No door is shut where the robot is."""
+    """Return doors for a share of the doorways of a house. No door is shut where the robot is.
+
+    Raises:
+        WorldError: the world is a mesh.
+    """
     if share == 0.0:
         return []
     if not isinstance(world, BoxWorld):

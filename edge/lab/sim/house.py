@@ -120,7 +120,11 @@ class House(Section):
 
 
 def read_house(path: Path) -> House:
-    """Read and validate a house file."""
+    """Read and validate a house file.
+
+    Raises:
+        WorldError: one line with file, place and fault.
+    """
     try:
         data = json.loads(read_regular(path))
     except OSError as error:
@@ -140,7 +144,11 @@ def read_house(path: Path) -> House:
 
 
 def load_house(section: WorldHouse, config: Config) -> BoxWorld:
-    """Load a built-in house by name, or a house from a JSON file."""
+    """Load a built-in house by name, or a house from a JSON file.
+
+    Raises:
+        WorldError: no such house, or a fault in its file.
+    """
     built_in = HOUSES / f"{section.house}.json"
     path = built_in if built_in.is_file() else resources.expand(section.house)
     if not path.is_file():

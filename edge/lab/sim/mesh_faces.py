@@ -95,7 +95,11 @@ def _halve(pixels: np.ndarray) -> np.ndarray:
 
 
 def read_faces(scene: Any) -> Faces:
-    """Return all triangles of a trimesh scene, in `map`; a geometry may be placed several times."""
+    """Return all triangles of a trimesh scene, in `map`; a geometry may be placed several times.
+
+    Raises:
+        ValueError: the scene has no triangles.
+    """
     atlas, parts, node_names = Atlas(), [], []
     for node_name in scene.graph.nodes_geometry:
         T, geometry_name = scene.graph[node_name]

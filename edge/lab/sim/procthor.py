@@ -36,7 +36,11 @@ _WOOD = ((176.0, 132.0, 88.0), shading.PLANKS)  # colour and texture
 
 
 def read_houses(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the houses of a `.jsonl` or `.jsonl.gz` file, one by one."""
+    """Yield the houses of a `.jsonl` or `.jsonl.gz` file, one by one.
+
+    Raises:
+        WorldError: the file cannot be read, or a line is not JSON.
+    """
     number = 0
     try:
         with open_regular(path) as content:
@@ -52,7 +56,11 @@ def read_houses(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def load_procthor(section: WorldProcthor, config: Config) -> BoxWorld:
-    """Load one house of a file, by name."""
+    """Load one house of a file, by name.
+
+    Raises:
+        WorldError: no such file or house, or a house that lacks a field.
+    """
     path, first_name, count = resources.expand(section.file), "", 0
     for house in read_houses(path):
         if house.get("name") == section.name:

@@ -48,6 +48,9 @@ class DriveTrain:
 
     The odometry drifts by a constant fraction of the distance driven and of the angle turned, drawn
     once from the seed. This models a wrong wheel radius, not noise that averages out.
+
+    Raises:
+        WorldError: the start is not free.
     """
 
     def __init__(

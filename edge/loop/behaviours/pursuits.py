@@ -38,6 +38,8 @@ from edge.text import one_line
 from edge.types import Goal, Instance
 
 _MAX_NAMES = 12  # object names in the report of an exploration
+_SPEED_SHARE = 0.5  # mean speed of the robot on a way back, as a share of its largest speed
+_RESERVE_M = 2.0  # path that is left for a way back that is longer than it looks
 _ASK_S = 60.0  # time for a person to confirm a probable object
 DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
@@ -87,8 +89,22 @@ class Pursuit(Generic[DestinationType]):
             return
         if self._probable is not None:
             self._check_probable(self._probable, context)
-        elif self._goals.exhausted:
+        elif self._goals.exhausted or self._must_go_back():
             self.finish(context.now_ns)
+
+    def _must_go_back(self) -> bool:
+        """Return True if the limits just suffice to go back to a probable object."""
+        mission, probable, c = self._mission, self._goals.probable, self._mission.config
+        if probable is None or c.probable == "refuse" or self._goals.phase != "searching":
+            return False
+        elapsed_s, path_m = mission.meter.limited
+        left_s = min(
+            c.time_limit_s - elapsed_s, (c.search_limit_s or math.inf) - mission.pursued_now_s
+        )
+        speed_mps = _SPEED_SHARE * self._map.config.robot.max_speed_mps
+        left_m = min(c.path_limit_m - path_m, left_s * speed_mps)
+        back_m = self._map.grid.travel_cost.distance_m(*probable.stop_m)
+        return math.isfinite(back_m) and back_m + _RESERVE_M >= left_m
 
     def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return True if the robot, which stands next to it, has reached this object.

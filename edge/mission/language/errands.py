@@ -41,6 +41,7 @@ from edge.mission.language.spans import number_of, seconds_of
 from edge.mission.language.templates import STOP, compile_templates
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.unsupported import BEYOND_NAMES
+from edge.text import one_line
 
 _Change = Callable[[re.Match[str]], Union[str, None]]  # None keeps the match
 _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
@@ -129,7 +130,7 @@ def _refuse_unknown_names(text: str) -> None:
                 slip = f" ({meant}?)" if (meant := nouns.suggest_word(odd)) else ""
                 hint = (
                     f"not a known object or room{slip}; if it is an object, "
-                    f'write "{phrase}" in double quotes'
+                    f'write "{one_line(phrase)}" in double quotes'
                 )
                 raise UnclearError(f"instruction: {name!r}: {hint}", name)
 

@@ -351,6 +351,11 @@ class OnnxDetector:
         """Return the boxes of targets and of the context.
 
         The scores that compete with the targets go to `_competing_score`.
+
+        Args:
+            prompt_set: the current prompts.
+            boxes: (a, 4) float32.
+            scores: (a, texts) float32.
         """
         tau, targets = np.float32(self.config.tau_vl), len(prompt_set.prompts)
         named = targets + len(prompt_set.classes.context)

@@ -137,6 +137,11 @@ class ModelProcessClient:
     ) -> wire.DetectorReply:
         """Detect the prompts in an image.
 
+        Args:
+            rgb: (h, w, 3) uint8, contiguous.
+            prompts: names of the objects to look for.
+            timeout_s: `perception.process.timeout_s`; see `ask`.
+
         Raises:
             PromptError: a prompt cannot be used.
             ModelProcessError: see `ask`.

@@ -30,6 +30,7 @@ class RestartDelay(NamedTuple):
     """The pause before a restart.
 
     Attributes:
+        seconds: length of the pause.
         limit: True if the process has ended too often (`MOST_ENDS`).
     """
 

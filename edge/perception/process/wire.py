@@ -218,6 +218,10 @@ class FrameFile:
     def write(self, seq: int, rgb: np.ndarray) -> None:
         """Write an image over the one before.
 
+        Args:
+            seq: positive, different for every image.
+            rgb: (h, w, 3) uint8, contiguous.
+
         Raises:
             OSError: no memory for an image of this size.
         """
@@ -251,6 +255,10 @@ class FrameView:
         """Return the image with this number as a view of the shared memory, (h, w, 3) uint8.
 
         After use, the caller checks with `is_whole` that the image was not overwritten.
+
+        Args:
+            seq: number of the image.
+            image_hw: height and width in pixels.
 
         Raises:
             ValueError: another image, or part of one, is there.

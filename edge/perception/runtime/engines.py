@@ -123,6 +123,12 @@ def report_progress(
 ) -> Iterator[Callable[[str], None]]:
     """Call `progress` at once and then every few seconds: a build must not look like a hang.
 
+    Args:
+        model: name of the model.
+        progress: called with the state `building engine`.
+        first: progress text until the first call of the function.
+        every_s: period in seconds.
+
     Yields:
         A function that sets the progress text, for any thread.
     """

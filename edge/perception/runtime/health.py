@@ -43,7 +43,13 @@ def log_progress(health: Health) -> None:
 def invalid_boxes_reason(
     xyxy_px: np.ndarray, score: np.ndarray, competing_score: np.ndarray | None = None
 ) -> str:
-    """Return the fault of a detector's boxes and scores; "" if there is none."""
+    """Return the fault of a detector's boxes and scores; "" if there is none.
+
+    Args:
+        xyxy_px: (n, 4) boxes.
+        score: (n,) scores.
+        competing_score: (n,) scores of competing classes, or None.
+    """
     if not np.isfinite(xyxy_px).all():
         return "boxes that are not finite"
     for scores in (score, *(() if competing_score is None else (competing_score,))):

@@ -152,7 +152,17 @@ def make_card(path: Path, measured: dict[str, dict]) -> dict[str, Any]:
 def held_out_figures(
     net: ChoiceNet, trunk: Trunk, model: Path, paths: list[Path]
 ) -> dict[str, Any]:
-    """Return the card's figures on held-out houses."""
+    """Return the card's figures on held-out houses.
+
+    Args:
+        net: the trained net.
+        trunk: the detector's trunk.
+        model: the joined ONNX file.
+        paths: files of the held-out views.
+
+    Raises:
+        ExportError: the file's answers differ from the net's.
+    """
     views = load_views(paths)
     data = Data(views, make_features(paths, trunk), trunk.level_scales, trunk.words)
     logits = evaluate.logits_of(net, data, views)

@@ -249,7 +249,11 @@ def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
 
 
 def baseline_of(outcomes: Outcomes, name: str | None) -> int:
-    """Return the index of the baseline arm; by default the first."""
+    """Return the index of the baseline arm; by default the first.
+
+    Raises:
+        UserError: there is no such arm.
+    """
     arms: Sequence[str] = outcomes.arms
     if name is None:
         return 0

@@ -59,7 +59,11 @@ def run(args: argparse.Namespace) -> int:
 def compare_folder(
     folder: Path, baseline: str | None = None
 ) -> tuple[Comparison, dict[str, worlds.FloorPlanDrawing]]:
-    """Compare the outcomes of a folder; return the comparison, and drawings by world."""
+    """Compare the outcomes of a folder; return the comparison, and drawings by world.
+
+    Raises:
+        UserError: there are no outcomes, or no such arm; or a file cannot be read.
+    """
     path = folder / OUTCOMES_NAME
     found = read_records(path)
     if not found:

@@ -49,7 +49,11 @@ def write_tasks(path: Path, tasks: Sequence[BenchmarkTask]) -> None:
 
 
 def read_tasks(path: Path) -> list[BenchmarkTask]:
-    """Read tasks in the format of `write_tasks`. Any name in `edge.names` is an object."""
+    """Read tasks in the format of `write_tasks`. Objects may have any name that `edge.names` knows.
+
+    Raises:
+        TaskFileError: the file cannot be read, or a line is not a task that can be fulfilled.
+    """
     try:
         lines = read_regular(path).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -158,7 +158,11 @@ FAULTS: tuple[Fault, ...] = (
 
 
 def choose_faults(config: Config, names: Sequence[str] | None) -> list[Fault]:
-    """Return the faults that are possible with a configuration, or the named ones of them."""
+    """Return the faults that are possible with a configuration, or the named ones of them.
+
+    Raises:
+        UserError: a named fault does not exist, or is not possible.
+    """
     possible = {fault.name: fault for fault in FAULTS if fault.needs(config)}
     if names is None:
         return list(possible.values())

@@ -53,7 +53,11 @@ _MODEL_COMMAND = re.compile(r"\bedge\.perception\.serve_detector\b")
 
 
 def soak_config(config: Config, out: Path) -> Config:
-    """Return the configuration with free ports, and with all files below `out`."""
+    """Return the configuration with free ports, and with all files below `out`.
+
+    Raises:
+        UserError: it runs in lockstep, and not in real time.
+    """
     if config.loop.lockstep or config.sim.lockstep:
         where = config.locate("loop.lockstep", "sim.lockstep")
         raise UserError(

@@ -70,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def make_out_folder(folder: Path) -> None:
-    """Make the folder if it is missing; refuse one that is not empty."""
+    """Make the folder if it is missing; refuse one that is not empty.
+
+    Raises:
+        FileError: it cannot be made, or it is not empty.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):

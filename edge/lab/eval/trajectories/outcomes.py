@@ -210,7 +210,11 @@ class TrajectoryResults:
 def gather(
     facts: Iterable[EpisodeFacts], outcomes: Iterable[TrajectoryOutcome]
 ) -> TrajectoryResults:
-    """Return outcomes as arrays."""
+    """Return outcomes as arrays.
+
+    Raises:
+        UserError: the episode of an outcome is not among the facts.
+    """
     outcomes = list(outcomes)
     by_id = {one.id: one for one in facts}
     several = len({outcome.writer for outcome in outcomes}) > 1

@@ -36,7 +36,11 @@ class RunFolder:
         path: path of the folder; results of an earlier run are removed.
 
     Attributes:
+        path: path of the folder.
         written: names of the files, in the order of writing.
+
+    Raises:
+        FileError: the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

@@ -86,7 +86,15 @@ class ModelFolders:
 
 
 def parse_xml(file: Path, content: bytes | None = None) -> ElementTree.Element:
-    """Return the root element of an XML file; document types and entities are refused."""
+    """Return the root element of an XML file; document types and entities are refused.
+
+    Args:
+        file: the file, read unless `content` is given.
+        content: its content.
+
+    Raises:
+        WorldError: the file cannot be read, or is not such XML.
+    """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
 
     def refuse(*_: object) -> None:

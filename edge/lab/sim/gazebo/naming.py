@@ -49,7 +49,11 @@ def object_name(model: str) -> str:
 
 
 def read_names(path: Path) -> dict[str, str]:
-    """Return the name of each model of a table; an empty one if there is no table yet."""
+    """Return the name of each model of a table; an empty one if there is no table yet.
+
+    Raises:
+        ConfigError: the table is no table, or has a text that is no name.
+    """
     if not path.exists():
         return {}
     table = read_yaml(path) or {}
