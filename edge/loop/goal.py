@@ -56,7 +56,8 @@ SAME_POINT_M = 0.6
 _NEAR_M = 5.0
 """Distance around an object that cannot be reached in which the nearest free cell is looked for."""
 _JUMP_M, _JUMPS = 1.5, 3
-"""A goal at an object may move by so many metres so many times. Then the object is left alone."""
+"""If a goal at an object moves by `_JUMP_M` or more for more than `_JUMPS` times, it is left
+alone for some time: the robot would drive to and fro."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
 
@@ -377,8 +378,8 @@ class GoalTracker:
     def _jumps(self, before: Goal, after: Goal) -> bool:
         """Return True if the goal at an object has moved far too often.
 
-        What looks near to an object, from afar, may be behind a wall. Such a robot would drive from
-        one side to the other, forever.
+        From afar, a free cell behind a wall may seem near to the object. Then the goal changes
+        sides, and the robot would drive to and fro until a limit.
         """
         same = before.kind == after.kind == "instance" and before.candidate_id == after.candidate_id
         if not same or before.pose.distance_to(after.pose.x_m, after.pose.y_m) < _JUMP_M:
