@@ -33,7 +33,7 @@ from exporters.files import ExportError, sha256_of
 from exporters.fp16 import write_fp16
 from exporters.images import PROMPTS, digest_of, read_rgb
 from exporters.onnx_format import check_format, cpu_session, export_module
-from exporters.quantize import pictures, quantize, require_calibration
+from exporters.quantize import pictures, precisions_to_make, quantize
 from exporters.recipes import TRANSFORMER, Recipe
 from exporters.reports import check_limits
 from exporters.sidecar import write_sidecar
@@ -151,15 +151,7 @@ def export(args: Any) -> dict[str, EmbeddingReport | None]:
         ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """
     folder: Path = args.weights
-    wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
-    if unknown := [p for p in wanted if p not in TEXT_PRECISION]:
-        choices = ", ".join(TEXT_PRECISION)
-        raise ExportError(
-            f"--precision: no precision {unknown[0]!r} for image and text encoders (choices: "
-            f"{choices})"
-        )
-    if wanted != ["fp32"]:
-        require_calibration(args.calibration, args.card)
+    wanted = precisions_to_make(args, TEXT_PRECISION, "image and text encoders")
     calibration, validation = pictures(args.calibration, args.validation)
     towers = load_towers(folder)
     write_atomically(

@@ -44,7 +44,7 @@ from exporters.parity import (
     measure,
     torch_model,
 )
-from exporters.quantize import calibration_feeds, pictures, quantize, require_calibration
+from exporters.quantize import calibration_feeds, pictures, precisions_to_make, quantize
 from exporters.recipes import OWL
 from exporters.sidecar import write_sidecar
 from exporters.yolo_world import INPUTS, OUTPUTS
@@ -113,13 +113,7 @@ def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
     Raises:
         ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """
-    wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
-    if unknown := [p for p in wanted if p not in LIMITS]:
-        raise ExportError(
-            f"--precision: no precision {unknown[0]!r} for OWLv2 (choices: {', '.join(LIMITS)})"
-        )
-    if wanted != ["fp32"]:
-        require_calibration(args.calibration, args.card)
+    wanted = precisions_to_make(args, LIMITS, "OWLv2")
     detector, tower = load_detector(args.weights)
     tokenizer = args.cache / f"{args.card}-tokenizer.json"
     text = hugging_face.tokenizer_text(args.weights, lowercase=True)

@@ -15,7 +15,9 @@ strongly typed TensorRT network uses the types in the file.
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -247,6 +249,28 @@ def _write_qdq(
         )
     finally:
         root.setLevel(level)
+
+
+def precisions_to_make(args: Any, choices: Collection[str], network: str) -> list[str]:
+    """Return the precisions of `--precision`, after FP32, which the others are made from.
+
+    Args:
+        args: options `precision`, `calibration` and `card` of the command line.
+        choices: all precisions of this kind of network.
+        network: kind of network, for the message.
+
+    Raises:
+        ExportError: a precision is unknown, or one needs pictures that were not given.
+    """
+    wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
+    if unknown := [p for p in wanted if p not in choices]:
+        raise ExportError(
+            f"--precision: no precision {unknown[0]!r} for {network} "
+            f"(choices: {', '.join(choices)})"
+        )
+    if wanted != ["fp32"]:
+        require_calibration(args.calibration, args.card)
+    return wanted
 
 
 def require_calibration(calibration: Path | None, name: str) -> None:

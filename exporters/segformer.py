@@ -27,7 +27,7 @@ from exporters.clip import derive, image_preprocess
 from exporters.files import ExportError
 from exporters.images import digest_of, read_rgb
 from exporters.onnx_format import cpu_session, export_module
-from exporters.quantize import pictures, require_calibration
+from exporters.quantize import pictures, precisions_to_make
 from exporters.reports import Report, check_limits
 from exporters.sidecar import write_sidecar
 
@@ -81,13 +81,7 @@ def export(args: Any) -> dict[str, PixelReport | None]:
     """
     from transformers import SegformerForSemanticSegmentation
 
-    wanted = ["fp32", *(p for p in args.precision if p != "fp32")]
-    if unknown := [p for p in wanted if p not in LIMITS]:
-        raise ExportError(
-            f"--precision: no precision {unknown[0]!r} for SegFormer (choices: {', '.join(LIMITS)})"
-        )
-    if wanted != ["fp32"]:
-        require_calibration(args.calibration, args.card)
+    wanted = precisions_to_make(args, LIMITS, "SegFormer")
     network = Scores(hugging_face.load(SegformerForSemanticSegmentation, args.weights)).eval()
     calibration, validation = pictures(args.calibration, args.validation)
     reports = {}

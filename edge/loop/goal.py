@@ -56,8 +56,7 @@ SAME_POINT_M = 0.6
 _NEAR_M = 5.0
 """Distance around an object that cannot be reached in which the nearest free cell is looked for."""
 _JUMP_M, _JUMPS = 1.5, 3
-"""If a goal at an object moves by `_JUMP_M` or more for more than `_JUMPS` times, it is left
-alone for some time: the robot would drive to and fro."""
+"""An object is left alone for some time if its goal moves by `_JUMP_M` more than `_JUMPS` times."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
 
