@@ -20,7 +20,7 @@ from edge.geometry import SE2
 from edge.host.ports import free_port
 from edge.lab.eval.closed_loop import START_NS, ClosedLoop
 from edge.lab.report.recorder import ReportRecorder
-from edge.loop.goal import _TrackedGoal
+from edge.loop.goal_choice import TrackedGoal
 from edge.loop.status import status_message
 from edge.perception.worker import DetectorWorker
 from edge.sinks.zenoh import ZenohSink
@@ -253,7 +253,7 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
 
     def select(*_: object) -> Goal:  # a behaviour with a bug
         goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), next(kinds), 1, (1.0, 0.0), 1.0, "surfboard")
-        service.goals._tracked = _TrackedGoal(goal)
+        service.goals._tracked = TrackedGoal(goal)
         return goal
 
     service._select = select
@@ -351,7 +351,8 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
 def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    service.goals._search.exhausted = service.goals._next_view.done = True
+    chooser = service.goals._chooser
+    chooser.search.exhausted = chooser.next_view.done = True
     assert service.goals.exhausted
     service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert not service.goals.exhausted
