@@ -230,6 +230,23 @@ def test_it_goes_back_to_a_probable_object_before_a_limit_ends_the_search(limit,
     assert re.match(r"probably, 0\.\d\d: bed$", status.reason), status.reason
 
 
+@pytest.mark.parametrize(("beyond_m", "phase"), [(0.3, "reached"), (20.0, "failed")])
+def test_the_stop_at_a_probable_object_may_be_blocked(beyond_m, phase, tmp_path):
+    loop = loop_of(tmp_path, "F bed", NEVER_SURE, probable="accept")
+    goals, grid = loop.service.goals, loop.service.map.grid
+    while goals.probable is None:
+        loop.step()
+    stop_m, to_bed_m = np.array(goals.probable.stop_m), np.subtract(*goals.probable[:0:-1])
+    to_bed_m /= np.hypot(*to_bed_m)
+    while grid.state_at(*stop_m) == 0:  # the robot's estimate was off, towards the bed
+        stop_m += 0.05 * to_bed_m
+    stop_m += beyond_m * to_bed_m
+    goals._chooser.search.probable = goals.probable._replace(
+        score=1.0, stop_m=tuple(stop_m.tolist())
+    )
+    assert loop.run(250).service.status.phase == phase
+
+
 def test_a_person_confirms_a_probable_object(tmp_path):
     loop = loop_of(tmp_path, "F (bed & F start)", NEVER_SURE, probable="ask", time_limit_s=600)
     with pytest.raises(UserError, match="nothing to confirm"):

@@ -41,6 +41,10 @@ _MAX_NAMES = 12  # object names in the report of an exploration
 _SPEED_SHARE = 0.5  # mean speed of the robot on a way back, as a share of its largest speed
 _RESERVE_M = 2.0  # path that is left for a way back that is longer than it looks
 _ASK_S = 60.0  # time for a person to confirm a probable object
+# If the place in front of a probable object has no path, these offsets from it are tried, for some
+# time: odometry drifts, and somebody may stand in the way.
+_AROUND_M = np.array([(x, y) for x in (-0.4, 0.0, 0.4) for y in (-0.4, 0.0, 0.4)])
+_NO_PATH_NS = 10_000_000_000
 DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
 
@@ -62,7 +66,7 @@ class Pursuit(Generic[DestinationType]):
         self._map, self._goals = semantic_map, goals
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._probable: ProbableObject | None = None  # the object that the robot goes back to
-        self._has_path = True  # to this object
+        self._no_path_since_ns: int | None = None  # None: there is a path to this object
         self._asked_at_s = 0.0  # `pursued_now_s` of the mission when the robot asked about it
 
     @property
@@ -132,9 +136,13 @@ class Pursuit(Generic[DestinationType]):
             self._goals.idle()
             return None
         stop_m = np.array([self._probable.stop_m])
-        goal = self._goals.go_to_point(context, grid, stop_m, target, keep=True)
-        self._has_path = goal is not None
-        return goal
+        for points_m in (stop_m, stop_m + _AROUND_M):
+            goal = self._goals.go_to_point(context, grid, points_m, target, keep=True)
+            if goal is not None:
+                self._no_path_since_ns = None
+                return goal
+        self._no_path_since_ns = self._no_path_since_ns or context.now_ns
+        return None
 
     def _check_probable(self, probable: ProbableObject, context: PolicyInput) -> None:
         """Accept the probable object when the robot is at it, or ask a person."""
@@ -142,7 +150,8 @@ class Pursuit(Generic[DestinationType]):
         if goals.probable is not probable:  # the frame has changed: search again
             self._probable, mission.question = None, ""
             return
-        if not self._has_path:
+        no_path_since_ns = self._no_path_since_ns
+        if no_path_since_ns is not None and now_ns - no_path_since_ns >= _NO_PATH_NS:
             mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
             return
         goal = goals.goal
