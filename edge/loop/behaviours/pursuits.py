@@ -67,6 +67,7 @@ class Pursuit(Generic[DestinationType]):
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._probable: ProbableObject | None = None  # the object that the robot goes back to
         self._no_path_since_ns: int | None = None  # None: there is a path to this object
+        self._last_look = False  # True: the limits just suffice to look at a doubted object
         self._asked_at_s = 0.0  # `pursued_now_s` of the mission when the robot asked about it
 
     @property
@@ -78,7 +79,7 @@ class Pursuit(Generic[DestinationType]):
         """Return the objects that are candidates for this target."""
         only_confirmed = not self._map.config.policy.instances
         # Objects that probably are another thing come last, when nothing else is left.
-        doubted = self._goals.candidates_exhausted
+        doubted = self._goals.candidates_exhausted or self._last_look
         return self._map.tracker.of(self._target_label, only_confirmed, doubted=doubted)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
@@ -93,22 +94,33 @@ class Pursuit(Generic[DestinationType]):
             return
         if self._probable is not None:
             self._check_probable(self._probable, context)
-        elif self._goals.exhausted or self._must_go_back():
+        elif self._goals.exhausted:
             self.finish(context.now_ns)
+        elif self._goals.phase == "searching":
+            self._mind_limits(context.now_ns)
 
-    def _must_go_back(self) -> bool:
-        """Return True if the limits just suffice to go back to a probable object."""
-        mission, probable, c = self._mission, self._goals.probable, self._mission.config
-        if probable is None or c.probable == "refuse" or self._goals.phase != "searching":
-            return False
-        elapsed_s, path_m = mission.meter.limited
+    def _mind_limits(self, now_ns: int) -> None:
+        """Go to the object that may be the target while the limits just suffice for that."""
+        probable, travel_cost = self._goals.probable, self._map.grid.travel_cost
+        if probable is not None and self._mission.config.probable != "refuse":
+            if self._is_late(travel_cost.distance_m(*probable.stop_m)):
+                self.finish(now_ns)
+        elif not self._last_look:
+            for doubted in self._map.tracker.of(self._target_label)[:1]:
+                reach_m = self._mission.config.reach_m
+                stop = travel_cost.stopping_point(doubted.points_m, reach_m)
+                self._last_look = stop is not None and self._is_late(stop[2])
+
+    def _is_late(self, path_m: float) -> bool:
+        """Return True if the limits just suffice for a path of this length."""
+        mission, c = self._mission, self._mission.config
+        elapsed_s, driven_m = mission.meter.limited
         left_s = min(
             c.time_limit_s - elapsed_s, (c.search_limit_s or math.inf) - mission.pursued_now_s
         )
         speed_mps = _SPEED_SHARE * self._map.config.robot.max_speed_mps
-        left_m = min(c.path_limit_m - path_m, left_s * speed_mps)
-        back_m = self._map.grid.travel_cost.distance_m(*probable.stop_m)
-        return math.isfinite(back_m) and back_m + _RESERVE_M >= left_m
+        left_m = min(c.path_limit_m - driven_m, left_s * speed_mps)
+        return math.isfinite(path_m) and path_m + _RESERVE_M >= left_m
 
     def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return True if the robot, which stands next to it, has reached this object.
