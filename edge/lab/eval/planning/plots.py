@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from edge.host.files import write_atomically
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.report import LLM, Row
+from edge.lab.eval.planning.report import Row
 from edge.lab.report import canvas, palette
 from edge.lab.report.canvas import style_of
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SIZE_IN = (7.2, 4.2)
 DPI = 150
-STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
+STYLES = {name: style_of(k) for k, name in enumerate(PLANNERS)}
 
 
 def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
@@ -43,7 +43,7 @@ def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
 
 
 def _label_completion(axes: Axes, rows: Sequence[Row]) -> None:
-    worst = min((100 * row.complete.low for row in rows if row.runs), default=0.0)
+    worst = min((100 * row.complete.low for row in rows), default=0.0)
     bottom = 0.0 if worst < 80 else 80.0
     room = 0.04 * (100 - bottom)  # so that markers at the limits are not cut
     axes.set_ylim(bottom - (room if bottom == 0.0 else 0.0), 100 + room)
@@ -100,7 +100,7 @@ def _draw_curve(
 
     A larger `rank` makes larger markers further down, so that overlapping lines all show.
     """
-    style = STYLES.get(planners[0], style_of(len(STYLES)))
+    style = STYLES[planners[0]]
     p_obs, values = [p for p, _ in figures], [f.value for _, f in figures]
     filled = style.mark in "P*X"
     axes.plot(

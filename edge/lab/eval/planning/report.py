@@ -25,11 +25,8 @@ from edge.lab.eval.json_data import json_data
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import OUTCOMES
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.sweep import NOT_RUN, Settings, SweepResults
+from edge.lab.eval.planning.sweep import Settings, SweepResults
 from edge.lab.eval.planning.templates import BenchmarkTask
-
-LLM = "llm"  # name of the planner that asks a language model
-LLM_WORDS = "a language model, asked for every next target (the paper's prompt)"  # description
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +69,23 @@ def _row(results: SweepResults, k: int, at: slice, p_obs: float | None) -> Row:
     """
     outcome, complete = results.outcome[k, at], results.complete[k, at]
     explorations, steps = results.explorations[k, at], results.steps[k, at]
-    ended = Counter(outcome[outcome != NOT_RUN].tolist())
-    runs = sum(ended.values())
+    ended = Counter(outcome.ravel().tolist())
     bound = np.broadcast_to(results.bound[None, :, None], complete.shape)
     optimum = Interval(math.nan, math.nan, math.nan)
-    if "optimal" in results.planners and not _knows_all(results.planners[k]):
+    if "optimal" in results.planners and not PLANNERS[results.planners[k]].knows_all_places:
         best = results.planners.index("optimal")
         both = complete & results.complete[best, at]
         optimum = _ratio(explorations, results.explorations[best, at], both)
     return Row(
         results.planners[k],
         p_obs,
-        runs,
+        outcome.size,
         {OUTCOMES[code]: n for code, n in sorted(ended.items())},
-        wilson(int(complete.sum()), runs),
+        wilson(int(complete.sum()), outcome.size),
         _ratio(explorations, np.ones_like(explorations), complete),
         _ratio(steps, bound, complete),
         optimum,
     )
-
-
-def _knows_all(planner: str) -> bool:
-    """Return True if the planner has more information than the optimum."""
-    return planner in PLANNERS and PLANNERS[planner].knows_all_places
 
 
 def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
@@ -118,7 +109,7 @@ def table(rows: Sequence[Row]) -> str:
             lines.append("")
         share = Interval(*(100 * x for x in row.complete))
         p_obs = "all" if row.p_obs is None else f"{row.p_obs:g}"
-        rate = f"{share.value:6.2f} [{share.low:.2f}, {share.high:.2f}]" if row.runs else "     -"
+        rate = f"{share.value:6.2f} [{share.low:.2f}, {share.high:.2f}]"
         lines.append(
             f"{row.planner:13}{p_obs:>6}{row.runs:8}  {rate:27}"
             f"{_pm(row.explorations, 2):>16}{_pm(row.steps_to_bound, 3):>17}"
@@ -139,8 +130,7 @@ def _pm(interval: Interval, digits: int) -> str:
 
 def legend(planners: Sequence[str]) -> str:
     """Return a line for each planner, with its description."""
-    words = {**{name: entry.words for name, entry in PLANNERS.items()}, **{LLM: LLM_WORDS}}
-    return "\n".join(f"{name:13}{words[name]}" for name in planners)
+    return "\n".join(f"{name:13}{PLANNERS[name].words}" for name in planners)
 
 
 def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
@@ -161,8 +151,6 @@ def summary(rows: Sequence[Row]) -> str:
 
 
 def _summary(row: Row) -> str:
-    if not row.runs:
-        return f"{row.planner}: not run"
     others = [f"{n} {how}" for how, n in row.outcomes.items() if how != OUTCOMES[0]]
     text = f"{row.planner}: {100 * row.complete.value:.2f} % complete"
     text += f" ({', '.join(others)})" if others else ""

@@ -9,7 +9,7 @@ import pytest
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.plots import STYLES, write_plots
-from edge.lab.eval.planning.report import LLM, Row
+from edge.lab.eval.planning.report import Row
 
 NAN = Interval(float("nan"), float("nan"), float("nan"))
 
@@ -22,7 +22,7 @@ def row(planner: str, p_obs: float | None, complete: float, explorations: Interv
 @pytest.fixture
 def rows():
     return [
-        row(planner, p, 0.9 if planner == LLM else 1.0, Interval(k + 2 / p, k, k + 3 / p))
+        row(planner, p, 0.9 if planner == "in-order" else 1.0, Interval(k + 2 / p, k, k + 3 / p))
         for k, planner in enumerate(STYLES)
         for p in (0.1, 0.5, 1.0)
     ] + [row("vitl", None, 1.0)]
@@ -33,7 +33,7 @@ def words(path) -> str:
 
 
 def test_every_planner_has_a_style_of_its_own():
-    assert set(STYLES) == {*PLANNERS, LLM}
+    assert set(STYLES) == set(PLANNERS)
     assert len({style.colour for style in STYLES.values()}) == len(STYLES)
     assert len({style.mark for style in STYLES.values()}) == len(STYLES)
 
@@ -51,7 +51,7 @@ def test_files(tmp_path, rows):
 
 
 @pytest.mark.parametrize(
-    "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("new", 0.1, 0.3)]]
+    "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("optimal", 0.1, 0.3)]]
 )
 def test_few_rows_make_plots_too(tmp_path, rows):
     assert len(write_plots(rows, tmp_path)) == 4
