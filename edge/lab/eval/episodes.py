@@ -17,9 +17,10 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from edge import names
 from edge.config import Config, parse
@@ -28,15 +29,18 @@ from edge.host.files import read_regular, save
 from edge.host.progress import with_progress
 from edge.lab.eval import geodesic, missions, world_list
 from edge.lab.eval.arms import data_of, merged
+from edge.lab.eval.json_lines_file import parse_lines, parser_of
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
 from edge.lab.sim.worlds import load_world
 from edge.memory import ROOM_KINDS
-from edge.text import one_line, read_json_object
+from edge.text import one_line
 
 log = logging.getLogger("edge.lab.eval.episodes")
 MAX_BYTES = 1 << 28
 """Largest file of episodes that is read."""
+Length = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+"""A length in a file, in m."""
 
 COMMON_TARGETS = (
     "bed", "chair", "house plant", "sofa", "television", "toilet",
@@ -77,7 +81,7 @@ class Episode:
     start: tuple[float, float, float]
     target: str | None
     instruction: str | None
-    shortest_m: float
+    shortest_m: Length
     sensing: dict[str, Any] = field(default_factory=dict)
     goals: tuple[str, ...] = ()
     moved: float = 0.0
@@ -336,52 +340,35 @@ def read(path: Path) -> list[Episode]:
         UserError: a line is not an episode, or two episodes have the same id.
     """
     try:
-        lines = read_regular(path, MAX_BYTES).splitlines()
+        content = read_regular(path, MAX_BYTES)
     except OSError as error:
         raise FileError(
             f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --plan FILE` "
             "writes such a file"
         ) from None
     episodes: dict[str, Episode] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            episode = parse_episode(read_json_object(line))
-        except (KeyError, TypeError, ValueError) as error:
-            missing = isinstance(error, KeyError)
-            why = f"the field {error} is missing" if missing else one_line(error)
-            raise UserError(
-                f"{path}: line {number}: not an episode: {why}; write the file with --plan"
-            ) from None
+    for episode in parse_lines(
+        path, content, parse_episode, "an episode", "write the file with --plan"
+    ):
         if episode.id in episodes:
             raise UserError(
-                f"{path}: line {number}: an earlier line has the same id {one_line(episode.id)}; "
-                "remove one of the lines"
+                f"{path}: two episodes have the same id {one_line(episode.id)}; remove one of the "
+                "lines"
             )
         episodes[episode.id] = episode
     return list(episodes.values())
+
+
+_parse = parser_of(Episode)
 
 
 def parse_episode(data: dict[str, Any]) -> Episode:
     """Build an episode from its JSON object.
 
     Raises:
-        KeyError, TypeError, ValueError: a field is missing or wrong.
+        ValueError: a field is missing or wrong.
     """
-    x, y, yaw = (float(value) for value in data["start"])
-    target, instruction = data["target"], data.get("instruction")
-    goals, asks = (tuple(map(str, data.get(name, ()))) for name in ("goals", "asks"))
-    if not goals and not isinstance(target if instruction is None else instruction, str):
+    episode = _parse(data)
+    if not (episode.goals or episode.target or episode.instruction):
         raise ValueError("target or instruction: expected a text, got none")
-    shortest_m = float(data["shortest_m"])
-    if not 0.0 <= shortest_m < math.inf:
-        raise ValueError(f"shortest_m: expected a length in m, got {shortest_m:g}")
-    world, sensing, site = data["world"], data.get("sensing", {}), data.get("site", {})
-    if not all(isinstance(section, dict) for section in (world, sensing, site)):
-        raise ValueError("world, sensing and site: expected JSON objects")
-    return Episode(
-        str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
-        shortest_m, sensing, goals, float(data.get("moved", 0.0)), site, str(data.get("ways", "")),
-        asks,
-    )  # fmt: skip
+    return episode

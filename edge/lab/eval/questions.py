@@ -13,6 +13,7 @@ from edge.errors import UserError
 from edge.lab.eval.episodes import Episode, make_episode, world_setups
 from edge.lab.eval.ground_truth import objects_meant_by
 from edge.lab.eval.missions import MissionCostFields
+from edge.lab.eval.outcome import RIGHT
 from edge.lab.eval.rooms import RoomVerdict, judge_rooms
 from edge.lab.eval.true_rooms import true_room_at
 from edge.lab.sim.base import World, WorldError, free_poses
@@ -21,9 +22,8 @@ from edge.loop.service import Service
 
 log = logging.getLogger("edge.lab.eval.questions")
 MAX_ERROR_M = 1.0  # of the place in a right answer
-# Verdicts on an answer.
-RIGHT, NOT_SEEN = "right", "not seen"
-WRONG_PLACE, WRONG_ROOM = "wrong place", "wrong room"
+# Verdicts on an answer, besides `RIGHT`.
+NOT_SEEN, WRONG_PLACE, WRONG_ROOM = "not seen", "wrong place", "wrong room"
 EXPLORE = "explore the house"
 
 

@@ -19,13 +19,12 @@ from edge.lab.eval.comparison.outcomes import (
     Outcomes,
     baseline_of,
     gather,
-    read_records,
     with_rooms,
 )
 from edge.lab.eval.comparison.statistics import Comparison, compare
-from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, to_json_line
+from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, read_outcomes
 from edge.lab.report.recorder import machine
-from edge.text import one_line, read_json_object
+from edge.text import one_line
 
 EPISODES_NAME = "episodes.jsonl"  # in the folder of the outcomes
 CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
@@ -65,7 +64,7 @@ def compare_folder(
         UserError: there are no outcomes, or no such arm; or a file cannot be read.
     """
     path = folder / OUTCOMES_NAME
-    found = read_records(path)
+    found = read_outcomes(path)
     if not found:
         raise UserError(f"{path}: has no outcomes; `edge eval episodes --out {folder}` writes them")
     outcomes = gather(found)
@@ -77,7 +76,7 @@ def compare_folder(
 
 
 def text(comparison: Comparison) -> str:
-    """Return all tables for a terminal, with notes on intervals and on ignored records."""
+    """Return all tables for a terminal, with notes on intervals and on ignored outcomes."""
     if not comparison.outcomes.arms:
         return "no outcomes"
     parts = [tables.text(table) for table in tables.tables(comparison)]
@@ -92,8 +91,7 @@ def text(comparison: Comparison) -> str:
 
 def summary_text(outcomes: Iterable[EpisodeOutcome]) -> str:
     """Return the text that is printed at the end of a run of episodes."""
-    found = gather(read_json_object(to_json_line(outcome)) for outcome in outcomes)
-    return text(compare(found))
+    return text(compare(gather(outcomes)))
 
 
 def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:

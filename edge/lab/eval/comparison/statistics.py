@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural_key
+from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, clusters, natural_key
 from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
 from edge.lab.eval.metrics import episode_soft_spl, episode_spl
 from edge.lab.eval.outcome import FAILURES
@@ -46,7 +46,7 @@ class ComparisonMetric(NamedTuple):
 
 
 def _raw(name: str) -> Callable[[Outcomes], np.ndarray]:
-    """Return a function that reads a number of `NUMERIC_FIELDS` as it is."""
+    """Return a function that reads a number of `NUMBERS` as it is."""
     return lambda outcomes: outcomes[name]
 
 
@@ -56,7 +56,7 @@ def _in_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
 
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
-    """Return (A, E) SPL of each episode, NaN without a record."""
+    """Return (A, E) SPL of each episode, NaN without an outcome."""
     each = episode_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
@@ -362,7 +362,7 @@ def _group(
 def _failures(outcomes: Outcomes, arm: int) -> dict[str, int]:
     """Count an arm's failed episodes by kind of failure."""
     kinds = outcomes.failure[arm]
-    return {kind: int((kinds == kind).sum()) for kind in (*FAILURES, OTHER)}
+    return {kind: int((kinds == kind).sum()) for kind in FAILURES}
 
 
 def _losses(

@@ -121,12 +121,10 @@ def fill_left_at_sight_m(
         if not objects:
             continue
         distances_m = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
-        for (a, e), record in outcomes.records.items():
+        for (a, e), outcome in outcomes.at.items():
             seen_m = outcomes["first_sight_path_m"][a, e]
             if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
-                place = point_along(
-                    np.asarray(record.get("trail") or [record["start"][:2]]), seen_m
-                )
+                place = point_along(np.array(outcome.trail or [outcome.start[:2]]), seen_m)
                 out_m[a, e] = nearest_value(world, distances_m, place)
 
 
