@@ -27,6 +27,7 @@ from edge.lab.bench.frames import BenchFrames
 from edge.lab.bench.isolated import run_isolated
 from edge.lab.bench.variants import PROVIDERS, providers_here, runs_on
 from edge.lab.eval import geodesic
+from edge.lab.sim.base import objects_named
 from edge.perception.runtime.card_types import DirectionsCard
 from edge.perception.runtime.cards import all_cards, install_hint
 from edge.perception.scoring.choice.question import DetectedObject, Mark, MarkCosts, MarkedView
@@ -183,7 +184,7 @@ def _remaining_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     inf if the world is unknown or there is no path.
     """
     world = pictures.world
-    targets = [o for o in world.objects if names.same_name(o.label, view.target)] if world else []
+    targets = objects_named(world, view.target) if world else []
     if not targets:
         return [math.inf] * len(view.marks)
     plan, pose = world.plan, pictures.poses[view.observation.seq]

@@ -27,11 +27,13 @@ from edge.config import Config, parse
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular, save
 from edge.host.progress import with_progress
-from edge.lab.eval import geodesic, missions, world_list
+from edge.lab.eval import geodesic, world_list
 from edge.lab.eval.arms import data_of, merged
 from edge.lab.eval.json_lines_file import parse_lines, parser_of
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
+from edge.lab.eval.missions import MissionCostFields, draw_missions
+from edge.lab.eval.planning.delexicalised import compiled
+from edge.lab.sim.base import World, WorldError, WorldObject, free_poses, objects_named, start_at
 from edge.lab.sim.worlds import load_world
 from edge.memory import ROOM_KINDS
 from edge.text import one_line
@@ -41,6 +43,7 @@ MAX_BYTES = 1 << 28
 """Largest file of episodes that is read."""
 Length = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 """A length in a file, in m."""
+_POSES = 20  # starts to try for a mission
 
 COMMON_TARGETS = (
     "bed", "chair", "house plant", "sofa", "television", "toilet",
@@ -157,7 +160,7 @@ def objects_of(world: World, target: str) -> list[WorldObject]:
     Raises:
         UserError: there are none; the message lists what there is.
     """
-    found = [o for o in world.objects if names.same_name(o.label, target)]
+    found = objects_named(world, target)
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
         raise UserError(f"world {world.name}: no object is a {target!r} (choices: {labels})")
@@ -179,8 +182,7 @@ def plan(
     Args:
         config: gives the robot and its sensors.
         worlds: sections `sim.world`. Empty: the configuration's own world, which must have every
-            target and `starts` starts for each. In several worlds, a missing target is skipped. A
-            world whose own start has no room for the robot is skipped with a warning.
+            target and `starts` starts for each. In several worlds, a missing target is skipped.
         targets: names of objects.
         starts: number of starts for each target in each world.
         seed: of the random starts.
@@ -197,11 +199,7 @@ def plan(
             return _plan_in_world(setup, targets, starts, seed, min_distance_m, strict=True)
         labels = [o.label for o in setup.world.objects if max(o.size_m) >= min_size_m]
         present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
-        try:
-            found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
-        except WorldError as error:
-            log.warning("evaluation goes on without this world: %s", error)
-            continue
+        found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
         episodes += _draw(found, per_world, seed, setup.world.name)
     if targets and not episodes:
         raise UserError(
@@ -224,7 +222,7 @@ def plan_missions(
     Args:
         config: gives the robot and its sensors.
         worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names that missions may use, if the world has them.
+        targets: names that missions may use, if the robot can get to such an object.
         count: at most this number of missions in a world.
         seed: of the random missions and starts.
         min_distance_m: shortest allowed path of a mission.
@@ -235,14 +233,21 @@ def plan_missions(
     episodes: list[Episode] = []
     for number, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
         world_seed = seed + 1_000_000 * number  # other missions in each world
-        found = missions.plan_missions(world, targets, count, world_seed, radius_m, min_distance_m)
-        episodes += [
-            make_episode(
-                section, world.name, item.start, item.shortest_m, sensing,
-                instruction=item.mission.instruction,
-            )
-            for item in found
-        ]  # fmt: skip
+        fields = MissionCostFields(world, radius_m)
+        present = [target for target in targets if fields.has(target)]
+        for k, mission in enumerate(draw_missions(present, count, world_seed)):
+            distances_m = fields.cost_to_go_m(compiled(mission.formula))
+            # Each mission has its own seed. The first pose that is far enough is its start.
+            for pose in free_poses(world, _POSES, world_seed + 1000 * k, radius_m):
+                shortest_m = geodesic.value_at(world.plan, distances_m, pose.x_m, pose.y_m)
+                if min_distance_m <= shortest_m < math.inf:
+                    episodes.append(
+                        make_episode(
+                            section, world.name, start_at(pose), round(shortest_m, 4), sensing,
+                            instruction=mission.instruction,
+                        )
+                    )  # fmt: skip
+                    break
     if not episodes:
         raise UserError(
             f"no world has a mission to two targets with a path of {min_distance_m:g} m or more; "
@@ -267,7 +272,10 @@ class WorldSetup(NamedTuple):
 
 
 def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[WorldSetup]:
-    """Load the worlds of these sections, or the configuration's own if there are none."""
+    """Load the worlds of these sections, or the configuration's own if there are none.
+
+    A section's world whose own start has no room for the robot is skipped with a warning.
+    """
     sensing, radius_m = sensing_settings(config), config.robot.radius_m
     if not worlds:
         section = config.sim.world.model_dump(mode="json")
@@ -276,6 +284,11 @@ def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[W
     for section in with_progress("worlds", worlds):
         data = merged(data_of(config), {"sim": {"world": section, "start": None}})
         world = world_list.load(parse(data, f"{config.path} with --worlds"))
+        try:
+            free_poses(world, 1, 0, radius_m)
+        except WorldError as error:
+            log.warning("evaluation goes on without this world: %s", error)
+            continue
         yield WorldSetup(world, section, sensing, radius_m)
 
 
@@ -299,8 +312,7 @@ def _plan_in_world(
         for pose in poses:
             shortest_m = geodesic.value_at(world.plan, distances_m, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf and len(found) < starts:
-                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
-                shortest_m = round(shortest_m, 4)
+                start, shortest_m = start_at(pose), round(shortest_m, 4)
                 found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
         if strict and len(found) < starts:
             raise UserError(

@@ -87,6 +87,7 @@ def test_missions_are_planned_in_each_world():
         assert episode.target is None
         assert episode.instruction.startswith("Reach")
         assert episode.shortest_m >= 4.0
+        assert "unicorn" not in episode.instruction
     with pytest.raises(UserError, match="no world has a mission to two targets"):
         episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
 

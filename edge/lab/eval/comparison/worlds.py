@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edge import names
 from edge.geometry import Grid, downsample
 from edge.lab.eval import geodesic
 from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.report import raster
-from edge.lab.sim.base import World, WorldObject
+from edge.lab.sim.base import World, WorldObject, objects_named
 
 MAX_SIDE_PX = 320  # longest side of a drawing
 _MARGIN_M = 0.3  # around the reachable floor
@@ -57,11 +56,6 @@ def draw(world: World, targets: list[str], robot_radius_m: float) -> FloorPlanDr
     width, height = columns * grid.resolution_m, rows * grid.resolution_m
     footprints = {t: [corners_m(o) for o in objects_named(world, t)] for t in targets if t}
     return FloorPlanDrawing(png.tobytes(), left, bottom + height, width, height, footprints)
-
-
-def objects_named(world: World, target: str) -> list[WorldObject]:
-    """Return the world's objects with this name; [] if there are none."""
-    return [item for item in world.objects if names.same_name(item.label, target)]
 
 
 def corners_m(item: WorldObject) -> np.ndarray:
