@@ -42,7 +42,6 @@ def run(args: argparse.Namespace) -> int:
     rows = report.rows_of(results)
     print(report.legend(results.planners), end="\n\n")
     print(report.table(rows), end="\n\n")
-    print(report.summary(rows), end="\n\n")
     seconds = time.monotonic() - began_s
     try:
         content = report.to_json(rows, tasks, settings, seconds)
