@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
@@ -46,7 +46,6 @@ class Outcomes:
         kind: (E,) str, kind of world.
         target: (E,) str; "" for a mission with several targets.
         ways: (E,) str; see `edge.lab.eval.episodes.Episode`.
-        rooms: (E,) float64, number of rooms of the world; NaN if unknown (`with_rooms`).
         shortest_m: (E,) float64, shortest path of the episode. In a session (several goals one
             after another) each arm starts a goal elsewhere, so its length differs by arm: this is
             the value of one arm; `numbers["shortest_m"]` has all.
@@ -64,7 +63,6 @@ class Outcomes:
     kind: np.ndarray
     target: np.ndarray
     ways: np.ndarray
-    rooms: np.ndarray
     shortest_m: np.ndarray
     ran: np.ndarray
     numbers: dict[str, np.ndarray]
@@ -119,7 +117,6 @@ def gather(outcomes: Iterable[EpisodeOutcome]) -> Outcomes:
         np.array([o.kind for o in any_arm], dtype=str),
         np.array([o.target or "" for o in any_arm], dtype=str),
         np.array([o.ways for o in any_arm], dtype=str),
-        np.full(len(episodes), np.nan),
         np.array([o.shortest_m for o in any_arm], np.float64),
         ran, numbers, failure, at, len(outcomes) - len(at),
     )  # fmt: skip
@@ -136,13 +133,6 @@ def _check_same_episode(one: EpisodeOutcome, other: EpisodeOutcome) -> None:
                 f"{one_line(one.arm)} and {one_line(values[1])} for arm {one_line(other.arm)}; "
                 "run both arms on the same file of episodes (--plan)"
             )
-
-
-def with_rooms(outcomes: Outcomes, rooms: Mapping[str, int | None]) -> Outcomes:
-    """Return the outcomes with the number of rooms of each world, given by name."""
-    counts = [rooms.get(name) for name in outcomes.world.tolist()]
-    known = np.array([math.nan if n is None else float(n) for n in counts])
-    return replace(outcomes, rooms=known)
 
 
 def natural_key(text: str) -> list[tuple[int, Any]]:

@@ -72,8 +72,7 @@ def _episode_row(
     arms = range(len(outcomes.arms))
     ran = {a: outcomes.at[a, e] for a in arms if outcomes.ran[a, e]}
     target, world = str(outcomes.target[e]), str(outcomes.world[e])
-    rooms = [] if math.isnan(outcomes.rooms[e]) else [f"{outcomes.rooms[e]:g} rooms"]
-    facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", *rooms, outcomes.episodes[e]]
+    facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", outcomes.episodes[e]]
     ground = grounds.get(world) or trails.empty_background(list(ran.values()))
     maps = "".join(
         trails.figure(ground, target, outcomes.arms[a], a, ran.get(a), float(spl[a])) for a in arms

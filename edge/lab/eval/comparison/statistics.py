@@ -193,7 +193,7 @@ class Comparison:
         unit: the resampled unit, "world" or "episode".
         figures: by arm, by metric.
         pairs: of every arm but the baseline.
-        groups: by criterion (target, kind of world, rooms), by group, by arm: SR and SPL. A
+        groups: by criterion (target, kind of world, ways), by group, by arm: SR and SPL. A
             criterion with only one group is left out.
         failures: by arm, by kind of failure, the number of episodes.
         losses: by arm; empty if the distances at first sight are unknown.
@@ -328,11 +328,11 @@ def _groups(
     outcomes: Outcomes, resamples: int
 ) -> dict[str, dict[str, dict[str, dict[str, Estimate]]]]:
     """Return SR and SPL by criterion, by group, by arm, by metric."""
-    rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
     by = {
-        "target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms),
+        "target": outcomes.target,
+        "kind of world": outcomes.kind,
         "ways around the zone": outcomes.ways,
-    }  # fmt: skip
+    }
     all_groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
     for name, labels in by.items():
         present = sorted({label for label in labels.tolist() if label}, key=natural_key)

@@ -11,7 +11,7 @@ import pytest
 from made_outcomes import failure, record
 
 from edge.errors import FileError, UserError
-from edge.lab.eval.comparison.outcomes import clusters, gather, with_rooms
+from edge.lab.eval.comparison.outcomes import clusters, gather
 from edge.lab.eval.outcome import EpisodeOutcome, read_outcomes
 
 RECORD = asdict(record())
@@ -75,9 +75,6 @@ def test_arrays_have_a_row_for_each_arm_and_nan_for_missing_values():
     np.testing.assert_array_equal(outcomes["wrong_stops"], [[np.nan, 0.0], [0.0, np.nan]])
     np.testing.assert_array_equal(outcomes["score_p95_ms"], [[0.5, 0.5], [0.25, np.nan]])
     np.testing.assert_array_equal(outcomes["tick_p95_ms"][0], [2.0, 2.0])
-    assert np.isnan(outcomes.rooms).all()
-    told = with_rooms(outcomes, {"house-9": 3, "house-10": None})
-    np.testing.assert_array_equal(told.rooms, [3.0, np.nan])
 
 
 def test_the_newest_of_a_column_counts():
