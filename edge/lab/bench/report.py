@@ -85,14 +85,9 @@ def _cells(row: dict[str, Any], family: str) -> tuple[str, ...]:
 
 
 def _footnotes(report: Report) -> list[str]:
-    """Return remarks on the speed of the machine, the memory, and invalid boxes."""
+    """Return remarks on the load of the machine, the memory, and invalid boxes."""
     ran = [row for row in report["rows"] if row["state"] == "ran"]
     lines = []
-    if again := report["again"]:
-        lines.append(
-            f"{again['name']} on {again['on']} measured again at the end: session "
-            f"{again['session_ms']:.1f} ms, {again['ratio']:.2f} of the first time"
-        )
     others = max((row["others_cores"] or 0.0 for row in ran), default=0.0)
     if others > _QUIET_CORES:
         lines.append(

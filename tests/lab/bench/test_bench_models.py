@@ -340,7 +340,6 @@ def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, t
     assert kept_report["frames"]["count"] == 2
     assert kept_report["prompts"] == ["bed", "chair", "sofa", "television", "trash can"]
     assert "wardrobe" in kept_report["unknown_labels"]
-    assert kept_report["again"]["name"] == "tiny-fp32"
     for row in (fp32, int8):
         assert row["latency_ms"]["session"]["min"] > 0.0
         assert row["latency_ms"]["all"]["p50"] >= row["latency_ms"]["session"]["min"]
@@ -375,7 +374,6 @@ def test_a_folder_of_images_gives_no_truth(place, tmp_path, capsys):
     kept_report = json.loads(kept.read_text())
     assert kept_report["rows"][0]["truth"] is None
     assert kept_report["prompts"] == [w for w in frames.names.ALIASES if w in WORDS]
-    assert kept_report["again"] is None
     assert str(kept) in capsys.readouterr().out
 
 
@@ -384,8 +382,7 @@ def test_a_variant_that_hangs_is_ended(place, tmp_path, monkeypatch):
     (tmp_path / "measure.py").write_text("import time; time.sleep(1000)")
     one = variants.Variant(load_detector_card("tiny-fp32"), "cpu")
     job = measure.DetectorJob(config.DetectorOnnx(), [], [], 0.3)
-    made = compare.VariantRunner(job, limit_s=0.3)
-    assert made.run(one).startswith("failed: not done after 0.3 s (")
+    assert compare.measure_variant(one, job, 0.3).startswith("failed: not done after 0.3 s (")
 
 
 REPORT = {
@@ -452,7 +449,7 @@ def test_the_table_has_a_line_for_each_footnote():
     frames_of = {**REPORT["frames"], "things": None}
     row = {**ROW, "on": "cuda", "memory_mb": 100.0, "gpu_memory_mb": 512.0, "others_cores": 1.5}
     compared = {
-        **REPORT, "family": "tiny", "frames": frames_of, "unknown_labels": (), "again": None,
+        **REPORT, "family": "tiny", "frames": frames_of, "unknown_labels": (),
         "rows": [{**row, "invalid_boxes": 3}],
     }  # fmt: skip
     text = report.as_text(compared)
