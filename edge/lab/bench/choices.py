@@ -235,14 +235,9 @@ def _row(
     results: Results,
     correct: np.ndarray,
 ) -> Row:
-    """Return the row of one result.
+    """Return the row of one of the results; another one is the reference.
 
-    Args:
-        card: the model.
-        on: its provider.
-        found: its measurement, or why there is none.
-        results: those of all models; one of them is the reference.
-        correct: see `correct_marks`.
+    `correct` is as `correct_marks` returns it.
     """
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
@@ -266,9 +261,7 @@ def _row(
 def against_truth(correct: np.ndarray, p: np.ndarray) -> dict[str, float]:
     """Return the share of correct choices, and the share that a random choice would get.
 
-    Args:
-        correct: see `correct_marks`.
-        p: see `ChoiceMeasurement`.
+    `correct` is as `correct_marks` returns it, and `p` as in `ChoiceMeasurement`.
 
     Returns:
         `right`, the share of correct choices; `at_random`, the same for a random choice; and

@@ -126,17 +126,9 @@ def make_episode(
     instruction: str | None = None,
     **more: Any,
 ) -> Episode:
-    """Build an episode. Its id is readable and includes a hash of the content.
+    """Build an episode of the world with this name. Other arguments are fields of `Episode`.
 
-    Args:
-        world: `sim.world` of the configuration.
-        name: the world's name.
-        start: see `Episode`.
-        shortest_m: see `Episode`.
-        sensing: see `Episode`.
-        target: see `Episode`.
-        instruction: see `Episode`.
-        **more: other fields of `Episode`.
+    Its id is readable and includes a hash of the content.
     """
     # An empty `more` is left out, so that the ids of plain episodes stay as they were.
     content = [world, start, target, instruction, sensing, *([more] if more else [])]

@@ -67,11 +67,7 @@ def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Generat
 
 
 class MissionCostFields:
-    """Cost-to-go fields of the missions in a world.
-
-    Args:
-        robot_radius_m: radius of the robot's footprint.
-    """
+    """Cost-to-go fields of the missions in a world, for a robot of this radius."""
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world = world

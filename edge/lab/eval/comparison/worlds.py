@@ -101,14 +101,10 @@ def _cut(grid: Grid, inside: np.ndarray) -> Grid:
 def fill_left_at_sight_m(
     world: World, episodes: list[int], outcomes: Outcomes, radius_m: float, out_m: np.ndarray
 ) -> None:
-    """Fill in the distance that was left when a robot first saw its target.
+    """Fill in the distance that was left when a robot of this radius first saw its target.
 
-    Args:
-        world: the world.
-        episodes: indices of the episodes in this world.
-        outcomes: the outcomes.
-        radius_m: radius of the robot.
-        out_m: (A, E) float64; entries of these episodes are set if the target was seen.
+    `episodes` are the indices of those in this world. Their entries of `out_m`, (A, E) float64, are
+    set if the target was seen.
     """
     for target in sorted({str(outcomes.target[e]) for e in episodes} - {""}):
         objects = objects_named(world, target)
