@@ -162,11 +162,6 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     )
     option = planning.add_argument
     option(
-        "--tasks", type=Path, metavar="FILE", help="read the missions from this JSON Lines file "
-        "(default: generate them)",
-    )  # fmt: skip
-    option("--export", type=Path, metavar="FILE", help="write the missions to this file; run none")
-    option(
         "--n", type=count, default=2000, help="number of missions to generate (default: "
         "%(default)s)",
     )  # fmt: skip
@@ -182,7 +177,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--planners",
         metavar="NAME,NAME,…",
-        help="planners to compare (default: all); to add a language model, give --llm",
+        help="planners to compare (default: all)",
     )
     option(
         "--episodes", type=count, default=1, metavar="N",
@@ -195,20 +190,6 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option(
         "--out", type=Path, default=Path("planning-report"), metavar="DIR",
         help="folder for plots and results.json (default: ./%(default)s)",
-    )  # fmt: skip
-    option(
-        "--llm",
-        metavar="URL",
-        help="also compare the language model of the OpenAI-compatible server at this URL",
-    )
-    option(
-        "--model",
-        default="default",
-        help="with --llm: the model's name on the server (default: %(default)s)",
-    )
-    option(
-        "--llm-tasks", type=count, default=20, metavar="N",
-        help="with --llm: number of missions for the language model (default: %(default)s)",
     )  # fmt: skip
     planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", "run", extra="lab"))
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from edge.config import DetectorOnnx, DetectorSim
     from edge.mission.logic.automaton import Automaton
 
-_DRAWINGS = (".svg", ".png", ".dot")
+_DRAWINGS = (".svg", ".png")
 _LIST_CHARS = 1000  # longest line of targets, plan or reading
 
 
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
         raise UserError(f"--draw: {drawing}: the name must end in one of {', '.join(_DRAWINGS)}")
-    if drawing is not None and drawing.suffix != ".dot":
+    if drawing is not None:
         require_extra("lab")
     config = load(args.config)
     mission = config.mission
@@ -116,13 +116,9 @@ def _default_reading(implied: int | None) -> str:
 def _draw(path: Path, automaton: Automaton, steps: tuple[str, ...]) -> None:
     """Draw the automaton to a file; the suffix chooses the format."""
     from edge.host.files import save
-    from edge.lab.report import canvas, dot
+    from edge.lab.report import canvas
     from edge.lab.report.automaton_graph import draw
     from edge.live.automaton_graph import make_automaton_graph
 
-    content = {
-        ".svg": lambda: canvas.svg(draw(make_automaton_graph(automaton, 0, steps))),
-        ".png": lambda: canvas.png(draw(make_automaton_graph(automaton, 0, steps))),
-        ".dot": lambda: dot.to_dot(automaton, 0, steps).encode(),
-    }[path.suffix]()
-    save(path, content)
+    drawing = draw(make_automaton_graph(automaton, 0, steps))
+    save(path, canvas.svg(drawing) if path.suffix == ".svg" else canvas.png(drawing))

@@ -168,6 +168,6 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
     )  # fmt: skip
     option(
         "--out", type=Path, default=Path("soak"), metavar="FOLDER",
-        help="folder for the recording, logs and a web page (default: ./%(default)s)",
+        help="folder for the recordings and logs (default: ./%(default)s)",
     )  # fmt: skip
     soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", "run", extra="lab"))

@@ -216,7 +216,7 @@ def _add_mission(commands) -> None:  # type: ignore[no-untyped-def]
     explain.add_argument(
         "--draw",
         metavar="FILE",
-        help="draw the mission's automaton to this file (.svg, .png or .dot)",
+        help="draw the mission's automaton to this file (.svg or .png)",
     )
     explain.set_defaults(handler=lazy_handler("edge.cli.explain", "run"))
 

@@ -15,7 +15,6 @@ from edge.errors import UserError
 from edge.host import checkpoint
 from edge.host.files import read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
-from edge.lab.eval.planning.file import read_tasks
 from edge.lab.eval.translation_cases import lang2ltl_cases
 from edge.lab.sim.house import load_house
 from edge.lab.sim.mesh import read_objects
@@ -77,7 +76,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     ),
     "objects of a mesh": ("o.json", read_objects),
     "recording": ("r.mcap", lambda path: list(recording.read(path))),
-    "tasks": ("t.jsonl", read_tasks),
     "utterances": ("u.csv", lang2ltl_cases),
     "checkpoint": ("c.json", lambda path: checkpoint.load(path, MISSION)),
     "pictures": ("p.png", lambda path: from_folder(path.parent, 1)),

@@ -68,13 +68,13 @@ def knowledge_of(draw, letters: tuple[str, ...]) -> MissionKnowledge:
     return knowing(**sets)
 
 
-def eq_1(letter: str, k: MissionKnowledge, w_det: float, known_reached: bool) -> float:
+def eq_1(letter: str, k: MissionKnowledge, w_det: float) -> float:
     """Return the weight of a proposition; inf if it failed."""
     if letter == NOTHING:
         return W_NOTHING
     if letter in k.failed:
         return math.inf
-    return w_det if letter in k.detected or (known_reached and letter in k.reached) else 1.0
+    return w_det if letter in k.detected | k.reached else 1.0
 
 
 def shortest(automaton: Automaton, state: int, weight) -> tuple[float, int]:

@@ -32,10 +32,8 @@ CONSTANT = PlannerVitl()
 NOTHING_KNOWN = MissionKnowledge()
 
 
-def planned(
-    text: str, knowledge=NOTHING_KNOWN, current=None, config=CONSTANT, **keywords
-) -> TargetPlan:
-    return make_planner(config, compiled(text), **keywords).plan(0, knowledge, current)
+def planned(text: str, knowledge=NOTHING_KNOWN, current=None, config=CONSTANT) -> TargetPlan:
+    return make_planner(config, compiled(text)).plan(0, knowledge, current)
 
 
 def test_nothing_to_do():
@@ -99,10 +97,8 @@ def test_failed_objects(text, failed, feasible, blocked_by, target):
     assert math.isinf(plan.cost) == (not feasible)
 
 
-@pytest.mark.parametrize(("known_reached", "cost"), [(True, 1.01), (False, 2.0)])
-def test_what_was_reached_is_known_unless_eq_1_is_read_literally(known_reached, cost):
-    plan = planned("F(a & X F b)", knowing(reached="a"), known_reached=known_reached)
-    assert plan.cost == cost
+def test_what_was_reached_is_known():
+    assert planned("F(a & X F b)", knowing(reached="a")).cost == 1.01
 
 
 def test_twice_in_separate_visits_takes_a_step_of_nothing():
@@ -184,15 +180,13 @@ def test_a_matrix_of_another_shape_is_refused():
 # --- against networkx ---
 
 
-@given(data=st.data(), automaton=automata(), known_reached=st.booleans())
-def test_constant_plans_are_shortest_paths(data, automaton, known_reached):
+@given(data=st.data(), automaton=automata())
+def test_constant_plans_are_shortest_paths(data, automaton):
     knowledge = data.draw(knowledge_of(automaton.propositions))
-    planner = make_planner(PlannerVitl(), automaton, known_reached=known_reached)
+    planner = make_planner(PlannerVitl(), automaton)
     for state in range(automaton.n_states):
         plan = planner.plan(state, knowledge)
-        cost, steps = shortest(
-            automaton, state, lambda _, x: eq_1(x, knowledge, vitl.W_DET, known_reached)
-        )
+        cost, steps = shortest(automaton, state, lambda _, x: eq_1(x, knowledge, vitl.W_DET))
         assert plan.cost == pytest.approx(cost, abs=1e-9)
         assert len(plan.steps) == steps
         check(automaton, state, plan, knowledge)
@@ -215,7 +209,7 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
 
     def weight(before, letter):
         if letter == "" or letter in knowledge.failed:
-            return eq_1(letter, knowledge, 0.01, True)
+            return eq_1(letter, knowledge, 0.01)
         if letter not in placed:
             return 10.0
         here, j = metres[k, column[letter]], column[letter]

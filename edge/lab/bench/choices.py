@@ -27,6 +27,7 @@ from edge.lab.bench.frames import BenchFrames
 from edge.lab.bench.isolated import run_isolated
 from edge.lab.bench.variants import PROVIDERS, providers_here, runs_on
 from edge.lab.eval import geodesic
+from edge.lab.sim.base import objects_named
 from edge.perception.runtime.card_types import DirectionsCard
 from edge.perception.runtime.cards import all_cards, install_hint
 from edge.perception.scoring.choice.question import DetectedObject, Mark, MarkCosts, MarkedView
@@ -183,7 +184,7 @@ def _remaining_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
     inf if the world is unknown or there is no path.
     """
     world = pictures.world
-    targets = [o for o in world.objects if names.same_name(o.label, view.target)] if world else []
+    targets = objects_named(world, view.target) if world else []
     if not targets:
         return [math.inf] * len(view.marks)
     plan, pose = world.plan, pictures.poses[view.observation.seq]
@@ -234,14 +235,9 @@ def _row(
     results: Results,
     correct: np.ndarray,
 ) -> Row:
-    """Return the row of one result.
+    """Return the row of one of the results; another one is the reference.
 
-    Args:
-        card: the model.
-        on: its provider.
-        found: its measurement, or why there is none.
-        results: those of all models; one of them is the reference.
-        correct: see `correct_marks`.
+    `correct` is as `correct_marks` returns it.
     """
     row: Row = {"name": card.name, "on": on}
     if isinstance(found, str):
@@ -265,9 +261,7 @@ def _row(
 def against_truth(correct: np.ndarray, p: np.ndarray) -> dict[str, float]:
     """Return the share of correct choices, and the share that a random choice would get.
 
-    Args:
-        correct: see `correct_marks`.
-        p: see `ChoiceMeasurement`.
+    `correct` is as `correct_marks` returns it, and `p` as in `ChoiceMeasurement`.
 
     Returns:
         `right`, the share of correct choices; `at_random`, the same for a random choice; and

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from typing import Any, Union
 
@@ -108,25 +108,21 @@ def _settings(config: Config, threads: int | None) -> DetectorOnnx:
     return settings if threads is None else settings.model_copy(update={"threads": threads})
 
 
-@dataclass(frozen=True, slots=True)
-class VariantRunner:
-    """Runner of variants on the same frames.
+def measure_variant(
+    variant: Variant, job: DetectorJob, limit_s: float
+) -> DetectorMeasurement | str:
+    """Return the measurement of a variant, or one line of text that says why there is none.
 
-    Attributes:
-        job: job without its model and providers.
-        limit_s: a process is killed after this time.
+    Args:
+        variant: the model and its provider.
+        job: the frames, without model and provider.
+        limit_s: the process is killed after this time.
     """
-
-    job: DetectorJob
-    limit_s: float
-
-    def run(self, variant: Variant) -> DetectorMeasurement | str:
-        """Return the measurement, or one line of text that says why there is none."""
-        if not variant.card.is_here():
-            return f"not here: {install_hint(variant.card)}"
-        asked = {"model": variant.card.name, "providers": PROVIDERS[variant.provider]}
-        detector = self.job.detector.model_copy(update=asked)
-        return run_isolated(MEASURE, replace(self.job, detector=detector), self.limit_s, _LIMIT)
+    if not variant.card.is_here():
+        return f"not here: {install_hint(variant.card)}"
+    asked = {"model": variant.card.name, "providers": PROVIDERS[variant.provider]}
+    job = replace(job, detector=job.detector.model_copy(update=asked))
+    return run_isolated(MEASURE, job, limit_s, _LIMIT)
 
 
 def compare(
@@ -159,9 +155,12 @@ def compare(
     tau_det = config.perception.tau_det
     limit_s = LOAD_TIMEOUT_S + _FRAME_S * len(pictures.rgb)
     before = machine.describe()
-    runner = VariantRunner(DetectorJob(settings, prompts, pictures.rgb, tau_det), limit_s)
-    results = _run_all(runner, todo)
-    again = _measure_again(runner, results)
+    job = DetectorJob(settings, prompts, pictures.rgb, tau_det)
+    results: Results = []
+    for number, variant in enumerate(todo, 1):
+        name, on = variant.card.name, variant.provider
+        log.info("measuring model %d of %d: %s on %s", number, len(todo), name, on)
+        results.append((variant, measure_variant(variant, job, limit_s)))
     return {
         "version": VERSION,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
@@ -181,23 +180,7 @@ def compare(
         "tau_det": tau_det,
         "threads": settings.threads,
         "rows": [_row(*pair, results, pictures, prompts) for pair in results],
-        "again": again,
     }
-
-
-def _run_all(runner: VariantRunner, todo: Sequence[Variant]) -> Results:
-    """Run all variants one after another."""
-    results = []
-    for number, variant in enumerate(todo, 1):
-        log.info(
-            "measuring model %d of %d: %s on %s",
-            number,
-            len(todo),
-            variant.card.name,
-            variant.provider,
-        )
-        results.append((variant, runner.run(variant)))
-    return results
 
 
 def _row(
@@ -266,26 +249,3 @@ def _agreement(
             is_itself = reference is result
             return None if is_itself else boxes.agreement(reference.found, result.found)
     return None
-
-
-def _measure_again(runner: VariantRunner, results: Results) -> dict[str, Any] | None:
-    """Measure the first variant again, to see if the machine has become slower or faster."""
-    ran = [
-        (variant, result) for variant, result in results if isinstance(result, DetectorMeasurement)
-    ]
-    if len(ran) < 2:
-        return None
-    variant, first = ran[0]
-    log.info(
-        "measuring %s again, to see if the speed of this computer has changed", variant.card.name
-    )
-    second = runner.run(variant)
-    if isinstance(second, str):
-        return None
-    before, after = (latency_ms(r.stages_ns)["session"]["p50"] for r in (first, second))
-    return {
-        "name": variant.card.name,
-        "on": variant.provider,
-        "session_ms": after,
-        "ratio": round(after / before, 3) if before else 1.0,
-    }

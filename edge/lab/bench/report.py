@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -18,26 +18,17 @@ from edge.host.files import save
 from edge.lab.bench.variants import RUNTIMES
 from edge.perception.runtime.cards import card_path
 from edge.perception.runtime.health import WHY_INVALID
+from edge.text import format_table
 
 Report = dict[str, Any]
 """Figures of a family's variants, as `compare.compare` returns them."""
 _CARD_WIDTH = 110  # of a line in a model card
 
-# Title of a group of the table's columns, and the number of its columns.
-_GROUPS = (
-    ("", 2),
-    ("latency, ms: p50 (p95)", 4),
-    ("", 1),
-    ("against FP32", 3),
-    ("against truth", 2),
-)
 _HEADINGS = (
-    "variant", "on", "pre", "session", "post", "all", "MB", "recall", "prec.", "score", "recall",
-    "prec.",
+    "variant", "on", "pre", "session", "post", "all", "MB", "fp32: recall", "prec.", "score",
+    "truth: recall", "prec.",
 )  # fmt: skip
-_LEFT = 2  # number of left-aligned columns
-_WIDTH = 110  # of the table, in characters
-_GAP = "  "  # between two columns
+_WIDTH = 110  # of a line of the header, in characters
 _QUIET_CORES = 0.2
 """Below this load, other processes do not change the times much."""
 
@@ -61,7 +52,7 @@ def _header(report: Report) -> list[str]:
         f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
         machine.summary(report["machine"]),
     ]
-    return [textwrap.fill(line, _WIDTH, subsequent_indent=_GAP) for line in lines]
+    return [textwrap.fill(line, _WIDTH, subsequent_indent="  ") for line in lines]
 
 
 def _threads(count: int) -> str:
@@ -69,21 +60,19 @@ def _threads(count: int) -> str:
 
 
 def _rows(report: Report) -> list[str]:
-    """Return the lines of the table: titles of the groups, headings, a line for each variant."""
-    prefix = f"{report['family']}-"
-    rows = [_cells(row, row["name"].removeprefix(prefix)) for row in report["rows"]]
-    # A variant without figures has fewer cells; its reason may be wider than the columns.
-    full = [_HEADINGS, *(cells for cells in rows if len(cells) == len(_HEADINGS))]
-    widths = [max(len(cells[k]) for cells in full) for k in range(len(_HEADINGS))]
-    for k in range(_LEFT):
-        widths[k] = max(len(cells[k]) for cells in [_HEADINGS, *rows])
-    return [_group_line(widths), *(_line(cells, widths) for cells in [_HEADINGS, *rows])]
+    """Return the table of the variants, and a line for each that has no figures."""
+    rows = [_cells(row, report["family"]) for row in report["rows"] if row["state"] == "ran"]
+    missing = [
+        f"{row['name']} on {row['on']}: {row['why']}"
+        for row in report["rows"]
+        if row["state"] != "ran"
+    ]
+    times = "times in ms: p50 (p95); boxes against those of FP32, and against truth"
+    return [times, format_table([_HEADINGS, *rows], left=2), *missing]
 
 
-def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
-    """Return a cell for each heading; for a variant without figures: name, provider and reason."""
-    if row["state"] != "ran":
-        return (name, row["on"], row["why"])
+def _cells(row: dict[str, Any], family: str) -> tuple[str, ...]:
+    """Return a cell for each heading."""
     times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
     fp32, truth = row["agreement"] or {}, row["truth"] or {}
     shares = [fp32.get("recall"), fp32.get("precision"), fp32.get("score_error")]
@@ -91,37 +80,14 @@ def _cells(row: dict[str, Any], name: str) -> tuple[str, ...]:
     memory = f"{row['memory_mb']:.0f}"
     if (gpu := row["gpu_memory_mb"]) is not None:
         memory += f"+{gpu:.0f}"
+    name = row["name"].removeprefix(f"{family}-")
     return (name, row["on"], *times, memory, *("-" if s is None else f"{s:.2f}" for s in shares))
 
 
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Return a line of the table, with its cells padded to the widths."""
-    if len(cells) < len(widths):  # a variant without figures: its reason needs no width
-        widths = [*widths[:_LEFT], 0]
-    left = [cell.ljust(w) for cell, w in zip(cells[:_LEFT], widths, strict=False)]
-    right = [cell.rjust(w) for cell, w in zip(cells[_LEFT:], widths[_LEFT:], strict=True)]
-    return _GAP.join([*left, *right]).rstrip()
-
-
-def _group_line(widths: Sequence[int]) -> str:
-    """Return the line above the headings, with the titles of the groups."""
-    parts, start = [], 0
-    for title, count in _GROUPS:
-        width = sum(widths[start : start + count]) + len(_GAP) * (count - 1)
-        parts.append(title.center(width))
-        start += count
-    return _GAP.join(parts).rstrip()
-
-
 def _footnotes(report: Report) -> list[str]:
-    """Return remarks on the speed of the machine, the memory, and invalid boxes."""
+    """Return remarks on the load of the machine, the memory, and invalid boxes."""
     ran = [row for row in report["rows"] if row["state"] == "ran"]
     lines = []
-    if again := report["again"]:
-        lines.append(
-            f"{again['name']} on {again['on']} measured again at the end: session "
-            f"{again['session_ms']:.1f} ms, {again['ratio']:.2f} of the first time"
-        )
     others = max((row["others_cores"] or 0.0 for row in ran), default=0.0)
     if others > _QUIET_CORES:
         lines.append(

@@ -95,7 +95,7 @@ def providers_here(asked: str | None) -> list[str]:
     here = [on for on, providers in PROVIDERS.items() if available.issuperset(providers)]
     if asked is None:
         return here
-    wanted = [_short(word) for word in asked.split(",")]
+    wanted = [word.strip() for word in asked.split(",")]
     for word in wanted:
         if word not in here:
             raise UserError(
@@ -103,13 +103,6 @@ def providers_here(asked: str | None) -> list[str]:
                 f"(choices: {', '.join(here)})"
             )
     return wanted
-
-
-def _short(word: str) -> str:
-    """Return a provider's short name; accepts onnxruntime's name too (`CPUExecutionProvider`)."""
-    word = word.strip()
-    by_provider = {providers[0].lower(): on for on, providers in PROVIDERS.items()}
-    return by_provider.get(word.lower(), word)
 
 
 def _available() -> set[str]:

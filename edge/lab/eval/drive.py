@@ -60,12 +60,7 @@ def run_episode(
 ) -> EpisodeOutcome:
     """Run one episode with one arm. An error during the run gives a "crashed" outcome.
 
-    Args:
-        arm: the arm.
-        episode: the episode.
-        drive: `in_process` or `over_zenoh`.
-        page: folder for a report of the run; None: no report.
-        stop: ends the run early.
+    `drive` is `in_process` or `over_zenoh`, and `page` a folder for a report of the run.
 
     Raises:
         Stopped: `stop` was set.

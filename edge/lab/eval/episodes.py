@@ -17,26 +17,33 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from edge import names
 from edge.config import Config, parse
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular, save
 from edge.host.progress import with_progress
-from edge.lab.eval import geodesic, missions, world_list
+from edge.lab.eval import geodesic, world_list
 from edge.lab.eval.arms import data_of, merged
+from edge.lab.eval.json_lines_file import parse_lines, parser_of
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.sim.base import World, WorldError, WorldObject, free_poses
+from edge.lab.eval.missions import MissionCostFields, draw_missions
+from edge.lab.eval.planning.delexicalised import compiled
+from edge.lab.sim.base import World, WorldError, WorldObject, free_poses, objects_named, start_at
 from edge.lab.sim.worlds import load_world
 from edge.memory import ROOM_KINDS
-from edge.text import one_line, read_json_object
+from edge.text import one_line
 
 log = logging.getLogger("edge.lab.eval.episodes")
 MAX_BYTES = 1 << 28
 """Largest file of episodes that is read."""
+Length = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+"""A length in a file, in m."""
+_POSES = 20  # starts to try for a mission
 
 COMMON_TARGETS = (
     "bed", "chair", "house plant", "sofa", "television", "toilet",
@@ -77,7 +84,7 @@ class Episode:
     start: tuple[float, float, float]
     target: str | None
     instruction: str | None
-    shortest_m: float
+    shortest_m: Length
     sensing: dict[str, Any] = field(default_factory=dict)
     goals: tuple[str, ...] = ()
     moved: float = 0.0
@@ -119,17 +126,9 @@ def make_episode(
     instruction: str | None = None,
     **more: Any,
 ) -> Episode:
-    """Build an episode. Its id is readable and includes a hash of the content.
+    """Build an episode of the world with this name. Other arguments are fields of `Episode`.
 
-    Args:
-        world: `sim.world` of the configuration.
-        name: the world's name.
-        start: see `Episode`.
-        shortest_m: see `Episode`.
-        sensing: see `Episode`.
-        target: see `Episode`.
-        instruction: see `Episode`.
-        **more: other fields of `Episode`.
+    Its id is readable and includes a hash of the content.
     """
     # An empty `more` is left out, so that the ids of plain episodes stay as they were.
     content = [world, start, target, instruction, sensing, *([more] if more else [])]
@@ -153,7 +152,7 @@ def objects_of(world: World, target: str) -> list[WorldObject]:
     Raises:
         UserError: there are none; the message lists what there is.
     """
-    found = [o for o in world.objects if names.same_name(o.label, target)]
+    found = objects_named(world, target)
     if not found:
         labels = ", ".join(sorted({o.label for o in world.objects}))
         raise UserError(f"world {world.name}: no object is a {target!r} (choices: {labels})")
@@ -175,8 +174,7 @@ def plan(
     Args:
         config: gives the robot and its sensors.
         worlds: sections `sim.world`. Empty: the configuration's own world, which must have every
-            target and `starts` starts for each. In several worlds, a missing target is skipped. A
-            world whose own start has no room for the robot is skipped with a warning.
+            target and `starts` starts for each. In several worlds, a missing target is skipped.
         targets: names of objects.
         starts: number of starts for each target in each world.
         seed: of the random starts.
@@ -193,11 +191,7 @@ def plan(
             return _plan_in_world(setup, targets, starts, seed, min_distance_m, strict=True)
         labels = [o.label for o in setup.world.objects if max(o.size_m) >= min_size_m]
         present = [t for t in targets if any(names.same_name(label, t) for label in labels)]
-        try:
-            found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
-        except WorldError as error:
-            log.warning("evaluation goes on without this world: %s", error)
-            continue
+        found = _plan_in_world(setup, present, starts, seed, min_distance_m, strict=False)
         episodes += _draw(found, per_world, seed, setup.world.name)
     if targets and not episodes:
         raise UserError(
@@ -220,7 +214,7 @@ def plan_missions(
     Args:
         config: gives the robot and its sensors.
         worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names that missions may use, if the world has them.
+        targets: names that missions may use, if the robot can get to such an object.
         count: at most this number of missions in a world.
         seed: of the random missions and starts.
         min_distance_m: shortest allowed path of a mission.
@@ -231,14 +225,21 @@ def plan_missions(
     episodes: list[Episode] = []
     for number, (world, section, sensing, radius_m) in enumerate(world_setups(config, worlds)):
         world_seed = seed + 1_000_000 * number  # other missions in each world
-        found = missions.plan_missions(world, targets, count, world_seed, radius_m, min_distance_m)
-        episodes += [
-            make_episode(
-                section, world.name, item.start, item.shortest_m, sensing,
-                instruction=item.mission.instruction,
-            )
-            for item in found
-        ]  # fmt: skip
+        fields = MissionCostFields(world, radius_m)
+        present = [target for target in targets if fields.has(target)]
+        for k, mission in enumerate(draw_missions(present, count, world_seed)):
+            distances_m = fields.cost_to_go_m(compiled(mission.formula))
+            # Each mission has its own seed. The first pose that is far enough is its start.
+            for pose in free_poses(world, _POSES, world_seed + 1000 * k, radius_m):
+                shortest_m = geodesic.value_at(world.plan, distances_m, pose.x_m, pose.y_m)
+                if min_distance_m <= shortest_m < math.inf:
+                    episodes.append(
+                        make_episode(
+                            section, world.name, start_at(pose), round(shortest_m, 4), sensing,
+                            instruction=mission.instruction,
+                        )
+                    )  # fmt: skip
+                    break
     if not episodes:
         raise UserError(
             f"no world has a mission to two targets with a path of {min_distance_m:g} m or more; "
@@ -263,7 +264,10 @@ class WorldSetup(NamedTuple):
 
 
 def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[WorldSetup]:
-    """Load the worlds of these sections, or the configuration's own if there are none."""
+    """Load the worlds of these sections, or the configuration's own if there are none.
+
+    A section's world whose own start has no room for the robot is skipped with a warning.
+    """
     sensing, radius_m = sensing_settings(config), config.robot.radius_m
     if not worlds:
         section = config.sim.world.model_dump(mode="json")
@@ -272,6 +276,11 @@ def world_setups(config: Config, worlds: Sequence[dict[str, Any]]) -> Iterator[W
     for section in with_progress("worlds", worlds):
         data = merged(data_of(config), {"sim": {"world": section, "start": None}})
         world = world_list.load(parse(data, f"{config.path} with --worlds"))
+        try:
+            free_poses(world, 1, 0, radius_m)
+        except WorldError as error:
+            log.warning("evaluation goes on without this world: %s", error)
+            continue
         yield WorldSetup(world, section, sensing, radius_m)
 
 
@@ -295,8 +304,7 @@ def _plan_in_world(
         for pose in poses:
             shortest_m = geodesic.value_at(world.plan, distances_m, pose.x_m, pose.y_m)
             if min_distance_m <= shortest_m < math.inf and len(found) < starts:
-                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
-                shortest_m = round(shortest_m, 4)
+                start, shortest_m = start_at(pose), round(shortest_m, 4)
                 found.append(make_episode(section, world.name, start, shortest_m, sensing, target))
         if strict and len(found) < starts:
             raise UserError(
@@ -336,52 +344,35 @@ def read(path: Path) -> list[Episode]:
         UserError: a line is not an episode, or two episodes have the same id.
     """
     try:
-        lines = read_regular(path, MAX_BYTES).splitlines()
+        content = read_regular(path, MAX_BYTES)
     except OSError as error:
         raise FileError(
             f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --plan FILE` "
             "writes such a file"
         ) from None
     episodes: dict[str, Episode] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            episode = parse_episode(read_json_object(line))
-        except (KeyError, TypeError, ValueError) as error:
-            missing = isinstance(error, KeyError)
-            why = f"the field {error} is missing" if missing else one_line(error)
-            raise UserError(
-                f"{path}: line {number}: not an episode: {why}; write the file with --plan"
-            ) from None
+    for episode in parse_lines(
+        path, content, parse_episode, "an episode", "write the file with --plan"
+    ):
         if episode.id in episodes:
             raise UserError(
-                f"{path}: line {number}: an earlier line has the same id {one_line(episode.id)}; "
-                "remove one of the lines"
+                f"{path}: two episodes have the same id {one_line(episode.id)}; remove one of the "
+                "lines"
             )
         episodes[episode.id] = episode
     return list(episodes.values())
+
+
+_parse = parser_of(Episode)
 
 
 def parse_episode(data: dict[str, Any]) -> Episode:
     """Build an episode from its JSON object.
 
     Raises:
-        KeyError, TypeError, ValueError: a field is missing or wrong.
+        ValueError: a field is missing or wrong.
     """
-    x, y, yaw = (float(value) for value in data["start"])
-    target, instruction = data["target"], data.get("instruction")
-    goals, asks = (tuple(map(str, data.get(name, ()))) for name in ("goals", "asks"))
-    if not goals and not isinstance(target if instruction is None else instruction, str):
+    episode = _parse(data)
+    if not (episode.goals or episode.target or episode.instruction):
         raise ValueError("target or instruction: expected a text, got none")
-    shortest_m = float(data["shortest_m"])
-    if not 0.0 <= shortest_m < math.inf:
-        raise ValueError(f"shortest_m: expected a length in m, got {shortest_m:g}")
-    world, sensing, site = data["world"], data.get("sensing", {}), data.get("site", {})
-    if not all(isinstance(section, dict) for section in (world, sensing, site)):
-        raise ValueError("world, sensing and site: expected JSON objects")
-    return Episode(
-        str(data["id"]), world, (x, y, yaw), target if instruction is None else None, instruction,
-        shortest_m, sensing, goals, float(data.get("moved", 0.0)), site, str(data.get("ways", "")),
-        asks,
-    )  # fmt: skip
+    return episode

@@ -25,15 +25,9 @@ def distance_field(
 
 
 def distance_to(plan: FloorPlan, ends: np.ndarray, robot_radius_m: float) -> np.ndarray:
-    """Return the distance that a robot must drive to any of the places where `ends` is True.
+    """Return the distance that a robot must drive to any place where `ends` is True.
 
-    Args:
-        plan: the plan.
-        ends: (rows, columns) bool.
-        robot_radius_m: radius of the robot's footprint.
-
-    Returns:
-        See `distance_field`.
+    `ends` is (rows, columns) bool; the result is as of `distance_field`.
     """
     free = plan.clearance_m > robot_radius_m
     distance = np.where(ends, 0.0, np.inf)

@@ -14,9 +14,8 @@ import numpy as np
 
 from edge import names
 from edge.config import Config
-from edge.jit import jit
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.recall import RecallCounter
+from edge.lab.eval.recall import RecallCounter, visible_boxes
 from edge.lab.eval.revisits import RevisitCounter
 from edge.lab.eval.true_rooms import distance_to_room_m
 from edge.lab.eval.zone_entries import ZoneEntryCounter
@@ -109,9 +108,7 @@ class GroundTruthLogger:
         self._world, self._truth = world, truth
         self._people = config.sim.people  # their ids follow those of the objects
         # Compile now, not in a timed tick.
-        count_visible_px(
-            np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), np.zeros(1, bool), 0.0
-        )
+        visible_boxes(np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.float32), 0.0, 1)
         detector = config.perception.detector
         simulated = detector.kind == "sim"
         self._range_m = (
@@ -122,6 +119,7 @@ class GroundTruthLogger:
         self.seconds = 0.0
         self.objects: dict[str, list[WorldObject]] = {}
         self._target_masks: dict[str, np.ndarray] = {}
+        self._n_ids = 1  # number of object ids, with 0 for none
         self.trail: list[list[float]] = []
         self.goals: list[Goal] = []
         self.status: MissionStatus | None = None
@@ -132,7 +130,7 @@ class GroundTruthLogger:
         self.false_confirmed: set[int] = set()
         self.revisited_m2: float | None = None
         self.answers: dict[str, str] = {}
-        self.recall = RecallCounter(config.perception.tau_det, self._range_m)
+        self.recall = RecallCounter(config.perception.tau_det)
         self._revisits = RevisitCounter(config, world, self._range_m)
         radius_m = config.robot.radius_m
         self._zones = ZoneEntryCounter(keep_out_m, radius_m) if len(keep_out_m) else None
@@ -158,10 +156,12 @@ class GroundTruthLogger:
         self._extend_trail(truth)
         if self._zones is not None:
             self._zones.update(truth.x_m, truth.y_m)
-        self._record_sights(truth, observation.depth_m)
-        found, depth_m = result.detections, observation.depth_m
-        if found is not None and found.observation is observation and depth_m is not None:
-            self.recall.update(found, truth.ids, depth_m, self._target_masks)
+        found = result.detections
+        if observation.depth_m is not None:
+            boxes = visible_boxes(truth.ids, observation.depth_m, self._range_m, self._n_ids)
+            self._record_sights(boxes, truth.path_m)
+            if found is not None and found.observation is observation:
+                self.recall.update(found, boxes, self._target_masks)
         if result.events:
             self._judge_reports(result, truth)
         instances = result.instances()
@@ -172,8 +172,9 @@ class GroundTruthLogger:
     def _begin(self, targets: Sequence[str], truth: GroundTruth, stamp_ns: int) -> None:
         self.objects = {target: objects_meant_by(self._world, target) for target in targets}
         max_id = max((item.id for item in self._world.objects), default=0) + self._people
+        self._n_ids = max_id + 1
         self._target_masks = {
-            target: object_mask(objects, max_id) for target, objects in self.objects.items()
+            target: object_mask(objects, self._n_ids) for target, objects in self.objects.items()
         }
         self.confirmed = {target: set() for target in targets}
         self._began_ns, self._anchor = stamp_ns, (0.0, truth.x_m, truth.y_m)
@@ -188,12 +189,10 @@ class GroundTruthLogger:
         if math.dist(self._anchor[1:], (truth.x_m, truth.y_m)) > STUCK_RADIUS_M:
             self._anchor = (self.seconds, truth.x_m, truth.y_m)
 
-    def _record_sights(self, truth: GroundTruth, depth_m: np.ndarray | None) -> None:
+    def _record_sights(self, boxes: np.ndarray, path_m: float) -> None:
         for target, mask in self._target_masks.items():
-            if target in self.first_sights or depth_m is None or not len(self.objects[target]):
-                continue
-            if count_visible_px(truth.ids, depth_m, mask, self._range_m) >= MIN_PX:
-                self.first_sights[target] = FirstSight(self.seconds, truth.path_m)
+            if target not in self.first_sights and boxes[mask, 4].sum() >= MIN_PX:
+                self.first_sights[target] = FirstSight(self.seconds, path_m)
 
     def _judge_reports(self, result: TickResult, truth: GroundTruth) -> None:
         """Add to `stops` each object that the mission log newly reports as reached."""
@@ -312,26 +311,8 @@ def _noun(target: str) -> str:
     return next(known, target)
 
 
-def object_mask(objects: Sequence[WorldObject], max_id: int) -> np.ndarray:
-    """Return (max_id + 1,) bool by object id: True for these objects."""
-    mask = np.zeros(max_id + 1, np.bool_)
+def object_mask(objects: Sequence[WorldObject], n_ids: int) -> np.ndarray:
+    """Return (n_ids,) bool by object id: True for these objects."""
+    mask = np.zeros(n_ids, np.bool_)
     mask[[item.id for item in objects]] = True
     return mask
-
-
-@jit
-def count_visible_px(ids: np.ndarray, depth_m: np.ndarray, mask: np.ndarray, range_m: float) -> int:
-    """Count the pixels that show one of the objects within a range.
-
-    Args:
-        ids: (h, w) uint16 object ids.
-        depth_m: (h, w) float32, NaN = no return.
-        mask: (n,) bool by object id, True for the objects.
-        range_m: the range.
-    """
-    count = 0
-    for v in range(ids.shape[0]):
-        for u in range(ids.shape[1]):
-            if mask[ids[v, u]] and depth_m[v, u] <= range_m:
-                count += 1
-    return count

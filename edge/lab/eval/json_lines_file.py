@@ -1,4 +1,4 @@
-"""A file of JSON lines to which an evaluation appends its results as they come."""
+"""Files of JSON lines: an evaluation's episodes, and its results, appended as they come."""
 
 from __future__ import annotations
 
@@ -6,11 +6,55 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
+
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
 from edge.text import one_line, read_json_object
 
 T = TypeVar("T")
+Parser = Callable[[dict[str, Any]], T]
+"""Makes an item from a JSON object. Raises KeyError, TypeError or ValueError if it cannot."""
+
+
+def parser_of(kind: type[T]) -> Parser[T]:
+    """Return a parser for the dataclass `kind` that checks the types of all fields."""
+    adapter = TypeAdapter(kind)
+
+    def parse(data: dict[str, Any]) -> T:
+        try:
+            return adapter.validate_python(data)
+        except ValidationError as error:
+            fault = error.errors(include_input=False, include_url=False)[0]
+            raise ValueError(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}") from None
+
+    return parse
+
+
+def parse_lines(path: Path, content: bytes, parse: Parser[T], what: str, advice: str) -> list[T]:
+    """Parse the lines of a file, without the empty ones.
+
+    Args:
+        path: the file, for messages.
+        content: its content.
+        parse: the parser of a line.
+        what: name of an item with its article, for messages.
+        advice: advice to the user, for messages.
+
+    Raises:
+        UserError: a line is not an item.
+    """
+    found = []
+    for number, line in enumerate(content.splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            found.append(parse(read_json_object(line)))
+        except (KeyError, TypeError, ValueError) as error:
+            raise UserError(
+                f"{path}: line {number}: not {what}: {one_line(error)}; {advice}"
+            ) from None
+    return found
 
 
 class JsonLinesFile(Generic[T]):
@@ -20,8 +64,7 @@ class JsonLinesFile(Generic[T]):
 
     Args:
         path: the file; its folder is made if it is missing.
-        parse: makes an item from a line's JSON object; raises KeyError, TypeError or ValueError if
-            it cannot.
+        parse: the parser of a line.
         what: name of an item with its article, for messages.
         max_bytes: size limit of the file.
 
@@ -33,9 +76,7 @@ class JsonLinesFile(Generic[T]):
         UserError: the file has other content.
     """
 
-    def __init__(
-        self, path: Path, parse: Callable[[dict[str, Any]], T], what: str, max_bytes: int
-    ) -> None:
+    def __init__(self, path: Path, parse: Parser[T], what: str, max_bytes: int) -> None:
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,15 +88,8 @@ class JsonLinesFile(Generic[T]):
             raise FileError(
                 f"{path}: cannot be used: {error.strerror or error}; choose another --out"
             ) from None
-        self.found: list[T] = []
-        for number, text in enumerate(complete.splitlines(), start=1):
-            try:
-                self.found.append(parse(read_json_object(text)))
-            except (KeyError, TypeError, ValueError) as error:
-                raise UserError(
-                    f"{path}: line {number}: not {what} of this version of edge "
-                    f"({one_line(error)}); choose another --out"
-                ) from None
+        what = f"{what} of this version of edge"
+        self.found = parse_lines(path, complete, parse, what, "choose another --out")
 
     def append(self, line: bytes) -> None:
         """Append a line, which must end with a newline.

@@ -1,4 +1,4 @@
-"""Plans missions with several targets in a world, and the shortest path of each (ViTL V-D).
+"""Missions with several targets in a world, and the shortest path of each (ViTL V-D).
 
 Sentences and formulas are those of the task-level benchmark, for the objects of the world. The
 shortest path is exact: over every order that satisfies the formula, and over every place where an
@@ -7,7 +7,6 @@ object counts as reached.
 
 from __future__ import annotations
 
-import math
 import random
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -18,10 +17,9 @@ import numpy as np
 from edge import names
 from edge.lab.eval import geodesic
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.planning.delexicalised import compiled
 from edge.lab.eval.planning.templates import Family, draws, formula_of, is_open_task, sentence_of
 from edge.lab.eval.true_rooms import in_room_of_kind
-from edge.lab.sim.base import World, free_poses
+from edge.lab.sim.base import World, objects_named
 from edge.mission.logic.automaton import NOTHING, Automaton
 from edge.mission.logic.ltl import Formula
 
@@ -36,7 +34,6 @@ FAMILIES = (
     Family("any-order-until", 0.1, any_order=True, untils=(1, 1)),
 )
 _MAX_DRAWS = 10_000  # templates to draw for the missions of a world
-_POSES = 20  # starts to try for a mission
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,53 +43,6 @@ class GeneratedMission:
     family: str
     instruction: str
     formula: Formula
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedMission:
-    """A mission, its start (x and y [m], yaw [rad]) and its shortest path."""
-
-    mission: GeneratedMission
-    start: tuple[float, float, float]
-    shortest_m: float
-
-
-def plan_missions(
-    world: World,
-    targets: Sequence[str],
-    count: int,
-    seed: int,
-    robot_radius_m: float,
-    min_distance_m: float = 0.0,
-) -> list[PlannedMission]:
-    """Draw different missions for a world, each with its own start.
-
-    Args:
-        world: the world.
-        targets: names that missions may use. A target is skipped if the world lacks it, or if the
-            robot cannot get to it from the world's start.
-        count: at most this number of missions.
-        seed: of the missions and starts.
-        robot_radius_m: radius of the robot's footprint.
-        min_distance_m: shortest allowed path of a mission.
-
-    Returns:
-        Missions in the order of their draws; fewer than `count`, or none, if the world has too few
-        different objects.
-    """
-    fields = MissionCostFields(world, robot_radius_m)
-    present = [target for target in targets if fields.has(target)]
-    found: list[PlannedMission] = []
-    for k, mission in enumerate(draw_missions(present, count, seed)):
-        cost_to_go_m = fields.cost_to_go_m(compiled(mission.formula))
-        # Each mission has its own seed.
-        for pose in free_poses(world, _POSES, seed + 1000 * k, robot_radius_m):
-            shortest_m = geodesic.value_at(world.plan, cost_to_go_m, pose.x_m, pose.y_m)
-            if min_distance_m <= shortest_m < math.inf:
-                start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
-                found.append(PlannedMission(mission, start, round(shortest_m, 4)))
-                break
-    return found
 
 
 def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[GeneratedMission]:
@@ -117,11 +67,7 @@ def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[Generat
 
 
 class MissionCostFields:
-    """Cost-to-go fields of the missions in a world.
-
-    Args:
-        robot_radius_m: radius of the robot's footprint.
-    """
+    """Cost-to-go fields of the missions in a world, for a robot of this radius."""
 
     def __init__(self, world: World, robot_radius_m: float) -> None:
         self._world = world
@@ -149,7 +95,7 @@ class MissionCostFields:
         if target in self._world.room_kinds:
             near = in_room_of_kind(self._world, target, self._radius_m)
         else:
-            objects = [o for o in self._world.objects if names.same_name(o.label, target)]
+            objects = objects_named(self._world, target)
             near = geodesic.near(self._world.plan, objects, self._radius_m, REACHED_M)
         self._near[target] = near & self._reachable
         return self._near[target]

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
+from edge.errors import FileError
+from edge.host.files import read_regular
 from edge.lab.eval.arms import ExperimentArm
-from edge.lab.eval.episodes import Episode
+from edge.lab.eval.episodes import Episode, Length
 from edge.lab.eval.json_data import json_data
-from edge.lab.eval.json_lines_file import JsonLinesFile
+from edge.lab.eval.json_lines_file import JsonLinesFile, parse_lines, parser_of
 from edge.text import one_line
 
 OUTCOMES_NAME = "outcomes.jsonl"
@@ -19,10 +21,13 @@ MAX_BYTES = 1 << 30
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
-FAILURES = (
-    "never seen", "seen, not confirmed", "probable", "wrong thing", "stuck", "budget", "crashed",
-)  # fmt: skip
+Failure = Literal[
+    "never seen", "seen, not confirmed", "probable", "wrong thing", "stuck", "budget", "crashed"
+]
+FAILURES: tuple[Failure, ...] = get_args(Failure)
 """Kinds of failure; see `edge.lab.eval.ground_truth.GroundTruthLogger.failure`."""
+RIGHT = "right"
+"""Verdict on a right answer; `edge.lab.eval.questions` has the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +80,10 @@ class EpisodeOutcome:
     target: str | None
     instruction: str | None
     start: tuple[float, float, float]
-    shortest_m: float
+    shortest_m: Length
     success: bool
     reason: str
-    failure: str | None
+    failure: Failure | None
     path_m: float = 0.0
     elapsed_s: float = 0.0
     wall_s: float = 0.0
@@ -91,7 +96,7 @@ class EpisodeOutcome:
     false_confirmations: int = 0
     revisited_m2: float | None = None
     goals: int = 0
-    tick_ms: dict[str, float] = field(default_factory=dict)
+    tick_ms: dict[str, float | None] = field(default_factory=dict)
     score_ms: float | None = None
     trail: list[list[float]] = field(default_factory=list)
     goal_xy: list[list[Any]] = field(default_factory=list)
@@ -143,6 +148,27 @@ def to_json_line(outcome: EpisodeOutcome) -> bytes:
     return json.dumps(json_data(asdict(outcome), digits=4), separators=(",", ":")).encode() + b"\n"
 
 
+_parse = parser_of(EpisodeOutcome)
+
+
+def read_outcomes(path: Path) -> list[EpisodeOutcome]:
+    """Read the outcomes of a file, without a last line that was not written to its end.
+
+    Raises:
+        FileError: the file cannot be read.
+        UserError: a line is not an outcome.
+    """
+    try:
+        content = read_regular(path, MAX_BYTES)
+    except OSError as error:
+        raise FileError(
+            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --out DIR` "
+            "writes this file"
+        ) from None
+    complete = content[: content.rfind(b"\n") + 1]
+    return parse_lines(path, complete, _parse, "an outcome", "remove the line")
+
+
 class OutcomeFile:
     """`outcomes.jsonl` of a folder: reads what is there, then appends whole lines.
 
@@ -155,12 +181,7 @@ class OutcomeFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._file = JsonLinesFile(
-            folder / OUTCOMES_NAME,
-            lambda data: EpisodeOutcome(**_fields_of(data)),
-            "an outcome",
-            MAX_BYTES,
-        )
+        self._file = JsonLinesFile(folder / OUTCOMES_NAME, _parse, "an outcome", MAX_BYTES)
         self.known = {outcome.key: outcome for outcome in self._file.found}
 
     def append(self, outcome: EpisodeOutcome) -> None:
@@ -171,7 +192,3 @@ class OutcomeFile:
         """
         self._file.append(to_json_line(outcome))
         self.known[outcome.key] = outcome
-
-
-def _fields_of(data: dict[str, Any]) -> dict[str, Any]:
-    return {**data, "start": tuple(data["start"])}

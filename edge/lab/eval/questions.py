@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,17 +12,16 @@ from edge.errors import UserError
 from edge.lab.eval.episodes import Episode, make_episode, world_setups
 from edge.lab.eval.ground_truth import objects_meant_by
 from edge.lab.eval.missions import MissionCostFields
+from edge.lab.eval.outcome import RIGHT
 from edge.lab.eval.rooms import RoomVerdict, judge_rooms
 from edge.lab.eval.true_rooms import true_room_at
-from edge.lab.sim.base import World, WorldError, free_poses
+from edge.lab.sim.base import World, free_poses, start_at
 from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service
 
-log = logging.getLogger("edge.lab.eval.questions")
 MAX_ERROR_M = 1.0  # of the place in a right answer
-# Verdicts on an answer.
-RIGHT, NOT_SEEN = "right", "not seen"
-WRONG_PLACE, WRONG_ROOM = "wrong place", "wrong room"
+# Verdicts on an answer, besides `RIGHT`.
+NOT_SEEN, WRONG_PLACE, WRONG_ROOM = "not seen", "wrong place", "wrong room"
 EXPLORE = "explore the house"
 
 
@@ -45,18 +43,14 @@ def plan_questions(
     for world, section, sensing, radius_m in world_setups(config, worlds):
         fields = MissionCostFields(world, radius_m)
         asks = tuple(target for target in targets if fields.has(target))
-        try:
-            (pose,) = free_poses(world, 1, seed, radius_m)
-        except WorldError as error:
-            log.warning("evaluation goes on without this world: %s", error)
-            continue
-        start = (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+        (pose,) = free_poses(world, 1, seed, radius_m)
         if asks:
             episodes.append(
                 make_episode(
-                    section, world.name, start, 0.0, sensing, instruction=EXPLORE, asks=asks
+                    section, world.name, start_at(pose), 0.0, sensing, instruction=EXPLORE,
+                    asks=asks,
                 )
-            )
+            )  # fmt: skip
     if not episodes:
         raise UserError("no world has any of the targets; choose other --targets")
     return episodes

@@ -11,10 +11,9 @@ from collections.abc import Hashable
 
 import numpy as np
 
-from edge import names
 from edge.config import Config
 from edge.jit import jit
-from edge.lab.sim.base import FloorPlan, World
+from edge.lab.sim.base import FloorPlan, World, objects_named
 
 CELL_M = 0.1  # side of a cell
 SAME_M = 0.5  # a known place within this distance of an object is that of the object
@@ -64,7 +63,7 @@ class RevisitCounter:
 
     def _is_target_at(self, target: str, known_xy_m: np.ndarray) -> bool:
         """Return True if an object with this name stands at one of the known places."""
-        objects = [o for o in self._world.objects if names.same_name(o.label, target)]
+        objects = objects_named(self._world, target)
         return any(o.distance_m(*xy) <= SAME_M for o in objects for xy in known_xy_m.tolist())
 
 

@@ -19,7 +19,7 @@ from edge.lab.eval.arms import Data, data_of, merged
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.eval.intervals import Interval, wilson
 from edge.lab.eval.true_rooms import true_room_at
-from edge.lab.sim.base import World, free_poses
+from edge.lab.sim.base import World, free_poses, start_at
 from edge.memory import MappedRoom, RoomMemory
 from edge.memory.rooms import TYPICAL, typical_things
 from edge.text import format_table
@@ -174,7 +174,7 @@ def _start_elsewhere(
     for pose in free_poses(world, 50, seed, config.robot.radius_m):
         at = int(true_room_at(world, np.array([[pose.x_m, pose.y_m]]))[0])
         if at >= 0 and world.room_kinds[at] != kind:
-            return (round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3))
+            return start_at(pose)
     return None
 
 

@@ -37,7 +37,7 @@ from edge.lab.eval.episodes import Episode, make_episode, mission_for, world_set
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger
 from edge.lab.eval.missions import MissionCostFields
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
-from edge.lab.sim.base import WorldError, free_poses
+from edge.lab.sim.base import free_poses, start_at
 from edge.lab.sim.boxworld import BoxWorld
 from edge.lab.sim.rearrange import rearrange
 from edge.lab.sim.worlds import load_world
@@ -73,16 +73,11 @@ def plan_sessions(
     """
     sessions = []
     for world, section, sensing, radius_m in world_setups(config, worlds):
-        try:
-            (start,) = free_poses(world, 1, seed, radius_m)
-        except WorldError as error:
-            log.warning("evaluation goes on without this world: %s", error)
-            continue
-        pose = (round(start.x_m, 3), round(start.y_m, 3), round(start.yaw_rad, 3))
+        start = start_at(free_poses(world, 1, seed, radius_m)[0])
         fields = MissionCostFields(world, radius_m)
         rng = np.random.default_rng([seed, *world.name.encode()])
-        goals = _choose_goals(fields, pose, [targets[k] for k in rng.permutation(len(targets))],
-                       count, min_distance_m)  # fmt: skip
+        shuffled = [targets[k] for k in rng.permutation(len(targets))]
+        goals = _choose_goals(fields, start, shuffled, count, min_distance_m)
         if len(goals) < count:
             log.warning(
                 "evaluation goes on without the world %s: only %d of %d targets are far enough "
@@ -91,7 +86,7 @@ def plan_sessions(
             )  # fmt: skip
             continue
         sessions.append(
-            make_episode(section, world.name, pose, 0.0, sensing, goals=goals, moved=moved)
+            make_episode(section, world.name, start, 0.0, sensing, goals=goals, moved=moved)
         )
     if not sessions:
         raise UserError(

@@ -19,7 +19,6 @@ from typing import Any, TypeVar
 
 from edge.config import Translator as TranslatorConfig
 from edge.config import TranslatorAuto, TranslatorGrammar, TranslatorLlm, TranslatorModel
-from edge.config.mission import SMALL_TRANSLATOR
 from edge.errors import UserError
 from edge.host.files import save
 from edge.host.progress import with_progress
@@ -45,22 +44,12 @@ from edge.mission.translate import (
     Translator,
     make_translator,
 )
-from edge.perception.runtime.cards import load_card
 from edge.text import format_table, one_line
 
 Case = TypeVar("Case")
 
 VITL, LANG2LTL, CLEAN_UP = "ViTL tasks", "Lang2LTL", "Clean-up"
 """Names of the sets; `edge.lab.eval.translation_cases` describes them."""
-SEEN = {
-    VITL: "made by code",
-    LANG2LTL: "seen while the grammar was written, and by the model",
-    CLEAN_UP: "seen while the grammar was written, and by the model",
-}
-"""Set → note on its figures."""
-NOT_SEEN = "not seen by this model; seen while grammar and composer were written"
-"""Note on figures of a model that was not trained on the set."""
-_CARD_TRANSLATORS = ("model", "auto")  # their models' cards have such figures
 _TASKS = 2000  # tasks of the task-level benchmark
 _SHOWN_FAILURES = 5  # failures on the screen, for each set and translator
 _SHOWN_CHARS = 400  # of a failure on the screen
@@ -135,11 +124,13 @@ def _counts(scores: Sequence[TranslationScore], left_out: int) -> dict[str, int]
 
 def table(title: str, counts: dict[str, Any]) -> str:
     """Return the counts of `summary` as aligned text."""
-    columns = (*OUTCOMES, "not_expressible")
-    rows = [[part, [count[c] for c in columns]] for part, count in counts["parts"].items()]
-    rows.append(["all", [counts[c] for c in columns]])
-    head = [title, "cases", *OUTCOMES, "not expressible"]
-    lines = [head, *([name, sum(cells[:-1]), *cells] for name, cells in rows)]
+    lines: list[list[object]] = [[title, "cases", *OUTCOMES, "not expressible"]]
+    for part, count in {**counts["parts"], "all": counts}.items():
+        outcomes = [count[outcome] for outcome in OUTCOMES]
+        lines.append([part, sum(outcomes), *outcomes, count["not_expressible"]])
+    cases = max(counts["cases"], 1)
+    shares = (f"{100 * counts[outcome] / cases:.1f} %" for outcome in OUTCOMES)
+    lines.append(["share", "", *shares, ""])
     return format_table(lines, left=1)
 
 
@@ -193,9 +184,6 @@ def run(args: argparse.Namespace) -> int:
         print(table(f"{title}, {name}", counts), *_first_failures(lines), sep="\n", end="\n\n")
         if stopped_by is not None:
             break
-    print(
-        overview(result, _counts_not_seen() if set(args.backend) & set(_CARD_TRANSLATORS) else {})
-    )
     _save(args, failed, result)
     if stopped_by is not None:
         raise stopped_by
@@ -224,53 +212,6 @@ def _save(args: argparse.Namespace, failed: Sequence[str], result: dict[str, Any
         save(args.failures, "".join(f"{line}\n" for line in failed).encode())
     if args.out is not None:
         save(args.out, f"{json.dumps(result, indent=2)}\n".encode())
-
-
-def overview(result: dict[str, Any], not_seen: dict[str, dict[str, dict[str, int]]]) -> str:
-    """Return a table of shares with one row for each set and translator.
-
-    Args:
-        result: set → translator → counts of `summary`; other entries are ignored.
-        not_seen: set → translator → outcomes of models that were not trained on the set.
-    """
-    rows = [["set", "translator", "cases", *OUTCOMES, ""]]
-    for title, by_translator in result.items():
-        if isinstance(by_translator, dict):
-            rows += [
-                _shares(title, name, counts, SEEN.get(title, ""))
-                for name, counts in by_translator.items()
-            ]
-            rows += [
-                _shares(title, name, counts, NOT_SEEN)
-                for name, counts in not_seen.get(title, {}).items()
-                if name in by_translator
-            ]
-    return format_table(rows)
-
-
-def _shares(title: str, name: str, counts: dict[str, Any], note: str) -> list[str]:
-    cases = sum(counts[outcome] for outcome in OUTCOMES)
-    shares = (f"{100 * counts[outcome] / max(cases, 1):.1f} %" for outcome in OUTCOMES)
-    return [title, name, str(cases), *shares, note]
-
-
-def _counts_not_seen() -> dict[str, dict[str, dict[str, int]]]:
-    """Return set → translator → outcomes of models that were not trained on the set.
-
-    They are from the small model's card.
-    """
-    measured = load_card(SMALL_TRANSLATOR).measured
-    found = {
-        title: {
-            name: measured.get(f"{title.lower()}, not seen, {name}") for name in _CARD_TRANSLATORS
-        }
-        for title in (LANG2LTL, CLEAN_UP)
-    }
-    # Leave out the translators whose card has no such figure.
-    return {
-        title: {name: counts for name, counts in by_name.items() if counts}
-        for title, by_name in found.items()
-    }
 
 
 def _score_all(

@@ -15,12 +15,7 @@ INSIDE_M = 0.5
 
 
 def true_room_at(world: World, xy_m: np.ndarray) -> np.ndarray:
-    """Return the index of the true room of each point, (n,) int64; -1 for none.
-
-    Args:
-        world: the world.
-        xy_m: (n, 2) points.
-    """
+    """Return the index of the true room of each of the points (n, 2): (n,) int64, -1 for none."""
     found = np.full(len(xy_m), -1)
     for number, room in enumerate(world.rooms):  # a room is a list of rectangles
         for x0, y0, x1, y1 in room:

@@ -11,6 +11,7 @@ does not confirm it (`edge.perception.tracking.instances`).
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
@@ -19,9 +20,10 @@ import numpy as np
 from edge import names
 from edge.config import Config, load, parse
 from edge.errors import UserError
+from edge.geometry import overlaps
 from edge.lab.eval import world_list
 from edge.lab.eval.arms import Data, data_of, merged
-from edge.lab.eval.recall import MIN_VIEW_PX, iou, visible_boxes
+from edge.lab.eval.recall import MIN_VIEW_PX, visible_boxes
 from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.perception.detection.onnx import OnnxDetector
@@ -109,14 +111,13 @@ class LabelledImage:
     def __init__(
         self, ids: np.ndarray, depth_m: np.ndarray, labels: dict[int, str], range_m: float
     ) -> None:
-        near, anywhere = np.zeros((2, max(labels, default=0) + 1, 5), np.int64)
-        visible_boxes(ids, depth_m, range_m, near)
-        visible_boxes(ids, depth_m, np.inf, anywhere)
+        n = max(labels, default=0) + 1
+        near, anywhere = (visible_boxes(ids, depth_m, m, n) for m in (range_m, math.inf))
         self._labels = labels
         self._shown = [id_ for id_ in labels if anywhere[id_, 4] >= _LEAST_PX]
         self._is_view = {id_: near[id_, 4] >= MIN_VIEW_PX for id_ in self._shown}
         self._is_near = {id_: near[id_, 4] > 0 for id_ in self._shown}
-        self._boxes = anywhere[self._shown, :4].astype(float)
+        self._boxes = anywhere[self._shown, :4]
 
     def detected(self, word: str, found: Detections) -> tuple[dict[int, float], int, int]:
         """Compare the boxes of a word with the objects.
@@ -125,9 +126,9 @@ class LabelledImage:
             The best score of each near object that a box covers; boxes that cover none are left
             out. The number of views of the word, and how many of them a box covers.
         """
-        overlaps = iou(found.xyxy_px.astype(float), self._boxes) >= _MIN_IOU
+        covers_object = overlaps(found.xyxy_px, self._boxes)[0] >= _MIN_IOU  # by box and object
         best: dict[int, float] = {}
-        for covers, score in zip(overlaps, found.score.tolist(), strict=True):
+        for covers, score in zip(covers_object, found.score.tolist(), strict=True):
             covered = [self._shown[k] for k in np.flatnonzero(covers).tolist()]
             covered.sort(key=lambda id_: not names.is_kind_of(self._labels[id_], word))
             if covered and self._is_near[covered[0]]:
@@ -136,7 +137,7 @@ class LabelledImage:
             k for k, id_ in enumerate(self._shown)
             if self._is_view[id_] and names.is_kind_of(self._labels[id_], word)
         ]  # fmt: skip
-        return best, len(meant), int(overlaps[:, meant].any(axis=0).sum())
+        return best, len(meant), int(covers_object[:, meant].any(axis=0).sum())
 
 
 def count_words(

@@ -1,8 +1,8 @@
 """Drawing of a mission's automaton with matplotlib, laid out in columns.
 
 States stand in even columns, ordered by their distance from the start. The labels of arrows stand
-in odd columns, so no label covers a state or another label. `edge.lab.report.dot` writes text for
-Graphviz, which draws better. A scene is the `AutomatonGraph` to draw; its nodes are the states.
+in odd columns, so no label covers a state or another label. A scene is the `AutomatonGraph` to
+draw; its nodes are the states.
 """
 
 from __future__ import annotations

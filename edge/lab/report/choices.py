@@ -6,14 +6,12 @@ the value V of each cell, as the model's answers gave it (ViTL eq. 6).
 
 from __future__ import annotations
 
-from html import escape
-
 import cv2
 import numpy as np
 
 from edge.geometry import Grid
 from edge.lab.report import raster
-from edge.lab.report.document import data_url
+from edge.lab.report.document import image_figure
 from edge.lab.report.keyframes import MAX_FRAME_PX
 from edge.lab.report.record import ChoiceFrame, RunRecord
 from edge.loop.result import TickResult
@@ -21,7 +19,6 @@ from edge.perception.scoring.choice.picture import draw, visible_marks
 from edge.perception.scoring.choice.question import LETTERS
 from edge.policies.base import FRONTIER
 
-JPEG_QUALITY = 85
 MAX_VALUE_PX = 640  # longest side of a drawn value map
 _FIRST_INTERVAL_NS = 2_000_000_000  # least time between two kept answers; it grows in long runs
 
@@ -87,13 +84,12 @@ def section(record: RunRecord) -> str:
 
 def _figure(frame: ChoiceFrame, record: RunRecord) -> str:
     """Return an answer as HTML: the image with its letters, and their probabilities below."""
-    h, w = frame.rgb.shape[:2]
     shares = " · ".join(f"{letter} {p:.2f}" for letter, p in frame.letters)
     caption = (
         f"{record.seconds(frame.stamp_ns):.1f} s, {frame.target}: {shares} · elsewhere "
         f"{frame.elsewhere:.2f}; scene {frame.scene:.2f}"
     )
-    return _figure_html(_jpeg(frame.rgb), w, h, caption)
+    return image_figure(frame.rgb, caption)
 
 
 def _value_map(name: str, grid: Grid) -> str:
@@ -108,19 +104,4 @@ def _value_map(name: str, grid: Grid) -> str:
     # Unknown cells (0) get the map's colour for unknown (-1).
     shown = cv2.applyColorMap(np.ascontiguousarray(cells), cv2.COLORMAP_VIRIDIS)[..., ::-1]
     shown = np.where((cells > 0)[..., None], shown, raster.colour(np.array([-1]))[0])
-    h, w = cells.shape
-    return _figure_html(_jpeg(np.ascontiguousarray(shown, np.uint8)), w, h, name)
-
-
-def _jpeg(rgb: np.ndarray) -> bytes:
-    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
-
-
-def _figure_html(jpeg: bytes, w: int, h: int, caption: str) -> str:
-    """Return an image with a caption as HTML."""
-    return (
-        f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
-        f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/></svg>'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    return image_figure(np.ascontiguousarray(shown, np.uint8), name)

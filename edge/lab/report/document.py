@@ -9,8 +9,13 @@ import base64
 import hashlib
 from html import escape
 
+import cv2
+import numpy as np
+
 import edge
 from edge.lab.report.style import CSS
+
+JPEG_QUALITY = 85
 
 
 def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
@@ -36,6 +41,24 @@ def document(title: str, body: str, machine: str, style: str = "", script: str =
         f"<title>{escape(title)}</title><style>{CSS}{style}</style></head>"
         f"<body><main>{body}{footer}</main>"
         f"{f'<script>{script}</script>' if script else ''}</body></html>\n"
+    )
+
+
+def image_figure(rgb: np.ndarray, caption: str, marks: str = "") -> str:
+    """Return an image as JPEG with a caption below.
+
+    Args:
+        rgb: (h, w, 3) uint8.
+        caption: plain text.
+        marks: SVG on top of the image, in its pixels.
+    """
+    h, w = rgb.shape[:2]
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
+    return (
+        f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
+        f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/>{marks}</svg>'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 
 

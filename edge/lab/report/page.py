@@ -11,20 +11,18 @@ from html import escape
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import yaml
 
 from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.lab.report import choices, palette, picture, story, tasks
-from edge.lab.report.document import data_url, document
+from edge.lab.report.document import data_url, document, image_figure
 from edge.lab.report.record import Keyframe, RunRecord
 from edge.loop.latency import LatencyReport, StageLatency
 
 PNG_NAME = "report.png"
 HTML_NAME = "report.html"
-JPEG_QUALITY = 85
 EMPHASISED = ("target", "reached", "failed")  # kinds of events that stand out in the timeline
 MAX_SEEN = 4  # targets named under a frame
 
@@ -207,19 +205,13 @@ def _frames(record: RunRecord) -> str:
 def _figure(frame: Keyframe, record: RunRecord) -> str:
     """Return the image as JPEG, with boxes and labels as SVG, which stay sharp at any size."""
     h, w = frame.rgb.shape[:2]
-    bgr = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)
-    jpeg = cv2.imencode(".jpg", bgr, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
     # The target's boxes come last, so that they lie on top.
     order = sorted(range(len(frame.labels)), key=lambda i: (frame.is_target[i], frame.score[i]))
     boxes = "".join(_svg_box(frame, i, w, h, record.targets) for i in order)
     seen = [f"{label} {score:.2f}" for label, score in frame.best.items() if score > 0]
     caption = ", ".join([f"{record.seconds(frame.stamp_ns):.1f} s", *seen[:MAX_SEEN]])
     caption += "" if seen else ", target not seen"
-    return (
-        f'<figure><svg viewBox="0 0 {w} {h}" role="img">'
-        f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/>{boxes}</svg>'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    return image_figure(frame.rgb, caption, boxes)
 
 
 def _svg_box(frame: Keyframe, i: int, w: int, h: int, targets: Sequence[str]) -> str:

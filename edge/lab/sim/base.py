@@ -9,6 +9,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from edge import names
 from edge.config import Lidar
 from edge.errors import UserError
 from edge.geometry import SE2, CameraModel, Grid
@@ -168,6 +169,16 @@ class World(Protocol):
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:
         """Measure one LiDAR sweep: fill (rings, columns) float32 with ranges [m], NaN for none."""
+
+
+def objects_named(world: World, name: str) -> list[WorldObject]:
+    """Return the world's objects with this name or a synonym of it; [] if there are none."""
+    return [item for item in world.objects if names.same_name(item.label, name)]
+
+
+def start_at(pose: SE2) -> tuple[float, float, float]:
+    """Return a pose as a value of `sim.start`, with three decimals."""
+    return round(pose.x_m, 3), round(pose.y_m, 3), round(pose.yaw_rad, 3)
 
 
 def free_poses(

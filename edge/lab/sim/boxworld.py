@@ -58,8 +58,6 @@ class BoxWorld:
         start: pose at which the robot starts.
         robot_height_m: the floor plan has all that is lower.
         depth_range_m: smallest and largest depth that the camera measures.
-        rooms: see `World`.
-        room_kinds: see `World`.
 
     Attributes:
         owner: (p,) uint16, id of the object that the primitive is part of, 0 = structure.

@@ -31,7 +31,6 @@ def make_planner(
     config: PlannerVitl | PlannerInOrder | PlannerPlugin,
     automaton: Automaton,
     instruction: str = "",
-    **keywords: Any,
 ) -> Planner:
     """Return the planner of a configuration's `mission.planner` section.
 
@@ -39,7 +38,6 @@ def make_planner(
         config: the section.
         automaton: automaton of the mission.
         instruction: text of the mission, for a plugin.
-        keywords: `known_reached` of `VitlPlanner`.
 
     Raises:
         ConfigError: the plugin cannot be created.
@@ -54,7 +52,7 @@ def make_planner(
     if isinstance(config, PlannerPlugin):
         make = find_plugin_planner(config, "mission.planner")
         return make(automaton=automaton, instruction=instruction)
-    return REGISTRY[config.kind](config, automaton, **keywords)
+    return REGISTRY[config.kind](config, automaton)
 
 
 def find_plugin_planner(config: PlannerPlugin, where: str) -> Callable[..., Planner]:

@@ -48,19 +48,8 @@ class VitlPlanner:
     thread at a time.
     """
 
-    def __init__(
-        self, config: PlannerVitl, automaton: Automaton, known_reached: bool = True
-    ) -> None:
-        """Allocate the buffers.
-
-        Args:
-            config: the `mission.planner` section.
-            automaton: automaton of the mission.
-            known_reached: True gives a reached object the weight of a detected one, because its
-                place is known. False follows eq. 1 literally: it weighs 1.
-        """
+    def __init__(self, config: PlannerVitl, automaton: Automaton) -> None:
         self.automaton = automaton
-        self.known_reached = known_reached
         k, n = len(automaton.propositions), automaton.n_states
         self._by_distance = config.weights == "distance"
         # A place is one of the k objects, or the robot's position, which is the last one; see
@@ -162,9 +151,8 @@ class VitlPlanner:
     def _weigh(self, knowledge: MissionKnowledge) -> None:
         """Write the weights (eq. 1, or metres) to `_weight`."""
         letters, weight = self.automaton.propositions, self._weight
-        known = knowledge.detected
-        if self.known_reached:
-            known = known | knowledge.reached
+        # Unlike eq. 1, a reached object weighs as a detected one, because its place is known.
+        known = knowledge.detected | knowledge.reached
         if self._by_distance:
             metres = _weights_m(knowledge.distance_m, [x in known for x in letters])
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)

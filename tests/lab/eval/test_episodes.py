@@ -87,6 +87,7 @@ def test_missions_are_planned_in_each_world():
         assert episode.target is None
         assert episode.instruction.startswith("Reach")
         assert episode.shortest_m >= 4.0
+        assert "unicorn" not in episode.instruction
     with pytest.raises(UserError, match="no world has a mission to two targets"):
         episodes.plan_missions(config, [], ["unicorn"], 3, 0, 4.0)
 
@@ -132,8 +133,8 @@ EPISODE = {
     [
         ({"start": [0, 0]}, "line 1: not an episode"),
         ({"target": None}, "line 1: not an episode: target or instruction"),
-        ({"shortest_m": -1}, "shortest_m: expected a length"),
-        ({"world": "demo"}, "expected JSON objects"),
+        ({"shortest_m": -1}, "shortest_m: Input should be greater"),
+        ({"world": "demo"}, "world: Input should be a valid dictionary"),
     ],
 )
 def test_lines_that_are_no_episodes_are_refused(tmp_path, change, message):
@@ -148,7 +149,7 @@ def test_files_that_are_none_are_refused(tmp_path):
         read(tmp_path / "nowhere.jsonl")
     path = tmp_path / "twice.jsonl"
     path.write_text(2 * (json.dumps(EPISODE) + "\n"))
-    with pytest.raises(UserError, match="line 2: an earlier line has the same id a"):
+    with pytest.raises(UserError, match="two episodes have the same id a"):
         read(path)
     path.write_text("{")
     with pytest.raises(UserError, match="line 1: not an episode: not JSON"):

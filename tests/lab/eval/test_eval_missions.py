@@ -13,19 +13,12 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.lab.eval import missions
-from edge.lab.eval.missions import cost_to_go_cells, draw_missions, plan_missions
-from edge.lab.sim.worlds import load_world
+from edge.lab.eval.missions import cost_to_go_cells, draw_missions
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse, propositions
 from edge.mission.spec import prepare
 
 THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
-RADIUS_M = 0.2
-
-
-@pytest.fixture(scope="module")
-def world():
-    return load_world(simulated({"sim": {"world": {"kind": "generated", "seed": 3}}}))
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
@@ -46,17 +39,6 @@ def test_the_service_understands_each_sentence_as_it_is_meant():
     for mission in drawn:
         spec = prepare(simulated({"mission": {"instruction": mission.instruction}}).mission)
         assert spec.translation.formula == mission.formula, mission.instruction
-
-
-def test_missions_are_planned_over_what_a_robot_gets_to(world):
-    planned = plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, min_distance_m=3.0)
-    assert len(planned) == 6
-    assert planned == plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, 3.0)
-    for item in planned:
-        assert item.shortest_m >= 3.0
-        assert "unicorn" not in propositions(item.mission.formula)
-        assert world.plan.clearance_at(*item.start[:2]) > RADIUS_M
-    assert plan_missions(world, ["unicorn", "dragon"], 3, 0, RADIUS_M) == []
 
 
 # --- the shortest way, against Dijkstra over (place, state) ---

@@ -9,9 +9,7 @@ from edge.errors import UserError
 from edge.lab.eval.arms import make_arms
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.drive import in_process, run_episode
-from edge.lab.eval.outcome import to_json_line
 from edge.lab.eval.questions import plan_questions
-from edge.text import read_json_object
 
 
 def config_of(folder, **detector):
@@ -39,6 +37,6 @@ def test_answers_are_judged_by_the_world(tmp_path, background, expected):
     outcome = run_episode(arm, planned, in_process)
     assert outcome.success, outcome.reason
     assert outcome.answers == expected
-    found = gather([read_json_object(to_json_line(outcome))])
+    found = gather([outcome])
     share = sum(verdict == "right" for verdict in expected.values()) / 2
     assert found["answers_right"].item() == share

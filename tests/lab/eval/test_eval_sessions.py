@@ -11,10 +11,8 @@ from edge.errors import Stopped, UserError
 from edge.lab.eval.arms import make_arms, with_and_without_memory
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.episodes import make_episode, read, sensing_settings, write
-from edge.lab.eval.outcome import to_json_line
 from edge.lab.eval.runs import run_all
 from edge.lab.eval.sessions import plan_sessions, run_session
-from edge.text import read_json_object
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +79,7 @@ def test_a_goal_may_be_a_room(config, session, arms):
 
 
 def test_a_comparison_leaves_the_first_goal_out(outcomes):
-    lines = [to_json_line(outcome) for arm in outcomes for outcome in arm]
-    found = gather(read_json_object(line) for line in lines)
+    found = gather(outcome for arm in outcomes for outcome in arm)
     assert found.arms == ("search, no memory", "search")
     assert found.target.tolist() == ["sofa"]
     assert found["shortest_m"][:, 0].tolist() == [

@@ -134,8 +134,9 @@ def test_outcomes(tmp_path: Path) -> None:
     assert counts["not_expressible"] == 1
     assert counts["parts"]["visit"]["right"] == 1
     table = translate.table("set", counts)
-    assert table.splitlines()[-1].split() == ["all", "5", "1", "1", "1", "1", "1", "1"]
-    assert len({len(line) for line in table.splitlines()}) == 1
+    *_, every, share = table.splitlines()
+    assert every.split() == ["all", "5", "1", "1", "1", "1", "1", "1"]
+    assert share.split() == ["share", *5 * ["20.0", "%"]]
 
 
 OWN = """sentence\tright
@@ -182,10 +183,7 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
     assert failed[2]["differ_on"] == []
     told = capsys.readouterr().out
     assert "ViTL tasks, auto" in told
-    *_, model, held_out = (
-        line for line in told.splitlines() if line.split()[:2] == ["Lang2LTL", "auto"]
-    )
-    assert (translate.SEEN["Lang2LTL"] in model, translate.NOT_SEEN in held_out) == (True, True)
+    assert "100.0 %" in told
 
 
 class _Failing:

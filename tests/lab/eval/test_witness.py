@@ -6,14 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from small_house import small_house
 
 from edge.lab.eval.ground_truth import (
     GroundTruth,
     GroundTruthLogger,
-    count_visible_px,
     objects_meant_by,
 )
 from edge.lab.sim.worlds import load_world
@@ -166,17 +163,6 @@ def test_narrower_kinds_count_as_for_the_service(target, labels):
     things = [SimpleNamespace(label=name) for name in ("chair", "armchair", "desk", "dining table")]
     world = SimpleNamespace(objects=things)
     assert [thing.label for thing in objects_meant_by(world, target)] == labels
-
-
-@given(seed=st.integers(0, 2**32), range_m=st.floats(0.5, 9.0))
-def test_visible_px_agrees_with_a_plain_one(seed, range_m):
-    rng = np.random.default_rng(seed)
-    ids = rng.integers(0, 5, (9, 7)).astype(np.uint16)
-    depth = rng.uniform(0.1, 9.0, ids.shape).astype(np.float32)
-    depth[rng.random(ids.shape) < 0.2] = np.nan
-    mine = rng.random(5) < 0.5
-    expected = int((mine[ids] & (depth <= range_m)).sum())
-    assert count_visible_px(ids, depth, mine, range_m) == expected
 
 
 def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):

@@ -17,7 +17,6 @@ from matplotlib.transforms import Bbox
 
 from edge.lab.report import canvas
 from edge.lab.report.automaton_graph import CURRENT, RADIUS, draw, lay_out
-from edge.lab.report.dot import to_dot
 from edge.live.automaton_graph import MAX_ARROWS, MAX_PART, MAX_WHOLE, make_automaton_graph
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import parse
@@ -199,38 +198,3 @@ def test_png(name):
     png = canvas.png(draw(make_automaton_graph(a, 0, a.propositions[:1])))
     assert png.startswith(b"\x89PNG")
     assert png != canvas.png(draw(make_automaton_graph(a, None)))
-
-
-# -- other programs -----------------------------------------------------------------------------
-
-
-# Graphviz's grammar, as far as it is used: `name [key="value", …];` and `a -> b [ … ];`.
-QUOTED = r'"(?:[^"\\]|\\.)*"'
-STATEMENT = re.compile(
-    rf'\s*(?:rankdir=LR; )?(?:(\w+)(?: -> (\w+))?)?(?: \[(?:\w+=(?:\w+|{QUOTED})(?:, )?)+\])?;'
-    rf'(?: node \[(?:\w+=(?:\w+|{QUOTED})(?:, )?)+\];)?'
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("name", FORMULAS)
-def test_dot_is_valid_and_has_every_way(name):
-    a = automaton(name)
-    first, *lines, last = to_dot(a, 0, a.propositions[:1]).rstrip("\n").split("\n")
-    assert (first, last) == ("digraph automaton {", "}")
-    ways = set()
-    for line in lines:
-        match = STATEMENT.fullmatch(line)
-        assert match, line
-        if match.group(2) and match.group(1) != "entry":
-            ways.add((int(match.group(1)), int(match.group(2))))
-    assert ways == {(s, t) for s in range(a.n_states) for _, t in a.edges(s) if t != s}
-
-
-def test_dot_escapes_quotes_and_backslashes():
-    a = Automaton(
-        parse("true"), ('a"b\\',), np.array([[1, 0], [1, 1]], np.int32),
-        np.array([False, True]), np.array([1, 0], np.int32),
-    )  # fmt: skip
-    assert r'0 -> 1 [label="a\"b\\"];' in to_dot(a)
-    assert "peripheries" not in to_dot(a)
-    assert 'shape="doublecircle"' in to_dot(a)

@@ -13,7 +13,6 @@ from importlib.resources import files
 import numpy as np
 
 from edge.lab.eval.comparison import plots, tables, trails
-from edge.lab.eval.comparison.outcomes import OTHER
 from edge.lab.eval.comparison.statistics import Comparison, spl_of
 from edge.lab.eval.comparison.trails import TrailBackground
 from edge.lab.eval.comparison.worlds import FloorPlanDrawing
@@ -71,16 +70,14 @@ def _episode_row(
     """Build the row of an episode: its target, and a map for each arm."""
     outcomes = comparison.outcomes
     arms = range(len(outcomes.arms))
-    records = {a: outcomes.records[a, e] for a in arms if outcomes.ran[a, e]}
+    ran = {a: outcomes.at[a, e] for a in arms if outcomes.ran[a, e]}
     target, world = str(outcomes.target[e]), str(outcomes.world[e])
-    rooms = [] if math.isnan(outcomes.rooms[e]) else [f"{outcomes.rooms[e]:g} rooms"]
-    facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", *rooms, outcomes.episodes[e]]
-    ground = grounds.get(world) or trails.empty_background(list(records.values()))
+    facts = [world, f"{outcomes.shortest_m[e]:.1f} m away", outcomes.episodes[e]]
+    ground = grounds.get(world) or trails.empty_background(list(ran.values()))
     maps = "".join(
-        trails.figure(ground, target, outcomes.arms[a], a, records.get(a), float(spl[a]))
-        for a in arms
+        trails.figure(ground, target, outcomes.arms[a], a, ran.get(a), float(spl[a])) for a in arms
     )
-    instruction = next(iter(records.values())).get("instruction")
+    instruction = next(iter(ran.values())).instruction
     paths = [outcomes["path_m"][a, e] for a in arms]
     return (
         f'<article data-i="{e}" data-target="{escape(target)}" '
@@ -116,7 +113,7 @@ def _controls(comparison: Comparison) -> str:
     outcomes = comparison.outcomes
     names = [one_line(name, 40) for name in outcomes.arms]
     targets = sorted({t for t in outcomes.target.tolist() if t})
-    kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
+    kinds = [k for k in FAILURES if any(f[k] for f in comparison.failures.values())]
     # (value for the script, text) of each choice.
     order_options = (
         ("", "as planned"), ("difference", "SPL of A minus B"), ("spl", "SPL of A"),

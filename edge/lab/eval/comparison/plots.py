@@ -76,12 +76,13 @@ def distances(comparison: Comparison) -> Figure:
     for a in range(len(outcomes.arms)):
         # Shift each arm, so that whiskers do not overlap.
         shift = 1.0 + 0.012 * (a - (len(outcomes.arms) - 1) / 2)
-        _draw_curve(axes, [shift * m for m in middles], [row[a] for row in found], a, outcomes)
+        x, name = [shift * m for m in middles], shorten(outcomes.arms[a], MAX_NAME)
+        canvas.draw_curve(axes, x, [row[a] for row in found], a, name)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("shortest path, m (median of each fifth of the episodes)"
                     if len(bins) == BINS else "shortest path, m (medians)")  # fmt: skip
     _set_title(axes, "SPL by the length of the shortest path")
-    _draw_legend(axes)
+    canvas.draw_legend(axes)
     return figure
 
 
@@ -105,7 +106,7 @@ def budget(comparison: Comparison) -> Figure:
     axes.set_ylim(0.0, 101.0)
     axes.set_xlabel("path budget, in lengths of the shortest path")
     _set_title(axes, "Episodes that succeed within a path budget, %")
-    _draw_legend(axes)
+    canvas.draw_legend(axes)
     return figure
 
 
@@ -209,28 +210,4 @@ def _set_names(axes: Axes, names) -> None:  # type: ignore[no-untyped-def]
     axes.set_yticks(range(len(names)), [shorten(name, MAX_NAME + 8) for name in names])
     for label in axes.get_yticklabels():
         label.set_color(palette.INK)
-        label.set_parse_math(False)
-
-
-def _draw_curve(
-    axes: Axes, x: list[float], found: list[Interval], arm: int, outcomes: Outcomes
-) -> None:
-    """Draw an arm's values over x, with their intervals as bars."""
-    look = style_of(arm)
-    y = np.array([interval.value for interval in found])
-    below = y - np.array([interval.low for interval in found])
-    above = np.array([interval.high for interval in found]) - y
-    bars = np.nan_to_num(np.maximum([below, above], 0.0))
-    axes.errorbar(
-        x, y, bars, color=look.colour, linestyle=look.dash, marker=look.mark, markersize=5.5,
-        linewidth=1.6, elinewidth=1.0, label=shorten(outcomes.arms[arm], MAX_NAME),
-    )  # fmt: skip
-
-
-def _draw_legend(axes: Axes) -> None:
-    legend = axes.legend(
-        loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, handlelength=3.0,
-        labelcolor=palette.INK,
-    )  # fmt: skip
-    for label in legend.get_texts():
         label.set_parse_math(False)

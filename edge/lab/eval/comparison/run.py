@@ -19,13 +19,11 @@ from edge.lab.eval.comparison.outcomes import (
     Outcomes,
     baseline_of,
     gather,
-    read_records,
-    with_rooms,
 )
 from edge.lab.eval.comparison.statistics import Comparison, compare
-from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, to_json_line
+from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, read_outcomes
 from edge.lab.report.recorder import machine
-from edge.text import one_line, read_json_object
+from edge.text import one_line
 
 EPISODES_NAME = "episodes.jsonl"  # in the folder of the outcomes
 CSV_NAME, JSON_NAME, PAGE_NAME = "results.csv", "results.json", "comparison.html"
@@ -65,19 +63,17 @@ def compare_folder(
         UserError: there are no outcomes, or no such arm; or a file cannot be read.
     """
     path = folder / OUTCOMES_NAME
-    found = read_records(path)
+    found = read_outcomes(path)
     if not found:
         raise UserError(f"{path}: has no outcomes; `edge eval episodes --out {folder}` writes them")
     outcomes = gather(found)
     baseline_of(outcomes, baseline)  # check the name before the worlds are loaded
-    outcomes, left_m, drawings = add_world_data(
-        outcomes, configs_of(folder / EPISODES_NAME, outcomes)
-    )
+    left_m, drawings = world_data(outcomes, configs_of(folder / EPISODES_NAME, outcomes))
     return compare(outcomes, baseline, left_m), drawings
 
 
 def text(comparison: Comparison) -> str:
-    """Return all tables for a terminal, with notes on intervals and on ignored records."""
+    """Return all tables for a terminal, with notes on intervals and on ignored outcomes."""
     if not comparison.outcomes.arms:
         return "no outcomes"
     parts = [tables.text(table) for table in tables.tables(comparison)]
@@ -92,8 +88,7 @@ def text(comparison: Comparison) -> str:
 
 def summary_text(outcomes: Iterable[EpisodeOutcome]) -> str:
     """Return the text that is printed at the end of a run of episodes."""
-    found = gather(read_json_object(to_json_line(outcome)) for outcome in outcomes)
-    return text(compare(found))
+    return text(compare(gather(outcomes)))
 
 
 def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
@@ -116,25 +111,24 @@ def configs_of(path: Path, outcomes: Outcomes) -> dict[str, Config]:
     return configs
 
 
-def add_world_data(
+def world_data(
     outcomes: Outcomes, configs: Mapping[str, Config]
-) -> tuple[Outcomes, np.ndarray, dict[str, worlds.FloorPlanDrawing]]:
-    """Load the worlds of outcomes, and add what they know.
+) -> tuple[np.ndarray, dict[str, worlds.FloorPlanDrawing]]:
+    """Load the worlds of outcomes.
 
     Returns:
-        The outcomes with the number of rooms; (A, E) metres left to drive when the target was first
-        seen, NaN if unknown; and drawings by world.
+        (A, E) metres left to drive when the target was first seen, NaN if unknown; and drawings by
+        world.
 
     Raises:
         edge.lab.sim.base.WorldError: a world cannot be loaded.
     """
     left_m = np.full(outcomes.ran.shape, np.nan)
-    drawings, rooms = {}, {}
+    drawings = {}
     for name in with_progress("worlds", list(configs)):
         world, radius_m = world_list.load(configs[name]), configs[name].robot.radius_m
         inside = np.flatnonzero(outcomes.world == name).tolist()
         targets = sorted({str(outcomes.target[e]) for e in inside} - {""})
-        rooms[name] = len(world.rooms) or None  # 0: the world has no room data
         drawings[name] = worlds.draw(world, targets, radius_m)
         worlds.fill_left_at_sight_m(world, inside, outcomes, radius_m, left_m)
-    return with_rooms(outcomes, rooms), left_m, drawings
+    return left_m, drawings

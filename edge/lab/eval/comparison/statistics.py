@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import OTHER, Outcomes, baseline_of, clusters, natural_key
+from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, clusters, natural_key
 from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
 from edge.lab.eval.metrics import episode_soft_spl, episode_spl
 from edge.lab.eval.outcome import FAILURES
@@ -46,7 +46,7 @@ class ComparisonMetric(NamedTuple):
 
 
 def _raw(name: str) -> Callable[[Outcomes], np.ndarray]:
-    """Return a function that reads a number of `NUMERIC_FIELDS` as it is."""
+    """Return a function that reads a number of `NUMBERS` as it is."""
     return lambda outcomes: outcomes[name]
 
 
@@ -56,7 +56,7 @@ def _in_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
 
 
 def spl_of(outcomes: Outcomes) -> np.ndarray:
-    """Return (A, E) SPL of each episode, NaN without a record."""
+    """Return (A, E) SPL of each episode, NaN without an outcome."""
     each = episode_spl(outcomes.success, outcomes["shortest_m"], outcomes["path_m"])
     return np.where(outcomes.ran, each, np.nan)
 
@@ -193,7 +193,7 @@ class Comparison:
         unit: the resampled unit, "world" or "episode".
         figures: by arm, by metric.
         pairs: of every arm but the baseline.
-        groups: by criterion (target, kind of world, rooms), by group, by arm: SR and SPL. A
+        groups: by criterion (target, kind of world, ways), by group, by arm: SR and SPL. A
             criterion with only one group is left out.
         failures: by arm, by kind of failure, the number of episodes.
         losses: by arm; empty if the distances at first sight are unknown.
@@ -328,11 +328,11 @@ def _groups(
     outcomes: Outcomes, resamples: int
 ) -> dict[str, dict[str, dict[str, dict[str, Estimate]]]]:
     """Return SR and SPL by criterion, by group, by arm, by metric."""
-    rooms = ["" if math.isnan(r) else f"{r:g}" for r in outcomes.rooms.tolist()]
     by = {
-        "target": outcomes.target, "kind of world": outcomes.kind, "rooms": np.array(rooms),
+        "target": outcomes.target,
+        "kind of world": outcomes.kind,
         "ways around the zone": outcomes.ways,
-    }  # fmt: skip
+    }
     all_groups: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
     for name, labels in by.items():
         present = sorted({label for label in labels.tolist() if label}, key=natural_key)
@@ -362,7 +362,7 @@ def _group(
 def _failures(outcomes: Outcomes, arm: int) -> dict[str, int]:
     """Count an arm's failed episodes by kind of failure."""
     kinds = outcomes.failure[arm]
-    return {kind: int((kinds == kind).sum()) for kind in (*FAILURES, OTHER)}
+    return {kind: int((kinds == kind).sum()) for kind in FAILURES}
 
 
 def _losses(

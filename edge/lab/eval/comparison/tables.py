@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import OTHER
 from edge.lab.eval.comparison.statistics import (
     METRICS,
     Comparison,
@@ -134,7 +133,7 @@ def _pair_row(pair: PairedDifference) -> list[str]:
 
 def failures(comparison: Comparison) -> ReportTable:
     """Return a table of failed episodes by kind of failure, one row for each arm."""
-    kinds = [k for k in (*FAILURES, OTHER) if any(f[k] for f in comparison.failures.values())]
+    kinds = [k for k in FAILURES if any(f[k] for f in comparison.failures.values())]
     rows = []
     for a, (name, counts) in enumerate(comparison.failures.items()):
         ran = int(comparison.outcomes.ran[a].sum())
@@ -175,8 +174,7 @@ def group(comparison: Comparison, by: str) -> ReportTable:
 
 def by_word(comparison: Comparison) -> ReportTable:
     """Return a table of what became of the episodes of each target, with the detector's recall."""
-    outcomes, kinds = comparison.outcomes, (*FAILURES, OTHER)
-    rows = []
+    outcomes, rows = comparison.outcomes, []
     for word in sorted(set(outcomes.target.tolist()) - {""}):
         for a, arm in enumerate(outcomes.arms):
             inside = outcomes.ran[a] & (outcomes.target == word)
@@ -187,11 +185,11 @@ def by_word(comparison: Comparison) -> ReportTable:
             rows.append([
                 one_line(word), one_line(arm), str(int(inside.sum())),
                 f"{found / views:.2f}" if views else DASH, str(int((ends == "").sum())),
-                *(str(int((ends == kind).sum())) for kind in kinds),
+                *(str(int((ends == kind).sum())) for kind in FAILURES),
             ])  # fmt: skip
     # Kinds of failures that are nowhere have no column.
-    used = [k for k in range(len(kinds)) if any(row[5 + k] != "0" for row in rows)]
-    head = ("target", "arm", "n", "recall", "reached", *(kinds[k] for k in used))
+    used = [k for k in range(len(FAILURES)) if any(row[5 + k] != "0" for row in rows)]
+    head = ("target", "arm", "n", "recall", "reached", *(FAILURES[k] for k in used))
     note = (
         "Recall: share of the views of a target (one object in one image, within range) in which "
         "the detector found it, with an IoU of 0.5 and the score of an instance. Then the "

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import Record
 from edge.lab.eval.comparison.worlds import FloorPlanDrawing, point_along
+from edge.lab.eval.outcome import EpisodeOutcome
 from edge.lab.report.document import data_url
 from edge.text import one_line
 
@@ -60,9 +60,9 @@ def backgrounds_of(drawings: Mapping[str, FloorPlanDrawing]) -> dict[str, TrailB
     return {world: TrailBackground(f"w{k}", d) for k, (world, d) in enumerate(drawings.items())}
 
 
-def empty_background(records: Sequence[Record]) -> TrailBackground:
+def empty_background(outcomes: Sequence[EpisodeOutcome]) -> TrailBackground:
     """Return an empty background as large as some trails."""
-    points = [xy for r in records for xy in [*(r.get("trail") or []), r["start"][:2]]]
+    points = [xy for o in outcomes for xy in [*o.trail, o.start[:2]]]
     low, high = np.min(points, axis=0) - _MARGIN_M, np.max(points, axis=0) + _MARGIN_M
     (left, bottom), (right, top) = low.tolist(), high.tolist()
     return TrailBackground("", FloorPlanDrawing(b"", left, top, right - left, top - bottom, {}))
@@ -84,7 +84,12 @@ def symbols(grounds: Mapping[str, TrailBackground]) -> str:
 
 
 def figure(
-    ground: TrailBackground, target: str, name: str, arm: int, record: Record | None, spl: float
+    ground: TrailBackground,
+    target: str,
+    name: str,
+    arm: int,
+    outcome: EpisodeOutcome | None,
+    spl: float,
 ) -> str:
     """Return the map of one episode with one arm, and its outcome below.
 
@@ -93,24 +98,23 @@ def figure(
         target: name of the episode's target; "" for a mission.
         name: name of the arm.
         arm: index of the arm, by which the page's script hides it.
-        record: the outcome; None: the episode was not run.
+        outcome: None: the episode was not run.
         spl: SPL, success weighted by path length, of the episode.
     """
     words = f"<b>{escape(one_line(name, 40))}</b>"
-    if record is None:
+    if outcome is None:
         return (
             f'<figure data-c="{arm}" class="none"><figcaption>{words} not run</figcaption></figure>'
         )
-    ok = bool(record["success"])
-    facts = f"SPL {spl:.2f} · {record['path_m']:.1f} m · {record['elapsed_s']:.0f} s"
-    reason = one_line(record.get("failure") or "", 40)
-    reason += f"{': ' if reason else ''}{one_line(record.get('reason') or '', MAX_REASON)}"
+    facts = f"SPL {spl:.2f} · {outcome.path_m:.1f} m · {outcome.elapsed_s:.0f} s"
+    reason = f"{outcome.failure}: " if outcome.failure else ""
+    reason += one_line(outcome.reason, MAX_REASON)
     width, height = ground.size
     return (
-        f'<figure data-c="{arm}" class="{"ok" if ok else "bad"}">'
+        f'<figure data-c="{arm}" class="{"ok" if outcome.success else "bad"}">'
         f'<svg viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(one_line(f"{name}: {facts}, {reason}"))}">'
-        f"{_ground(ground, target)}{_marks_of(ground, record)}</svg>"
+        f"{_ground(ground, target)}{_marks_of(ground, outcome)}</svg>"
         f"<figcaption>{words}<br>{facts}<br>{escape(reason)}</figcaption></figure>"
     )
 
@@ -124,19 +128,19 @@ def _ground(ground: TrailBackground, target: str) -> str:
     return "".join(f'<use href="#{key}"/>' for key in uses)
 
 
-def _marks_of(ground: TrailBackground, record: Record) -> str:
+def _marks_of(ground: TrailBackground, outcome: EpisodeOutcome) -> str:
     """Return trail, goals, start, end, and the place at which the target was first seen."""
-    trail = np.asarray(record.get("trail") or [record["start"][:2]], np.float64).reshape(-1, 2)
+    trail = np.array(outcome.trail or [outcome.start[:2]], np.float64)
     units = ground.units(trail)
-    marks = [_trail(units), _goals(ground, record.get("goal_xy") or [])]
-    x, y, yaw = record["start"]
+    marks = [_trail(units), _goals(ground, outcome.goal_xy)]
+    x, y, yaw = outcome.start
     ahead = np.array([[x, y], [x + HEADING_M * math.cos(yaw), y + HEADING_M * math.sin(yaw)]])
     ends = ground.units(ahead)
     marks.append(f'<path class="heading" d="{_path(ends)}"/>{_circle("start", ends[0], 4)}')
     marks.append(_circle("end", units[-1], 4))
-    seen_m = record.get("first_sight_path_m")
-    if seen_m is not None and math.isfinite(seen_m):
-        marks.append(_circle("seen", ground.units(point_along(trail, seen_m))[0], 5.5))
+    if outcome.first_sight_path_m is not None:
+        seen = point_along(trail, outcome.first_sight_path_m)
+        marks.append(_circle("seen", ground.units(seen)[0], 5.5))
     return "".join(marks)
 
 

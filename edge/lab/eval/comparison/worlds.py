@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edge import names
 from edge.geometry import Grid, downsample
 from edge.lab.eval import geodesic
 from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.report import raster
-from edge.lab.sim.base import World, WorldObject
+from edge.lab.sim.base import World, WorldObject, objects_named
 
 MAX_SIDE_PX = 320  # longest side of a drawing
 _MARGIN_M = 0.3  # around the reachable floor
@@ -59,11 +58,6 @@ def draw(world: World, targets: list[str], robot_radius_m: float) -> FloorPlanDr
     return FloorPlanDrawing(png.tobytes(), left, bottom + height, width, height, footprints)
 
 
-def objects_named(world: World, target: str) -> list[WorldObject]:
-    """Return the world's objects with this name; [] if there are none."""
-    return [item for item in world.objects if names.same_name(item.label, target)]
-
-
 def corners_m(item: WorldObject) -> np.ndarray:
     """Return (4, 2) float64: the corners of an object's box on the floor, in `map`, in order."""
     half = 0.5 * np.array(item.size_m[:2])
@@ -107,26 +101,20 @@ def _cut(grid: Grid, inside: np.ndarray) -> Grid:
 def fill_left_at_sight_m(
     world: World, episodes: list[int], outcomes: Outcomes, radius_m: float, out_m: np.ndarray
 ) -> None:
-    """Fill in the distance that was left when a robot first saw its target.
+    """Fill in the distance that was left when a robot of this radius first saw its target.
 
-    Args:
-        world: the world.
-        episodes: indices of the episodes in this world.
-        outcomes: the outcomes.
-        radius_m: radius of the robot.
-        out_m: (A, E) float64; entries of these episodes are set if the target was seen.
+    `episodes` are the indices of those in this world. Their entries of `out_m`, (A, E) float64, are
+    set if the target was seen.
     """
     for target in sorted({str(outcomes.target[e]) for e in episodes} - {""}):
         objects = objects_named(world, target)
         if not objects:
             continue
         distances_m = geodesic.distance_field(world.plan, objects, radius_m, REACHED_M)
-        for (a, e), record in outcomes.records.items():
+        for (a, e), outcome in outcomes.at.items():
             seen_m = outcomes["first_sight_path_m"][a, e]
             if e in episodes and outcomes.target[e] == target and np.isfinite(seen_m):
-                place = point_along(
-                    np.asarray(record.get("trail") or [record["start"][:2]]), seen_m
-                )
+                place = point_along(np.array(outcome.trail or [outcome.start[:2]]), seen_m)
                 out_m[a, e] = nearest_value(world, distances_m, place)
 
 

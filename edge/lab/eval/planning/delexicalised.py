@@ -8,15 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-from edge import names
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.ltl import Formula, propositions, renamed
 
 HM3D_OBJECTS = ("chair", "bed", "houseplant", "toilet", "television", "sofa")
 """HM3D's six object-goal categories, by canonical name."""
-
-MAX_OBJECTS = 12
-"""Most objects in the world of a task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +43,6 @@ def delexicalise(formula: Formula) -> DelexicalisedFormula:
 def world_of(objects: tuple[str, ...]) -> tuple[str, ...]:
     """Return all objects of a task's world: the task's own, then the rest of HM3D's six."""
     return objects + tuple(o for o in HM3D_OBJECTS if o not in objects)
-
-
-def with_canonical_names(formula: Formula) -> Formula:
-    """Rename objects as in worlds and detectors (`edge.names`): `tv` becomes `television`."""
-    return renamed(formula, names.canonical)
 
 
 @cache

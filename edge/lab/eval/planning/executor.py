@@ -32,16 +32,16 @@ import numpy as np
 
 from edge.mission.logic.automaton import Automaton
 
-NOTHING, DONE, INVALID = -1, -2, -3
-"""A planner's answers other than an object: let a step pass, stop, no usable answer.
+NOTHING, DONE = -1, -2
+"""A planner's answers other than an object: let a step pass, and stop.
 
 `NOTHING` is also an index: -1 is the last column of `PlanningProblem.moves`.
 """
 
 MAX_DECISIONS = 500
 
-OUTCOMES = ("complete", "violated", "gave up", "invalid answer", "out of attempts")
-COMPLETE, VIOLATED, GAVE_UP, NO_ANSWER, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
+OUTCOMES = ("complete", "violated", "gave up", "out of attempts")
+COMPLETE, VIOLATED, GAVE_UP, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,7 +97,7 @@ class PlannerInput(NamedTuple):
 
 
 ChooseTarget = Callable[[PlannerInput], int]
-"""A planner: returns an object's index, `NOTHING`, `DONE` or `INVALID`."""
+"""A planner: returns an object's index, `NOTHING` or `DONE`."""
 
 
 class EpisodeResult(NamedTuple):
@@ -149,8 +149,8 @@ def run_episode(
         if problem.steps_left[state] < 0:
             return EpisodeResult(VIOLATED, explorations, steps)
         target = choose(PlannerInput(state, seen, reached, order, current, chance))
-        if target < NOTHING:  # DONE or INVALID
-            return EpisodeResult(GAVE_UP if target == DONE else NO_ANSWER, explorations, steps)
+        if target == DONE:
+            return EpisodeResult(GAVE_UP, explorations, steps)
         if target != NOTHING:
             steps += 1
             if not seen >> target & 1:  # its place is not known

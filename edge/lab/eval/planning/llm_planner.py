@@ -1,41 +1,18 @@
-"""The LLM-planner of ViTL V-C: a language model that is asked for every next target."""
+"""The LLM-planner of ViTL V-C: a language model that is asked for the next target."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-
-import numpy as np
+from collections.abc import Sequence
 
 from edge import names
-from edge.chat import ChatClient, ChatError, TokenLimitError
-from edge.lab.eval.planning.delexicalised import delexicalise, world_of
-from edge.lab.eval.planning.executor import (
-    DONE,
-    INVALID,
-    ChooseTarget,
-    EpisodeResult,
-    PlannerInput,
-    PlanningProblem,
-    draws_of,
-    run_episode,
-)
-from edge.lab.eval.planning.report import LLM
-from edge.lab.eval.planning.sweep import Settings, SweepResults, empty_results
-from edge.lab.eval.planning.templates import SPOKEN, BenchmarkTask
+from edge.chat import ChatClient, TokenLimitError
+from edge.lab.eval.planning.templates import SPOKEN
 from edge.mission.logic.automaton import Automaton
 from edge.mission.planning.plan import ACCEPTED, DEAD
 from edge.mission.planning.planner import MissionKnowledge, TargetPlan
-
-MAX_QUESTIONS = 50
-"""Most different questions in a run; after that the answer is `INVALID`.
-
-A run that sees all six objects and reaches twice as many as any task needs takes fewer than 30.
-"""
 
 OPTIONS = {"temperature": 0, "max_tokens": 512}  # of each request to the model
 
@@ -53,37 +30,22 @@ Current State:
 
 # "TARGET: <potted plant>", "target: **bed**": group 1 is the object, up to a punctuation mark.
 _TARGET = re.compile(r"TARGET\s*:\s*[^\w\n]*([^\n.,;:()<>\"'*`]+)", re.IGNORECASE)
-_DONE = re.compile(r"\bDONE\b", re.IGNORECASE)
 # Reasoning before the answer, perhaps cut off.
 _THOUGHT = re.compile(r"<think>.*?(</think>|$)", re.DOTALL)
 
 
-def prompt(task: BenchmarkTask, known: PlannerInput) -> str:
-    """Return the question for the model. No object of the benchmark fails, so that set is empty."""
-    spoken = [SPOKEN.get(name, name) for name in world_of(task.objects)]
-    observed = known.seen & ~known.reached  # bit masks, by object
-    return PROMPT.format(
-        task=task.sentence,
-        observed=", ".join(word for i, word in enumerate(spoken) if observed >> i & 1),
-        reached=", ".join(spoken[i] for i in known.order),
-        failed="",
-    )
-
-
-def parse_answer(text: str, objects: Sequence[str]) -> int:
-    """Return an answer as index into `objects` (canonical names), `DONE`, or `INVALID`.
+def parse_answer(text: str, objects: Sequence[str]) -> str | None:
+    """Return the object (a canonical name) that an answer names; None for "DONE" and all else.
 
     >>> parse_answer("TARGET: <potted plant>", ["bed", "houseplant"])
-    1
+    'houseplant'
     """
-    text = _THOUGHT.sub("", text)
-    target = _TARGET.search(text)
-    if target is None:
-        return DONE if _DONE.search(text) else INVALID
+    target = _TARGET.search(_THOUGHT.sub("", text))
     try:
-        return list(objects).index(names.canonical(target[1]))
-    except ValueError:
-        return INVALID
+        name = None if target is None else names.canonical(target[1])
+    except names.NotANameError:
+        return None
+    return name if name in objects else None
 
 
 class LlmPlanner:
@@ -145,12 +107,9 @@ class LlmPlanner:
         if question not in self._answers:
             try:
                 answer = self._client.ask([{"role": "user", "content": question}], **OPTIONS)
-            except TokenLimitError as error:
+            except TokenLimitError as error:  # too long, but it may have named its target
                 answer = error.answer
-            index = parse_answer(answer, self._automaton.propositions)
-            self._answers[question] = (
-                None if index in (DONE, INVALID) else self._automaton.propositions[index]
-            )
+            self._answers[question] = parse_answer(answer, self._automaton.propositions)
         return self._answers[question]
 
 
@@ -161,110 +120,3 @@ def _spoken(objects: Sequence[str]) -> str:
 
 def _no_plan(reason: str) -> TargetPlan:
     return TargetPlan(None, (), math.inf, False, (), reason, ())
-
-
-def llm_chooser(task: BenchmarkTask, ask: Callable[[str], str]) -> ChooseTarget:
-    """Return a planner that asks the model. It asks the same question only once a run.
-
-    A failed attempt that shows nothing new does not change the question. So this is the paper's
-    "re-queried whenever the environment state changes".
-    """
-    objects = world_of(task.objects)
-    answers: dict[str, int] = {}
-
-    def choose(known: PlannerInput) -> int:
-        question = prompt(task, known)
-        if question not in answers:
-            if len(answers) == MAX_QUESTIONS:
-                return INVALID
-            try:
-                answers[question] = parse_answer(ask(question), objects)
-            except TokenLimitError as error:  # too long, but it may have named its target
-                answers[question] = parse_answer(error.answer, objects)
-        return answers[question]
-
-    return choose
-
-
-def run_llm(
-    tasks: Sequence[BenchmarkTask],
-    rows: Sequence[int],
-    settings: Settings,
-    client: ChatClient,
-    jobs: int = 1,
-    progress: Callable[[int], None] = lambda done: None,
-) -> tuple[SweepResults, BaseException | None]:
-    """Run the LLM-planner on some of the tasks, with the random numbers of the other planners.
-
-    Args:
-        tasks: all tasks.
-        rows: indices of the tasks to run.
-        settings: the settings; each of their p_obs, the probability that an exploration finds its
-            target, is run.
-        client: asks the model.
-        jobs: number of questions at the same time.
-        progress: called with the number of episodes done so far.
-
-    Returns:
-        Results for all tasks, most of them not run, and the error that ended the runs early. No
-        error is raised, not even Ctrl-C, so that the caller can report the results first. If the
-        server fails, which is not the planner's fault, the episode counts as not run.
-    """
-    settings = settings._replace(planners=(LLM,))
-    results = empty_results(tasks, settings)
-    stop = threading.Event()
-
-    def run(row: int, j: int, e: int) -> EpisodeResult | None:
-        """Run episode `e` of a task at the j-th p_obs; None if it was stopped."""
-        task, p_obs = tasks[row], settings.p_obs[j]
-        delexicalised = delexicalise(task.formula)
-
-        def ask(question: str) -> str:
-            return client.ask([{"role": "user", "content": question}], **OPTIONS)
-
-        choose = llm_chooser(task, ask)
-        draws = draws_of(settings.seed, task.id, p_obs, e)
-        problem = PlanningProblem.of(delexicalised.automaton, delexicalised.others)
-        try:
-            episode = run_episode(
-                problem, p_obs, lambda s: DONE if stop.is_set() else choose(s), draws
-            )
-        except ChatError:
-            stop.set()  # before the pool's next episode asks the failed server again
-            raise
-        return None if stop.is_set() else episode
-
-    failure: BaseException | None = None
-    pool = ThreadPoolExecutor(jobs)
-    try:
-        futures = {
-            pool.submit(run, row, j, e): (row, j, e)
-            for row in rows
-            for j in range(len(settings.p_obs))
-            for e in range(settings.episodes)
-        }
-        for done, future in enumerate(as_completed(futures), start=1):
-            row, j, e = futures[future]
-            episode = future.result()
-            if episode is not None:
-                at = (0, j, row, e)  # (planner, p_obs, task, episode)
-                results.outcome[at], results.explorations[at], results.steps[at] = episode
-            progress(done)
-    except BaseException as error:
-        failure = error
-    finally:
-        stop.set()
-        pool.shutdown(wait=False, cancel_futures=True)  # a pending question may take a minute
-    return results, failure
-
-
-def merged(a: SweepResults, b: SweepResults) -> SweepResults:
-    """Return the results of the planners of both, on the same tasks and p_obs."""
-    return SweepResults(
-        a.planners + b.planners,
-        a.p_obs,
-        np.concatenate([a.outcome, b.outcome]),
-        np.concatenate([a.explorations, b.explorations]),
-        np.concatenate([a.steps, b.steps]),
-        a.bound,
-    )

@@ -12,8 +12,6 @@ from edge.jit import jit
 from edge.lab.eval.planning.executor import DONE, NOTHING, PlannerInput, PlanningProblem
 from edge.mission.planning.vitl import order_of_relaxation
 
-MAX_VALUES = 1 << 18
-"""Most entries of a table of values: 2 MiB."""
 _DIRECT_COST, _WAIT_COST = 1e-5, 1e-6
 """Costs of a known object and of waiting: small, so that they only break ties."""
 
@@ -25,7 +23,7 @@ class Optimum:
     exploring for objects that the task does not name (see `edge.lab.eval.planning.executor`).
 
     Args:
-        problem: one that is `solvable`.
+        problem: the task; `value` grows as 2**k with its k objects.
         p_obs: probability that an exploration finds its target.
 
     Attributes:
@@ -48,12 +46,6 @@ class Optimum:
         """Return the next target. See `edge.lab.eval.planning.executor.ChooseTarget`."""
         left = self._others - (known.seen & ~self._named_bits).bit_count()
         return int(self.best[known.seen & self._named_bits, left, known.state])
-
-
-def solvable(problem: PlanningProblem) -> bool:
-    """Return True if a problem is small enough to solve."""
-    others = problem.n_objects - problem.n_propositions
-    return (problem.automaton.n_states * (others + 1)) << problem.n_propositions <= MAX_VALUES
 
 
 @jit

@@ -40,19 +40,10 @@ class PlannerEntry(NamedTuple):
     knows_all_places: bool = False
 
 
-def vitl(problem: PlanningProblem, known_reached: bool = True) -> Callable[[float], ChooseTarget]:
-    """Return the service's `vitl` planner; see `VitlPlanner` for `known_reached`."""
-    planner = make_planner(PlannerVitl(), problem.automaton, known_reached=known_reached)
-    choose = _cached_chooser(planner, problem)
+def vitl(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
+    """Return the service's `vitl` planner."""
+    choose = _cached_chooser(make_planner(PlannerVitl(), problem.automaton), problem)
     return lambda p_obs: choose
-
-
-def vitl_eq1(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
-    """Return the `vitl` planner with eq. 1 taken literally.
-
-    A step to a reached object then costs 1, as much as one to an object that was not found yet.
-    """
-    return vitl(problem, known_reached=False)
 
 
 def in_order(problem: PlanningProblem) -> Callable[[float], ChooseTarget]:
@@ -97,7 +88,6 @@ def least_explorations(problem: PlanningProblem) -> Callable[[float], ChooseTarg
 
 PLANNERS = {
     "vitl": PlannerEntry(vitl, "ViTL eq. 1 and 2, reached objects known, as in the service"),
-    "vitl-eq1": PlannerEntry(vitl_eq1, "ViTL eq. 1 and 2 to the letter: reached objects weigh 1"),
     "in-order": PlannerEntry(in_order, "first object of the sentence that makes valid progress"),
     "random-valid": PlannerEntry(random_valid, "any object that makes valid progress"),
     "optimal": PlannerEntry(least_explorations, "fewest expected explorations, the exact optimum"),

@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING
 from edge.host.files import write_atomically
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.report import LLM, Row
+from edge.lab.eval.planning.report import Row
 from edge.lab.report import canvas, palette
-from edge.lab.report.canvas import style_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SIZE_IN = (7.2, 4.2)
 DPI = 150
-STYLES = {name: style_of(k) for k, name in enumerate((*PLANNERS, LLM))}
 
 
 def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
@@ -32,82 +30,42 @@ def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
     """
     rows = [row for row in rows if row.p_obs is not None]
     searching = [row for row in rows if row.planner != "clairvoyant"]
-    percent = _plot(rows, lambda row: Interval(*(100 * x for x in row.complete)), _label_completion)
-    attempts = _plot(searching, lambda row: row.explorations, _label_explorations)
+    figures = {
+        "completion": _completion(rows),
+        "explorations": _plot(
+            searching, lambda row: row.explorations, "exploration attempts per task, mean"
+        ),
+    }
     paths = []
-    for name, images in (("completion", percent), ("explorations", attempts)):
-        for kind, content in images.items():
+    for name, figure in figures.items():
+        for kind in ("svg", "png"):
             paths.append(directory / f"{name}.{kind}")
-            write_atomically(paths[-1], content)
+            write_atomically(paths[-1], canvas.content(figure, kind))
     return paths
 
 
-def _label_completion(axes: Axes, rows: Sequence[Row]) -> None:
-    worst = min((100 * row.complete.low for row in rows if row.runs), default=0.0)
-    bottom = 0.0 if worst < 80 else 80.0
-    room = 0.04 * (100 - bottom)  # so that markers at the limits are not cut
-    axes.set_ylim(bottom - (room if bottom == 0.0 else 0.0), 100 + room)
-    axes.locator_params(axis="y", integer=True)
-    axes.set_ylabel("tasks completed, %")
-    axes.set_title("Completion rate", loc="left", color=palette.INK, fontsize=12)
+def _completion(rows: Sequence[Row]) -> Figure:
+    """Plot from 0 % on, or from 80 % on if all are above."""
+    figure = _plot(
+        rows, lambda row: Interval(*(100 * x for x in row.complete)), "tasks completed, %"
+    )
+    worst = min((100 * row.complete.low for row in rows), default=0.0)
+    figure.axes[0].set_ylim(0.0 if worst < 80 else 80.0, 101.0)
+    return figure
 
 
-def _label_explorations(axes: Axes, rows: Sequence[Row]) -> None:
-    axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("exploration attempts per task, mean")
-    axes.set_title("Exploration attempts", loc="left", color=palette.INK, fontsize=12)
-
-
-def _plot(
-    rows: Sequence[Row],
-    figure_of: Callable[[Row], Interval],
-    finish: Callable[[Axes, Sequence[Row]], None],
-) -> dict[str, bytes]:
-    """Return a plot's content by file ending."""
+def _plot(rows: Sequence[Row], figure_of: Callable[[Row], Interval], label: str) -> Figure:
+    """Plot a figure over p_obs, with a line for each planner."""
     figure, (axes,) = canvas.plots(SIZE_IN, DPI)
-    lines = _curves(rows, figure_of)
-    for k, (planners, figures) in enumerate(lines.items()):
-        _draw_curve(axes, planners, figures, len(lines) - k)
-    p_obs = sorted({row.p_obs for row in rows if row.p_obs is not None})
+    planners = list(dict.fromkeys(row.planner for row in rows))
+    for planner in planners:
+        found = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
+        found = [(p_obs, value) for p_obs, value in found if not math.isnan(value.value)]
+        x, values = [p_obs for p_obs, _ in found], [value for _, value in found]
+        canvas.draw_curve(axes, x, values, list(PLANNERS).index(planner), planner)
     axes.set_xlabel("$p_{obs}$, probability that an exploration finds its target")
-    axes.set_xticks(p_obs[:: max(1, len(p_obs) // 10)])
-    finish(axes, rows)
-    # Outside the axes, so that it covers no data.
-    legend = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "frameon": False}
-    if lines:
-        axes.legend(**legend, fontsize=9, labelcolor=palette.INK, handlelength=3.2)
-    return {kind: canvas.content(figure, kind) for kind in ("svg", "png")}
-
-
-def _curves(
-    rows: Sequence[Row], figure_of: Callable[[Row], Interval]
-) -> dict[tuple[str, ...], list[tuple[float, Interval]]]:
-    """Return (p_obs, figure) pairs by planner. Planners without any difference share a line."""
-    alike: dict[str, list[str]] = {}  # by the text of their figures: the planners that have them
-    figures: dict[str, list[tuple[float, Interval]]] = {}
-    for planner in dict.fromkeys(row.planner for row in rows):
-        pairs = [(row.p_obs, figure_of(row)) for row in rows if row.planner == planner]
-        pairs = [(p, figure) for p, figure in pairs if not math.isnan(figure.value)]
-        alike.setdefault(repr(pairs), []).append(planner)
-        figures[repr(pairs)] = pairs
-    return {tuple(alike[key]): pairs for key, pairs in figures.items() if pairs}
-
-
-def _draw_curve(
-    axes: Axes, planners: tuple[str, ...], figures: list[tuple[float, Interval]], rank: int
-) -> None:
-    """Draw a line with the band of its 95 % intervals.
-
-    A larger `rank` makes larger markers further down, so that overlapping lines all show.
-    """
-    style = STYLES.get(planners[0], style_of(len(STYLES)))
-    p_obs, values = [p for p, _ in figures], [f.value for _, f in figures]
-    filled = style.mark in "P*X"
-    axes.plot(
-        p_obs, values, label="\n".join(planners), color=style.colour,
-        linestyle=style.dash, linewidth=1.6, marker=style.mark, markersize=4.0 + 0.6 * rank,
-        markerfacecolor=style.colour if filled else "none", markeredgewidth=1.3,
-        zorder=3 - 0.1 * rank,
-    )  # fmt: skip
-    low, high = [f.low for _, f in figures], [f.high for _, f in figures]
-    axes.fill_between(p_obs, low, high, color=style.colour, alpha=0.12, linewidth=0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_title(label, loc="left", color=palette.INK, fontsize=12)
+    if planners:
+        canvas.draw_legend(axes)
+    return figure

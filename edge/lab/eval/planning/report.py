@@ -25,11 +25,9 @@ from edge.lab.eval.json_data import json_data
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import OUTCOMES
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.sweep import NOT_RUN, Settings, SweepResults
+from edge.lab.eval.planning.sweep import Settings, SweepResults
 from edge.lab.eval.planning.templates import BenchmarkTask
-
-LLM = "llm"  # name of the planner that asks a language model
-LLM_WORDS = "a language model, asked for every next target (the paper's prompt)"  # description
+from edge.text import format_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +70,23 @@ def _row(results: SweepResults, k: int, at: slice, p_obs: float | None) -> Row:
     """
     outcome, complete = results.outcome[k, at], results.complete[k, at]
     explorations, steps = results.explorations[k, at], results.steps[k, at]
-    ended = Counter(outcome[outcome != NOT_RUN].tolist())
-    runs = sum(ended.values())
+    ended = Counter(outcome.ravel().tolist())
     bound = np.broadcast_to(results.bound[None, :, None], complete.shape)
     optimum = Interval(math.nan, math.nan, math.nan)
-    if "optimal" in results.planners and not _knows_all(results.planners[k]):
+    if "optimal" in results.planners and not PLANNERS[results.planners[k]].knows_all_places:
         best = results.planners.index("optimal")
         both = complete & results.complete[best, at]
         optimum = _ratio(explorations, results.explorations[best, at], both)
     return Row(
         results.planners[k],
         p_obs,
-        runs,
+        outcome.size,
         {OUTCOMES[code]: n for code, n in sorted(ended.items())},
-        wilson(int(complete.sum()), runs),
+        wilson(int(complete.sum()), outcome.size),
         _ratio(explorations, np.ones_like(explorations), complete),
         _ratio(steps, bound, complete),
         optimum,
     )
-
-
-def _knows_all(planner: str) -> bool:
-    """Return True if the planner has more information than the optimum."""
-    return planner in PLANNERS and PLANNERS[planner].knows_all_places
 
 
 def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) -> Interval:
@@ -108,23 +100,19 @@ def _ratio(numerators: np.ndarray, denominators: np.ndarray, where: np.ndarray) 
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return aligned text, with an empty line between planners."""
-    lines = [
-        f"{'planner':13}{'p_obs':>6}{'runs':>8}  {'complete, % [95 % interval]':27}"
-        f"{'explorations':>16}{'steps / bound':>17}{'expl. / optimum':>18}"
-    ]
-    for i, row in enumerate(rows):
-        if i and row.planner != rows[i - 1].planner:
-            lines.append("")
-        share = Interval(*(100 * x for x in row.complete))
-        p_obs = "all" if row.p_obs is None else f"{row.p_obs:g}"
-        rate = f"{share.value:6.2f} [{share.low:.2f}, {share.high:.2f}]" if row.runs else "     -"
-        lines.append(
-            f"{row.planner:13}{p_obs:>6}{row.runs:8}  {rate:27}"
-            f"{_pm(row.explorations, 2):>16}{_pm(row.steps_to_bound, 3):>17}"
-            f"{_pm(row.explorations_to_optimum, 3):>18}"
-        )
-    return "\n".join(lines)
+    """Return the figures as aligned text."""
+    head = ("planner", "p_obs", "runs", "complete, % [95 % interval]", "explorations",
+            "steps / bound", "expl. / optimum")  # fmt: skip
+    return format_table([head, *map(_cells, rows)], left=1)
+
+
+def _cells(row: Row) -> tuple[object, ...]:
+    share, low, high = (100 * x for x in row.complete)
+    return (
+        row.planner, "all" if row.p_obs is None else f"{row.p_obs:g}", row.runs,
+        f"{share:.2f} [{low:.2f}, {high:.2f}]", _pm(row.explorations, 2),
+        _pm(row.steps_to_bound, 3), _pm(row.explorations_to_optimum, 3),
+    )  # fmt: skip
 
 
 def _pm(interval: Interval, digits: int) -> str:
@@ -139,8 +127,7 @@ def _pm(interval: Interval, digits: int) -> str:
 
 def legend(planners: Sequence[str]) -> str:
     """Return a line for each planner, with its description."""
-    words = {**{name: entry.words for name, entry in PLANNERS.items()}, **{LLM: LLM_WORDS}}
-    return "\n".join(f"{name:13}{words[name]}" for name in planners)
+    return format_table([(name, PLANNERS[name].words) for name in planners])
 
 
 def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
@@ -152,27 +139,6 @@ def tasks_line(tasks: Sequence[BenchmarkTask]) -> str:
     structures = len({delexicalise(task.formula) for task in tasks})
     kinds = ", ".join(f"{n} {name}" for name, n in families.items())
     return f"{len(tasks)} tasks, {structures} lifted formulas: {kinds}"
-
-
-def summary(rows: Sequence[Row]) -> str:
-    """Return a line for each planner, with its figures over all p_obs."""
-    last = {row.planner: row for row in rows}
-    return "\n".join(_summary(row) for row in last.values())
-
-
-def _summary(row: Row) -> str:
-    if not row.runs:
-        return f"{row.planner}: not run"
-    others = [f"{n} {how}" for how, n in row.outcomes.items() if how != OUTCOMES[0]]
-    text = f"{row.planner}: {100 * row.complete.value:.2f} % complete"
-    text += f" ({', '.join(others)})" if others else ""
-    for interval, words in (
-        (row.explorations, ", {:.2f} explorations"),
-        (row.explorations_to_optimum, ", {:.3f} times the optimum"),
-        (row.steps_to_bound, "; {:.3f} times the steps of the clairvoyant bound"),
-    ):
-        text += "" if math.isnan(interval.value) else words.format(interval.value)
-    return text
 
 
 def to_json(

@@ -20,15 +20,11 @@ import numpy as np
 from edge.errors import UserError
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import COMPLETE, PlanningProblem, draws_of, run_episode
-from edge.lab.eval.planning.optimum import solvable
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.templates import BenchmarkTask
 
 BATCH_EPISODES = 20
 """Episodes of one planner at one p_obs between two checks for a stop."""
-
-NOT_RUN = -1
-"""Outcome of an episode that was not run."""
 
 
 class Settings(NamedTuple):
@@ -52,8 +48,7 @@ class SweepResults:
     """Every episode of a comparison.
 
     Attributes:
-        outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`, or
-            `NOT_RUN` (the optimum of a task that is too large to solve).
+        outcome: (planners, p_obs, tasks, episodes) int8 index into `executor.OUTCOMES`.
         explorations: the same shape, int32.
         steps: the same shape, int32.
         bound: (tasks,) int32, steps of the shortest accepted trace.
@@ -96,7 +91,11 @@ def run_tasks(
         CompileError: a formula is beyond the compiler's limits.
         UserError: a process was killed.
     """
-    results = empty_results(tasks, settings)
+    shape = (len(settings.planners), len(settings.p_obs), len(tasks), settings.episodes)
+    results = SweepResults(
+        settings.planners, settings.p_obs, np.zeros(shape, np.int8), np.zeros(shape, np.int32),
+        np.zeros(shape, np.int32), np.zeros(len(tasks), np.int32),
+    )  # fmt: skip
     work = list(_batches(tasks, max(1, BATCH_EPISODES // settings.episodes)))
     done = 0
     for batch, part in _run_all(work, settings, jobs):
@@ -106,15 +105,6 @@ def run_tasks(
         done += len(batch.rows)
         progress(done)
     return results
-
-
-def empty_results(tasks: Sequence[BenchmarkTask], settings: Settings) -> SweepResults:
-    """Return results to be filled in."""
-    shape = (len(settings.planners), len(settings.p_obs), len(tasks), settings.episodes)
-    return SweepResults(
-        settings.planners, settings.p_obs, np.full(shape, NOT_RUN, np.int8),
-        np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros(len(tasks), np.int32),
-    )  # fmt: skip
 
 
 def _batches(tasks: Sequence[BenchmarkTask], size: int) -> Iterator[TaskBatch]:
@@ -137,13 +127,11 @@ def run_batch(batch: TaskBatch, settings: Settings) -> np.ndarray:
     problem = batch.problem
     shape = (len(settings.planners), len(settings.p_obs), len(batch.ids), settings.episodes)
     results = np.zeros((3, *shape), np.int32)
-    results[0] = NOT_RUN
     everything = (1 << problem.n_objects) - 1
     # (index, function that makes the planner for a p_obs, places known from the start)
     entrants = [
         (k, PLANNERS[name].make(problem), everything if PLANNERS[name].knows_all_places else 0)
         for k, name in enumerate(settings.planners)
-        if name != "optimal" or solvable(problem)
     ]
     for j, p_obs in enumerate(settings.p_obs):
         choosers = [(k, make(p_obs), seen) for k, make, seen in entrants]

@@ -24,7 +24,6 @@ from edge.mission.logic.ltl import (
     disj,
     eventually,
     neg,
-    propositions,
     weak_until,
 )
 
@@ -47,13 +46,11 @@ class BenchmarkTask:
 
     Attributes:
         family: name of the template's family.
-        objects: canonical names, in order of first appearance in the formula.
-        formula: over `objects`.
+        formula: over the canonical names of objects.
     """
 
     id: int
     family: str
-    objects: tuple[str, ...]
     sentence: str
     formula: Formula
 
@@ -139,9 +136,7 @@ def generate(n: int = 2000, seed: int = 0) -> list[BenchmarkTask]:
             continue
         seen.add(formula)
         sentence = sentence_of(template, objects)
-        tasks.append(
-            BenchmarkTask(len(tasks), family.name, propositions(formula), sentence, formula)
-        )
+        tasks.append(BenchmarkTask(len(tasks), family.name, sentence, formula))
     return tasks
 
 

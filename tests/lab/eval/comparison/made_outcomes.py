@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-FAILED = ("never seen", "seen, not confirmed", "wrong thing", "stuck", "budget", "crashed")
+from edge.lab.eval.outcome import FAILURES, EpisodeOutcome
 
 
-def record(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> dict[str, Any]:
+def record(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> EpisodeOutcome:
     """Return a success in 10 m with an optimum of 5 m; `changes` replace its fields."""
     fields: dict[str, Any] = {
         "episode": episode, "arm": arm, "arm_id": "c0ffee", "world": "house-0",
-        "kind": "procthor", "target": "bed", "instruction": None, "start": [1.0, 1.0, 0.0],
+        "kind": "procthor", "target": "bed", "instruction": None, "start": (1.0, 1.0, 0.0),
         "shortest_m": 5.0, "success": True, "reason": "reached", "failure": None, "path_m": 10.0,
         "elapsed_s": 30.0, "wall_s": 1.5, "distance_m": 0.8, "left_m": 0.0, "collisions": 0,
         "first_sight_s": 12.0, "first_sight_path_m": 4.0, "wrong_stops": 0,
@@ -22,10 +22,10 @@ def record(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> 
         "score_ms": 0.5, "trail": [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]],
         "goal_xy": [[3.0, 1.0, "frontier"], [3.0, 2.0, "instance"]],
     }  # fmt: skip
-    return {**fields, **changes}
+    return EpisodeOutcome(**{**fields, **changes})
 
 
-def failure(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> dict[str, Any]:
+def failure(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> EpisodeOutcome:
     """One that used its path up and never saw the thing."""
     fields = {
         "success": False, "reason": "path limit", "failure": "never seen", "path_m": 40.0,
@@ -36,7 +36,7 @@ def failure(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) ->
 
 def many(
     columns: dict[str, float], worlds: int, seed: int = 0, each: int = 4, spread: float = 0.5
-) -> list[dict[str, Any]]:
+) -> list[EpisodeOutcome]:
     """Outcomes of `columns` on `each` episodes a world.
 
     Args:
@@ -60,7 +60,7 @@ def many(
                 path = shortest * (1 + (times - 1) * hardness * rng.exponential())
                 name = f"house-{w}/{target}/{k}"
                 if path > 5 * shortest:
-                    kind = FAILED[int(rng.integers(len(FAILED)))]
+                    kind = FAILURES[int(rng.integers(len(FAILURES)))]
                     records.append(failure(name, column, **about, failure=kind))
                 else:
                     sight = 0.6 * path

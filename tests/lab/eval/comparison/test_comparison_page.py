@@ -84,7 +84,7 @@ def test_nothing_is_fetched_and_no_script_but_ours_runs():
 
 def test_text_cannot_become_markup():
     bad = record(BAD, BAD, world=BAD, target=BAD, reason=BAD, instruction=BAD)
-    text = page_of([bad, failure("2", "b", failure=BAD, target=None, instruction=BAD)])
+    text = page_of([bad, failure("2", "b", target=None, instruction=BAD)])
     reader = Reader(text)
     assert len(reader.all("script")) == 1
     assert reader.text.count("alert(") >= 6

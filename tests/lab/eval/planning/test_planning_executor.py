@@ -12,9 +12,7 @@ from edge.lab.eval.planning.executor import (
     COMPLETE,
     DONE,
     GAVE_UP,
-    INVALID,
     MAX_DECISIONS,
-    NO_ANSWER,
     NOTHING,
     VIOLATED,
     EpisodeResult,
@@ -66,7 +64,6 @@ def test_problem_puts_other_objects_behind_the_formulas():
     [
         ("true", [], luck(), EpisodeResult(COMPLETE, 0, 0)),
         ("F bed", [], luck(), EpisodeResult(GAVE_UP, 0, 0)),
-        ("F bed", [INVALID], luck(), EpisodeResult(NO_ANSWER, 0, 0)),
         ("F bed", [0], luck(), EpisodeResult(COMPLETE, 1, 1)),
         ("F bed", [0, 0], luck((UNLUCKY, 0.0)), EpisodeResult(COMPLETE, 2, 2)),
         ("F sofa & G !bed", [1, 0], luck(), EpisodeResult(VIOLATED, 1, 1)),

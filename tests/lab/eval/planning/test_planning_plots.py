@@ -8,8 +8,8 @@ import pytest
 
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.plots import STYLES, write_plots
-from edge.lab.eval.planning.report import LLM, Row
+from edge.lab.eval.planning.plots import write_plots
+from edge.lab.eval.planning.report import Row
 
 NAN = Interval(float("nan"), float("nan"), float("nan"))
 
@@ -22,8 +22,8 @@ def row(planner: str, p_obs: float | None, complete: float, explorations: Interv
 @pytest.fixture
 def rows():
     return [
-        row(planner, p, 0.9 if planner == LLM else 1.0, Interval(k + 2 / p, k, k + 3 / p))
-        for k, planner in enumerate(STYLES)
+        row(planner, p, 0.9 if planner == "in-order" else 1.0, Interval(k + 2 / p, k, k + 3 / p))
+        for k, planner in enumerate(PLANNERS)
         for p in (0.1, 0.5, 1.0)
     ] + [row("vitl", None, 1.0)]
 
@@ -32,26 +32,20 @@ def words(path) -> str:
     return " ".join(e.text or "" for e in ElementTree.parse(path).iter() if e.tag.endswith("text"))
 
 
-def test_every_planner_has_a_style_of_its_own():
-    assert set(STYLES) == {*PLANNERS, LLM}
-    assert len({style.colour for style in STYLES.values()}) == len(STYLES)
-    assert len({style.mark for style in STYLES.values()}) == len(STYLES)
-
-
 def test_files(tmp_path, rows):
     paths = write_plots(rows, tmp_path)
     assert [path.name for path in paths] == [
         "completion.svg", "completion.png", "explorations.svg", "explorations.png",
     ]  # fmt: skip
     assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in paths[1::2])
-    for planner in STYLES:
+    for planner in PLANNERS:
         assert planner in words(paths[0])
         # The clairvoyant does not explore.
         assert (planner in words(paths[2])) == (planner != "clairvoyant")
 
 
 @pytest.mark.parametrize(
-    "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("new", 0.1, 0.3)]]
+    "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("optimal", 0.1, 0.3)]]
 )
 def test_few_rows_make_plots_too(tmp_path, rows):
     assert len(write_plots(rows, tmp_path)) == 4

@@ -9,7 +9,7 @@ import pytest
 
 from edge.lab.eval.planning.executor import COMPLETE, VIOLATED
 from edge.lab.eval.planning.report import rows_of
-from edge.lab.eval.planning.sweep import NOT_RUN, SweepResults
+from edge.lab.eval.planning.sweep import SweepResults
 
 
 def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> SweepResults:
@@ -26,10 +26,10 @@ def results_of(planners, outcome, explorations, steps, bound, p_obs=(0.5,)) -> S
 
 @pytest.fixture
 def results():
-    c, v, n = COMPLETE, VIOLATED, NOT_RUN
+    c, v = COMPLETE, VIOLATED
     return results_of(
-        ["vitl", "optimal", "clairvoyant", "llm"],
-        [[c, c, c], [c, c, n], [c, c, c], [v, n, n]],
+        ["vitl", "optimal", "clairvoyant", "in-order"],
+        [[c, c, c], [c, c, v], [c, c, c], [v, v, v]],
         [[4, 2, 9], [2, 2, 0], [0, 0, 0], [7, 0, 0]],
         [[4, 4, 9], [2, 3, 0], [2, 2, 3], [7, 0, 0]],
         [2, 2, 3],
@@ -37,15 +37,16 @@ def results():
 
 
 def test_figures(results):
-    vitl, best, clairvoyant, llm = rows_of(results)
+    vitl, best, clairvoyant, in_order = rows_of(results)
     assert (vitl.runs, vitl.complete.value, vitl.explorations.value) == (3, 1.0, 5.0)
     assert vitl.steps_to_bound.value == pytest.approx(17 / 7)
-    assert vitl.explorations_to_optimum.value == pytest.approx(6 / 4)  # the third has no optimum
-    assert (best.runs, best.explorations_to_optimum.value) == (2, 1.0)
+    # The optimum did not complete the third task.
+    assert vitl.explorations_to_optimum.value == pytest.approx(6 / 4)
+    assert (best.runs, best.explorations_to_optimum.value) == (3, 1.0)
     assert clairvoyant.steps_to_bound[:] == (1.0, 1.0, 1.0)
     assert math.isnan(clairvoyant.explorations_to_optimum.value)  # it knows more
-    assert (llm.runs, llm.complete.value, llm.outcomes) == (1, 0.0, {"violated": 1})
-    assert math.isnan(llm.explorations.value)
+    assert (in_order.complete.value, in_order.outcomes) == (0.0, {"violated": 3})
+    assert math.isnan(in_order.explorations.value)
 
 
 def test_several_p_obs_have_a_row_for_all():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,9 +17,7 @@ from live_patience import PATIENCE_S
 from edge.cli.parsers import make_parser
 from edge.errors import UserError
 from edge.lab.eval.planning import run as command
-from edge.lab.eval.planning.file import read_tasks
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.templates import generate
 
 
 def parsed(*argv: str) -> argparse.Namespace:
@@ -33,20 +32,11 @@ def test_runs_and_writes(tmp_path, capsys):
     text = capsys.readouterr().out
     assert text.startswith("20 tasks, ")
     for planner in PLANNERS:
-        assert f"{planner}: 100.00 % complete" in text
+        assert re.search(rf"^{planner} +all +40 +100.00 \[", text, re.M)
     names = {"results.json", "completion.svg", "completion.png", "explorations.svg"}
     assert names | {"explorations.png"} == {path.name for path in out.iterdir()}
     data = json.loads((out / "results.json").read_text())
     assert {row["complete"]["value"] for row in data["rows"]} == {1.0}
-
-
-def test_exported_tasks_can_be_run(tmp_path, capsys):
-    path = tmp_path / "tasks.jsonl"
-    assert command.run(parsed("--n", "8", "--export", str(path))) == 0
-    assert read_tasks(path) == generate(8)
-    options = ["--tasks", str(path), "--planners", "vitl, optimal", "--p-obs", "1"]
-    assert command.run(parsed(*options, "--jobs", "1", "--out", str(tmp_path))) == 0
-    assert "8 tasks" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -74,42 +64,12 @@ def test_bad_input_is_one_line(tmp_path):
     for argv, words in (
         (("--planners", "vitl,best"), "no planner 'best' (choices: vitl"),
         (("--planners", ","), "got no name"),
-        (("--tasks", str(tmp_path / "file")), "line 1: id"),
         (("--n", "1", "--out", str(tmp_path / "file" / "x")), "file"),
-        (("--n", "1", "--llm", "not a url"), "not a url"),
     ):
         with pytest.raises(UserError) as caught:
             command.run(parsed(*argv))
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
-
-
-def test_server_that_is_down_costs_only_the_language_models_runs(tmp_path, capsys):
-    argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl"]
-    with pytest.raises(UserError, match=r"127\.0\.0\.1:9"):
-        command.run(parsed(*argv, "--out", str(tmp_path), "--llm", "http://127.0.0.1:9/v1"))
-    text = capsys.readouterr().out
-    assert "vitl: 100.00 % complete" in text
-    assert "llm: not run" in text
-    assert (tmp_path / "results.json").exists()
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
-def test_whatever_ends_the_language_models_runs_costs_only_those(
-    tmp_path, capsys, monkeypatch, error
-):
-    class Client:
-        def ask(self, messages, **options):
-            raise error
-
-    monkeypatch.setattr(command, "_client", lambda args: Client())
-    argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl", "--llm", "http://x"]
-    with pytest.raises(type(error)):
-        command.run(parsed(*argv, "--out", str(tmp_path)))
-    text = capsys.readouterr().out
-    assert "vitl: 100.00 % complete" in text
-    assert "llm: not run" in text
-    assert (tmp_path / "results.json").exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
