@@ -55,7 +55,7 @@ def test_a_tick_that_is_looked_at(benchmark, closed):
     benchmark.pedantic(sink.tick, setup=watch_again, rounds=200)
 
 
-def test_what_is_asked_five_times_a_second(benchmark, closed):
+def test_the_live_now_response(benchmark, closed):
     view = LiveView(closed.config, ServiceHealth(SystemdNotifier({})))
     view.sink.mark_watched()
     view.sink.tick(closed.service.result(1, closed.observe()))

@@ -178,7 +178,7 @@ def test_a_long_answer_is_not_kept():
             tracemalloc.stop()
 
 
-def test_plain_http_where_tls_was_expected():
+def test_plain_http_instead_of_tls_is_an_error():
     with (
         serving(saying("F chair")) as server,
         pytest.raises(ChatError, match=r"does not speak TLS|closed the connection"),
@@ -266,7 +266,7 @@ def test_an_answer_without_log_probabilities_is_one_clear_line(answer, expected)
 
 
 @pytest.mark.parametrize("connects", [True, False])
-def test_closing_the_client_gives_up_what_it_asks(connects):
+def test_closing_the_client_cancels_its_requests(connects):
     """`close` waits neither for an answer nor for a connection."""
     said: list[Exception] = []
 

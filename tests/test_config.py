@@ -230,7 +230,7 @@ SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
         ({"kind": "my:Own"}, {"similarity": "x", "choice": SERVER}, "choice"),
     ],
 )
-def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, perception, source):
+def test_the_policy_decides_the_source_of_value_maps(policy, perception, source):
     assert simulated({"policy": policy, "perception": perception}).value_source == source
 
 
@@ -242,7 +242,7 @@ def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, percept
         {"host": "0.0.0.0", "port": 7480, "token_file": "/etc/edge/http.token"},
     ],
 )
-def test_pages_need_a_token_only_where_others_can_reach_them(http):
+def test_only_open_pages_need_a_token(http):
     assert simulated({"http": http}).http.host == http["host"]
 
 
@@ -351,7 +351,7 @@ def test_yaml_that_nobody_means_is_refused_at_once(write, content, says):
     assert "\n" not in str(error.value)
 
 
-def test_what_comes_again_by_an_alias_is_read(write):
+def test_a_yaml_alias_may_be_reused(write):
     content = """
     x: &sim {kind: sim, miss_rate: 0.2}
     perception: {detector: {<<: *sim, miss_rate: 0.3}}
@@ -369,7 +369,7 @@ def test_all_yaml_is_read_by_one_reader():
     assert [p for p in text if "yaml.safe_load" in text[p] or "yaml.load" in text[p]] == []
 
 
-def test_what_is_huge_is_not_echoed_in_full(write):
+def test_huge_values_are_cut_in_errors(write):
     """A value is shown as far as it is shown; nothing is made of the rest."""
     for value in ("[" + "x, " * 1500 + "]", "x" * 90_000, "[" * 60 + "]" * 60):
         with pytest.raises(ConfigError) as error:
@@ -377,7 +377,7 @@ def test_what_is_huge_is_not_echoed_in_full(write):
         assert max(map(len, str(error.value).splitlines())) < 400
 
 
-def test_of_many_faults_the_first_are_reported():
+def test_only_the_first_faults_are_reported():
     with pytest.raises(ConfigError) as error:
         parse({**SIM, "sinks": [3] * 1000}, "f.yaml")
     lines = str(error.value).splitlines()
@@ -500,7 +500,7 @@ BY = "environment EDGE__"
         ({"ROBOT__NAME": "a"}, "FILE: robot.radius_m: "),
     ],
 )
-def test_an_error_names_what_set_the_key(write, environ, named):
+def test_an_error_names_the_source_of_the_key(write, environ, named):
     """Not the file, whose user would look there in vain."""
     broken = "ROBOT__NAME" in environ
     robot = {"robot": {"radius_m": "wide"}} if broken else {}
@@ -524,7 +524,7 @@ def test_variables_that_nothing_reads_are_reported_once(write, caplog):
     ]
 
 
-def test_objects_keep_as_far_away_as_what_is_read():
+def test_objects_derive_the_same_clearances_as_a_file():
     """Whichever way the robot and the sections are given."""
     made = Config(
         perception=SIM["perception"],

@@ -48,7 +48,7 @@ def test_every_base_is_pinned():
     assert all(base in STAGES or re.search(r":[\w.-]*\d", base) for base in bases)
 
 
-def test_what_the_images_install_is_pinned():
+def test_packages_in_the_images_are_pinned():
     pinned = set(re.findall(r"^([\w-]+)==", (ROOT / "docker/constraints.txt").read_text(), re.M))
     of_ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
     wanted = {
@@ -84,7 +84,7 @@ def test_the_health_check_asks_healthz(status):
     assert '"ok"' in done.stdout
 
 
-def test_the_health_check_fails_where_nobody_answers():
+def test_the_health_check_fails_without_an_answer():
     with serve({}, "127.0.0.1", 0) as port:
         pass
     done = healthy(port)

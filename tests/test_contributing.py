@@ -55,7 +55,7 @@ def test_a_model_is_a_card_and_a_file(card, capsys):
     loop.close()
 
 
-def test_what_ci_installs_is_pinned():
+def test_packages_installed_by_ci_are_pinned():
     """Otherwise a release of others fails a change of ours."""
     files = ("docker/constraints.txt", ".ci/constraints.txt")
     pins = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)

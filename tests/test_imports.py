@@ -130,12 +130,12 @@ def test_the_loop_loads_no_zenoh():
     assert "zenoh" not in reached
 
 
-def test_what_runs_on_the_robot_imports_no_exporter():
+def test_the_robot_code_imports_no_exporter():
     reached = {t.split(".")[0] for targets in imports().values() for t in targets}
     assert not reached & NEVER
 
 
-def test_only_lab_imports_what_lab_installs():
+def test_only_lab_imports_packages_of_the_lab_extra():
     outside = sorted(
         f"{module} -> {target}"
         for module, targets in imports().items()
@@ -157,7 +157,7 @@ def test_edge_run_loads_no_lab():
 
 
 @pytest.mark.parametrize("package", sorted(p.parent for p in ROOT.rglob("__init__.py")), ids=str)
-def test_every_package_says_what_lives_there(package):
+def test_every_package_has_a_docstring(package):
     assert ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
 
 

@@ -47,7 +47,7 @@ SAID = (
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
+def test_quoted_text_forges_no_line_and_no_escape_code(as_json):
     out = io.StringIO()
     logs.setup("info", as_json, stream=out)
     logging.getLogger("edge.loop.goal").warning("%s", SAID)

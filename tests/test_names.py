@@ -21,7 +21,7 @@ from edge.errors import UserError
         ("b" * 201, f"'{'b' * 59}…' is no name: it has more than 200 characters"),
     ],
 )
-def test_what_is_no_name_is_refused_with_the_reason(word, why):
+def test_an_invalid_name_is_refused_with_the_reason(word, why):
     assert not names.is_name(word)
     assert not names.is_known(word)
     with pytest.raises(names.NotANameError) as caught:
@@ -115,7 +115,7 @@ def test_any_text_is_a_lower_case_name_or_refused(word):
 
 
 @given(odd)
-def test_what_is_made_of_a_name_are_names_or_it_is_refused(word):
+def test_parts_of_a_name_are_valid_names(word):
     try:
         parts = [names.head_phrase(word), *names.head_nouns(word), *names.names_of(word)]
     except names.NotANameError:
@@ -158,7 +158,7 @@ def test_a_kind_has_one_broader_word():
         assert {names.hypernym(f"the {kind}") for kind in of_it} == {broader}
 
 
-def test_what_is_near_or_broader_stands_under_its_own_name():
+def test_broader_and_near_words_are_canonical():
     for table in (names.BROADER, names.NEAR):
         for name, others in table.items():
             for word in (name, *others):
@@ -183,7 +183,7 @@ def test_names_of_one_object(a, b, akin, near):
     assert names.look_alike(a, b) == names.look_alike(b, a) == near
 
 
-def test_what_is_outside_is_no_target_and_no_kind_of_one():
+def test_non_targets_leave_out_targets_and_their_kinds():
     assert names.non_targets((), ("chair",)) == ()
     words = ("couch", "sofa", "armchair", "lamp", "dining chairs")
     assert names.non_targets(words, ("chair",)) == ("sofa", "table lamp")

@@ -112,7 +112,7 @@ def test_there_is_something_to_check():
 
 
 @pytest.mark.parametrize("expression", EXPRESSIONS)
-def test_every_expression_asks_for_what_a_service_reports(told, expression):
+def test_expressions_use_only_metrics_of_the_service(told, expression):
     found = list(selectors(promql.parse(expression)))
     named = set(re.findall(r"\b(?:edge|process)_\w+|\bup\b", expression))
     assert {selector.name for selector in found} == named
@@ -159,7 +159,7 @@ def test_the_dashboard_loads_as_grafana_has_it():
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
-def test_every_alert_says_what_it_means_and_what_to_do(rule):
+def test_every_alert_has_a_severity_and_texts(rule):
     assert re.fullmatch(r"Edge[A-Z][A-Za-z]+", rule["alert"])
     assert rule["labels"]["severity"] in ("critical", "warning", "info")
     notes = rule["annotations"]

@@ -168,7 +168,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_what_a_page_names_exists(page):
+def test_names_in_a_page_exist(page):
     text = page.read_text(encoding="utf-8")
     paths = re.findall(r"`((?:edge|exporters|tests|perf|config|models|docs)/[\w./-]+)`", text)
     assert [p for p in paths if p not in ELSEWHERE and not (ROOT / p).exists()] == []

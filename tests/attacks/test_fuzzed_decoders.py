@@ -34,7 +34,7 @@ def test_every_reader_of_payloads_is_here():
 
 
 @pytest.mark.parametrize("name", DECODERS)
-def test_nothing_is_refused_and_what_is_valid_is_read(name):
+def test_an_empty_input_is_refused_and_valid_seeds_are_read(name):
     decoder = DECODERS[name]
     assert not reads_or_refuses(decoder, b"")
     assert all(reads_or_refuses(decoder, seed) for seed in decoder.seeds)

@@ -214,7 +214,7 @@ def test_scripts_keep_nothing_for_the_next(functions):
     )
 
 
-def test_what_was_given_is_the_hosts_own(functions):
+def test_later_changes_in_a_script_do_not_alter_the_trajectory(functions):
     code = """
 way = [(0, 0), (1, 0)]
 give_trajectory([way])

@@ -150,7 +150,7 @@ def fetch(address: str, folder, limits: DownloadLimits, scheme: str = "http") ->
 
 
 @pytest.mark.parametrize("how", HEADS)
-def test_a_download_whose_head_does_not_come_ends(tmp_path, how):
+def test_a_download_without_a_complete_head_times_out(tmp_path, how):
     with serving(after_hearing(HEADS[how])) as address:
         with pytest.raises(FetchError, match=rf"/w\.pt: no answer within {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_HEAD)
@@ -160,7 +160,7 @@ def test_a_download_whose_head_does_not_come_ends(tmp_path, how):
 
 
 @pytest.mark.parametrize("how", BODIES)
-def test_a_download_whose_content_does_not_end_ends(tmp_path, how):
+def test_a_download_with_an_endless_body_is_ended(tmp_path, how):
     with serving(after_hearing(BODIES[how])) as address:
         with pytest.raises(FetchError, match=rf"{_TOO_MUCH}|only \d+ bytes came in {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_BODY)

@@ -356,7 +356,7 @@ def test_equal_requests_are_one_for_the_loop_and_the_last_word_stands(
 
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
-def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session, serve, do):
+def test_a_stop_request_cancels_new_missions_sent_before_it(session, serve, do):
     preparing = Preparing(quick="ade")
     server = serve(preparing)
     before = give(server, session, "aabcc")
@@ -414,7 +414,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
     assert len([line for line in caplog.messages if line.startswith("edge/flooded: ")]) == 1
 
 
-def test_what_stops_the_robot_always_finds_a_place(session, serve):
+def test_a_full_queue_still_accepts_stop_requests(session, serve):
     server = serve()
     flood = ["pause", "resume"] * 8
     asked = waiting(server, session, flood[: request_queue._MAX_WAITING])
@@ -429,7 +429,7 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     assert [a.answer["did"] for a in asked[request_queue._MAX_WAITING :]] == ["pause", "cancel"] * 2
 
 
-def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):
+def test_closing_refuses_open_requests_without_waiting_for_a_translation(session, serve):
     begun, go = threading.Event(), threading.Event()
 
     def prepare(**texts: str) -> None:

@@ -40,7 +40,7 @@ def value(config: zenoh.Config, key: str):
         ("client", "connect", "client", False, True),
     ],
 )
-def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects):
+def test_mode_and_role_set_the_endpoints_of_a_session(mode, role, zenoh_mode, listens, connects):
     endpoint = "tcp/127.0.0.1:17447"
     settings = ZenohConfig(endpoint=endpoint, mode=mode)
     config = bus.session_config(settings, role)
@@ -73,7 +73,7 @@ def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken,
     assert len([r for r in caplog.records if "edge/odom" in r.getMessage()]) == min(overruns, 1)
 
 
-def test_who_connects_waits_until_somebody_comes(free_endpoint):
+def test_a_client_waits_until_a_listener_appears(free_endpoint):
     settings, opened, told = ZenohConfig(endpoint=free_endpoint), [], []
     thread = threading.Thread(
         target=lambda: opened.append(bus.open_session(settings, "connect", tell=told.append)),

@@ -294,7 +294,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
         (KeyboardInterrupt(signal.SIGTERM), 143),
     ],
 )
-def test_what_a_command_ends_with_says_how(outcome, code, monkeypatch):
+def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
     def run_service(*_):
         if isinstance(outcome, int):
             return outcome

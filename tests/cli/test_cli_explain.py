@@ -147,7 +147,7 @@ def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
 @pytest.mark.parametrize(
     "text", ["!" * 500 + "F a", "F a & " * 100 + "F a"], ids=lambda value: value[:20]
 )
-def test_of_a_formula_however_long_a_line_is_shown(text):
+def test_a_long_formula_is_cut_to_one_line(text):
     lines = explained(text, formula=True)
     shown = lines[1].removeprefix("formula:     ")
     assert len(shown) <= MAX_CHARS

@@ -76,7 +76,7 @@ def test_a_robot_on_its_way():
     ],
 )
 @pytest.mark.parametrize("phase", ["searching", "failed"])
-def test_the_line_names_the_target_and_what_comes_after_it(formula, ahead, phase):
+def test_the_line_names_the_target_and_the_next_ones(formula, ahead, phase):
     line = status_line(of(formula, phase))
     assert (ahead if phase == "searching" else "chair |") in line
 

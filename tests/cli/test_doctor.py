@@ -98,7 +98,7 @@ def test_python(monkeypatch, version, level):
     assert levels(machine_checks.check_python) == [level]
 
 
-def test_how_fast_this_computer_is(cache):
+def test_the_doctor_reports_the_speed_of_this_computer(cache):
     (unknown,) = machine_checks.check_speed(SIM)
     assert (unknown.level, "edge bench --calibrate" in unknown.todo) == ("warn", True)
     cache.mkdir()
@@ -215,7 +215,7 @@ def test_an_endpoint_that_is_taken():
         assert levels(bus_checks.check_endpoint, settings) == ["warn"]
 
 
-def test_who_may_come_in(tmp_path):
+def test_the_doctor_warns_of_open_endpoints_and_readable_passwords(tmp_path):
     assert levels(bus_checks.check_access) == []
     open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
     (finding,) = bus_checks.check_access(open_)

@@ -87,7 +87,7 @@ def test_it_is_not_installed(monkeypatch):
     ],
     ids=["dies-at-import", "dies-at-a-session", "no-import", "no-code-for-the-gpu", "both-run"],
 )
-def test_what_became_of_it(source, expected, tmp_path, monkeypatch):
+def test_the_probe_reports_how_onnxruntime_fails_or_runs(source, expected, tmp_path, monkeypatch):
     assert probe_of(source, tmp_path, monkeypatch) == expected
 
 

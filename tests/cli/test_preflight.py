@@ -188,7 +188,7 @@ def test_a_missing_extra_fails_before_anything_is_loaded(package, sections, says
     assert says in str(caught.value)
 
 
-def test_what_cannot_be_opened_fails_before_kernels_are_compiled(monkeypatch):
+def test_a_sink_that_cannot_open_fails_before_kernels_are_compiled(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", None)
     monkeypatch.setattr(launch, "make_detector", None)
     config = launch.with_free_port(simulated({"sinks": [f"{__name__}:Fails"]}))
@@ -221,7 +221,7 @@ def test_what_cannot_be_opened_fails_before_kernels_are_compiled(monkeypatch):
         ),
     ],
 )
-def test_the_configured_mission_is_checked_where_that_takes_no_server(mission, refused):
+def test_the_configured_mission_is_checked_if_no_server_is_needed(mission, refused):
     config: Config = simulated({"mission": mission})
     if not refused:
         check_mission(config)

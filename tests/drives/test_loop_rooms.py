@@ -155,7 +155,7 @@ def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason(
         ((6.0, 12.0), True, True),
     ],
 )
-def test_a_room_is_no_kitchen_to_go_to_if_zones_close_what_shows_it(
+def test_a_zone_over_the_refrigerator_closes_the_kitchen(
     in_kitchen, x_m, closed, closed_to_a_kitchen
 ):
     service, (low, high) = in_kitchen.service, x_m

@@ -73,7 +73,7 @@ def test_a_place_is_named_listed_used_and_removed(there_and_back):
         ('{"do": "remove"}', "name: expected text"),
     ],
 )
-def test_what_is_no_request_is_refused(payload, message):
+def test_an_invalid_site_request_is_refused(payload, message):
     with pytest.raises((ValueError, UserError), match=message):
         read_request(payload.encode(), SITE_VERBS)
 

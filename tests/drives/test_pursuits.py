@@ -70,7 +70,7 @@ def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
     assert loop.service.mission.target == "start"
 
 
-def test_exploring_ends_with_its_time_and_reports_what_was_found(tmp_path):
+def test_exploring_ends_after_its_time_and_lists_the_objects(tmp_path):
     loop = loop_of(tmp_path, 'F "explored for 6 s"', time_limit_s=3.0).run(60)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -90,13 +90,13 @@ def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
     assert min(o.distance_m(*at_m) for o in loop.world.objects if o.label == "bed") < 0.5
 
 
-def test_a_check_for_what_is_not_there_answers_no(tmp_path):
+def test_a_check_for_an_absent_object_answers_no(tmp_path):
     status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
     assert status.phase == "reached", status
     assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
 
 
-def test_a_check_goes_to_where_the_thing_was_and_does_not_trust_its_memory(tmp_path):
+def test_a_check_looks_again_at_the_remembered_place(tmp_path):
     loop = loop_of(tmp_path, 'F "check piano"')
     at_m = np.array([6.5, 3.2, 0.5], np.float32)
     points_m = at_m + np.float32([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.1]])
@@ -122,7 +122,7 @@ def in_rooms(folder: Path, formula: str) -> ClosedLoop:
     return loop
 
 
-def test_exploring_a_room_stays_inside_and_reports_what_is_there(tmp_path):
+def test_exploring_a_room_stays_inside_and_lists_its_objects(tmp_path):
     loop = in_rooms(tmp_path, 'F "explored workshop"').run(100)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -156,7 +156,7 @@ def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
     assert loop.service.status.phase == phase, loop.service.status
 
 
-def test_a_check_that_finds_nothing_reports_where_the_object_was_before(tmp_path):
+def test_a_failed_check_reports_the_last_known_place(tmp_path):
     loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
     assert loop.service.status.reason.startswith("yes")
     formula, now_ns = 'F "check bed in workshop"', loop.drive.motion.stamp_ns
@@ -269,6 +269,6 @@ def test_a_pose_that_is_none_is_refused(pose):
 
 
 @pytest.mark.parametrize("formula", ['F bed & G !"wait 3 s"', "F bed & G !explored"])
-def test_what_cannot_be_forbidden_is_refused(formula, tmp_path):
+def test_a_wait_or_exploration_cannot_be_forbidden(formula, tmp_path):
     with pytest.raises(UserError, match="cannot be forbidden; leave it out"):
         prepare(loop_of(tmp_path, "F start").config.mission, formula=formula)

@@ -80,7 +80,7 @@ def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
     assert loop.service.status.elapsed_s < 70
 
 
-def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_path):
+def test_a_blocked_only_path_ends_the_mission_with_the_reason(tmp_path):
     loop = closed_loop(tmp_path, way_round=False).run(200)
     status = loop.service.status
     assert status.phase == "failed"
@@ -94,7 +94,7 @@ def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_p
 
 
 @pytest.mark.parametrize("reach_cells_per_tick", [8000, 500])
-def test_what_held_it_up_may_go(tmp_path, monkeypatch, reach_cells_per_tick):
+def test_a_removed_obstacle_lets_the_robot_through(tmp_path, monkeypatch, reach_cells_per_tick):
     """As a person does who stood in the only doorway, or a door that is opened.
 
     All was looked at, so that no other view gives the reach field time to lead there.
@@ -120,7 +120,9 @@ def test_what_held_it_up_may_go(tmp_path, monkeypatch, reach_cells_per_tick):
     [(0.2, 0, True), (50.0, 0, False), (0.2, -5_000_000, False)],
     ids=["present goal", "another frame", "old goal"],
 )
-def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, stamp_by, closes):
+def test_a_controller_reports_a_nearby_obstacle_for_the_present_goal(
+    tmp_path, away_m, stamp_by, closes
+):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
@@ -178,7 +180,7 @@ def test_a_controller_that_finds_no_way_at_all_teaches_the_map_nothing(tmp_path)
     assert held_up(loop) == []
 
 
-def test_who_stands_there_for_ever_does_not_explain_it_for_ever(tmp_path):
+def test_a_known_obstacle_explains_a_standstill_only_for_a_time(tmp_path):
     """Under the thing that the map shows there may be one that it does not, a little nearer."""
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:

@@ -74,7 +74,7 @@ def test_the_parity_is_measured(cache):
     assert fp32["recall"] == fp32["precision"] == 1.0
 
 
-def test_int8_sees_what_fp32_sees(cache, photos, vocabulary):
+def test_int8_finds_the_same_boxes_as_fp32(cache, photos, vocabulary):
     from exporters.images import list_images, load_text_embeddings
     from exporters.parity import measure
 

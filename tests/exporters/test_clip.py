@@ -138,7 +138,7 @@ def test_an_image_embeds_as_the_original_embeds_it(models, folders, kind, rgb):
     np.testing.assert_allclose(encoder.embed(rgb), wanted[0], atol=2e-6)
 
 
-def test_siglip_sees_what_fills_a_text_up_and_only_lower_case(models):
+def test_siglip_ignores_case_and_attends_to_padding(models):
     card = load_card("my-siglip-text-fp32")
     encoder = ClipTextEncoder(card)
     np.testing.assert_array_equal(encoder.encode(["CHAIR"]), encoder.encode(["chair"]))

@@ -47,7 +47,7 @@ def test_convolutions_are_float16_and_the_recipes_nodes_are_not(pair):
     assert types["big"] == types["boxes"] == types["scores"] == single
 
 
-def test_what_stays_float32_meets_without_a_detour_over_float16(pair):
+def test_float32_nodes_connect_without_casts_through_float16(pair):
     nodes = {node.name: node for node in onnx.load(pair[1]).graph.node}
     assert nodes["head/text"].input[0] == "txt_feats"
     assert nodes["head/mul"].output[0] == "boxes"

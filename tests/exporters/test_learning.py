@@ -67,7 +67,7 @@ def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_pa
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
 
 
-def test_of_tables_nothing_decays(tmp_path):
+def test_embedding_tables_have_no_weight_decay(tmp_path):
     model, learner = learner_of(tmp_path / "a.pt", decay=0.5, tables=True)
     before = [p.detach().clone() for p in model.parameters()]
     learner.step(sum(0.0 * p.sum() for p in model.parameters()), 5.0)

@@ -39,7 +39,7 @@ def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
         assert list(assemblies.CATEGORIES)[look.category - 1] == thing.category
 
 
-def test_what_stands_on_something_has_a_support_below_it():
+def test_raised_objects_stand_on_a_support():
     raised = 0
     for seed in range(6):
         things = random_house(seed)[0].objects
@@ -128,7 +128,7 @@ def test_pictures_of_a_seed_are_the_same_again(house_frames):
     np.testing.assert_array_equal(rgb, again)
 
 
-def test_a_thing_whose_colour_cannot_be_seen_has_no_colour(monkeypatch):
+def test_an_object_with_invisible_colour_has_no_colour_label(monkeypatch):
     rgb = np.zeros((3, views.HEIGHT_PX, views.WIDTH_PX, 3), np.uint8)
     monkeypatch.setattr(views, "COLORED", 1.01)
     objects = np.concatenate(views.render_house(0, len(rgb), rgb))

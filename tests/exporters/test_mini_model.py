@@ -32,7 +32,7 @@ def test_the_files_are_those_of_the_cards_and_small():
     assert load_card("mini-house-similarity").detector == NAME
 
 
-def test_the_card_says_what_the_model_was_measured_to_do():
+def test_the_card_holds_the_measured_figures():
     measured = load_detector_card(NAME).measured
     assert set(measured) >= {"training", "held-out houses"}
     assert measured["held-out houses"]["first_seed"] >= HELD_OUT
@@ -65,7 +65,7 @@ def test_a_strange_adjective_is_warned_of_once(caplog):
     assert "shiny" in caplog.text
 
 
-def test_it_finds_most_of_what_is_plain_to_see(held_out):
+def test_the_model_finds_most_clearly_visible_objects(held_out):
     rgb, found = held_out
     detector = OnnxDetector(config.DetectorOnnx(model=NAME, tau_vl=0.1), looks.CATEGORIES)
     seen = total = 0

@@ -105,7 +105,7 @@ def test_a_few_steps_lower_the_loss(frames, tmp_path):
     assert last < 0.7 * first
 
 
-def test_training_goes_on_where_it_stopped(frames, tmp_path, monkeypatch):
+def test_training_resumes_from_its_checkpoint(frames, tmp_path, monkeypatch):
     whole = training.train(frames, plan(10), tmp_path / "whole.pt")
     stream = training.batches
     with monkeypatch.context() as cut_off:
@@ -173,7 +173,7 @@ def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
         (None, "not a readable checkpoint"),
     ],
 )
-def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
+def test_an_invalid_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(b"PK") if kept is None else torch.save(kept, path)
     with pytest.raises(ExportError, match=says) as caught:
@@ -190,9 +190,7 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
         (["--houses", "1", "--seed", "4"], "use another --out"),
     ],
 )
-def test_what_cannot_be_trained_is_one_line_before_anything_is_rendered(
-    run_of, capsys, monkeypatch, options, says
-):
+def test_invalid_options_are_refused_before_rendering(run_of, capsys, monkeypatch, options, says):
     monkeypatch.setattr(views, "make_frames", None)
     assert main(["--out", str(run_of[0].parent), "--device", "cpu", *options]) == 1
     (error,) = capsys.readouterr().err.splitlines()
@@ -282,9 +280,7 @@ def test_a_model_that_does_not_pass_leaves_the_shipped_one(trained, out, map50, 
         assert shipped(out) != before
 
 
-def test_a_model_is_put_in_place_files_before_cards_that_say_what_was_measured(
-    trained, out, monkeypatch
-):
+def test_model_files_are_replaced_before_their_cards(trained, out, monkeypatch):
     replace, order = Path.replace, []
 
     def record(self, target):
@@ -304,7 +300,7 @@ def test_a_model_is_put_in_place_files_before_cards_that_say_what_was_measured(
     assert held_out["bytes"] == (out / card["file"]).stat().st_size
 
 
-def test_what_cannot_be_written_whole_is_not_put_in_place_at_all(trained, out, monkeypatch):
+def test_a_failed_write_leaves_the_shipped_files_unchanged(trained, out, monkeypatch):
     """The disk is full after three of the five."""
     before, write, written = shipped(out), Path.write_bytes, []
 

@@ -104,7 +104,7 @@ def report(**changed: float) -> ParityReport:
         ({"max_abs_diff": NAN}, {"max_abs_diff": 0.1}, "max_abs_diff nan > 0.1"),
     ],
 )
-def test_limits_say_what_is_worse(changed, more, text):
+def test_the_parity_error_names_the_violated_limit(changed, more, text):
     limits = {**INT8_LIMITS, **more}
     check_parity(report(), limits, "card")
     with pytest.raises(ExportError, match="card: ") as caught:

@@ -40,7 +40,7 @@ def test_names_are_numbered_as_they_are_named() -> None:
     assert pair.tokens == ("W", "!", "<0>", "<1>")
 
 
-def test_pairs_are_formulas_over_what_is_named() -> None:
+def test_formulas_name_only_objects_of_their_sentence() -> None:
     composer = Composer(PHRASES, Random(1))
     pairs = [composer.pair() for _ in range(500)]
     assert pairs == [c.pair() for c in [Composer(PHRASES, Random(1))] for _ in range(500)]

@@ -324,7 +324,7 @@ def test_the_service_answers_as_the_model(cache, folders, originals, monkeypatch
 # -- what goes wrong ---------------------------------------------------------------------------
 
 
-def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
+def test_an_unavailable_precision_names_the_command_to_run(folders, tmp_path, capsys):
     def fails(*words):
         start = ["x", "--weights", str(folders["idefics3"]), "--cache", str(tmp_path / "cache")]
         assert main([*start, *words]) == 1

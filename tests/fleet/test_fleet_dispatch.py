@@ -118,7 +118,7 @@ def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
     assert last.outcomes["m.1"].reason == reason
 
 
-def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
+def test_a_robot_that_forgets_its_part_loses_it_to_another():
     liar, other = robot("liar", bed=0.0), robot("other")
     fleet = Fleet(BED, accepts=True)
     assert fleet.given_to(0.0, liar, other) == ["liar"]

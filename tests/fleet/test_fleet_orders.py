@@ -35,7 +35,7 @@ def given(*args, **options) -> dict[str, str]:
     return {give.id: give.robot for give in orders(*args, **options).give}
 
 
-def test_nobody_and_nothing():
+def test_without_robots_or_parts_no_orders_are_given():
     none = orders([])
     assert (none.outcomes, none.under_way, none.give, none.cancel) == ({}, {}, (), ())
     alone = orders([BED])
@@ -79,13 +79,13 @@ def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
     assert given([BED], robot("b")) == {"m.1": "b"}
 
 
-def test_what_a_person_cancelled_is_given_to_nobody():
+def test_a_cancelled_part_is_not_given_to_another_robot():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
     assert end.outcomes == {"m.1": PartOutcome("failed", "a", "cancelled")}
     assert end.give == ()
 
 
-def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
+def test_a_settled_part_keeps_its_outcome():
     stopped = {"m.1": PartOutcome("failed", "a", "cancelled")}
     end = decide([BED, SOFA], {"b": robot("b")}, {}, {}, stopped)
     assert (end.outcomes, end.give) == (stopped, ())
@@ -95,5 +95,5 @@ def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
     assert [(give.id, give.robot) for give in on.give] == [("m.2", "c")]
 
 
-def test_who_refused_comes_last():
+def test_a_robot_that_refused_is_asked_last():
     assert given([BED], robot("a"), robot("b"), refused={("m.1", "a"): 1}) == {"m.1": "b"}

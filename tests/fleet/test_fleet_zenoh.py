@@ -109,7 +109,7 @@ def targets(*robots: FakeRobot) -> set[str]:
     return {robot.mission.target for robot in robots if not robot.mission.done}
 
 
-def test_nobody_is_there(port, capsys):
+def test_commands_report_that_no_robot_was_found(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
     assert capsys.readouterr().out == "no robot found (Zenoh keys robots/*)\n"
     assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
@@ -314,9 +314,7 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
         assert not anna.mission.done
 
 
-def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
-    port, robots, caplog
-):
+def test_a_second_service_with_the_same_prefix_is_refused(port, robots, caplog):
     robots("anna")
     with pytest.raises(BusError, match=r"^zenoh.prefix: another service at tcp/.* robots/anna: "):
         robots("anna")
@@ -326,7 +324,7 @@ def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
 
 
 @pytest.mark.parametrize("order", ["together", "lower last"])
-def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatch, order):
+def test_one_of_two_services_started_at_once_stays(port, robots, monkeypatch, order):
     monkeypatch.setattr(presence, "_YIELD_S", PATIENCE_S if order == "together" else 0.2)
     if order == "together":  # on a busy machine a token takes longer to be seen
         monkeypatch.setattr(presence, "_SETTLE_S", 2.0)

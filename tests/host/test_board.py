@@ -171,5 +171,5 @@ WARM = replace(
          0.0, "the board throttles, it draws too much current (oc1)"),
     ],
 )  # fmt: skip
-def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
+def test_throttling_reason_reports_heat_and_overcurrent(board, before, margin_c, why):
     assert throttling_reason(board, before, margin_c) == why

@@ -109,7 +109,7 @@ def x_of(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("saved", [Checkpoint(Note("")), BEGUN])
-def test_what_is_saved_is_loaded(tmp_path, saved):
+def test_a_saved_checkpoint_is_loaded_unchanged(tmp_path, saved):
     path = tmp_path / "note"
     assert load(path, NOTE) == (None, "")
     save(path, BEGUN, NOTE)
@@ -129,7 +129,7 @@ def test_what_is_saved_is_loaded(tmp_path, saved):
         ({"arrays": {"x": np.array([{}])}}, "Python objects"),
     ],
 )
-def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
+def test_a_state_that_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     path = tmp_path / "note"
     save(path, BEGUN, NOTE)
     with pytest.raises(ValueError, match=text) as caught:

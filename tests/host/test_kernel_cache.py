@@ -33,7 +33,7 @@ def chosen() -> str | None:
 
 
 @pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
-def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, monkeypatch, caplog):
+def test_a_writable_numba_cache_is_left_alone(variable, places, monkeypatch, caplog):
     monkeypatch.setenv(variable, str(places / "free"))
     assert chosen() == os.environ.get("NUMBA_CACHE_DIR")
     assert not caplog.records

@@ -32,7 +32,7 @@ with memory.trim_memory_periodically(every_s=0.01):
 """
 
 
-def test_what_was_freed_between_blocks_goes_back():
+def test_memory_freed_between_blocks_is_returned():
     subprocess.run([sys.executable, "-c", HOLES], check=True, timeout=240)
 
 

@@ -59,7 +59,7 @@ def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeyp
 
 
 @pytest.mark.usefixtures("patient")
-def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
+def test_output_to_a_closed_pipe_is_lost_without_an_error(pipe):
     read, stream = pipe
     os.close(read)
     outlet = NonBlockingStream(stream)

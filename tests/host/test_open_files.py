@@ -26,7 +26,7 @@ def limited(soft: int, hard: int, command: list[str]) -> subprocess.CompletedPro
 @pytest.mark.parametrize(
     "command", [["run", "demo"], ["demo"], ["sim", "demo"], ["sim", "demo", "--motion-only"]]
 )
-def test_too_few_are_one_line_with_what_is_needed(command):
+def test_a_low_limit_of_open_files_fails_in_one_line(command):
     done = limited(20, 20, [*python_module("edge.cli"), *command])
     assert done.returncode == os.EX_UNAVAILABLE
     assert done.stdout == ""

@@ -11,9 +11,7 @@ from edge.host.ports import free_port, is_loopback
 
 
 @pytest.mark.parametrize("text", ["20000 20000", "1024 65535", None, "nonsense", ""])
-def test_where_there_is_no_room_or_nothing_known_a_port_is_found_all_the_same(
-    monkeypatch, tmp_path, text
-):
+def test_a_free_port_is_found_without_a_known_range(monkeypatch, tmp_path, text):
     monkeypatch.setattr(ports, "EPHEMERAL", tmp_path / "range")
     if text is not None:
         ports.EPHEMERAL.write_text(text)

@@ -31,7 +31,7 @@ def holder(tmp_path):
         process.kill()
 
 
-def test_the_next_removes_what_a_killed_process_left_and_nothing_else(tmp_path, holder):
+def test_the_folder_of_a_killed_process_is_removed(tmp_path, holder):
     process, folder = holder
     (tmp_path / "edge-testimony").mkdir()
     (tmp_path / "edge-test-file").touch()

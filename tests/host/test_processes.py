@@ -19,7 +19,7 @@ def test_there_is_nothing_to_say_of_nobody():
     assert descendants(NOBODY) == []
 
 
-def test_usage_is_what_others_count():
+def test_usage_agrees_with_psutil():
     theirs = psutil.Process()
     # Of other tests, a thread may just be ending.
     eventually(lambda: usage(theirs.pid).threads == theirs.num_threads())

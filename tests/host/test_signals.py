@@ -75,7 +75,7 @@ def test_a_stop_that_comes_when_it_is_about_to_be_waited_for_is_no_deadlock(star
 
 
 @pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)
-def test_where_nothing_looks_for_a_stop_the_first_breaks_off(number, start):
+def test_the_first_signal_interrupts_if_nothing_checks_for_stops(number, start):
     process = start()
     process.send_signal(number)
     assert process.stdout.readline() == f"broken off by {int(number)}\n"
@@ -101,7 +101,7 @@ def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
     assert process.stdout.readline() == f"broken off by {int(signal.SIGTERM)}\n"
 
 
-def test_a_signal_that_another_thread_gets_breaks_off_what_the_main_thread_waits_for(start):
+def test_a_signal_in_another_thread_interrupts_the_main_thread(start):
     process = start("stop", "elsewhere")
     for line in ("stopped\n", f"broken off by {int(signal.SIGTERM)}\n"):
         process.send_signal(signal.SIGTERM)
@@ -169,7 +169,7 @@ def test_a_hang_up_that_nohup_has_ignored_asks_for_no_reload(reloads):
     assert process.stdout.readline() == "stopped\n"
 
 
-def test_a_terminal_that_is_closed_stops_what_runs_in_it():
+def test_closing_the_terminal_stops_its_process():
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", RELOADS])

@@ -54,7 +54,7 @@ def test_pages_are_made_when_they_are_asked_for():
         ask(port, "/down")
 
 
-def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
+def test_a_failing_page_returns_500_and_logs_once(caplog):
     def broken(*args: bytes) -> HttpResponse:
         raise ValueError("two\nlines")
 
@@ -89,7 +89,7 @@ def test_without_the_token_only_the_status_of_probes_is_returned(path, stranger,
         assert (status, body if known[1] else None) == known
 
 
-def test_those_who_keep_connections_open_lock_nobody_out():
+def test_idle_connections_do_not_lock_out_others():
     with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         idle = [socket.create_connection((HERE, port)) for _ in range(3 * MOST_OPEN)]
         for sock in idle[::2]:
@@ -170,7 +170,7 @@ def test_a_host_that_is_none_is_one_line(host):
         pass
 
 
-def test_a_port_that_is_taken_is_one_line_with_what_to_do():
+def test_a_port_in_use_is_reported_with_the_remedy():
     with (
         serve({}, HERE, 0) as port,
         pytest.raises(UnavailableError, match=rf"^http.port: .*{port}.*in use; set http.port"),
@@ -215,7 +215,7 @@ def taken() -> Iterator[tuple[int, list[bytes]]]:
         yield port, bodies
 
 
-def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
+def test_the_page_is_public_but_its_data_need_the_token(taken):
     port, _ = taken
     assert ask(port, "/") == (200, b"here")
     assert ask(port, "/data")[0] == 401
@@ -240,7 +240,7 @@ def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
         (b"{}", {"Origin": "http://[evil"}, 403),
     ],
 )
-def test_what_is_posted_is_taken_whole_or_not_at_all(taken, body, headers, status):
+def test_a_post_is_accepted_whole_or_refused(taken, body, headers, status):
     port, bodies = taken
     assert post(port, body, **headers)[0] == status
     assert bodies == ([body] if status == 200 else [])
@@ -262,7 +262,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
     assert bodies == []
 
 
-def test_what_was_refused_is_not_read_as_the_next_request(taken):
+def test_a_refused_body_is_not_read_as_a_request(taken):
     """A body of a request that may have none, or of a stranger, is no request."""
     port, bodies = taken
     inner = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
@@ -299,7 +299,7 @@ def test_without_a_token_the_request_must_name_this_machine(host, status):
         assert ask(port, "/", Host=host.format(port=port))[0] == status
 
 
-def test_what_one_has_already_is_not_sent_again():
+def test_an_unchanged_page_returns_304():
     page = HttpResponse(b"here", "text/plain", etag="7")
     with serve({"/": lambda: page}, HERE, 0) as port:
         assert ask(port, "/", **{"If-None-Match": '"6"'}) == (200, b"here")
@@ -322,7 +322,7 @@ def test_what_one_has_already_is_not_sent_again():
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_every_answer_says_what_a_page_may_do(request_head, status):
+def test_error_responses_have_the_security_headers(request_head, status):
     with serve({}, HERE, 0) as port:
         # A line that is too long is cut there: unread bytes would lose the answer.
         end = b"" if len(request_head) > LONGEST_LINE else b"\r\n\r\n"

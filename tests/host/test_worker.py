@@ -56,7 +56,7 @@ def test_nothing_submitted_nothing_done(inline):
     assert (got, worker.stats) == ([], host.WorkerStats())
 
 
-def test_what_was_submitted_before_a_forget_is_void(gate):
+def test_discard_all_drops_submitted_items_and_results(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     worker.submit("waits")
@@ -118,7 +118,7 @@ def test_the_queue_is_bounded_and_the_newest_stay(gate, monkeypatch):
     assert gate.got == ["first", "map", 2, 3, 4]
 
 
-def test_closing_drops_what_waits_and_waits_no_longer_than_it_may(gate):
+def test_closing_drops_queued_items_within_its_time_limit(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     worker.submit("waiting")

@@ -100,7 +100,7 @@ def took(subscription: Ros2Subscription) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kind", ["certificates", "passwords"])
-def test_nobody_but_the_adapter_speaks_for_ros(etc, kind):
+def test_only_the_adapter_may_publish_for_ros(etc, kind):
     """Also to a service that was started again, which asks for what was said before."""
     of = settings_of(etc, kind, free_port())
     clients: list[Client] = []

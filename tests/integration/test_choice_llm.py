@@ -74,12 +74,12 @@ def test_probabilities_over_the_letters(scorer, target, n_marks, capsys):
         print(f"\n{target}: {ways}, elsewhere {choice.elsewhere:.2f}, scene {choice.scene:.2f}")
 
 
-def test_what_was_seen_matters(scorer):
+def test_detected_objects_change_the_scene_score(scorer):
     several = [put_to(scorer, view("chair", 3, seen)) for seen in ((), SEEN, SEEN[::-1])]
     assert len({choice.scene for choice in several}) == 3
 
 
-def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monkeypatch):
+def test_the_second_question_reuses_the_prompt_cache(scorer, monkeypatch):
     timings = []
     read = scorer._client._parse_log_probabilities
 

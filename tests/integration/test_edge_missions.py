@@ -50,7 +50,7 @@ class Holds:
 """
 
 
-def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
+def test_a_mission_resumes_after_kill_9(edge, endpoint, tmp_path):
     kept = tmp_path / "mission.json"
     words = "Clean either the chair or the sofa, then turn on the tv, then go to the trash can."
     mission = {"instruction": words, "checkpoint": str(kept), "search_limit_s": 100}

@@ -127,7 +127,7 @@ def asked(session: zenoh.Session, key: str) -> dict | str:
         return str(error)
 
 
-def test_the_page_names_what_is_there():
+def test_the_page_links_only_to_existing_files():
     named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
     assert named
     assert [name for name in named if not (ROOT / name).exists()] == []

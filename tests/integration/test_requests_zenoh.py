@@ -100,7 +100,7 @@ def test_the_life_of_a_mission(config, service, command):
     assert said("cancel")["phase"] == "cancelled"
 
 
-def test_where_somebody_is_that_takes_no_requests(endpoint):
+def test_a_request_without_a_service_is_an_error(endpoint):
     settings = ZenohConfig(endpoint=endpoint)
     nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
     with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:

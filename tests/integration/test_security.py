@@ -125,7 +125,7 @@ def service(settings: ZenohConfig) -> Iterator[Service]:
     ("kind", "prefix"),
     [("certificates", "edge"), ("passwords", "edge"), ("certificates", "robots/a")],
 )
-def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind, prefix, tmp_path):
+def test_each_client_has_exactly_its_permissions(etc, kind, prefix, tmp_path):
     if prefix != "edge":
         etc = shutil.copytree(etc, tmp_path / "etc")
         page_commands(etc, "sed -i")
@@ -310,7 +310,7 @@ def test_a_robot_is_driven_as_the_documentation_says(etc, edge, tmp_path):
     assert "is open" not in service.output
 
 
-def test_the_page_names_what_is_there():
+def test_the_page_links_only_to_existing_files():
     named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
     assert named
     assert [name for name in named if not (ROOT / name).exists()] == []

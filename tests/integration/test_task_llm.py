@@ -55,7 +55,7 @@ def attempt(
     return f"a trajectory of {len(written.coarse.points_m)} points", written
 
 
-def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys):
+def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys):
     model = WriterModel(url=url, picture=False, max_attempts=2, time_limit_s=LIMIT_S)
     config, lines = TasksConfig(planner=model), []
     for where, instruction in TASKS:

@@ -69,7 +69,7 @@ def order(page: Tab, words: str) -> None:
     page.click("#new-ok")
 
 
-def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
+def test_the_page_shows_the_state_and_loads_nothing_external(page, house):
     page.says("#english", "bed")
     page.says("#health", "running, ready")
     page.says("#latency", "tick")
@@ -84,7 +84,7 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     assert page.complaints == []
 
 
-def test_while_the_service_starts_it_says_what_it_is_at(tab):
+def test_the_page_shows_the_current_startup_step(tab):
     vitals = ServiceHealth(SystemdNotifier({}))
     view = LiveView(simulated({"mission": {"target": "bed"}}), vitals)
     vitals.starting("loading the detector")
@@ -126,7 +126,7 @@ def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
     assert not house.service.mission.paused
 
 
-def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
+def test_a_mission_from_the_page_reaches_the_robot(page, house):
     order(page, "find the sofa")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#instruction", "find the sofa")
@@ -149,7 +149,7 @@ def test_a_request_that_is_not_understood_is_refused_and_changes_nothing(page, h
     assert house.service.mission.spec.targets == ("bed",)
 
 
-def test_of_several_readings_the_page_lets_one_choose(page, house):
+def test_the_page_offers_a_choice_between_readings(page, house):
     order(page, "the sofa must be visited before the bed")
     page.until("document.querySelectorAll('#readings button').length === 3")
     page.says("#new-error", "This can be read in several ways. Which one do you mean?")
@@ -160,7 +160,7 @@ def test_of_several_readings_the_page_lets_one_choose(page, house):
     assert house.service.mission.spec.translation.reading == 3
 
 
-def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
+def test_an_uncertain_reading_is_shown_before_it_starts(page, house):
     order(page, "vist the sofa")
     page.until("document.querySelectorAll('#readings button').length === 1")
     page.says("#new-error", "Is this what you mean?")
@@ -323,7 +323,7 @@ def test_one_click_stops_and_a_release_takes_two(page, house):
 
 
 @pytest.mark.parametrize("button", ["Allow", "Deny"])
-def test_a_person_decides_on_what_an_agent_asks_for(tab, button):
+def test_a_person_allows_or_denies_an_agents_request(tab, button):
     text = "go to the <b>sofa</b>"
     with open_house(mission={"target": "bed", "on_request": True}, mcp={"motion": "ask"}) as house:
         tab.open(house.url)
@@ -339,7 +339,7 @@ def test_a_person_decides_on_what_an_agent_asks_for(tab, button):
         assert house.service.mission.idle == (button == "Deny")
 
 
-def test_what_is_seen_is_approached_and_reached(tab):
+def test_a_seen_target_is_approached_and_reached(tab):
     nearby = {"start": [3.2, 2.3, 2.0]}
     with open_house(token=None, mission={"target": "sofa"}, sim=nearby) as house:
         tab.open(house.url)
@@ -363,7 +363,7 @@ def test_a_second_camera_has_its_picture_next_to_the_first(tab):
         assert left <= right
 
 
-def test_without_sensors_it_says_what_to_look_at(page, house):
+def test_missing_sensor_data_are_shown_with_the_reason(page, house):
     page.says("#camera-note", " × ")
     house.robot.blind = True
     page.says("#banner", "Not ready: no usable observations")
@@ -466,7 +466,7 @@ def test_the_map_follows_the_robot_until_it_is_dragged(page):
     assert page.run(pressed) == "false"
 
 
-def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(page, house):
+def test_a_task_replaces_the_mission_on_the_page(page, house):
     house.tasked.task = looking()
     page.says("#phase", "LOOKING")
     page.says("#what", "Task")
@@ -487,7 +487,7 @@ def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(pag
     assert page.complaints == []
 
 
-def test_what_a_model_wrote_is_text_and_asked_for_once(page, house):
+def test_text_of_a_model_is_escaped_and_fetched_once(page, house):
     house.tasked.task = by_a_model()
     page.says("#rounds", "<script>alert(1)</script>")
     page.says("#rounds", "give_trajectory([(1, 0)])")

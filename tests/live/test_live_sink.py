@@ -63,7 +63,7 @@ def test_without_viewers_nothing_expensive_is_requested(sink, clock):
     sink.tick(result(**dear))
 
 
-def test_for_who_looks_it_gathers_once_a_period(sink, clock):
+def test_with_viewers_data_are_collected_once_per_period(sink, clock):
     sink.mark_watched()
     gathered = []
     for _ in range(11):
@@ -74,7 +74,7 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
 
 
 @pytest.mark.parametrize("of", ["objects", "layers", "health"])
-def test_what_is_expensive_is_gathered_once_a_second(sink, clock, of):
+def test_expensive_data_are_collected_once_per_second(sink, clock, of):
     sink.mark_watched()
     gathered = []
     for _ in range(20):

@@ -68,7 +68,7 @@ def full() -> dict:
     }  # fmt: skip
 
 
-def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view):
+def test_the_page_works_before_the_service_starts(view):
     view._health.starting("compiling")
     now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}

@@ -80,7 +80,7 @@ def test_nothing_seen_proves_nothing(house):
 
 
 @pytest.mark.parametrize("drive", [ahead, turning, around])
-def test_images_from_where_the_robot_is_fit(house, drive):
+def test_images_that_match_the_pose_have_a_low_misfit(house, drive):
     assert Eye(house).worst(drive, drive) < 0.5 * MISFIT
 
 
@@ -105,7 +105,7 @@ def _turned(pose: SE2, yaw_rad: float) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("px_per_tick", [-8, 3, 8])
 @pytest.mark.parametrize("drive", [ahead, around])
-def test_somebody_who_walks_past_the_camera_is_no_contradiction(house, drive, px_per_tick):
+def test_a_passing_person_does_not_contradict_the_pose(house, drive, px_per_tick):
     at_px = [80]
 
     def walks(depth_m: np.ndarray) -> None:

@@ -79,7 +79,7 @@ def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, tol
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
-def test_what_ends_the_process_passes_through(faults, error):
+def test_exceptions_that_end_the_process_are_not_contained(faults, error):
     with pytest.raises(error), faults.contain("tick", 5):
         raise error
     assert faults.failed == 0

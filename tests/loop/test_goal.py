@@ -295,7 +295,7 @@ def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
         (None, ": seen at (3.0, 0.0), no way nearer than 5.0 m"),
     ],
 )
-def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
+def test_the_failure_reason_names_an_unreachable_place(nearest_m, place):
     case = Case()
     case.choose(chair(9, 3.0, 0.8))
     cell = None if nearest_m is None else (3.0 - nearest_m, 0.0, 2.0)
@@ -305,7 +305,7 @@ def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
 
 
 @pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
-def test_what_fails_again_is_left_alone_twice_as_long(candidate):
+def test_each_failure_doubles_the_discard_time(candidate):
     case, times_ns = Case(), []
     case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
@@ -328,7 +328,7 @@ def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_al
     assert (goal is None, discarded) == (is_left_alone, [9] if is_left_alone else [])
 
 
-def test_what_cannot_be_reached_is_passed_over():
+def test_unreachable_candidates_are_skipped():
     case = Case()
     case.map.walled = [(3.0, 0.0)]
     assert who(case.choose(frontier(1, 3.0, 0.9), frontier(2, -3.0, 0.1))) == ("frontier", 2)
@@ -367,7 +367,7 @@ def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
 
 
 @pytest.mark.parametrize("sensors_ahead_ns", [0, 10**18, -(10**18)])
-def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_last(
+def test_with_no_candidates_the_robot_spins_three_times(
     sensors_ahead_ns,
 ):
     case, pose = Case(sensors_ahead_ns), HERE
@@ -402,7 +402,7 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
     assert case.goals.views == 0
 
 
-def test_what_was_seen_badly_is_looked_at_again_from_one_view():
+def test_a_badly_seen_view_is_looked_at_again():
     case = Case()
     case.map.view, case.map.camera_yaw_rad = Viewpoint(1.0, 2.0, 0.5), math.pi / 2
     case.turn_round()
@@ -451,7 +451,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
 
 
 @pytest.mark.parametrize(("reach_m", "stop_m"), [(0.9, 0.85), (1.0, 0.85), (0.6, 0.55)])
-def test_the_robot_stops_where_it_has_reached_the_object(reach_m, stop_m):
+def test_the_robot_stops_just_within_reach_of_the_object(reach_m, stop_m):
     case = Case()
     case.goals.reconfigure(simulated({"mission": {"reach_m": reach_m}}))
     case.choose(chair(9, 3.0, 0.8))
@@ -478,7 +478,7 @@ def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances
     assert case.tick((3.0, 0.0), after_s=60.0) is not None  # nor is this one for ever
 
 
-def test_what_was_discarded_gets_another_chance_before_the_end():
+def test_a_discarded_frontier_is_tried_again_before_the_end():
     case = Case()
     case.tick((3.0, 0.0))
     case.answer("failed", "no way")
@@ -493,7 +493,7 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
 
 
 @pytest.mark.parametrize("path_m", [math.inf, 5.0], ids=["space out of reach", "all in reach"])
-def test_the_search_waits_for_what_came_into_the_way_to_go(path_m):
+def test_the_search_waits_for_moved_obstacles_before_the_end(path_m):
     """Forget arrivals whenever nothing is left, but not on the way to a viewpoint."""
     case = Case()
     case.turn_round()
@@ -519,7 +519,7 @@ def test_the_search_waits_for_what_came_into_the_way_to_go(path_m):
 
 
 @pytest.mark.parametrize("path_m", [math.inf, 5.0])
-def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
+def test_an_obstacle_on_the_only_path_is_forgotten(path_m):
     case = Case()
     case.pool.candidates.path_m[:2] = 2.0, path_m
     case.map.arrived = True
@@ -546,7 +546,7 @@ def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
         (0.5, "reached", False, "verifying", ""),
     ],
 )
-def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
+def test_arrival_needs_the_answer_of_the_controller(away_m, state, confirmed, phase, came_to):
     case = Case()
     case.judge()
     assert case.goals.phase == "searching"
@@ -572,9 +572,7 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
         (0.0, 0.0, "accepted", 0.0, False),  # a controller that answers says when it is there
     ],
 )
-def test_an_unanswered_goal_is_reached_where_the_robot_stops(
-    off_m, off_rad, said, steps_m, reached
-):
+def test_an_unanswered_goal_is_reached_when_the_robot_stops(off_m, off_rad, said, steps_m, reached):
     case = Case()
     goal = case.choose(chair(9, 3.0, 0.8)).pose
     if said:
@@ -589,7 +587,7 @@ def test_an_unanswered_goal_is_reached_where_the_robot_stops(
 
 
 @pytest.mark.parametrize(("turned_rad", "done"), [(0.0, False), (2.0, True), (2.6, False)])
-def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done):
+def test_an_unanswered_turn_is_done_after_the_rotation(turned_rad, done):
     case = Case()
     case.turn()
     for _ in range(5):
@@ -597,7 +595,7 @@ def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done)
     assert (case.goals.goal is None) == done
 
 
-def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
+def test_an_object_out_of_reach_twice_is_given_up():
     case = Case()
     case.things.sure = (9,)
     for x_m, given_up in ((1.0, False), (1.6, False), (1.7, True)):
@@ -633,7 +631,7 @@ def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
     assert case.goals.phase == "verifying"
 
 
-def test_what_is_confirmed_from_one_viewpoint_only_is_rejected_and_probable():
+def test_an_object_confirmed_from_one_viewpoint_is_only_probable():
     case, there = Case(), SE2(2.5, 0.0, 0.0)
     case.things.sure = case.things.one_sided = (9,)
     case.choose(chair(9, 3.0, 0.8))
@@ -664,7 +662,7 @@ def test_every_arrival_is_verified_afresh(between):
     assert "rejected" in [thing.state for thing in case.things.values()]
 
 
-def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
+def test_a_goal_next_to_a_forbidden_object_warns_once():
     case, told = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)

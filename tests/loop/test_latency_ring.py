@@ -120,7 +120,7 @@ def test_marks_share_the_time_of_a_tick_out():
     assert measured == {"ingest": 400, "map": 1_400, "lift": 100, "tick": 2_000}
 
 
-def test_table_is_aligned_and_marks_what_is_over():
+def test_the_table_is_aligned_and_marks_exceeded_budgets():
     ring = LatencyRing(calibration=REFERENCE)
     tick(ring, {INGEST: 100, MAP: 2 * MS, LIFT: 123_456_789}, 200 * MS)
     lines = ring.report().table().splitlines()

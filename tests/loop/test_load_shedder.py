@@ -250,7 +250,7 @@ def service(lockstep: bool, **load_shedding) -> ClosedLoop:
 @pytest.mark.parametrize(
     ("lockstep", "levels"), [(False, []), (True, LEVELS[1:])], ids=["no levels", "lockstep"]
 )
-def test_there_is_none_without_levels_nor_where_runs_replay(lockstep, levels):
+def test_lockstep_or_no_levels_disable_the_load_shedder(lockstep, levels):
     closed = service(lockstep, levels=levels)
     assert closed.service.load_shedder is None
     assert status_message(closed.service.result())["load_shedding"] is None

@@ -65,7 +65,7 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
     assert (case.survey.done, case.survey.views, case.coverage.left) == (True, 1, [])
 
 
-def test_what_shows_less_than_it_seemed_is_no_goal():
+def test_a_view_that_shows_too_little_is_skipped():
     case = Case(A, B)
     case.coverage.shown.add(A)
     assert case.choose() is None

@@ -67,7 +67,7 @@ def watched() -> Watched:
     return watched
 
 
-def test_of_a_start_there_is_what_it_is_at_and_the_board():
+def test_metrics_at_startup_show_the_state_and_the_board():
     watched = Watched()
     found = watched.scrape()
     assert found["edge_service_state"]["starting"] == 1
@@ -127,7 +127,7 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-def test_sinks_with_a_status_report_what_they_could_not_send():
+def test_sink_statuses_report_failures_and_drops():
     class Slow:
         def __init__(self, **counts: int) -> None:
             self.status = WorkerStats(**counts).status
@@ -150,7 +150,7 @@ def test_sinks_with_a_status_report_what_they_could_not_send():
     assert statuses([]) == {}
 
 
-def test_a_checkpoint_reports_what_was_written(tmp_path):
+def test_checkpoint_metrics_count_writes(tmp_path):
     watched = Watched().watch()
     assert "edge_checkpoint_written_total" not in watched.scrape()
     checkpoint = ServiceCheckpoint(watched.closed.config, tmp_path / "mission.json", None)

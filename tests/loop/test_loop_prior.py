@@ -127,7 +127,7 @@ def test_never_out_of_bounds_and_in_any_order(things, by, target):
     assert all(LEAST <= lift <= MOST for lift in found[0])
 
 
-def test_what_changed_is_looked_at_again():
+def test_changed_objects_update_the_prior():
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))
     p.step(view, things)

@@ -215,7 +215,7 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
 
 
 @pytest.mark.parametrize("stage", ["map", "plan", "publish"])
-def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
+def test_failing_ticks_stop_the_robot_like_missing_images(stage, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
     while not (closed.service.goals.client.driving and closed.drive.motion.v_mps > 0.2):
         closed.step()
@@ -231,7 +231,7 @@ def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeyp
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
-def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
+def test_an_exception_that_ends_the_process_ends_the_loop(error, monkeypatch):
     run, slot = running(True, frames=1), Slot(holds=1)
     run.source.observations[0] = replace(run.source.observations[0], slot=slot)
 

@@ -218,7 +218,7 @@ def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
     run.service.checkpoint.close()
 
 
-def test_a_bump_and_what_was_given_up_come_back(tmp_path):
+def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     service, now_ns = run.service, run.drive.motion.stamp_ns
     pose = run.drive.motion.odometry
@@ -250,7 +250,7 @@ def test_a_bump_and_what_was_given_up_come_back(tmp_path):
         ({"boot": "another", "moved_m": 3.0, "stamp_s": -1, "localised": True}, True),
     ],
 )
-def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, change, expected):
+def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, change, expected):
     settings = config(source={"localised": change.get("localised", False)})
     run = Run(tmp_path / "m.json", settings).ticks(20)
     known_m2 = run.service.map.grid.known_m2
@@ -335,7 +335,7 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
     run.service.checkpoint.close()
 
 
-def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_saved(tmp_path):
+def test_a_localised_robot_restores_its_map_after_a_jump(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(40)
     known_m2 = run.service.map.grid.known_m2
     run.killed()

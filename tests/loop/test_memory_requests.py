@@ -117,7 +117,7 @@ def test_the_picture_of_an_object_is_a_small_jpeg(loop):
         ('{"do": "list", "room": 3}', "room: expected text"),
     ],
 )
-def test_what_is_no_request_is_refused(payload, message):
+def test_an_invalid_memory_request_is_refused(payload, message):
     with pytest.raises(ValueError, match=message):
         read_request(payload.encode(), MEMORY_VERBS)
 

@@ -120,7 +120,7 @@ def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(
 
 
 @pytest.mark.parametrize("frozen_camera", [0, 1])
-def test_of_two_cameras_the_robot_drives_by_the_first(frozen_camera):
+def test_only_a_frozen_first_camera_stops_the_robot(frozen_camera):
     """It stands if the first freezes, and drives on, saying so, if the second does."""
     loop = driving(sensors={"camera": SMALL, "second_camera": {**SMALL, "yaw_deg": 180.0}})
     assert loop.service.plausibility.failed == ()
@@ -334,7 +334,7 @@ def test_a_robot_that_stands_may_see_the_same_again(poses):
         (np.full((40, 3), (20.0, 0.0, np.inf)), []),  # beams that met nothing
     ],
 )
-def test_clouds_are_judged_where_they_map(cloud_m, check):
+def test_clouds_are_checked_if_they_are_mapped(cloud_m, check):
     judge = Judge(CLOUDS)
     for i in range(20):
         found = judge.see(SE2(0.03 * i, 0, 0), cloud_m=cloud_m.astype(np.float32))

@@ -142,9 +142,7 @@ def test_another_network_is_loaded_before_the_present_one_goes(bench, tmp_path, 
         ({"policy": {"kind": "nowhere.at:All"}}, "policy.kind: 'nowhere.at:All'"),
     ],
 )
-def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(
-    bench, sections, says, caplog
-):
+def test_a_setting_that_needs_a_restart_is_refused(bench, sections, says, caplog):
     policy, before = bench.service.policy, bench.service.config
     outcome = bench.reload(config(**sections))
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == [

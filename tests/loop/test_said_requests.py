@@ -84,7 +84,7 @@ def test_stop_is_as_urgent_as_the_verb_for_it():
     assert read_request(b'{"do": "new", "instruction": "stop"}', plain)[0] == "new"
 
 
-def test_what_is_no_mission_is_handed_to_the_loop():
+def test_a_question_is_handed_to_the_loop():
     def prepare(**texts: str) -> None:
         raise NoMissionError(MemoryQuestion("self"))
 

@@ -84,7 +84,7 @@ def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_what_the_scorer_says_is_used(lockstep):
+def test_the_answer_of_the_scorer_is_used(lockstep):
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep)))
         if lockstep:  # at once, or a run would not replay the same

@@ -123,7 +123,7 @@ def test_a_model_that_fails_is_counted_and_the_loop_goes_on(models_dir, caplog):
     assert len([r for r in caplog.records if "no answer within" in r.getMessage()]) == 1
 
 
-def test_what_cannot_be_paused_or_swapped_is_refused(models_dir):
+def test_requests_without_a_matching_scorer_are_refused(models_dir):
     publish(models_dir, "text", "words")
     loop = ClosedLoop(simulated({"sim": {"lockstep": True}, "loop": {"lockstep": True}}))
     with pytest.raises(UserError, match="no scorers are configured"):

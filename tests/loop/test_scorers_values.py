@@ -89,7 +89,7 @@ class Chooser:
         pass
 
 
-def test_a_late_answer_is_written_where_it_was_asked():
+def test_a_late_answer_is_written_at_the_asked_pose():
     """Meanwhile the robot has turned round and the frontiers are others."""
     done = threading.Event()
     case = Case(Scorers(None, Chooser(done), value_source="choice"))
@@ -121,7 +121,7 @@ def test_an_idle_service_ends_the_probation_of_another_model():
     case.scorers.close()
 
 
-def test_what_was_asked_before_the_pose_jumped_is_not_written():
+def test_answers_from_before_a_pose_jump_are_dropped():
     done = threading.Event()
     case = Case(Scorers(None, Chooser(done), value_source="choice"))
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))

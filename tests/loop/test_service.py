@@ -147,7 +147,7 @@ def assert_stops(goal: Goal, pose: SE2) -> None:
     assert goal.pose.distance_to(pose.x_m, pose.y_m) < 1e-6
 
 
-def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
+def test_a_robot_without_images_stops_at_its_pose():
     loop = driving()
     service, notes = loop.service, loop.notes
     seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(notes.goals)
@@ -326,7 +326,7 @@ class Late(DetectorWorker):
         return found
 
 
-def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
+def test_detections_from_before_a_pose_jump_are_dropped():
     loop = ClosedLoop(
         config(mission={"target": "television"}, perception={"min_hits": 1}), colour=False
     )

@@ -51,7 +51,7 @@ def test_which_reading_was_taken_is_saved(path):
     run.service.checkpoint.close()
 
 
-def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
+def test_a_mission_resumes_with_its_state_and_objects(path):
     run = run_of(path, "F (sofa & F television)")
     run.service.mission.id = "1f.2"
     while not run.service.mission.sets.reached:
@@ -86,7 +86,7 @@ def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(pat
     run.service.checkpoint.close()
 
 
-def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
+def test_checkpoint_text_is_shown_in_one_short_line(path, caplog):
     """A checkpoint is a file: a user who may write it must not write the log."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
     run = run_of(path, "F bed").ticks(1)
@@ -140,7 +140,7 @@ def test_objects_come_back_under_an_order_that_came_before_the_first_image(path)
     assert all(hits.get(i.id, 0) >= i.hits for i in before)
 
 
-def test_what_had_failed_is_not_detected_again_by_the_same_instance(path):
+def test_a_failed_target_needs_a_new_instance_after_a_restart(path):
     run = television_given_up(path).ticks(3)
     run.service.checkpoint.close()
     assert run.service.map.tracker.of("television")

@@ -62,7 +62,7 @@ def refusal(loop: ClosedLoop, do: str, spec=None, **fields: object) -> str:
     return str(caught.value)
 
 
-def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
+def test_an_idle_robot_stands_and_tests_its_controller():
     loop = ClosedLoop(config("F bed"), colour=False)
     service = loop.service
     service.mission.set_idle()
@@ -127,7 +127,7 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     assert loop.service.mission is before
 
 
-def test_a_pose_jump_ends_what_was_known_of_distances():
+def test_a_pose_jump_clears_known_distances():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.sets.knowledge.distance_m is None:
@@ -198,7 +198,7 @@ def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
     loop.service.close()
 
 
-def test_a_stop_next_to_what_must_not_be_reached_is_reported_before():
+def test_a_goal_next_to_a_forbidden_object_is_warned_of():
     """The demo house has no such place, so the forbidden object is put next to the goal."""
     loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.log):

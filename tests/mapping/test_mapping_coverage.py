@@ -94,7 +94,7 @@ def test_nothing_is_sought_before_a_camera_looked():
 
 
 @given(seed=st.integers(0, 2**32 - 1), then=st.sampled_from([KEEP, COUNT, WRITE_OFF]))
-def test_what_a_camera_shows_agrees_with_the_twin(seed, then):
+def test_show_agrees_with_its_twin(seed, then):
     rng, layers, raw, looks, stored, shift, _ = random_world(seed)
     x, y = rng.uniform(-5, 133, 2)
     first, between, rays = rng.uniform(-7, 7), rng.uniform(0.01, 0.2), int(rng.integers(1, 60))
@@ -210,7 +210,7 @@ def test_a_camera_that_looks_aside_is_turned_there():
     moves=st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=1, max_size=5),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
+def test_rolling_clears_only_cells_that_leave_the_window(moves, seed):
     rng = np.random.default_rng(seed)
     n = 128
     window, m = Window(n, 0.05), n >> BITS

@@ -42,7 +42,7 @@ def test_a_map_without_a_place_shows_nothing():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_area_is_what_its_rays_show(seed):
+def test_the_area_agrees_with_its_twin(seed):
     rng = np.random.default_rng(seed)
     grid = RollingMap(SMALL)
     grid.window.placed = True

@@ -81,7 +81,7 @@ def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
         (update.SURELY_FREE + 1, 0.3, False),  # next to the robot
     ],
 )
-def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forgotten):
+def test_only_new_obstacles_on_seen_floor_are_forgotten(floor_looks, x_m, forgotten):
     grid, walls = RollingMap(SMALL), room(2.5)
     assert not grid.forget_arrivals()
     with_person = [*walls, (x_m, -0.15, 0.0, x_m + 0.3, 0.15, 1.7)]
@@ -186,7 +186,7 @@ def test_a_pose_jump_beyond_the_window_starts_a_new_map():
     )
 
 
-def test_the_map_keeps_what_is_in_the_window_while_it_rolls():
+def test_rolling_keeps_the_cells_inside_the_window():
     grid = RollingMap(SMALL.model_copy(update={"extent_m": 8.0}))
     pillar = (6.5, 0.8, 0.0, 6.7, 1.0, 0.9)
     rolled = 0

@@ -132,7 +132,7 @@ def test_the_floor_of_a_tilted_map_is_floor(lean_deg, base_m):
 
 
 @pytest.mark.parametrize("floor_z_m", [-1.2, -2.5])
-def test_nothing_is_free_where_the_ground_is_far_below_the_base(floor_z_m):
+def test_ground_far_below_the_base_is_not_free(floor_z_m):
     """A mount that is wrong by a metre, or a robot on a gallery: no guess is published."""
     grid = RollingMap(SMALL)
     T = camera()

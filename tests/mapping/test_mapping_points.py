@@ -100,7 +100,7 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
 
 
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
-def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
+def test_depth_points_agree_with_numpy_and_drop_invalid_pixels(bad):
     camera = CameraModel.from_hfov(40, 30, 1.2)
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 4.0, (30, 40)).astype(F)
@@ -133,7 +133,7 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     assert len({k for _, k in marked} ^ set(bit.tolist())) == 0
 
 
-def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
+def test_cloud_points_agree_with_numpy_and_drop_invalid_points():
     rng = np.random.default_rng(1)
     cloud = rng.uniform(-5, 5, (200, 3)).astype(F)
     cloud[::7, 1] = np.inf
@@ -291,7 +291,7 @@ def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
     assert busy.state_at(2.01, 0.01) == 100
 
 
-def test_rays_stop_where_the_floor_drops():
+def test_rays_stop_at_a_drop_in_the_floor():
     grid = RollingMap(config.MappingConfig(input="cloud", inflation_m=0.0))
     x = np.linspace(0.5, 4.0, 400)
     y = np.linspace(-0.3, 0.3, 40)
@@ -321,7 +321,7 @@ def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range
     assert not (twins.states(grid) == 100).any()
 
 
-def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
+def test_beams_without_a_return_free_nothing_behind_obstacles():
     wall = np.radians(np.arange(-20.0, 21.0))
     cloud = np.zeros((360, 3), F)
     angles = np.radians(np.arange(360.0))
@@ -337,7 +337,7 @@ def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
 
 @pytest.mark.parametrize("z_m", [0.1701, 0.2, 0.25, 0.3])
 @pytest.mark.parametrize("behind_m", [2.5, math.inf])
-def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, behind_m):
+def test_a_planar_lidar_clears_a_vanished_obstacle(z_m, behind_m):
     """Someone who stood there and went on; behind is a wall, or nothing."""
     angles = np.radians(np.arange(360.0))
 

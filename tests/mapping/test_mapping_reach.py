@@ -99,7 +99,7 @@ def test_a_robot_inside_inflation_finds_its_way_out():
     assert found[2] == pytest.approx(0.85, abs=0.1)
 
 
-def test_what_was_reached_is_still_known_after_the_window_rolled():
+def test_travel_costs_survive_a_rolled_window():
     grid = RollingMap(SMALL)
     for x in np.arange(0.0, 3.0, 0.2):
         look(grid, SE2(x, 0, 0), [])
@@ -137,7 +137,7 @@ def test_lengths_of_many_ways_are_those_of_each():
     assert 5 < np.isfinite(out).sum() < 40
 
 
-def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
+def test_the_stopping_point_is_near_and_in_sight():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0), (1.5, 0.3, 0.0, 1.9, 0.7, 0.5)
     surface_m = np.array([[1.5, 0.5, 0.4]], np.float32)

@@ -56,7 +56,7 @@ def test_the_cut_lies_in_the_door():
     assert 9 <= border[1, 2] <= 13
 
 
-def test_what_is_not_known_cuts_nothing():
+def test_unknown_cells_do_not_divide_a_room():
     cells = np.full((40, 40), OPEN, np.uint8)
     cells[18:22, :15] = cells[18:22, 25:] = UNKNOWN
     label, n = regions.segment_rooms(cells, CELL_M)

@@ -128,7 +128,7 @@ def test_the_trail_of_before_leads_through_no_zone():
     assert grid.snapshot().cells.max() == 100
 
 
-def test_zones_stay_where_they_are_when_the_window_rolls():
+def test_zones_keep_their_place_when_the_window_rolls():
     polygon = square(12.0, 1.0, 1.0)
     grid = RollingMap(SMALL)
     grid.set_zones((polygon,), ())
@@ -152,7 +152,7 @@ spot = st.floats(-3.0, 3.0)
     steps=st.lists(st.lists(st.tuples(spot, spot), max_size=3), min_size=1, max_size=4),
     at_m=st.sampled_from([(0.0, 0.0), (40.0, -3.0)]),
 )
-def test_a_change_of_zones_closes_what_they_close_at_once(steps, at_m):
+def test_changed_zones_close_the_same_cells_as_new_ones(steps, at_m):
     step_by_step, at_once = RollingMap(SMALL), RollingMap(SMALL)
     for grid in (step_by_step, at_once):
         look(grid, SE2(*at_m, 0.0), ())

@@ -136,7 +136,7 @@ def test_a_port_needs_a_good_token(tmp_path, content, why):
 
 
 @pytest.mark.parametrize("given", [{"host": "0.0.0.0"}, {"token_file": Path("token")}])
-def test_what_belongs_to_http_needs_a_port(tmp_path, given):
+def test_http_options_need_a_port(tmp_path, given):
     with pytest.raises(UserError, match=r"^mcp: --host and --token-file are of --http PORT"):
         command.run(arguments(tmp_path, **{"http": None, "host": None, **given}))
 

@@ -64,11 +64,11 @@ def test_an_armchair_comes_after_the_chairs():
 
 
 @pytest.mark.parametrize(("most", "ids"), [(0, []), (1, [1]), (9, [1, 2, 3])])
-def test_of_many_objects_the_most_confident_are_returned(most, ids):
+def test_the_most_confident_objects_are_returned(most, ids):
     assert [one.id for one in known_objects(SEEN, NOW_NS, 2, most=most)] == ids
 
 
-def test_the_answer_says_where_when_and_how_sure():
+def test_the_answer_gives_place_age_and_confidence():
     found = known_objects(SEEN, NOW_NS, 2, "chair")
     assert describe_location("chair", found, POSE, True) == (
         "chair: at (2.0, 0.0), 2.0 m away, seen 60 s ago, confidence 0.80; "

@@ -105,7 +105,7 @@ def test_rooms_know_their_doors():
     assert door.width_m == pytest.approx(0.9)
 
 
-def test_what_is_too_small_is_no_room():
+def test_a_small_area_is_not_a_room():
     assert surveyed(cut((0, 0, 12, 12))).shapes == ()
     assert surveyed(cut((0, 0, 1, 400))).shapes == ()
 
@@ -167,7 +167,7 @@ def test_nothing_speaks_for_the_kind_of_an_empty_room():
 
 
 @pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
-def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
+def test_evidence_for_a_room_kind_lies_at_its_objects(kind, x_m):
     (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
     assert room.kinds == ("kitchen", "living room")
     votes = rooms.votes(room, kind)

@@ -38,7 +38,7 @@ def test_meanings(tokens: str, text: str) -> None:
 
 
 @pytest.mark.parametrize("tokens", ["", "F", "<3>", "F <0> <1>", "& <0>", REFUSED, "F sofa"])
-def test_what_writes_nothing(tokens: str) -> None:
+def test_invalid_prefix_tokens_raise(tokens: str) -> None:
     with pytest.raises(ValueError, match="is not a formula in prefix notation over 3 names"):
         formula_of(tokens.split(), "abc")
 

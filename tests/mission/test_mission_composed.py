@@ -28,7 +28,7 @@ UNCLEAR = {"back", "return", "revisit", "destination"}
 """Words that leave the order open, as in 'go to a and back to b'."""
 
 
-def test_what_is_read_in_one_way_is_what_was_meant() -> None:
+def test_unambiguous_readings_have_the_intended_meaning() -> None:
     composer = Composer(load(), Random(11))
     read, wrong = 0, []
     for _ in range(DRAWN):

@@ -172,7 +172,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("patrol the dock and the bed until I call, then wait", "rest afterwards"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
+def test_an_impossible_errand_is_refused_in_one_line(said, hint):
     with pytest.raises(UnclearError, match=hint) as error:
         spell_out(said, PLACES)
     assert "\n" not in str(error.value)

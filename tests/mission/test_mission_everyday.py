@@ -144,7 +144,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Pause for a sec.", Control("pause")),
     ],
 )
-def test_what_is_no_mission(said, found):
+def test_questions_and_direct_orders_are_recognised(said, found):
     assert understand(said, NAMES) == found
     with pytest.raises(NoMissionError) as error:
         prepare(MissionConfig(), said, site=SITE)
@@ -167,7 +167,7 @@ def test_what_is_no_mission(said, found):
         "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip
-def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
+def test_errands_and_unclear_text_go_to_the_translators(said):
     assert isinstance(understand(said, NAMES), MissionOrder)
 
 

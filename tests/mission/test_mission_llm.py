@@ -127,7 +127,7 @@ def test_both_attempts_share_one_time_limit(monkeypatch):
 
 
 @pytest.mark.parametrize("constrain", ["none", "gbnf", "guided_grammar"])
-def test_what_is_asked(constrain):
+def test_the_request_holds_conversation_and_grammar(constrain):
     with serving(saying("F couch & !bed W tv")) as server:
         translate(server.url, constrain=constrain, model="tiny")
     request = server.requests[0][2]

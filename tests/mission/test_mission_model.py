@@ -76,7 +76,7 @@ BELIEVED = [
 
 
 @pytest.mark.parametrize(("said", "written", "sure", "texts"), BELIEVED)
-def test_what_is_believed(
+def test_likely_readings_are_offered_with_their_confidence(
     said: str, written: list[tuple[str, float, float]], sure: bool, texts: list[str] | None
 ) -> None:
     if texts is None:  # nothing to offer that is likely to be right
@@ -144,7 +144,7 @@ READ = [
 
 
 @pytest.mark.parametrize(("said", "text"), READ)
-def test_the_shipped_one_reads_what_people_say(said: str, text: str) -> None:
+def test_the_shipped_model_reads_common_instructions(said: str, text: str) -> None:
     guess = shipped().read(said)
     assert guess.confident
     assert distinguishing_trace(guess.formulas[0], parse(text)) is None
@@ -176,7 +176,7 @@ CHANGED = [
 
 
 @pytest.mark.parametrize(("said", "word"), CHANGED)
-def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
+def test_a_meaningful_word_changes_the_reading(said: str, word: str) -> None:
     whole = shipped().read(said).formulas[0]
     try:
         less = shipped().read(" ".join(w for w in said.split() if w.strip(",") != word))

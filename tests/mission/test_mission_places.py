@@ -93,7 +93,7 @@ def test_a_pose_that_is_not_known_yet_is_left_open():
     "instruction",
     ["go to the dock, then frobnicate the chair", "go to the chair, then frobnicate the dock"],
 )
-def test_what_is_not_understood_is_where_it_was_written(instruction):
+def test_an_unknown_word_is_reported_at_its_position(instruction):
     position = instruction.index("frobnicate") + 1
     with pytest.raises(TranslationError, match=f"character {position}: ") as error:
         briefed(instruction)

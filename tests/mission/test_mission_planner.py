@@ -100,7 +100,7 @@ def test_failed_objects(text, failed, feasible, blocked_by, target):
 
 
 @pytest.mark.parametrize(("known_reached", "cost"), [(True, 1.01), (False, 2.0)])
-def test_what_was_reached_is_known_unless_eq_1_is_read_literally(known_reached, cost):
+def test_reached_objects_are_known_unless_configured_otherwise(known_reached, cost):
     plan = planned("F(a & X F b)", knowing(reached="a"), known_reached=known_reached)
     assert plan.cost == cost
 
@@ -144,7 +144,7 @@ def test_reasons(knowledge, reason):
 METRES = PlannerVitl(weights="distance")
 
 
-def test_no_way_leads_back_to_what_was_just_reached_because_a_detour_seems_shorter():
+def test_distances_to_another_instance_make_no_detour():
     """a has a second instance next to b: a path to it is no path to b by the first."""
     distance = np.array([[0, 2.0], [2.0, 0], [0.9, 6.0]])
     planner = make_planner(METRES, compiled("F (a & X b)"))

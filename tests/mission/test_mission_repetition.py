@@ -120,7 +120,7 @@ def test_the_limits_of_a_mission_apply_to_each_round():
     ("repeat", "phase", "reason"),
     [(Repetition(), "reached", "cancelled; 1 round done"), (Repetition(9), "failed", "cancelled")],
 )
-def test_a_person_ends_what_has_no_end(repeat, phase, reason):
+def test_cancelling_an_endless_patrol_counts_as_reached(repeat, phase, reason):
     mission = begun(repeat=repeat)
     patrol(mission, 3)
     mission.cancel("cancelled", S)

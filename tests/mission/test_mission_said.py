@@ -34,7 +34,7 @@ def test_most_is_understood(scores) -> None:
     assert right >= 0.77 * len(scores)
 
 
-def test_what_was_once_misread_is_read_or_refused() -> None:
+def test_reported_misreadings_are_read_right_or_refused() -> None:
     """Variants of each misreading that was reported, judged by hand."""
     translator = make_translator(TranslatorAuto())
     scores = [score(case, translator) for case in custom_cases(PROBED)[0]]

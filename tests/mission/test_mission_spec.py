@@ -60,7 +60,7 @@ def test_letters_may_name_things():
     assert str(prepare(MissionConfig(), "go to a, then b").automaton.formula) == "F (a & F b)"
 
 
-def test_what_does_not_matter_is_not_looked_for():
+def test_irrelevant_objects_are_not_targets():
     spec = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
     assert spec.targets == ("chair",)
     assert spec.warnings == ("does not affect the mission: bed",)
@@ -69,7 +69,7 @@ def test_what_does_not_matter_is_not_looked_for():
 AMBIGUOUS = "the sofa must be visited before the bed"
 
 
-def test_a_person_who_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
+def test_only_requests_are_asked_about_ambiguity() -> None:
     with pytest.raises(AmbiguousInstructionError) as caught:
         prepare(MissionConfig(), AMBIGUOUS)
     told = caught.value.details["readings"]

@@ -126,7 +126,7 @@ TOGETHER = [
 
 
 @pytest.mark.parametrize(("said", "small", "large", "wanted", "by", "sure"), TOGETHER)
-def test_auto_takes_what_is_agreed_on(
+def test_auto_takes_the_reading_that_translators_agree_on(
     said: str, small: Backend, large: Backend | None, wanted: object, by: str, sure: bool
 ) -> None:
     read = combined_backend(small, large)
@@ -176,7 +176,7 @@ def test_a_models_formula_heeds_the_bans_that_the_rules_read(
     assert [str(one) for one in found.formulas] == (asked or [formula])
 
 
-def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:
+def test_auto_loads_no_network_if_the_grammar_suffices() -> None:
     auto = make_translator(TranslatorAuto(card="none"))
     assert auto.translate("go to the bed").backend == "grammar"
     with pytest.raises(ModelError, match="'none': no such card"):

@@ -130,7 +130,7 @@ def test_it_has_no_single_file(published, capsys):
     assert "tiny': has several files" in said
 
 
-def test_cards_of_the_package_name_what_their_families_need():
+def test_shipped_choice_cards_name_all_their_files():
     cards = [card for card in all_cards() if isinstance(card, ChoiceCard)]
     assert {"smolvlm-256m-q4", "qwen2-vl-2b-q4f16", "smollm2-135m-q4"} <= {c.name for c in cards}
     for card in cards:

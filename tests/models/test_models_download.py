@@ -41,7 +41,7 @@ def test_a_file_comes_whole(server, tmp_path, content):
     assert left(tmp_path) == {"w.pt": len(content)}
 
 
-def test_a_broken_connection_is_resumed_where_it_ended(server, tmp_path):
+def test_a_broken_download_resumes_at_its_end(server, tmp_path):
     how = server.put("/w.pt", CONTENT, cut=40_000)
     fetch(server, tmp_path)
     assert [asked.get("range") for asked in how.asked] == [None, "bytes=40000-", "bytes=80000-"]
@@ -75,7 +75,7 @@ def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, 
 
 
 @pytest.mark.parametrize("came", [CONTENT[:50], b"x" * 50], ids=["beginning", "other"])
-def test_what_a_source_left_that_broke_off_is_not_blamed_on_the_next(server, tmp_path, came):
+def test_a_wrong_partial_file_does_not_fail_the_next_source(server, tmp_path, came):
     how = server.put("/w.pt", CONTENT)
     with part(tmp_path) as target:
         target.write(came)
@@ -103,9 +103,7 @@ def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
     ],
     ids=["hash", "long", "short", "huge", "missing", "file", "loop"],
 )  # fmt: skip
-def test_what_is_not_the_file_is_refused_and_leaves_nothing(
-    server, tmp_path, how, expected, message
-):
+def test_a_wrong_file_is_refused_and_leaves_nothing(server, tmp_path, how, expected, message):
     server.put("/w.pt", **how)
     with pytest.raises(FetchError) as error:
         fetch(server, tmp_path, **expected)
@@ -197,7 +195,7 @@ def write_in_blocks(tmp_path):
             target.write(CONTENT[begin : begin + 1024])
 
 
-def test_a_full_disk_is_one_line_and_what_fits_is_kept(tmp_path):
+def test_a_full_disk_keeps_the_part_that_fits(tmp_path):
     with full_disk(50_000), pytest.raises(ModelError, match=r"part: cannot be written \(File too"):
         write_in_blocks(tmp_path)
     with part(tmp_path) as target:

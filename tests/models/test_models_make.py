@@ -117,7 +117,7 @@ def test_an_own_card_is_exported_from_its_folder(started):
 
 
 @pytest.mark.parametrize("words", [["export"], ["export", "--weights", "w.pt"], ["pull"]])
-def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words):
+def test_a_trained_model_names_its_training_commands(started, capsys, words):
     action, *options = words
     assert main(["models", action, "own", *options]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
@@ -151,7 +151,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("vlm-fp32", "decoder.onnx: model vlm-fp32 is not there; run `edge models pull vlm-fp32"),
     ],
 )
-def test_what_cannot_be_quantized(started, capsys, name, message):
+def test_an_unsuitable_model_cannot_be_quantized(started, capsys, name, message):
     assert (
         main(["models", "export", "--quantize", name, "--calibration", "pictures"])
         == os.EX_UNAVAILABLE
@@ -174,7 +174,7 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
         ("torch", QUANTIZE, None),
     ],
 )  # fmt: skip
-def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
+def test_a_missing_package_is_named(started, monkeypatch, capsys, lacking, words, said):
     monkeypatch.setattr(make, "require_modules", require_modules)
     monkeypatch.setattr(make, "verify_model", lambda card: None)
     find = lambda name: None if name == lacking else name  # noqa: E731

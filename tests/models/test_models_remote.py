@@ -63,7 +63,7 @@ def test_check_reports_an_unusable_model(far, capsys, run, why):
     assert why in line
 
 
-def test_what_needs_a_file_says_that_a_server_has_it(far, capsys):
+def test_a_model_on_a_server_needs_no_file(far, capsys):
     far("http://127.0.0.1:1")
     runs = "the server http://127.0.0.1:1 runs it"
     assert main(["models", "pull", "far"]) == 0

@@ -55,7 +55,7 @@ def test_a_phrase_is_read(prompt, phrase):
 
 
 @pytest.mark.parametrize("prompt", ["elephant", "white", "dish washer", "wine glass", "lamb"])
-def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
+def test_an_unknown_noun_is_refused_with_the_nearest_category(prompt):
     with pytest.raises(PromptError, match=r"only the built-in world's 7 categories \(nearest: \w+"):
         parse(prompt, WORDS)
 
@@ -72,7 +72,7 @@ def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
         ("a non-red chair", "'non' is not understood"),
     ],
 )
-def test_what_cannot_be_is_an_error(prompt, message):
+def test_a_contradictory_phrase_is_refused(prompt, message):
     with pytest.raises(PromptError, match=message):
         parse(prompt, WORDS)
 
@@ -136,7 +136,7 @@ def test_a_vocabulary_survives_json():
      json.dumps({"categories": [1], "colors": [], "sizes": []}),
      json.dumps({"categories": "chair", "colors": [], "sizes": []})],
 )  # fmt: skip
-def test_what_is_no_vocabulary_is_refused(text):
+def test_an_invalid_vocabulary_is_refused(text):
     with pytest.raises(ValueError, match=r"Expecting|not an object|not a list"):
         Vocabulary.from_json(text)
 

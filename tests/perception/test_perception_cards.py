@@ -83,7 +83,7 @@ def test_a_bad_card_names_file_and_key(place, changes, message):
 
 
 @pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00", "a: 2024-13-45", "[" * 1000])
-def test_what_is_no_card_is_named(place, tmp_path, text):
+def test_an_invalid_card_is_named(place, tmp_path, text):
     (tmp_path / "cards" / "tiny.yaml").write_text(text)
     with pytest.raises(cards.ModelError, match=r"tiny\.yaml: "):
         cards.load_card("tiny")
@@ -110,7 +110,7 @@ LOADERS = {
 
 
 @pytest.mark.parametrize("task", OF_TASK)
-def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, task):
+def test_a_card_loads_only_for_its_own_task(place, tmp_path, task):
     (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump(OF_TASK[task]))
     assert LOADERS[task]("tiny") == cards.load_card("tiny")
     for other in set(LOADERS) - {task}:
@@ -246,7 +246,7 @@ def test_a_trusted_cache_is_believed_until_the_file_is_written(place, hashed, mo
         load()
 
 
-def test_what_was_damaged_and_is_whole_again_loads(place):
+def test_a_repaired_model_loads_again(place):
     place()
     card = put_model(DATA[:-1] + b"X")
     written = card.path.stat().st_mtime_ns
@@ -322,7 +322,7 @@ def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
         cards.load_card("none")
 
 
-def test_list_shows_what_is_there(place):
+def test_the_list_shows_present_models_and_their_parity(place):
     parity = {
         "reference": "tiny-fp32", "images": 40, "recall": 0.97, "precision": 0.9,
         "score_error": 0.1,

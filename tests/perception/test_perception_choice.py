@@ -101,7 +101,7 @@ def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
     [(-3.0, 0.0), (0.05, 0.0), (0.9, 0.0), (2.0, 3.0), (2.0, -3.0), (0.0, 2.0)],
     ids=["behind", "under the camera", "below the image", "left", "right", "abeam"],
 )
-def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
+def test_a_frontier_outside_the_image_has_no_mark(make_observation, xy_m):
     assert marks_of(make_observation(), xy_m) == ()
 
 
@@ -117,7 +117,7 @@ def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
         (9.0, True),
     ],
 )
-def test_what_stands_before_a_frontier_hides_it(make_observation, depth_m, seen):
+def test_an_obstacle_in_front_of_a_frontier_hides_it(make_observation, depth_m, seen):
     depth = np.full((64, 80), depth_m, np.float32)
     assert bool(marks_of(make_observation(depth_m=depth), (3.0, 0.0))) == seen
 

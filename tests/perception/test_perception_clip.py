@@ -170,7 +170,7 @@ def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
 
 
 @pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8), (16, 64)])
-def test_an_image_is_squeezed_where_the_card_says_so(hw):
+def test_the_card_can_stretch_an_image_to_fit(hw):
     """Nothing of it is lost: the right quarter is the right quarter still."""
     rgb = np.zeros((*hw, 3), np.uint8)
     rgb[:, hw[1] * 3 // 4 :, 0] = 200

@@ -158,9 +158,7 @@ def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
-def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
-    tmp_path, monkeypatch, number
-):
+def test_an_existing_engine_is_found_on_a_read_only_disk(tmp_path, monkeypatch, number):
     folder = get_or_build(KEY, tmp_path, Builds(), quiet)
 
     def fail(*_, **__):
@@ -207,7 +205,7 @@ def test_a_build_reports_its_progress():
     assert len(told) == over
 
 
-def test_how_far_nested_phases_are():
+def test_progress_covers_nested_build_phases():
     noted = []
     monitor = make_monitor(FakeTensorrt(FakeCuda()), noted.append)
     monitor.phase_start("Building Engine", None, 4)
@@ -266,7 +264,7 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
     assert len(gpu.built) == 4
 
 
-def test_what_was_allocated_on_the_gpu_is_freed(gpu, open_tiny):
+def test_gpu_memory_is_freed_with_the_session(gpu, open_tiny):
     session = open_tiny()
     inputs = {"images": np.zeros((1, 3), np.float32), "txt_feats": np.zeros((1, 1, 2), np.float32)}
     for _ in range(3):
@@ -296,7 +294,7 @@ def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open
     assert len(gpu.built) == 1
 
 
-def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
+def test_a_tensorrt_error_is_one_line_with_its_reason(gpu, open_tiny):
     gpu.refuses = True
     with pytest.raises(ModelError, match="cannot build an engine: no kernel for that"):
         open_tiny()

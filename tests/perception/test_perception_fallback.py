@@ -107,7 +107,7 @@ def test_a_server_that_fails_soon_again_is_asked_ever_more_rarely(server):
 
 
 @pytest.mark.parametrize("fault", [ValueError("no image"), MemoryError()])
-def test_what_is_not_the_servers_fault_is_raised(server, fault):
+def test_an_error_not_of_the_server_is_raised(server, fault):
     server.fault = fault
     with pytest.raises(type(fault)):
         server.ask(1)

@@ -256,7 +256,7 @@ def sofa_behind_table(table_left=0, table_right=80):
 
 
 @pytest.mark.parametrize("table", [(0, 80), (25, 55)])
-def test_what_stands_before_the_thing_is_not_the_thing(make_observation, table):
+def test_an_obstacle_in_front_of_the_box_is_left_out(make_observation, table):
     """The box around what is seen of the sofa holds much of the table too."""
     out = lift(make_observation(depth_m=sofa_behind_table(*table)), (20, 20, 60, 44))
     assert out.valid.tolist() == [True]
@@ -298,7 +298,7 @@ SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
         ((CABINET, (np.nan, 0, 1, 1)), 3.0),
     ],
 )
-def test_what_fits_another_box_better_is_not_the_things(make_observation, around, x_m):
+def test_depth_that_fits_another_box_is_left_out(make_observation, around, x_m):
     seen = detect(make_observation(depth_m=shelf_behind_a_cabinet()), SHELF)
     if around is not None:
         boxes = np.array(around, np.float32).reshape(-1, 4)
@@ -359,7 +359,7 @@ def mask_over(box, shows):
 
 @pytest.mark.parametrize("way", ["depth", "cloud"])
 @pytest.mark.parametrize(("shown_m", "x_m"), [(None, 1.5), (3.0, 3.0), (99.0, 1.5)])
-def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m, way):
+def test_only_points_on_the_mask_are_used(make_observation, shown_m, x_m, way):
     """An empty mask counts for nothing."""
     depth = shelf_behind_a_cabinet()
     seen = make_observation(depth_m=depth)

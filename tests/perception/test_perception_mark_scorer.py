@@ -140,7 +140,7 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
         (FakeSession(RuntimeError("out of memory")), "out of memory"),
     ],
 )
-def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says):
+def test_unusable_outputs_are_an_error_of_one_line(monkeypatch, session, says):
     scorer = scorer_of(monkeypatch, session)
     with pytest.raises(ModelError, match=says) as error:
         scorer.answer(scorer.prepare(view(mark(1, 1.0))))
@@ -186,7 +186,7 @@ class Slow(FakeSession):
         return super().run(names, feed, options)
 
 
-def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
+def test_a_closed_scorer_aborts_its_answers(monkeypatch):
     scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
     scorer.close()
     with pytest.raises(ModelError, match="fake: aborted"):

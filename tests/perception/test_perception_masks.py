@@ -73,7 +73,7 @@ def test_no_box_no_mask():
     assert masks_of(picture())[0] == 0
 
 
-def test_what_goes_on_beyond_the_box_is_not_the_thing():
+def test_a_mask_leaves_out_the_occluding_object():
     """A shelf whose lower left a cabinet hides that goes on beyond its box."""
     rgb = picture((RED, 30, 10, 60, 50), (GREEN, 5, 30, 45, 55))
     box = (29, 9, 61, 51)

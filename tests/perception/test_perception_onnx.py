@@ -280,7 +280,7 @@ def test_contrasts_are_asked_for_next_to_the_prompts(tiny, monkeypatch, make_obs
     np.testing.assert_allclose(found.competing_score, found.score)
 
 
-def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_observation):
+def test_an_object_has_the_best_score_of_its_names(tiny, monkeypatch, make_observation):
     seen = make_observation(rgb=image())
     alone = tiny(prompts=("bed", "trash can"))
     assert [alone.prompts[k] for k in alone.detect(seen).class_id] == ["trash can"]
@@ -306,7 +306,7 @@ def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_
         (("chair",), ("armchair", "trash can"), ("trash can",), ["trash can"]),
     ],
 )
-def test_what_stands_around_has_boxes_of_its_own(
+def test_context_words_have_their_own_boxes(
     tiny, make_observation, prompts, background, words, found
 ):
     seen = make_observation(rgb=image())

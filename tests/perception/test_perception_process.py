@@ -202,7 +202,7 @@ def test_a_hang_is_ended(make, seen):
         detector.detect(seen())
 
 
-def test_who_waits_for_a_core_is_given_as_long_again(make, seen, monkeypatch):
+def test_a_process_waiting_for_a_core_gets_more_time(make, seen, monkeypatch):
     """A stopped process and a clock of its own: at 1.5 s it goes on, at 2 s it is given up."""
     detector = make(timeout_s=1.0)
     pid = pid_of(detector)
@@ -264,7 +264,7 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     assert detector.invalid_boxes == 14  # of both processes
 
 
-def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monkeypatch):
+def test_prompts_refused_later_raise_in_detect(make, seen, monkeypatch):
     monkeypatch.setattr(process_detector, "_CHECK_S", 0.05)
     detector = make()
     halt(pid_of(detector))
@@ -334,7 +334,7 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],
 )
-def test_what_never_gets_ready_is_an_error_at_the_start(tmp_path, said, kind, says):
+def test_a_failed_start_is_an_error(tmp_path, said, kind, says):
     (tmp_path / "script").write_text(said)
     limit_s = 0.1 if said == "wait" else PATIENCE_S
     with pytest.raises(kind, match=says) as error:
@@ -414,7 +414,7 @@ def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, ca
         (-35, "ended by signal 35"),
     ],
 )
-def test_how_a_process_ended(code, says):
+def test_the_end_of_a_process_is_described(code, says):
     assert link._end_reason(code) == says
 
 
@@ -430,7 +430,7 @@ sys.stdin.read()
 
 
 @pytest.mark.slow
-def test_a_process_does_not_outlive_who_started_it():
+def test_a_process_does_not_outlive_its_parent():
     paths = [str(FAKE.parent), str(FAKE.parent.parent)]
     parent = subprocess.Popen(
         [sys.executable, "-c", PARENT.format(paths=paths)],

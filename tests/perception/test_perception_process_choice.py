@@ -70,7 +70,7 @@ def test_it_says_the_same_and_comes_back(opened):
         model.ask(SYSTEM, view, ASKED, PATIENCE_S)
 
 
-def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypatch):
+def test_isolated_text_models_give_the_same_answers(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
     publish(resources.models_dir(), "text")

@@ -49,7 +49,7 @@ def some(n=2, competing_score=True, around=None):
 
 
 @pytest.mark.parametrize("around", [0, 3])
-def test_what_stands_around_arrives_too(around):
+def test_context_boxes_are_transferred(around):
     sent = some(2, around=around)
     came = wire.decode_answer(3, *encode(sent)).found
     assert came.context.words == ("lamp",)

@@ -265,7 +265,7 @@ def test_a_server_that_comes_back_with_another_model_is_used(model, far, picture
             there.detect(picture)
 
 
-def test_who_closes_it_does_not_wait_for_the_server(model, far, picture):
+def test_closing_does_not_wait_for_the_server(model, far, picture):
     asked = threading.Event()
 
     def hang(handler):

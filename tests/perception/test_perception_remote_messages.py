@@ -46,7 +46,7 @@ def test_a_request_as_the_protocol_wants_it():
 
 
 @given(hnp.arrays(np.float32, hnp.array_shapes(max_dims=3, max_side=4)), st.booleans())
-def test_what_is_sent_comes_back_the_same(array, binary):
+def test_arrays_survive_a_request_and_answer(array, binary):
     headers, body = infer_request({"x": array}, [], binary)
     told = json.loads(body[: int(headers.get(HEADER_LENGTH, len(body)))])
     head = json.dumps({"outputs": told["inputs"]}).encode()
@@ -93,7 +93,7 @@ LIES = [
 
 
 @pytest.mark.parametrize(("body", "length", "why"), LIES)
-def test_whatever_is_not_what_was_asked_for_is_a_lie(body, length, why):
+def test_a_mismatched_answer_is_refused(body, length, why):
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         infer_answer(body, length, {"boxes": (1, None)})
     assert str(error.value).startswith(why)

@@ -256,7 +256,7 @@ def make_device(session, arrays, outputs):
 
 
 @pytest.mark.parametrize("make", [make_host, make_device])
-def test_what_is_live_is_read_before_every_run(adds, make):
+def test_live_inputs_are_read_before_every_run(adds, make):
     arrays = feeds()
     bound = make(adds, arrays, {"twice": (1, 4)})
     np.testing.assert_array_equal(bound.run()[0], [[11, 22, 33, 44]])
@@ -320,7 +320,7 @@ class FakeCudaSession:
 
 
 @pytest.mark.parametrize("provider", ["CUDAExecutionProvider", ORT_TENSORRT])
-def test_on_cuda_only_what_is_live_is_uploaded_again(monkeypatch, provider):
+def test_only_live_inputs_are_uploaded_to_cuda_again(monkeypatch, provider):
     monkeypatch.setattr(ort, "OrtValue", FakeValue)
     session, arrays = FakeCudaSession(provider), feeds()
     bound = binding.bind(session, arrays, {"twice": (1, 4)}, live=("fresh",))

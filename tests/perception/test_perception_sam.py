@@ -47,7 +47,7 @@ def bright(x0, y0, x1, y1, hw=(96, 160)):
 
 @pytest.mark.parametrize("hw", [(96, 160), (160, 96), (64, 64)])
 @pytest.mark.parametrize("layout", tiny_sam.LAYOUTS)
-def test_a_mask_lies_where_the_thing_is(put, layout, hw):
+def test_a_mask_covers_its_object(put, layout, hw):
     put(layout)
     rgb, box = bright(20, 10, 40, 40, hw), (20, 10, 60, 40)
     done, out = segment(opened(layout), rgb, box, (0, 50, 20, 60))
@@ -142,7 +142,7 @@ def test_a_damaged_decoder_is_told(put, capsys):
     assert "damaged or another model" in told
 
 
-def test_what_is_not_here_is_pulled_from_its_sources(put, capsys, tmp_path):
+def test_missing_files_are_pulled_from_their_sources(put, capsys, tmp_path):
     card, sources = put("nano-sam"), []
     for part in (card["encoder"], card["decoder"]):
         path = tmp_path / part["file"]

@@ -76,7 +76,7 @@ def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
     assert s.seen.n == 0
 
 
-def test_weak_boxes_count_only_where_something_is(scene):
+def test_weak_boxes_count_only_at_known_objects(scene):
     s = scene().see(("chair", NEAR, 0, 0.2))
     assert s.seen.n == 0
     s.see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, 0, 0.2))
@@ -175,7 +175,7 @@ def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
     assert s.see(("chair", NEAR, 0, 0.6)).seen.id[0] > before
 
 
-def test_who_reads_cannot_write(scene):
+def test_readers_cannot_write(scene):
     seen = scene().see(("chair", NEAR, 0, 0.6)).seen
     with pytest.raises(ValueError, match="read-only"):
         seen.confidence[0] = 1.0
@@ -209,7 +209,7 @@ def test_an_object_with_a_likelier_class_is_tentative(scene, seen, doubtful):
     assert s.tracker.has_competing_object("bed", surface(NEAR), 0.2) == doubtful
 
 
-def test_what_was_restored_is_no_doubt_until_it_is_looked_for_again(scene):
+def test_restored_objects_compete_after_the_first_image(scene):
     before, after = scene().see(("sofa", NEAR, 0, 0.9)), scene()
     after.tracker.load_state_dict(before.tracker.state_dict(), 0)
     assert not after.tracker.has_competing_object("bed", surface(NEAR), 0.2)

@@ -93,7 +93,7 @@ def test_misses_and_false_positives_come_at_their_rates(make_observation):
 
 
 @pytest.mark.parametrize("missing", ["segmentation", "simulator", "depth_m"])
-def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
+def test_without_a_simulator_the_error_names_onnx(make_observation, missing):
     truth = {"segmentation": lambda stamp_ns: None, "simulator": None}
     sim = config.PerceptionConfig(detector=config.DetectorSim())
     detector = make() if missing == "depth_m" else make_detector(sim, ["x"], truth=truth[missing])
@@ -113,7 +113,7 @@ def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
         (("furniture", "chair"), ("armchair", "sofa"), ("sofa",), [0]),
     ],
 )
-def test_what_stands_around_is_context(make_observation, prompts, background, words, classes):
+def test_background_objects_are_context(make_observation, prompts, background, words, classes):
     context = make(prompts, background=background).detect(make_observation(**scene())).context
     assert context.words == words
     assert sorted(context.class_id) == classes

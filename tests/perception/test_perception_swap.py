@@ -234,11 +234,11 @@ def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, inl
 
 
 @pytest.mark.parametrize("new", [Fake(ms=50), Fake(box=(40, 40, 60, 60)), Fake(score=0.1)])
-def test_force_takes_what_is_slow_or_finds_other_things(bench, new):
+def test_force_accepts_a_slow_or_different_model(bench, new):
     assert bench(new).swap(force=True)[0] == "kept"
 
 
-def test_force_does_not_take_what_is_not_finite(bench):
+def test_force_rejects_invalid_outputs(bench):
     assert bench(Fake(invalid=1)).swap(force=True)[0] == "refused"
     assert bench(Fake(from_=9, invalid=1)).swap(force=True)[0] == "rolled back"
 
@@ -253,7 +253,7 @@ def test_force_does_not_take_what_is_not_finite(bench):
          "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
+def test_a_model_without_comparable_boxes_is_kept(bench, monkeypatch, old, related, finding):
     b = bench(old=old)
     monkeypatch.setattr(swapped, "same_family", lambda model, running: related)
     assert b.swap()[0] == "kept"

@@ -10,7 +10,7 @@ from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import PromptError, TextEmbeddings, find_vocabulary, words_for
 
 
-def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
+def test_an_exported_vocabulary_is_stored_for_the_service(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     source = tmp_path / "words.npz"
@@ -79,7 +79,7 @@ def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_pa
             encoder.resolve(unknown)
 
 
-def test_a_missing_vocabulary_says_what_to_do(tmp_path, monkeypatch):
+def test_a_missing_vocabulary_is_reported_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     with pytest.raises(
@@ -136,7 +136,7 @@ def test_every_word_must_have_an_embedding(tmp_path, rows, says):
         TextEmbeddings(str(path))
 
 
-def test_words_for_leaves_out_what_is_not_known(vocabulary):
+def test_words_for_omits_unknown_words(vocabulary):
     resolve = TextEmbeddings(str(vocabulary)).resolve
     assert words_for((), resolve) == {}
     assert words_for(("couch", "zebra", "", "bed"), resolve) == {"couch": "sofa", "bed": "bed"}

@@ -86,7 +86,7 @@ def test_eq_4_is_a_softmax_over_the_answers_of_servers(logits, shift):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_what_is_read_once_says_the_same(models_dir, family):
+def test_the_prompt_cache_does_not_change_answers(models_dir, family):
     """Compare with a model without a cache after any other views and questions."""
     card = publish(models_dir, family)
     model = opened(card)
@@ -457,7 +457,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", [*BROKEN, *WRONG])
-def test_what_is_wrong_is_reported_in_one_line(models_dir, what):
+def test_a_broken_model_is_reported_in_one_line(models_dir, what):
     card = publish(models_dir, "smolvlm")
     spoil, says = {**BROKEN, **WRONG}[what]
     spoil(card)
@@ -638,7 +638,7 @@ def test_an_answer_that_takes_too_long_is_broken_off(endless):
         endless.ask(SYSTEM, dark, EVERY, 0.0)
 
 
-def test_closing_gives_up_what_is_asked(endless):
+def test_closing_aborts_a_running_question(endless):
     raised = []
 
     def ask():
@@ -656,7 +656,7 @@ def test_closing_gives_up_what_is_asked(endless):
     assert raised == ["model tiny: aborted: the model was closed"]
 
 
-def test_the_card_says_what_is_missing(models_dir):
+def test_the_card_knows_its_files_and_refuses_unknown_keys(models_dir):
     """Read as any other card, and refused where its parts do not go together."""
     publish(models_dir, "smolvlm")
     card = load_card("tiny")

@@ -120,7 +120,7 @@ def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that
 
 @pytest.mark.parametrize("looks_at", ["rgb", "depth_m"])
 @pytest.mark.parametrize("inline", [False, True])
-def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
+def test_an_observation_without_an_image_is_no_failure(make_observation, looks_at, inline):
     """A LiDAR maps at 10 Hz next to a camera of 5 Hz."""
     fake = Fake(bad=(0, 2))
     fake.looks_at = looks_at
@@ -297,7 +297,7 @@ def test_one_question_at_a_time_and_its_frame_only_while_it_is_looked_at(frames)
     assert holds(frames) == [0] * 5
 
 
-def test_closing_gives_up_what_is_being_answered_which_is_no_failure(frames, caplog):
+def test_closing_discards_a_running_question_without_a_failure(frames, caplog):
     worker = ScorerWorker("choice", fake := FakeScorer())
     worker.submit(Question(frames[0]))
     eventually(lambda: fake.under_way)

@@ -92,7 +92,7 @@ def test_each_target_has_a_score_of_its_own_from_the_same_look():
         np.testing.assert_allclose(got[target], scored([(2, 0), (2, 1)], boxes)[0])
 
 
-def test_of_what_is_no_target_the_box_that_says_most_counts():
+def test_only_the_strongest_context_box_counts():
     """Ten pillows say no more of a bed than one, and nothing is taken from what the bed says."""
     bed, pillows = (0.0, 0.4), [(0.0, 0.3), (0.02, 0.3), (-0.4, 0.9)]
     alone, one = scored([(2, 0)], [bed]), scored([(2, 0)], [bed, pillows[0]], around=1)
@@ -159,7 +159,7 @@ def test_ranking_is_algorithm_2(entries, score, expected):
 
 
 @pytest.mark.parametrize(("confirmed_first", "expected"), [(True, [1, 0, 2]), (False, [0, 1, 2])])
-def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, expected):
+def test_confirmed_instances_can_rank_before_higher_scores(confirmed_first, expected):
     candidates = candidates_of((INSTANCE, 2, 0), (INSTANCE, 5, 0), (FRONTIER, 1, 0))
     candidates.confirmed[1] = True
     score = np.array([0.3, 0.2, 0.9], np.float32)
@@ -243,7 +243,7 @@ def context(
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )
-def test_what_a_policy_makes_of_way_and_gain(policy, expected):
+def test_policies_combine_path_length_and_gain(policy, expected):
     candidates = candidates_of(
         (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (SPIN, 1, 0)
     )
@@ -254,7 +254,7 @@ def test_what_a_policy_makes_of_way_and_gain(policy, expected):
     assert got.dtype == np.float32
 
 
-def test_of_two_things_the_nearer_comes_first_unless_it_is_much_less_sure():
+def test_nearer_instances_win_unless_much_less_certain():
     candidates = candidates_of(*[(INSTANCE, x, 0) for x in (1, 4, 2)])
     candidates.confidence[:3] = 0.25, 0.81, 0.04
     candidates.path_m[:3] = 1.0, 4.0, math.inf
@@ -267,7 +267,7 @@ BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
 
-def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
+def test_the_first_score_stays_with_its_frontier():
     policy = make_policy(BY_SIGHT)
     first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
     bearing = math.atan2(1, 2)
@@ -289,7 +289,7 @@ def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
 @pytest.mark.parametrize(
     ("why", "kept"), [("mission", False), ("pose", False), ("map rolled", True)]
 )
-def test_what_was_seen_is_forgotten_with_its_mission_or_map(why, kept):
+def test_a_new_mission_or_pose_jump_clears_scores(why, kept):
     policy, one = make_policy(BY_SIGHT), candidates_of((FRONTIER, 2, 0))
     before = float(scores_of(policy, context(one, boxes=[(0.0, 0.5, 0)]))[0])
     assert before == pytest.approx(0.5)
@@ -324,7 +324,7 @@ def test_a_policy_that_does_not_score_every_candidate_is_named(given):
         ([(0.6, 0.8, "pillow")], 1.0, 0.0),
     ],
 )
-def test_hvl_follows_what_has_to_do_with_the_target(around, w_context, expected):
+def test_hvl_is_drawn_to_related_objects(around, w_context, expected):
     policy = make_policy(PolicyHvl(heuristics=False, w_context=w_context))
     one = candidates_of((FRONTIER, 2, 0))
     got = scores_of(policy, context(one, ("bed", "piano"), "bed", [], around=around))

@@ -75,7 +75,7 @@ def test_without_candidates_there_are_no_scores(policy):
 
 
 @pytest.mark.parametrize("policy", POLICIES, ids=lambda p: p.kind)
-def test_where_nothing_was_said_it_is_the_nearest_by_path(policy):
+def test_without_values_the_nearest_frontier_wins(policy):
     around = Valued(path_m={a: 9.0})
     score = scored(policy, around, A, B, C, D)
     assert np.argsort(-score).tolist() == [2, 3, 1, 0]
@@ -121,7 +121,7 @@ def test_the_more_nearness_counts_the_nearer_is_taken(kind, nearness, expected):
         ({a: 0.25, b: 0.5, c: 0.0, d: 0.0}, 1),
     ],
 )
-def test_values_are_followed_where_they_tell_frontiers_apart(values, expected):
+def test_adaptive_follows_values_that_stand_out(values, expected):
     assert first(scored(PolicyAdaptive(), Valued(values), A, B, C, D)) == expected
 
 
@@ -155,7 +155,7 @@ def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
 
 
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 6))
-def test_the_tour_is_the_shortest_of_all(seed, k):
+def test_shortest_tour_agrees_with_all_permutations(seed, k):
     rng = np.random.default_rng(seed)
     xy_m = rng.uniform(-9, 9, (k, 2)).astype(np.float32)
     path_m = np.hypot(*xy_m.T).astype(np.float64) * rng.uniform(1.0, 3.0, k)

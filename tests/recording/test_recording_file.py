@@ -34,7 +34,7 @@ def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_what_is_written_is_read(tmp_path, compression):
+def test_a_written_recording_is_read_back(tmp_path, compression):
     path = tmp_path / "a.mcap"
     write(path, 12, compression, {"edge": {"a": "1"}})
     reading = McapReader(path)
@@ -71,7 +71,7 @@ def test_at_any_cut_the_beginning_is_read(tmp_path_factory, whole, share):
 
 
 @given(share=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, flip):
+def test_a_damaged_recording_is_read_up_to_the_damage(tmp_path_factory, whole, share, flip):
     path = tmp_path_factory.mktemp("damaged") / "a.mcap"
     at = 40 + int(share * (len(whole) - 40))  # behind the magic and the header
     broken = bytearray(whole)
@@ -87,7 +87,7 @@ def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, fli
 
 
 @pytest.mark.parametrize("content", [b"", b"junk" * 100, b"\x89MCAP1\r\n" + b"0" * 100])
-def test_what_is_no_recording(tmp_path, content):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"a\.mcap: not an MCAP file"):

@@ -117,7 +117,7 @@ def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
         np.testing.assert_array_equal(back.mask, found.mask)
 
 
-def test_what_was_found_in_the_background_comes_back():
+def test_background_results_survive_the_journal():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
     grid = Grid(np.full(label.shape, OPEN, np.uint8), (0.1, -0.2), 0.1)

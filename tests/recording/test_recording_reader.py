@@ -159,7 +159,7 @@ def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
     assert (reading.is_complete, reading.truncation) == (True, "")
 
 
-def test_what_lies_outside_of_chunks_is_not_read(tmp_path, monkeypatch):
+def test_attachments_are_skipped_in_blocks(tmp_path, monkeypatch):
     """An attachment as large as a disk passes through a block at a time."""
     monkeypatch.setattr(reader, "MAX_RECORD_BYTES", 1 << 10)
     path = tmp_path / "a.mcap"

@@ -197,7 +197,7 @@ def test_observations_that_were_refused_are_refused_again(tmp_path, field):
 URL = "http://127.0.0.1:9/v1"
 
 
-def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
+def test_replay_repeats_the_counts_of_detector_images(drive, tmp_path, monkeypatch):
     """The number of detector images decides when a search is abandoned."""
     judge, images = GoalTracker.check_progress, []
 
@@ -240,7 +240,7 @@ class Thinks:
         self.told.release()
 
 
-def test_what_works_in_the_background_comes_when_it_came(tmp_path, monkeypatch):
+def test_replay_delivers_background_results_at_their_ticks(tmp_path, monkeypatch):
     """On threads: a scorer, the survey for the planner, the cut into rooms."""
     config = small(
         loop={"lockstep": False},
@@ -463,7 +463,7 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
          "the messages that follow were dropped while recording"),
     ],
 )  # fmt: skip
-def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, why):
+def test_dropped_messages_end_the_comparison(drive, tmp_path, change, ticks, why):
     path = copied(drive, tmp_path / "edge-a.mcap", change)
     session = RecordedRun(path)
     outcome = replay(session)
@@ -490,7 +490,7 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
                  b'"decisions": null}', "does not begin with the service"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):
+def test_an_unusable_recording_is_refused_in_one_line(drive, tmp_path, metadata, payload, why):
     if metadata == "good":
         reading = McapReader(drive)
         next(iter(reading))

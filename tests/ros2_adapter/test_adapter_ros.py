@@ -150,7 +150,7 @@ def test_messages_of_ros_reach_the_service_as_they_are(adapter, service, odometr
     images.close()
 
 
-def test_what_nobody_hears_is_not_taken_from_ros(adapter, service, robot):
+def test_topics_without_subscribers_are_not_taken_from_ros(adapter, service, robot):
     images = service.hear("camera/rgb")
     before = robot.count('"watched": 0')
     payload_of(images)
@@ -164,7 +164,7 @@ def test_a_silent_topic_is_reported_with_the_reason(adapter, service):
     nothing.close()
 
 
-def test_what_was_moored_before_reaches_who_comes_late(adapter, service):
+def test_a_late_subscriber_gets_static_transforms(adapter, service):
     late = service.hear("tf_static", latched=True)
     (transform,) = transforms.decode_transforms(payload_of(late))
     assert (transform.parent, transform.child) == ("base_link", "camera")
@@ -172,7 +172,7 @@ def test_what_was_moored_before_reaches_who_comes_late(adapter, service):
     late.close()
 
 
-def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, robot):
+def test_invalid_messages_do_not_reach_ros(adapter, service, robot):
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
     service.say("map", b"not a map", latched=True)
@@ -206,7 +206,7 @@ def test_the_actions_status_of_a_goal_is_its_answer(
     assert robot.count(f'"asked": {x_m}') == 1
 
 
-def test_what_is_no_request_is_left_out(adapter, service):
+def test_invalid_requests_are_dropped(adapter, service):
     key = service.node.dialect.data_key(0, "/navigate_to_pose/_action/send_goal", "", "")
     for junk in (b"junk", b"\0\1\0\0junk"):
         replies = service.session.get(key, payload=junk, timeout=PATIENCE_S)

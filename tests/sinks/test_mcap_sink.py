@@ -61,7 +61,7 @@ def run(tmp_path_factory):
     return Recording(tmp_path_factory.mktemp("run"), config, rgb_hz=100.0).steps(15).close()
 
 
-def test_the_schemas_say_what_every_message_is(run):
+def test_every_message_decodes_with_its_schema(run):
     with open(run, "rb") as file:
         newest = {c.topic: (s, m.data) for s, c, m in make_reader(file).iter_messages()}
     read = {}
@@ -85,7 +85,7 @@ def test_the_schemas_say_what_every_message_is(run):
     assert read["/map"].info.resolution > 0.0
 
 
-def test_json_says_what_foxglove_asks_for(run):
+def test_json_messages_have_the_fields_of_foxglove(run):
     said: dict[str, dict] = {}
     schemas = {}
     for m in McapReader(run):
@@ -149,7 +149,7 @@ def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
     np.testing.assert_array_equal(moment.observation.cloud_m, cloud_m)
 
 
-def test_what_the_source_writes_over_was_copied(make, tmp_path):
+def test_frames_are_copied_before_the_source_reuses_them(make, tmp_path):
     sink, depth_m = make(lockstep=False), np.ones((30, 40), np.float32)
     for k in range(1, 4):
         depth_m[:] = k

@@ -282,7 +282,7 @@ def test_a_stop_cancels_its_goal_and_all_of_others_once(make, nav2):
     assert eventually(lambda: len(nav2.cancelled) >= 2 and nav2.cancelled) == [goal_id, bytes(16)]
 
 
-def test_a_service_that_starts_stopped_cancels_what_a_killed_one_left(make, nav2):
+def test_a_start_while_stopped_cancels_leftover_goals(make, nav2):
     make().tick(result(stopped="button"))
     assert eventually(lambda: nav2.cancelled) == [bytes(16)]
 
@@ -316,7 +316,7 @@ def test_a_lost_result_is_asked_for_again(make, nav2, answers, monkeypatch):
     assert answers(2)[1].state == "reached"
 
 
-def test_the_status_has_what_the_result_lacks(make, nav2, answers, monkeypatch):
+def test_a_goal_status_stands_in_for_a_missing_result(make, nav2, answers, monkeypatch):
     monkeypatch.setattr(navigate, "RESULT_LATE_S", 0.0)
     make().tick(driving(1))
     goal_id = first_goal(nav2)
@@ -338,7 +338,7 @@ def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch
     assert answers(2)[1] == GoalStatus(1, "failed", "navigate_to_pose is gone")
 
 
-def test_what_is_no_answer_is_counted_and_asked_for_again(
+def test_an_invalid_answer_is_counted_and_requested_again(
     make, nav2, answers, theirs, caplog, monkeypatch
 ):
     monkeypatch.setattr(navigate, "RETRY_S", 0.0)
@@ -355,7 +355,7 @@ def test_what_is_no_answer_is_counted_and_asked_for_again(
     assert answers(2)[1].state == "reached"
 
 
-def test_a_goal_on_a_topic_is_sent_once_to_who_hears_it(make, theirs):
+def test_a_goal_on_a_topic_is_sent_once(make, theirs):
     sink = make(goals="topic", map_frame="odom")
     sink.tick(driving(7, x_m=4.0))
     node = Ros2Node(theirs, 0, "planner")
@@ -393,7 +393,7 @@ def test_map_and_drawings(make, theirs):
     node.close()
 
 
-def test_boxes_and_objects_for_who_asks_for_them(make, theirs):
+def test_subscribers_get_boxes_and_objects(make, theirs):
     sink = make(map_frame="world", detections_frame="camera_optical")
     node = Ros2Node(theirs, 0, "tracker")
     boxes = node.subscription("/edge/detections", ("vision_msgs/msg/Detection2DArray",), 8)
@@ -459,7 +459,7 @@ def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, th
     node.close()
 
 
-def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
+def test_a_late_subscriber_gets_the_trajectory(make, theirs):
     sink = make(map_frame="world")
     for now_ns in (10**9, 2 * 10**9):
         sink.tick(result(now_ns, task=driven_task))

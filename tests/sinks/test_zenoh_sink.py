@@ -162,7 +162,7 @@ def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_
     assert ears.hear("goal")
 
 
-def test_the_mission_reaches_those_who_come_late(sink, session, ears):
+def test_a_late_subscriber_gets_the_mission(sink, session, ears):
     sink.tick(result(status=MissionStatus("chair", "reached", "", 12.5, 3.0)))
     ears.hear("mission")
     late = Ears(session)

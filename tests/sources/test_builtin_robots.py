@@ -38,7 +38,7 @@ def test_topics_are_those_of_the_drivers(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sensors_sit_where_tf_says(name):
+def test_mounts_agree_with_tf_of_the_robot(name):
     config, body = builtin_config(name), ROBOTS[name]
     frames = RobotFrames(config)
     frames.take(transforms_of(body.tree), static=True)

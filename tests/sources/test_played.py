@@ -254,7 +254,7 @@ def test_frames_are_found_and_listed(tmp_path, name):
         np.testing.assert_allclose(observation.T_base_camera, MOUNT, atol=1e-6)
 
 
-def test_sensors_that_tf_does_not_know_sit_where_the_configuration_says(tmp_path):
+def test_sensors_missing_in_tf_use_the_configured_mount(tmp_path):
     sent = together(odometry(frame="odom"), camera(), moving("map", "odom", 1.0))
     seen = play(write_mcap(tmp_path / "robot.mcap", sent))
     assert f"tf does not connect base_link with {OPTICAL}" in seen.lines
@@ -408,7 +408,7 @@ def _bytes(data: bytes):
         (_computed, "no usable table messages"),
     ],
 )
-def test_what_is_no_recording_is_refused_in_one_line(tmp_path, write, why):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path, write, why):
     with pytest.raises(RecordingError, match=why) as caught:
         play(write(tmp_path / "robot"))
     assert "\n" not in str(caught.value)

@@ -104,7 +104,7 @@ class Tape:
         return Publisher()
 
 
-def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
+def test_playback_sends_sensor_messages_with_new_stamps(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(4))
     tape = Tape()
@@ -119,7 +119,7 @@ def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
     assert last.T_map_base[0, 3] == pytest.approx(0.3)
 
 
-def test_what_the_simulator_knows_is_played_with_the_pictures(tmp_path):
+def test_ground_truth_is_played_with_the_images(tmp_path):
     """So that the detector `sim` finds it by the new stamp."""
     path, ids = tmp_path / "truth.mcap", np.ones((2, 3), np.uint16)
     picture = messages.encode_image(5, "camera", ids)

@@ -29,7 +29,7 @@ def test_a_stamp_may_be_written_as_a_double():
     assert parse_goal_status(payload).stamp_ns == 1_785_700_000_000_000_000
 
 
-def test_where_the_robot_was_held_up():
+def test_a_goal_status_gives_the_blocked_place():
     payload = b'{"stamp": 1, "state": "accepted", "blocked": [1, -2.5]}'
     assert parse_goal_status(payload).blocked == (1.0, -2.5)
 

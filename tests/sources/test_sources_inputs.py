@@ -94,7 +94,7 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
         ("camera/depth", 450, "camera/depth", ""),
     ],
 )  # fmt: skip
-def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
+def test_a_late_input_is_named_with_its_delay(late, late_ms, name, why):
     robot = driven(Robot(), 5, late=late, late_ns=late_ms * MS)
     row = rows(robot)[name]
     assert (row.state, row.why) == ("dropped" if why else "ok", why)

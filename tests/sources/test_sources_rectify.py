@@ -123,7 +123,7 @@ def test_a_rectified_image_is_the_pinhole_cameras_within_a_pixel(name):
     assert not depth[~rgb.any(axis=-1)].any()
 
 
-def test_what_the_model_would_show_a_second_time_is_not_shown():
+def test_pixels_beyond_the_lens_model_stay_black():
     """Polynomials turn back outside the image that they were fitted to."""
     lens = Lens("plumb_bob", (-0.4, 0.0, 0.0, 0.0, 0.0), RAW)
     far_out = CameraModel(320, 240, 60.0, 60.0, 159.5, 119.5)

@@ -202,7 +202,7 @@ def test_a_frame_with_its_interpolated_pose():
         ({"perception": {"detector": {"kind": "onnx"}, "back_projection_max_range_m": 15.0}}, 15.0),
     ],
 )
-def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
+def test_depth_beyond_the_camera_range_is_no_return(settings, farthest_m):
     near = [0.3, 2.0, 0.99 * farthest_m]
     beyond = [farthest_m, 1.01 * farthest_m, 65.535, 1e6, np.inf]
     depth = np.array([[*near, *beyond, np.nan, -1.0, 0.0, 0.0]], np.float32).reshape(3, 4)
@@ -223,7 +223,7 @@ LATE = [
 
 
 @pytest.mark.parametrize(("late", "late_ms", "odometry_hz"), LATE)
-def test_what_is_late_is_waited_for_and_joined_at_its_stamp(late, late_ms, odometry_hz):
+def test_late_messages_are_joined_at_their_stamp(late, late_ms, odometry_hz):
     """A robot at 1 m/s for 4 s, with frames at 30 Hz."""
     robot, begin_ns, late_ns = Robot().info(), 10**12, late_ms * MS
     arrivals = []

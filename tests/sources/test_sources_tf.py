@@ -88,7 +88,7 @@ def test_up_and_down_the_tree(target, source, expected):
         ([(10_000, 2.0), *((ms, ms / 100) for ms in range(0, 20 * RESET_AFTER, 10))], 105, 1.05, 0),
     ],
 )
-def test_a_frame_that_moves_is_where_it_was_at_the_stamp(samples, asked_ms, yaw_rad, age_ms):
+def test_a_moving_frame_is_interpolated_at_the_stamp(samples, asked_ms, yaw_rad, age_ms):
     found = panned(*samples).lookup("base", "pan", asked_ms * MS)
     if yaw_rad is None:
         said = f"the first transform from 'pan' to 'base' is {-age_ms} ms later"
@@ -113,7 +113,7 @@ def test_a_chain_is_as_old_as_its_oldest_part_and_static_ones_have_no_age():
 
 
 @pytest.mark.parametrize("asked_ms", [0, 10, 20, 25, 700, 1500])
-def test_what_was_handed_out_is_not_written_over(asked_ms):
+def test_a_returned_transform_is_not_overwritten(asked_ms):
     tf = panned((0, 0.0), (10, 0.1), (20, 0.2), *(((900, 0.3),) if asked_ms > 25 else ()))
     found = tf.lookup("base", "pan", asked_ms * MS).T
     before = found.copy()

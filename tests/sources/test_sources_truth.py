@@ -65,7 +65,7 @@ def test_labels_and_nonsense():
     "payload", [b"", b"{}", b"[" * 10**5, b'["a", 3]']
     + [json.dumps(["tv", no_name]).encode() for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201)],
 )  # fmt: skip
-def test_what_are_no_labels(payload):
+def test_invalid_labels_are_refused(payload):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         parse_labels(payload)
     assert str(caught.value).isprintable()

@@ -116,7 +116,7 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
         ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
     ],
 )
-def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
+def test_missing_camera_inputs_are_named_with_their_address(parts, said):
     where = address()
     with source_of(configured(where), standing()) as source:
         source.poll()

@@ -93,11 +93,11 @@ def test_no_paint_turns_black_in_the_shade_of_a_bright_picture(place):
         (painted((200, 160, 110)), (1, 1.25, 200 / 110)),
     ],
 )
-def test_the_light_is_judged_by_what_is_neutral(rgb, gains):
+def test_light_gains_come_from_neutral_colours(rgb, gains):
     np.testing.assert_allclose(light_gains(rgb), gains, rtol=1e-3)
 
 
-def test_what_has_every_colour_has_none():
+def test_a_patchwork_has_no_colour():
     rgb = np.array(list(COLOURED.values()), np.uint8)[np.arange(600).reshape(20, 30) % 11]
     assert colour_of(rgb, WHOLE) == ""
 

@@ -152,7 +152,7 @@ def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
         ([(-0.3, 0.3, 0.2, 0.6), (3.0, -0.5, 4.0, 0.5)], 0.0, 2.6),
     ],
 )
-def test_what_blocks_it(boxes, from_x_m, expected_m):
+def test_obstacles_on_the_path_are_found(boxes, from_x_m, expected_m):
     trajectory = line()
     index = int(np.argmin(np.abs(trajectory.poses[:, 0] - from_x_m)))
     got = blocked_ahead_m(trajectory, mapped(*boxes), index)

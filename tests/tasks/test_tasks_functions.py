@@ -53,7 +53,7 @@ def test_a_caption_is_one_printable_line():
     assert len(sign["caption"]) == 200
 
 
-def test_a_way_avoids_what_is_in_between(functions):
+def test_a_planned_path_avoids_obstacles(functions):
     way = functions.a_star_plan((0.0, 0.0), (13.0, 0.0))
     assert (way[0], way[-1]) == ((0.0, 0.0), (13.0, 0.0))
     assert all(functions.is_free(at) for at in way)
@@ -101,7 +101,7 @@ def test_one_trajectory_is_given(functions):
     assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
 
 
-def test_what_is_shown_is_not_given(functions):
+def test_a_shown_trajectory_is_not_given(functions):
     for _ in range(MOST_SHOWN):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
     with pytest.raises(CallError, match="10 trajectories are shown already; more"):
@@ -119,7 +119,7 @@ def test_sides_are_those_that_the_robot_sees(functions, side, at):
     assert functions.offset(1, side) == pytest.approx(at)
 
 
-def test_sides_turn_with_who_looks(functions):
+def test_sides_depend_on_the_viewing_position(functions):
     assert functions.offset(1, "left", 1.0, (20.0, 0.0)) == pytest.approx((8, -2))
     assert functions.offset(1, "left", 0.0, (8.0, -9.0)) == pytest.approx((6, 0))
 
@@ -157,7 +157,7 @@ def test_an_arc_round_something_long_has_no_leap():
     np.testing.assert_allclose(np.hypot(*gap.T), 1.0, atol=0.3)
 
 
-def test_one_stops_where_one_comes_from(functions):
+def test_the_stopping_point_is_on_the_near_side(functions):
     """At the side of the van, not round it; a little farther from it where that is on the way."""
     for start, side in (
         ((0.0, 0.0), (5.6, 0.0)),

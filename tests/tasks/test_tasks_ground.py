@@ -27,7 +27,7 @@ def test_an_empty_scene_is_all_reachable():
     assert ground.region_at(50.0, 0.0) == 0
 
 
-def test_clearance_is_kept_from_what_is_occupied():
+def test_free_ground_keeps_clearance_from_obstacles():
     scene = street(*STREET)
     ground = ground_of(scene, CLEAR_M)
     occupied = scene.occupancy.centres_m(*np.nonzero(scene.occupancy.cells > 0))
@@ -48,7 +48,7 @@ def test_a_closed_house_is_free_and_not_reachable():
     assert not ground.plan((0.0, 0.0), (5.5, 0.0)).ok
 
 
-def test_who_stands_in_the_house_gets_about_in_it_only():
+def test_a_robot_in_a_room_can_drive_only_in_that_room():
     ground = ground_of(street(walls=HOUSE, pose=SE2(5.5, 0.0, 0.0)), CLEAR_M)
     assert ground.is_free(5.0, 1.0)
     assert not ground.is_free(0.0, 0.0)
@@ -81,7 +81,7 @@ def test_a_bridge_is_as_good_as_the_region_that_it_joins():
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 0.3, 0.7]))
-def test_what_is_closed_to_who_writes_is_closed_to_who_refines(seed, clearance_m):
+def test_script_and_refinement_close_the_same_ground(seed, clearance_m):
     rng = np.random.default_rng(seed)
     scene = street()
     scene.occupancy.cells[:] = rng.choice([-1, 0, 0, 0, 0, 100], scene.occupancy.cells.shape)

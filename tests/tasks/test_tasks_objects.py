@@ -96,7 +96,7 @@ def test_no_more_points_than_there_is_room_for():
     assert len(downsample(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
 
 
-def test_of_nothing_no_share_is_near():
+def test_without_points_the_overlap_is_zero():
     assert overlap_share(NONE, block()) == overlap_share(block(), NONE) == 0.0
 
 
@@ -118,7 +118,7 @@ MERGES = {
 
 
 @pytest.mark.parametrize("case", MERGES)
-def test_what_is_seen_again_joins_what_was_seen(case):
+def test_repeated_views_join_one_object(case):
     (a, at_a), (b, at_b), n = MERGES[case]
     things = ObjectMap()
     one = things.add(a, block(at_a), score=0.9)
@@ -138,7 +138,7 @@ def test_a_row_of_things_stays_one_in_each_box():
     assert [thing.hits for thing in things.objects.values()] == [3, 2, 2]
 
 
-def test_a_thing_is_called_by_what_most_pictures_show():
+def test_an_object_takes_its_most_frequent_label():
     things = ObjectMap()
     things.add("truck", block(), "white truck", 0.5)
     for score in (0.4, 0.4):
@@ -155,7 +155,7 @@ def test_embeddings_are_averaged_over_pictures():
     np.testing.assert_allclose(things.objects[1].embedding, [2.0, 0.0])
 
 
-def test_what_grows_together_becomes_one_and_numbers_are_not_given_twice():
+def test_objects_that_grow_together_merge_without_reused_ids():
     things = ObjectMap()
     for x_m in (0.0, 4.0):
         things.add("hedge", block(x_m, size=(2, 1, 1)))

@@ -84,7 +84,7 @@ def test_a_new_name_is_detected_once_and_can_be_driven_to(scene):
     assert 2 not in scene.objects
 
 
-def test_what_is_known_is_not_detected_again(scene):
+def test_known_objects_are_not_detected_again(scene):
     asked = []
     (car,) = functions(scene, detector(CAR, BIN, names_asked=asked)).det_object("car")
     assert (car["id"], asked) == (1, [])

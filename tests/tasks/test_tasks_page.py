@@ -39,12 +39,12 @@ def test_the_page_has_its_tables():
 
 
 @pytest.mark.parametrize(("words", "understood"), UNDERSTOOD)
-def test_what_is_understood(words, understood):
+def test_documented_instructions_are_understood(words, understood):
     assert write_trajectory(words, scene(), load("street").tasks).understood == understood
 
 
 @pytest.mark.parametrize(("words", "answer"), REFUSED)
-def test_what_is_refused(words, answer):
+def test_documented_refusals_are_given(words, answer):
     with pytest.raises(UserError, match=re.escape(answer.strip())):
         write_trajectory(words, scene(), load("street").tasks)
 

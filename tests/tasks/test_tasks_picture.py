@@ -29,7 +29,7 @@ def test_it_is_no_longer_than_asked(longest_px, shape):
     assert draw_marks(scene(GRAY, {1: [SQUARE]}), longest_px).shape == shape
 
 
-def test_an_outline_has_its_things_colour_and_lies_where_it_should():
+def test_an_outline_is_drawn_in_its_colour_and_place():
     image = draw_marks(scene(GRAY, {7: [SQUARE]}))
     outlined = (np.abs(image.astype(int) - colour(7)) <= 2).all(axis=2)
     for x, y in (SQUARE * 6).tolist():

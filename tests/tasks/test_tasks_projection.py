@@ -59,7 +59,7 @@ def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_
     assert len(points) >= 0.9 * max(map(len, parts))
 
 
-def test_what_stands_before_a_thing_is_not_it():
+def test_points_in_front_of_an_object_are_left_out():
     """A pole before the middle of a car's box covers too little of it."""
     car, pole = Box(14.0, 0.0, heading_rad=1.57), Box(8.0, 0.3, (0.2, 0.2, 3.0), label="pole")
     observation, hit = street([car, pole])
@@ -73,7 +73,7 @@ def test_what_stands_before_a_thing_is_not_it():
     assert len(pole_points) > 5
 
 
-def test_a_mask_leaves_out_what_its_box_holds_too():
+def test_a_mask_leaves_out_other_points_of_its_box():
     """The left half of the mask: the right one's points are another thing's."""
     left, right = Box(12.0, 1.0, (1, 1, 1.5)), Box(12.0, -1.0, (1, 1, 1.5))
     observation, hit = street([left, right])

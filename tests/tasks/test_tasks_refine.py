@@ -55,7 +55,7 @@ def test_a_free_line_is_a_line():
     assert got.times_s[-1] == pytest.approx(12.75 + 2.5, rel=1e-3)
 
 
-def test_what_was_said_decides_between_two_ways():
+def test_the_given_segments_decide_between_two_paths():
     where = scene(HOUSE)
     got = refined(where, SOUTH_ABOUT)
     assert is_free(where, got)
@@ -105,7 +105,7 @@ def test_it_keeps_to_the_regions_chosen():
     assert "14.0 m of the path are over ground that was not chosen" in off.notes
 
 
-def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
+def test_unchosen_ground_is_crossed_as_a_last_resort():
     where = scene(road=(-9.0, -9.0, -2.0, 9.0))
     fill(where.regions_grid, (2.0, -9.0, 9.0, 9.0), 1)
     assert refined(where).off_region_m == pytest.approx(4.0, abs=0.3)

@@ -58,7 +58,7 @@ def driven(instruction, scene=SCENE):
         ("turn left at the car park sign, avoid the tv stand", ("sign", "tv stand")),
     ],
 )  # fmt: skip
-def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
+def test_named_objects_are_known_without_a_scene(instruction, things):
     assert named_objects(instruction) == things
 
 
@@ -67,7 +67,7 @@ def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
     ["", "stop", "dance", "go by the van", "go to the", "go to it", "go to object", "go to 3",
      "go to the van then", "stop at the van, then go to the gate", "go between the van and"],
 )  # fmt: skip
-def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
+def test_an_invalid_instruction_is_refused_without_a_scene(instruction):
     with pytest.raises(TranslationError, match=r"^instruction, character "):
         named_objects(instruction)
 
@@ -78,7 +78,7 @@ def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
         max_size=8,
     ).map(" ".join)
 )
-def test_what_is_understood_in_a_scene_is_understood_before(instruction):
+def test_instructions_read_with_a_scene_are_read_without_one(instruction):
     try:
         steps = parse_steps(instruction, SCENE)
     except TranslationError:
@@ -287,7 +287,7 @@ SAID_OTHERWISE = {
     ("instruction", "understood"),
     [(words, meant) for meant, listed in SAID_OTHERWISE.items() for words in listed],
 )
-def test_what_is_said_in_other_words_means_the_same(instruction, understood):
+def test_synonymous_instructions_have_the_same_meaning(instruction, understood):
     assert driven(instruction)[0] == understood
     named_objects(instruction)
 
@@ -379,7 +379,7 @@ def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction,
     driven(instruction, scene)
 
 
-def test_what_comes_next_is_not_known_before_the_robot_is_past():
+def test_passing_an_unseen_corner_is_unknown():
     """The corner beside the van is touched, and nothing leads on."""
     scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
     functions = ScriptFunctions(ground_of(scene, LIMITS.clearance_m), LIMITS)
@@ -429,7 +429,7 @@ def test_a_thing_that_cannot_be_got_near_to_is_refused():
         ("go past the van, then stop at the blue car", 10.0, 6.0),
     ],
 )
-def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
+def test_the_robot_faces_the_object_at_the_end(words, x_m, y_m):
     """Across the way it came too; where it leads to nothing, as it comes."""
     _, coarse = driven(words)
     body, motion = PathMargins(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
@@ -458,7 +458,7 @@ def test_sides_are_those_that_the_robot_sees_as_it_comes():
     assert parse_steps("go to the van behind you", turned)[0].things[0].id == 1
 
 
-def test_around_goes_on_to_what_comes_next():
+def test_around_continues_to_the_next_object():
     """Half round the van for what lies behind it, and all but round it for what lies beside."""
     _, to_gate = driven("go around the left of the van, then stop at the gate")
     scene = street(STREET[0], Thing("bin", 8.0, -6.0, (1.0, 1.0)))
@@ -497,7 +497,7 @@ WORDS = st.sampled_from([*PHRASE, "van", "red", "car", "gate", ","])
 
 
 @given(st.lists(WORDS, min_size=2, max_size=9).map(" ".join))
-def test_what_is_carried_out_is_checked(text):
+def test_every_trajectory_of_the_rules_is_free(text):
     functions = ScriptFunctions(GROUND, LIMITS)
     try:
         plan_by_rules(text, functions)

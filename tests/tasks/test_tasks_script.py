@@ -87,7 +87,7 @@ except ValueError as error:
     assert len(functions.trajectory.segments) == 1
 
 
-def test_what_is_printed_is_cut_and_printable(functions):
+def test_printed_text_is_cut_and_printable(functions):
     outcome = run_script(
         "print('\\x1b[2J' + 'x' * 9000)", functions, ScriptLimits(max_printed_chars=50)
     )
@@ -112,7 +112,7 @@ def test_a_script_that_is_too_long_is_not_run(functions):
     assert outcome.error == "the script has 101 characters, at most 100"
 
 
-def test_without_the_interpreter_it_says_what_to_install(functions, monkeypatch):
+def test_without_the_interpreter_the_error_names_the_package(functions, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic_monty", None)
     with pytest.raises(UnavailableError, match=r"pip install 'edge-vln\[tasks\]', or choose "):
         run_script("1", functions, ScriptLimits())

@@ -78,7 +78,7 @@ def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
     np.testing.assert_array_equal(told.regions_grid.cells, clean.regions_grid.cells)
 
 
-def test_what_is_seen_of_the_robot_itself_is_no_ground_of_another_kind():
+def test_returns_from_the_robot_itself_are_no_ground():
     """Returns nearer than `min_range_m`, 1 m, on a road of which all else is road."""
     seen, hit = street((), np.eye(4), seq=1)
     own_m = np.random.default_rng(0).uniform((-0.6, -0.6, -0.6), (0.6, 0.6, -0.3), (400, 3))
@@ -103,7 +103,7 @@ def test_an_empty_plane_is_one_region():
     assert scene.stamp_ns == 100_000_000
 
 
-def test_things_lie_where_they_stand_and_are_as_large_as_what_is_seen_of_them():
+def test_objects_have_the_place_and_size_of_their_points():
     scene = at_the_origin()
     assert [o.label for o in scene.objects.values()] == ["car", "trash can", "building"]
     car, can, building = scene.objects.values()
@@ -185,7 +185,7 @@ def test_regions_by_their_kind():
     assert labels == {"road", "sidewalk"}
 
 
-def test_what_is_over_the_robot_hides_no_ground():
+def test_returns_above_the_robot_hide_no_ground():
     """A crown of leaves 4 m above the road; its returns are of no kind of ground."""
     seen, hit = street((), np.eye(4), seq=1)
     crown_m = np.random.default_rng(0).uniform((5, -2, 2), (9, 2, 3), (20_000, 3))
@@ -256,7 +256,7 @@ def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
 
 
-def test_what_is_next_to_a_things_box_in_other_pictures_is_not_of_it():
+def test_points_outside_later_boxes_are_dropped():
     """The first box is too wide, and shows the post too; the others fit."""
     can, post = STREET[1], Box(9.0, -2.2, (1.0, 1.0, 1.2), 0.0, "post", (90, 90, 90))
     objects = ObjectMap()

@@ -48,7 +48,7 @@ def test_no_points_no_ground():
     assert height_above(ground, np.zeros((0, 3), np.float32)).shape == (0,)
 
 
-def test_what_stands_on_the_plane_is_above_it():
+def test_points_on_objects_are_above_the_ground():
     observation, hit = street([Box(10.0, 2.0), Box(15.0, -4.0, (8.0, 3.0, 4.0), 0.4)])
     ground, points = around(observation)
     above = height_above(ground, points)
@@ -99,14 +99,14 @@ def blind(*walls, free_m=(2.5, 6.0), wedge_rad=np.pi):
     return grid_, away, angle
 
 
-def test_ground_up_to_where_it_is_first_seen_is_free():
+def test_ground_up_to_the_first_return_is_free():
     occupancy, away, _ = blind()
     got = with_blind_spot(occupancy, HERE).cells
     assert (got[away < 6.0] == 0).all()
     np.testing.assert_array_equal(got[away > 6.0], occupancy.cells[away > 6.0])
 
 
-def test_where_nothing_was_seen_nothing_is_known():
+def test_unseen_ground_stays_unknown():
     """A depth camera does not see to the side or behind."""
     occupancy, away, angle = blind(wedge_rad=0.5)
     got = with_blind_spot(occupancy, HERE).cells
@@ -154,7 +154,7 @@ def test_the_robot_stands_on_the_kind_of_the_rim_of_its_blind_spot():
     assert (got[0, :11] == 2).all()
 
 
-def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
+def test_regions_are_numbered_by_size_and_cover_their_kind():
     occupancy = grid(["........"] * 3 + ["########"] + ["........"] * 4, 1.0)
     kind = np.ones((8, 8), np.uint8)
     kind[:, 6:] = 2

@@ -37,7 +37,7 @@ def line(*ends, step_m=1.0):
         ([[(0, 0, 1), (1, 0, 2)]], [(2, 3)]),
     ],
 )
-def test_what_is_taken_for_a_trajectory(segments, shape):
+def test_accepted_segments_become_a_trajectory(segments, shape):
     coarse = coarse_of(segments, [1, 1, 2], None, LIMITS)
     assert [points.shape for points in coarse.segments] == shape
     assert all(points.dtype == np.float64 for points in coarse.segments)
@@ -62,7 +62,7 @@ def test_what_is_taken_for_a_trajectory(segments, shape):
         ("x" * 10_000, "segments: expected a list, got 'x{39}…'"),
     ],
 )
-def test_what_is_none(segments, message):
+def test_invalid_segments_are_refused(segments, message):
     with pytest.raises(TrajectoryError, match=f"^{message}") as raised:
         coarse_of(segments, (), None, LIMITS)
     assert "\n" not in str(raised.value)
@@ -90,7 +90,7 @@ def test_regions_that_are_none(regions):
         ([(3, 0)], "point 1 of segment 1 is 3.0 m from the robot, at most 2 m are allowed"),
     ],
 )
-def test_what_may_not_be_driven(segments, message):
+def test_an_undrivable_trajectory_is_refused(segments, message):
     whole = segments if isinstance(segments, tuple) else (np.array(segments, float),)
     with pytest.raises(TrajectoryError, match=f"^{message}"):
         check(CoarseTrajectory(whole), GROUND, LIMITS)
@@ -125,7 +125,7 @@ def test_unseen_and_cut_off_ground_are_told_apart():
             check(CoarseTrajectory((np.array([(x_m, 0.0)]),)), ground, LIMITS)
 
 
-def test_a_robot_may_begin_where_it_stands():
+def test_a_robot_near_a_wall_may_start_there():
     """Nearer to a wall than it may drive."""
     ground = ground_of(street(walls=((0.4, 0.8, -5.0, 5.0),)), 0.6)
     check(CoarseTrajectory((np.array(line((0.0, 0.0), (-3.0, 0.0))),)), ground, LIMITS)

@@ -109,7 +109,7 @@ def test_costs_of_free_ground(change, cell, expected):
         (-1, (16, 20), BRIDGE),
     ],
 )
-def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
+def test_weights_of_occupied_and_unseen_cells(value, cell, expected):
     occupancy, regions = grids()
     occupancy.cells[5, 20] = value
     if value < 0:
@@ -154,7 +154,7 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
         ({"drivable": (256,)}, "expected region ids from 1 to 255"),
     ],
 )
-def test_what_is_no_map_is_refused(change, words):
+def test_an_invalid_map_is_refused(change, words):
     occupancy, regions = grids()
     occupancy = replace(occupancy, cells=change.get("occupancy", occupancy.cells))
     regions = replace(regions, cells=change.get("regions", regions.cells))

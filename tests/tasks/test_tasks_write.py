@@ -115,7 +115,7 @@ RECORDED = json.loads((Path(__file__).parents[1] / "data" / "task_answers.json")
         ("drive once round the van", 2, (5.0, 0.0)),
     ],
 )
-def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
+def test_recorded_answers_end_at_the_expected_place(instruction, rounds, end):
     """Drive the task kinds of OpenNav IV-A: ambiguous, high-level, and a path's shape.
 
     The first answers to two of them have an error that is sent back.
@@ -179,7 +179,7 @@ def test_a_recorded_conversation_is_had_again(monkeypatch):
     check(written.coarse, written.ground, TrajectoryLimits())
 
 
-def test_what_a_script_has_detected_goes_back_with_the_picture():
+def test_newly_detected_objects_are_sent_with_the_picture():
     """Follow lines 12 and 13 of OpenNav's algorithm 1: detect_object, then (cap, pos, …) and I."""
 
     def detect(name, scene):
@@ -224,7 +224,7 @@ def test_a_recorded_refusal_is_one():
     ],
     ids=["no code", "an error", "refused", "a look first", "endless"],
 )
-def test_what_is_wrong_goes_back_to_the_model(first, goes_back):
+def test_a_faulty_script_is_sent_back_to_the_model(first, goes_back):
     with serving(saying(first, BLOCK)) as server:
         written = write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2

@@ -135,7 +135,7 @@ def test_edges_of_the_map(shape, start, goal, reason):
         assert tuple(plan.path_m[-1]) == goal
 
 
-def test_refusals_name_what_is_blocked():
+def test_a_refusal_names_the_blocked_end():
     weights = np.ones((9, 9), np.uint8)
     weights[:, 4] = 0
     costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0))

@@ -92,7 +92,7 @@ def test_a_token_of_a_node_in_a_namespace():
 
 
 @given(st.text(alphabet="@/%:aMPros2_lvImage_", max_size=80))
-def test_what_is_no_token_is_none(text):
+def test_any_text_parses_to_a_typed_token_or_none(text):
     endpoint = names.parse_token(text)
     assert endpoint is None or endpoint.type
 

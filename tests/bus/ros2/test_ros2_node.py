@@ -89,7 +89,7 @@ def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     peer.close()
 
 
-def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
+def test_a_client_learns_an_unknown_type_from_its_server(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
     client = node.client("/navigate_to_pose/_action/get_result", name, 1.0)
     assert (client.hash, client.has_server(), client.call(b"x").done) == (None, False, True)

@@ -95,7 +95,7 @@ def test_each_request_is_answered_with_its_label(ask, text, answer):
     ("payload", "error"),
     [(b"junk", "not little-endian CDR"), (string("x" * MAX_BYTES), "bytes, at most 65536")],
 )
-def test_what_is_no_request_is_answered_too(ask, payload, error):
+def test_an_invalid_request_gets_an_error_reply(ask, payload, error):
     assert error in ask(payload)["error"]
 
 

@@ -80,7 +80,7 @@ DECODERS = {
 
 
 @pytest.mark.parametrize("name", PAYLOADS)
-def test_ros_reads_what_we_write_and_writes_the_same_bytes(name):
+def test_ros_reads_our_messages_and_writes_the_same_bytes(name):
     message = from_ros(PAYLOADS[name], name)
     stamp = message.header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == STAMP_NS
@@ -200,7 +200,7 @@ def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) 
 
 
 @pytest.mark.parametrize("said", [(16, 0, 112), (16, 65, 127), (24, 64, 128)])
-def test_a_cloud_whose_steps_do_not_fit_its_data_is_refused(said):
+def test_a_cloud_with_steps_that_mismatch_its_data_is_refused(said):
     payload = with_steps(ros_cloud("xyz", 16, np.zeros((8, 3)), height=2), *said)
     with pytest.raises(DecodeError, match=rf"row_step {said[1]} do not fit {said[2]} bytes"):
         messages.decode_point_cloud_into(payload, np.zeros((8, 3), np.float32))

@@ -143,7 +143,7 @@ def test_a_goal_of_undocking():
     assert (request.goal.dock_type, request.goal.max_undocking_time) == ("", 30.0)
 
 
-def test_what_asks_for_it_and_what_takes_it_back():
+def test_result_and_cancel_requests_carry_the_goal_id():
     name = "nav2_msgs/msg/NavigateToPose_GetResult_Request"
     assert bytes(from_ros(navigation.encode_get_result(ID), name).goal_id.uuid) == ID
     request = from_ros(navigation.encode_cancel(ID), "action_msgs/msg/CancelGoal_Request")

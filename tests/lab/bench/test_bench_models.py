@@ -87,7 +87,7 @@ def test_nothing_wanted_and_nothing_found():
         ([(SOFA, 0, True), (CHAIR, 0, True)], [SAME_NAME], [CHAIR, SOFA], (2, 2, 2)),
     ],
 )
-def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_hits):
+def test_boxes_are_matched_to_the_ground_truth(there, answers, boxes_found, wanted_found_hits):
     tally = match_to_truth(boxes(*boxes_found), truth(*there), np.array(answers, np.uint8))
     assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
 
@@ -133,7 +133,7 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
 
 
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
-def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
+def test_uncounted_objects_never_lower_a_score(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
     how = np.array([SAME_NAME, UNRELATED, UNRELATED], np.uint8)
     mine = seen.xyxy_px[seen.class_id == 0]
@@ -178,7 +178,7 @@ def test_frames_of_a_world_are_the_same_each_time_and_never_enlarged(demo):
     assert small.counted > 0
 
 
-def test_what_stands_free_counts_and_what_is_cut_off_does_not(demo):
+def test_only_whole_visible_objects_count(demo):
     world, camera = load_world(demo), demo.sensors.camera
     rig = CameraRig(demo, world)
     for pose, real in zip(
@@ -312,7 +312,7 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
     assert "'tpu' is not available on this machine (choices: cpu" in capsys.readouterr().err
 
 
-def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):
+def test_if_no_model_runs_each_row_gives_the_reason(place, capsys):
     place("tiny-fp32", None)
     place("tiny-fp16", b"no model", "fp16")
     assert bench("tiny", "--providers", "CPUExecutionProvider", "demo") == 1
@@ -400,9 +400,7 @@ ROW = {
 }  # fmt: skip
 
 
-def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_cannot(
-    place, tmp_path, monkeypatch
-):
+def test_figures_are_saved_in_the_folder_of_the_card(place, tmp_path, monkeypatch):
     def refuse_the_package(path, content):
         if path.parent == resources.data_dir("models"):
             raise PermissionError(13, "Permission denied")
@@ -480,7 +478,7 @@ def test_providers_by_either_of_their_names(monkeypatch, asked, names):
     assert variants.providers_here(asked) == names
 
 
-def test_without_a_runtime_it_says_what_to_install(monkeypatch):
+def test_without_a_runtime_the_error_names_the_package(monkeypatch):
     monkeypatch.setattr(variants, "_available", set)
     with pytest.raises(UserError, match="pip install"):
         variants.providers_here(None)

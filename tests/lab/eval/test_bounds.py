@@ -37,7 +37,7 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
     return PolicyInput(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
 
 
-def test_where_rooms_are_unknown_none_is_known():
+def test_a_world_without_known_rooms_is_refused():
     with pytest.raises(ValueError, match="garage: the rooms of this world are not known"):
         KnownRoom(SimpleNamespace(name="garage", rooms=()), RADIUS_M)
 

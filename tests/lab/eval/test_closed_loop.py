@@ -50,7 +50,7 @@ BACK = {"width_px": 96, "height_px": 64, "yaw_deg": 180.0, "x_m": -0.1, "pitch_d
 @pytest.mark.parametrize(
     ("second", "mapped"), [(None, "depth"), (BACK, "depth"), (None, "cloud"), (BACK, "cloud")]
 )
-def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second, mapped):
+def test_a_second_camera_finds_an_object_behind_the_robot(tmp_path, second, mapped):
     """The robot stands with its back to the bed, then drives there."""
     lidar = {"z_m": 0.4, "pitch_deg": 15.0} if mapped == "cloud" else None
     config = small_house(
@@ -114,5 +114,5 @@ def test_a_world_can_be_shared_and_a_start_is_the_loops_own(tmp_path):
         ({"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "own:Policy"}}, True),
     ],
 )
-def test_pictures_are_taken_where_something_looks_at_them(sections, wants):
+def test_images_are_rendered_only_if_something_reads_them(sections, wants):
     assert wants_colour(parse(sections)) == wants

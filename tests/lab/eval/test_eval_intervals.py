@@ -72,7 +72,7 @@ def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
     assert one[0] == pytest.approx(ratio(x, y), rel=0.02)
 
 
-def test_what_differs_between_clusters_alone_counts_as_one_a_cluster():
+def test_repeats_within_a_cluster_add_no_confidence():
     each = np.random.default_rng(1).normal(0.0, 1.0, 40)
     (alone,) = means(each[None], np.arange(40))
     (repeated,) = means(np.repeat(each, 25)[None], np.repeat(np.arange(40), 25))

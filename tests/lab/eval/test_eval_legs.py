@@ -33,7 +33,7 @@ def test_a_look_shows_the_sector_once():
     assert floor.add_view(5.0, 5.0, 0.3) == (0.0, 0.0)
 
 
-def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
+def test_only_area_from_earlier_legs_counts_as_seen_again():
     floor = floor_of(np.zeros((200, 200)))
     first, _ = floor.add_view(5.0, 5.0, 0.0)
     floor.begin_leg()
@@ -44,7 +44,7 @@ def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
     assert again_m2 == pytest.approx(0.0, abs=0.1)
 
 
-def test_what_stands_there_hides_what_is_behind():
+def test_a_wall_hides_the_area_behind_it():
     cells = np.zeros((200, 200))
     cells[:, 120] = 1  # a wall at x = 6 m
     new_m2, _ = floor_of(cells).add_view(5.0, 5.0, 0.0)

@@ -48,7 +48,7 @@ def test_the_service_understands_each_sentence_as_it_is_meant():
         assert spec.translation.formula == mission.formula, mission.instruction
 
 
-def test_missions_are_planned_over_what_a_robot_gets_to(world):
+def test_missions_are_planned_over_reachable_objects(world):
     planned = plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, min_distance_m=3.0)
     assert len(planned) == 6
     assert planned == plan_missions(world, [*THINGS, "unicorn"], 6, 0, RADIUS_M, 3.0)

@@ -53,7 +53,7 @@ def test_a_session_is_written_and_read(session, tmp_path):
     assert read(tmp_path / "e.jsonl") == [session]
 
 
-def test_each_goal_begins_where_the_last_one_ended(outcomes):
+def test_each_goal_starts_at_the_end_of_the_last(outcomes):
     for first, second in outcomes:
         assert (first.target, first.goal, second.target, second.goal) == ("bed", 1, "sofa", 2)
         assert first.success, first.reason

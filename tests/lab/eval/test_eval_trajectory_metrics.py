@@ -33,7 +33,7 @@ def path(points) -> np.ndarray:
 
 @pytest.mark.parametrize("measure", [navigation_error_m, frechet_m, ndtw])
 @pytest.mark.parametrize("bad", [[], [[math.nan, 0.0]], [[0.0, math.inf]]])
-def test_what_is_no_trajectory_is_refused(measure, bad):
+def test_an_invalid_trajectory_is_refused(measure, bad):
     with pytest.raises(ValueError, match="expected at least one point"):
         measure(path(bad), path(LINE))
     with pytest.raises(ValueError, match="expected at least one point"):

@@ -26,7 +26,7 @@ def test_a_new_folder_has_no_outcomes(tmp_path):
     assert OutcomeFile(tmp_path / "new").known == {}
 
 
-def test_what_is_appended_is_there_again(tmp_path):
+def test_an_appended_outcome_is_read_back(tmp_path):
     outcome = crashed_outcome(COLUMN, EPISODE, "two\nlines")
     OutcomeFile(tmp_path).append(outcome)
     assert OutcomeFile(tmp_path).known == {("e0", "c0"): outcome}
@@ -65,7 +65,7 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path):
         OutcomeFile(tmp_path / "file")
 
 
-def test_what_is_not_finite_is_null():
+def test_non_finite_numbers_become_null():
     outcome = EpisodeOutcome(
         "e", "c", "i", "w", "house", "bed", None, (0.0, 0.0, 0.0), 1.0, False, "", "budget",
         distance_m=math.inf, trail=[[1.23456789, math.nan]],

@@ -56,7 +56,7 @@ def test_views_are_counted(case):
     assert (counter.views, counter.detected) == expected
 
 
-def test_what_is_too_far_is_no_view():
+def test_objects_beyond_the_range_are_not_views():
     counter = RecallCounter(tau_det=0.25, range_m=1.5)
     counter.update(detections(("sofa", 0.5, SOFA)), *image(SOFA), TARGETS)
     assert counter.views == 0

@@ -133,7 +133,7 @@ def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path
     assert OutcomeFile(tmp_path / "out").known == {}
 
 
-def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
+def test_an_interrupted_run_resumes(config, tmp_path):
     episodes, out = plan(config, [], ["bed", "sofa"], 1, 0, 2.0), tmp_path / "out"
     stop, told = threading.Event(), []
 
@@ -271,7 +271,7 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
     ],
 )
-def test_what_cannot_be_run_is_reported_at_once(yaml_path, capsys, options, message):
+def test_invalid_options_are_reported_before_the_run(yaml_path, capsys, options, message):
     assert main([*COMMAND, yaml_path, *options]) != 0
     assert message in capsys.readouterr().err
 

@@ -47,7 +47,7 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
     assert not out.exists()
 
 
-def test_a_trajectory_leads_to_what_the_sentence_names():
+def test_a_trajectory_leads_to_the_named_object():
     outcome, failed = run_task("go to the red car", seen(), load("street"))
     assert failed is None
     (car,) = outcome.mentioned_objects()
@@ -81,13 +81,13 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
     assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_reached_is_reported(tmp_path, capsys):
+def test_an_unreachable_goal_is_reported(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
     assert code == os.EX_DATAERR
     assert "the path straight on is blocked" in capsys.readouterr().err
 
 
-def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
+def test_the_configured_detector_finds_the_named_object(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
     assert code == os.EX_OK
     assert "from the simulated detector" in capsys.readouterr().out
@@ -165,7 +165,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
+def test_invalid_input_is_reported_in_one_line(tmp_path, capsys, case):
     args, code, line = WRONG[case]
     assert trajectory(tmp_path, *args)[0] == code
     said = capsys.readouterr().err

@@ -101,13 +101,13 @@ def test_an_object_that_a_person_confirmed_is_judged(stage):
     assert stage.failure() == "wrong thing"
 
 
-def test_what_never_came_into_view_was_never_seen(stage):
+def test_a_target_never_in_view_counts_as_never_seen(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
     assert stage.failure() == "never seen"
     assert stage.logger.first_sight() is None
 
 
-def test_what_was_in_view_and_not_confirmed(stage):
+def test_a_target_in_view_counts_as_seen_not_confirmed(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["bed"])
     stage.tick(9.0, (3.0, 2.0), phase="failed", reason="path limit of 100 m")
     assert stage.failure() == "seen, not confirmed"
@@ -179,7 +179,7 @@ def test_visible_px_agrees_with_a_plain_one(seed, range_m):
     assert count_visible_px(ids, depth, mine, range_m) == expected
 
 
-def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
+def test_area_seen_by_an_earlier_search_counts_as_revisited(tmp_path):
     stage = Stage(tmp_path, ("bed", "sofa"))
     assert stage.logger.revisited_m2 == 0.0
     stage.tick(1.0, target="sofa")
@@ -189,7 +189,7 @@ def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
     assert stage.logger.revisited_m2 == seen_m2
 
 
-def test_what_is_known_already_is_not_searched_for(tmp_path):
+def test_driving_to_a_known_object_counts_no_revisits(tmp_path):
     stage = Stage(tmp_path, ("sofa", "bed"))
     stage.tick(1.0, target="sofa")
     before_m2 = stage.logger.revisited_m2

@@ -63,7 +63,7 @@ def image(*boxes: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
     return ids, depth_m
 
 
-def test_the_command_prints_words_of_the_detector_and_what_to_configure(capsys):
+def test_the_command_prints_word_scores_and_the_configuration(capsys):
     arguments = ["eval", "words", "demo", "--worlds", "generated[3]", "--poses", "6"]
     assert main([*arguments, "--precision", "0.5"]) == 0
     table, lines = capsys.readouterr().out.split("\n\n")

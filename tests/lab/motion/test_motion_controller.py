@@ -343,7 +343,7 @@ def test_a_robot_that_pushes_says_so_at_once_and_a_slow_base_does_not():
     assert slow.blocked == []
 
 
-def test_what_the_map_does_not_show_is_driven_around():
+def test_the_robot_drives_around_an_unmapped_obstacle():
     """A chair leg in the way: once the map shows it, the next path leads past it."""
     walk, goal = Walk(SE2(1.0, 2.0, 0.0)), SE2(5.0, 2.0, 0.0)
     leg = SE2(3.0, 2.0, 0.0)

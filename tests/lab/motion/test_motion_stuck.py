@@ -61,7 +61,7 @@ def _recovery(weights: np.ndarray) -> Recovery:
     return Recovery(HERE, costmap, BacktrackPath(), MotionLimits.of(RobotConfig()), 0)
 
 
-def test_recovery_backs_up_where_the_map_is_open():
+def test_recovery_backs_up_in_open_space():
     recovery = _recovery(np.ones((40, 40), np.uint8))
     assert recovery.step(HERE, 1).v_mps < 0
     assert recovery.is_held(HERE)
@@ -70,7 +70,7 @@ def test_recovery_backs_up_where_the_map_is_open():
     assert not recovery.is_held(back)
 
 
-def test_recovery_turns_where_it_is_closed_behind():
+def test_recovery_turns_if_blocked_behind():
     weights = np.ones((40, 40), np.uint8)
     weights[:, :9] = 0
     recovery = _recovery(weights)
@@ -93,7 +93,7 @@ def test_recovery_turns_where_it_is_closed_behind():
         ([(20, 9), (24, 10)], 0.0),  # the far cell does not count
     ],
 )
-def test_recovery_drives_away_from_closed_cells_where_the_way_back_did_not_help(closed, away_rad):
+def test_recovery_drives_away_from_closed_cells(closed, away_rad):
     weights = np.ones((40, 40), np.uint8)
     for cell in closed:
         weights[cell] = 0
@@ -135,7 +135,7 @@ def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
     assert all(min(at.distance_to(*there) for there in way) < 0.06 for at in driven)
 
 
-def test_the_trail_has_no_loops_and_ends_where_the_robot_was_carried():
+def test_the_trail_drops_loops_and_restarts_after_a_jump():
     trail = BacktrackPath()
     assert trail.back_from(HERE) == []
     for x in (0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.2):

@@ -163,7 +163,7 @@ def test_the_story_of_a_mission_under_way():
     assert not record.has_single_target
 
 
-def test_the_story_of_a_mission_that_failed_says_what_was_left():
+def test_a_failed_mission_lists_the_targets_left():
     run = under_way("F(chair & F sofa)")
     run.fail("time limit of 45 s", S)
     assert left_to_reach(told_of(run)) == "chair, then sofa"
@@ -176,7 +176,7 @@ def test_the_story_of_a_mission_that_failed_says_what_was_left():
         ({"kind": "onnx", "model": "m1"}, "m1 on CPUExecutionProvider"),
     ],
 )
-def test_a_detector_is_called_what_it_is(detector, words):
+def test_the_report_names_the_detector(detector, words):
     assert words in detector_name(simulated({"perception": {"detector": detector}}))
 
 

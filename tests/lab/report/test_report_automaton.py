@@ -124,7 +124,7 @@ def test_the_way_and_the_plan():
 
 @pytest.mark.parametrize("n", [6, 8])
 @pytest.mark.parametrize("reached", [0, 2, 5])
-def test_of_a_large_automaton_the_part_that_matters(n, reached):
+def test_a_large_automaton_is_drawn_in_part(n, reached):
     a = unordered(n)
     path, plan = a.propositions[:reached], a.propositions[reached:]
     scene = make_automaton_graph(a, a.run(path), plan, path)
@@ -143,7 +143,7 @@ def test_of_a_large_automaton_the_part_that_matters(n, reached):
 
 @pytest.mark.parametrize(("n", "k"), [(20, 30), (40, 8), (60, 40)])
 @pytest.mark.parametrize("ahead", [0, 20])
-def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
+def test_a_dense_automaton_is_drawn_with_few_arrows(n, k, ahead):
     delta = np.random.default_rng(n).integers(0, n, (n, k + 1)).astype(np.int32)
     accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
     letters = tuple(f"thing {i}" for i in range(k))

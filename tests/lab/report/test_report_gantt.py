@@ -43,7 +43,7 @@ def test_spans(long_run):
     ]
 
 
-def test_the_picture_shows_what_happened(long_run):
+def test_the_chart_shows_pursuits_switches_and_ends(long_run):
     drawn = chart(gantt.draw(long_run))
     assert [t.get_text() for t in drawn.get_yticklabels()] == ["sofa", "bed", "chair", "tv"]
     (bars,) = drawn.containers

@@ -22,7 +22,7 @@ def test_without_a_camera_there_is_no_picture():
 
 
 @pytest.mark.parametrize("poses_m", [None, AHEAD_M[:0], AHEAD_M - (9.0, 0.0, 0.0)])
-def test_what_is_not_before_the_camera_is_not_drawn(poses_m):
+def test_poses_outside_the_camera_view_are_not_drawn(poses_m):
     """But for the ground at its feet, where a way from behind may end."""
     scene = street(picture=True)
     image = draw_trajectory(scene, None, poses_m, 0.3)

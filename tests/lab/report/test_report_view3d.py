@@ -79,7 +79,7 @@ def test_an_empty_scene_is_a_page():
     assert unpacked(data["cloud"]["xyz_cm"], "<i2").size == 0
 
 
-def test_the_page_holds_what_was_given():
+def test_the_page_holds_the_given_scene():
     scene = with_a_car()
     cloud_m = np.array([[9.0, 2.0, 0.0], [np.nan, 0.0, 0.0], [1e9, 0.0, 0.0]], np.float32)
     data = data_of(page(scene, cloud_m))
@@ -173,7 +173,7 @@ def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path
     assert tab.complaints == []
 
 
-def test_its_controls_do_what_they_say(tab, tmp_path):
+def test_the_controls_change_the_view(tab, tmp_path):
     opened(tab, tmp_path / "scene.html", page(with_a_car()))
     assert pixels(tab, REFINED) > 200
     tab.click("[data-line='1']")
@@ -193,7 +193,7 @@ def test_its_controls_do_what_they_say(tab, tmp_path):
     assert tab.complaints == []
 
 
-def test_dragging_turns_it_and_moves_what_is_under_the_hand(tab, tmp_path):
+def test_dragging_pans_and_turns_the_view(tab, tmp_path):
     opened(tab, tmp_path / "scene.html", page(with_a_car()))
     tab.click("[data-view='above']")
     # The ground under the hand goes with it: where (6, 0) is on the screen, before and after.

@@ -74,7 +74,7 @@ def test_every_house_has_the_rooms_of_a_home(seed):
 
 
 @given(SEEDS)
-def test_rooms_hold_what_their_kind_does(seed):
+def test_rooms_hold_the_objects_of_their_kind(seed):
     house = generated_house(seed)
     found = 0
     for room in house.rooms:

@@ -121,7 +121,7 @@ def test_cast_fan_agrees_with_the_plain_caster(rings: int, pitch_deg: float, see
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_rasterise_agrees_with_a_test_of_every_cell(seed: int):
+def test_rasterise_agrees_with_a_check_of_every_cell(seed: int):
     shape, pose = random_scene(np.random.default_rng(seed), 12)
     grid, cell, origin = np.zeros((180, 200), np.uint8), 0.05, np.array([-5.0, -4.5])
     kernels.rasterise(shape, pose, 0.05, 0.8, origin, cell, grid)

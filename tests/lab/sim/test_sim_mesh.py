@@ -220,7 +220,9 @@ def test_bad_object_lists_give_one_clear_line(tmp_path: Path, text: str, message
 
 
 @pytest.mark.parametrize(("package", "sensors"), [("trimesh", {}), ("embreex", {"lidar": {}})])
-def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path: Path, package, sensors):
+def test_without_the_extra_the_error_names_the_package(
+    monkeypatch, tmp_path: Path, package, sensors
+):
     import sys
 
     monkeypatch.setitem(sys.modules, package, None)

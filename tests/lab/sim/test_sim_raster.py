@@ -97,7 +97,7 @@ def test_a_face_along_the_axes_of_the_image():
 
 
 @pytest.mark.parametrize("x_m", [-2.0, -0.5])
-def test_what_is_behind_the_camera_is_not_seen(x_m):
+def test_a_triangle_behind_the_camera_is_not_drawn(x_m):
     triangle = np.array([[[x_m, -1, -1], [x_m, 1, -1], [x_m, 0, 1]]], np.float32)
     face, _, _ = rasterised(triangle, to_optical(se3()))
     assert (face == -1).all()

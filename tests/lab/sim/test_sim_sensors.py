@@ -48,7 +48,7 @@ def test_depth_goes_out_in_millimetres_and_comes_back_in_metres(world):
     np.testing.assert_allclose(back[known], rig.depth_m[known], atol=0.0011)
 
 
-def test_sensors_look_where_their_mounts_point(world):
+def test_a_turned_sensor_agrees_with_a_turned_robot(world):
     """One that is turned on the robot sees what it would see ahead from a robot turned as far."""
     turned = {"x_m": 0.0, "y_m": 0.0, "z_m": 0.6, "yaw_deg": 40.0}
     ahead = {**turned, "yaw_deg": 0.0}

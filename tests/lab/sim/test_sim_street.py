@@ -23,7 +23,7 @@ def test_a_seed_is_a_street():
     assert street(3) != street(3, 1)
 
 
-def test_what_a_seed_means_does_not_change():
+def test_streets_of_a_seed_never_change():
     """Results name it."""
     digest = hashlib.sha256()
     for seed in range(200):
@@ -36,7 +36,7 @@ def test_what_a_seed_means_does_not_change():
     assert digest.hexdigest()[:16] == "4470662e85ac3c6f"
 
 
-def test_streets_differ_in_what_they_have():
+def test_streets_differ_in_grounds_and_objects():
     drawn = [street(seed) for seed in range(60)]
     assert {len(s.grounds) for s in drawn} == {3, 4, 5}
     labels = {thing.label for s in drawn for thing in s.objects}

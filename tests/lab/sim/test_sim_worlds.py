@@ -80,7 +80,7 @@ def test_an_object_is_seen_with_its_id_and_nearest_surface():
     assert world.objects[1].label == "box"
 
 
-def test_what_hangs_above_the_robot_does_not_stop_it():
+def test_an_object_above_the_robot_does_not_collide():
     high = {"category": "box", "at": [1.0, 0.0], "z_m": 1.0}
     assert not collides(house_with(high), 1.0, 0.0, 0.2)
     assert collides(house_with({**high, "z_m": 0.5}), 1.0, 0.0, 0.2)

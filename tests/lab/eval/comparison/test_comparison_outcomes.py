@@ -49,7 +49,7 @@ def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
         (record(world=3), "world: expected a text"),
     ],
 )
-def test_what_is_no_outcome_is_named_with_its_line(tmp_path, line, words):
+def test_an_invalid_outcome_is_reported_with_its_line(tmp_path, line, words):
     with pytest.raises(UserError, match=f"outcomes.jsonl: line 2: not an outcome: {words}"):
         written(tmp_path, record(), line)
 

@@ -73,7 +73,7 @@ def test_a_folder_is_compared(folder, capsys):
         (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),
     ],
 )
-def test_what_cannot_be_compared_is_reported_in_one_line(
+def test_a_comparison_that_cannot_run_is_reported_in_one_line(
     folder, capsys, spoil, options, code, words
 ):
     spoil(folder)

@@ -32,7 +32,7 @@ def named(comparison, name):
     return next(table for table in tables.tables(comparison) if table.name == name)
 
 
-def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
+def test_unmeasured_columns_are_left_out_and_gaps_are_dashes():
     without = {"false_confirmations": None, "score_ms": None}
     both = [record("1", "a", **without), record("1", "b", **without)]
     (never,) = {row[-2] for row in named(comparison_of(both), "conduct").rows}
@@ -47,7 +47,7 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
 @pytest.mark.parametrize(
     ("worlds", "words"), [(1, "of 1 world; they do not"), (12, "over 12 worlds")]
 )
-def test_what_was_resampled_is_reported(worlds, words):
+def test_the_table_reports_the_unit_of_resampling(worlds, words):
     assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
 
 

@@ -22,7 +22,7 @@ def house():
     return load_world(load("demo"))
 
 
-def test_what_was_left_at_first_sight(house):
+def test_the_path_left_at_first_sight_is_computed(house):
     start = [house.start.x_m, house.start.y_m, 0.0]
     here = {"world": house.name, "start": start, "trail": [start[:2], start[:2]]}
     outcomes = gather(

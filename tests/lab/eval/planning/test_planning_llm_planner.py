@@ -244,7 +244,7 @@ def planning(*rules: tuple[str, str]):
         ),
     ],
 )
-def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
+def test_the_target_named_by_the_model_becomes_the_plan(said, knowledge, target, reason):
     with planning(("", said)) as (planner, server):
         plan = planner.plan(0, knowledge)
         assert planner.plan(0, knowledge) == plan
@@ -253,7 +253,7 @@ def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
     assert reason in plan.reason
 
 
-def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():
+def test_no_progress_is_rejected_and_a_fulfilled_mission_asks_nothing():
     with planning(("", "TARGET: bed")) as (planner, server):
         bed = AUTOMATON.step(0, "bed")
         assert (

@@ -59,7 +59,7 @@ def test_case_studies_under_the_weak_until(planner):
     assert way(CASE_1, planner) in {("bed", "plant", "tv"), ("plant", "bed", "tv")}
 
 
-def test_case_studies_optima_are_what_brute_force_finds():
+def test_optima_of_the_case_studies_agree_with_brute_force():
     def optima(formula):
         automaton = delexicalise(formula).automaton
         objects = propositions(formula)
@@ -81,7 +81,7 @@ def test_everything_is_completed_given_right_formulas(results):
     assert results.complete.all()
 
 
-def test_nobody_beats_the_bounds(results):
+def test_no_planner_beats_the_bounds(results):
     optimum = results.planners.index("optimal")
     clairvoyant = results.planners.index("clairvoyant")
     assert (results.steps >= results.bound[None, None, :, None]).all()

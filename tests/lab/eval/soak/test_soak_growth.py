@@ -26,7 +26,7 @@ def test_a_line_grows_as_it_does(per_h, n):
     assert slope.low <= slope.high
 
 
-def test_the_interval_holds_what_is_so_and_narrows():
+def test_the_slope_interval_holds_the_truth_and_narrows():
     found = [slope_of([life(n, 30.0, noise=2.0)]) for n in (300, 7200)]
     assert all(slope.low <= 30.0 <= slope.high for slope in found)
     few, many = (slope.high - slope.low for slope in found)
@@ -64,7 +64,7 @@ def samples(values, pid=1, calm=True):
     ],
     ids=["still", "within", "grows", "nobody can tell", "settles", "more than settles"],
 )
-def test_what_surely_grows_breaks_the_rule(per_h, noise, ran_h, broken):
+def test_significant_growth_breaks_the_rule(per_h, noise, ran_h, broken):
     _, values = life(1800, per_h, noise)
     why = growth_problem(MEMORY, growth_slope(MEMORY, samples(values)), 3600.0 * ran_h)
     assert bool(why) == broken, why

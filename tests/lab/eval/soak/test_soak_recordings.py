@@ -34,7 +34,7 @@ def lay(out: Path, content: bytes, name: str = NAME) -> Path:
     return path
 
 
-def test_where_nothing_records_nothing_is_held(tmp_path):
+def test_without_a_recorder_there_is_nothing_to_judge(tmp_path):
     recordings = RecordingCheck(simulated(), tmp_path)
     recordings.check_next_file()
     assert recordings.judge() == {}
@@ -92,7 +92,7 @@ def flipped(drive: bytes) -> bytes:
     ],
     ids=["no end", "damaged", "empty", "noise"],
 )
-def test_what_cannot_be_read_is_reported(tmp_path, drive, content, name, problem):
+def test_an_unreadable_recording_is_reported(tmp_path, drive, content, name, problem):
     recordings = recorded(tmp_path)
     lay(tmp_path, content(drive), name)
     recordings.check_next_file()

@@ -35,7 +35,7 @@ def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
         assert alter(topics.ODOMETRY, odometry(NS)) == (odometry(NS),)
 
 
-def test_what_is_dropped_is_what_was_named():
+def test_only_the_named_topic_is_dropped():
     alter = relay.drop((topics.ODOMETRY,))
     assert alter(topics.ODOMETRY, odometry(NS)) == ()
     assert alter(topics.RGB, IMAGE) == (IMAGE,)
@@ -49,7 +49,7 @@ def test_another_clock_is_all_sensors():
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0", IMAGE], ids=["empty", "byte", "image"])
-def test_garbage_comes_before_what_is_well(payload):
+def test_garbage_is_sent_before_each_intact_message(payload):
     alter = relay.add_garbage(np.random.default_rng(0))
     sent = [alter(topics.RGB, payload) for _ in range(50)]
     assert {pair[1] for pair in sent} == {payload}

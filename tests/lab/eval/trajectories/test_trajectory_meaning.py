@@ -31,7 +31,7 @@ def test_an_empty_place_has_no_tasks(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_who_is_shut_in_has_no_tasks(kind):
+def test_an_enclosed_robot_has_no_tasks(kind):
     assert all_of(kind, CAR, VAN, walls=[(-3, 3, -3, 3)]) == []
 
 
@@ -57,11 +57,11 @@ def test_a_name_means_one_thing(others, words):
 
 
 @pytest.mark.parametrize(("at", "label"), [((0.0, 9.0), "car"), ((2.0, 1.0), "car")])
-def test_what_is_aside_or_at_hand_is_not_gone_to(at, label):
+def test_objects_aside_or_too_near_are_no_destination(at, label):
     assert all_of("to", thing(1, label, *at)) == []
 
 
-def test_one_stops_before_a_thing_where_one_comes_from():
+def test_a_reference_stops_in_front_of_the_object():
     (task,) = all_of("to", CAR)
     assert (task.instruction, task.category, task.landmarks) == ("go to the car", "specific", (1,))
     x_m, y_m = task.reference_m[-1]

@@ -69,7 +69,7 @@ def test_an_end_on_another_side_of_the_object_is_at_it(tmp_path):
     assert (outcome.success, outcome.at_thing, outcome.true_depth_m) == (False, True, 0.0)
 
 
-def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
+def test_finished_episodes_are_not_run_again(tmp_path, monkeypatch):
     first = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     text = (tmp_path / "outcomes.jsonl").read_bytes()
     (tmp_path / "outcomes.jsonl").write_bytes(text + b'{"episode": "bro')

@@ -23,7 +23,7 @@ def table(name, outcomes, of=FACTS):
     return [dict(enumerate(row)) for row in found[name].rows] if name in found else None
 
 
-def test_of_nothing_there_are_no_tables():
+def test_no_outcomes_give_no_tables_or_plots():
     assert all(not t.rows for t in tables.tables(gather([], [])))
     assert pictures.images(gather([], []), "svg") == {}
 
@@ -38,7 +38,7 @@ def test_a_task_a_row_next_to_the_paper():
     assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
 
 
-def test_tasks_whose_end_nobody_saw_have_a_row():
+def test_tasks_with_unseen_ends_have_their_own_row():
     of = [replace(one, certain=k < 8) for k, one in enumerate(FACTS)]
     certain, not_certain = table("tasks", OURS, of)[-2:]
     assert (certain[0], certain[1]) == ("end certain", "8")

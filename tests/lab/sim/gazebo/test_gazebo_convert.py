@@ -185,7 +185,7 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("case", LEFT_OUT)
-def test_what_is_missing_is_counted_in_one_line(tmp_path, capsys, case):
+def test_a_missing_shape_is_counted_in_one_line(tmp_path, capsys, case):
     shape, files, reason = LEFT_OUT[case]
     for name, content in files.items():
         write_mesh(tmp_path, name, content)

@@ -123,7 +123,7 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("case", LEFT_OUT)
-def test_what_cannot_be_read_is_left_out_and_reported(tmp_path, case):
+def test_an_unreadable_model_is_skipped_and_reported(tmp_path, case):
     body, reason = LEFT_OUT[case]
     found, problems = read(write_world(tmp_path / "a.world", body + model("good")))
     assert [each.instance for each in found] == ["good"]
