@@ -29,14 +29,14 @@ def closed() -> ClosedLoop:
     return closed
 
 
-def test_a_tick_that_nobody_looks_at(benchmark, closed):
+def test_a_tick_without_viewers(benchmark, closed):
     sink, result = LiveSink(), closed.service.result(1, closed.observe())
     benchmark.extra_info["budget"] = "live_tick_unseen"
     benchmark(sink.tick, result)
     assert sink.snapshot is None
 
 
-def test_a_tick_that_is_looked_at(benchmark, closed):
+def test_a_tick_with_viewers(benchmark, closed):
     """Measure a tick that gathers the state for viewers.
 
     There are five such ticks a second. One of five also gathers all objects.

@@ -280,7 +280,7 @@ def test_hvl_works_with_the_finest_cells_that_its_error_names():
     assert share.tolist() == [1.0]
 
 
-def test_a_policy_that_counts_no_unknown_cells_may_have_finer_ones():
+def test_a_policy_without_unknown_cells_may_have_finer_ones():
     data = {"policy": {"kind": "nearest_frontier"}, "mapping": {"resolution_m": 0.02}}
     assert simulated(data).mapping.resolution_m == 0.02
 
@@ -306,7 +306,7 @@ def test_every_fault_has_its_line():
         ("loop: {hz: !!int ''}", "not YAML"),
     ],
 )
-def test_a_file_that_is_no_configuration(write, content, says):
+def test_an_invalid_configuration_file_is_refused(write, content, says):
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})
@@ -342,7 +342,7 @@ def nested(first: str, more: str) -> str:
         ("a: &a {x: 1}\nb:\n  <<: *a\n  <<: *a", "line 4: b.<<: given twice, first in line 3"),
     ],
 )  # fmt: skip
-def test_yaml_that_nobody_means_is_refused_at_once(write, content, says):
+def test_absurd_yaml_is_refused_at_once(write, content, says):
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})
@@ -385,14 +385,14 @@ def test_only_the_first_faults_are_reported():
     assert lines[-1] == "f.yaml: 980 more faults"
 
 
-def test_a_missing_file_lists_the_ready_ones():
+def test_a_missing_file_lists_the_built_in_ones():
     with pytest.raises(ConfigError) as error:
         load("no/such/file.yaml", {})
     assert str(error.value).startswith("no/such/file.yaml: no such file")
     assert "demo" in str(error.value)
 
 
-def test_a_folder_is_no_file(tmp_path):
+def test_a_folder_is_not_a_configuration(tmp_path):
     with pytest.raises(ConfigError, match=str(tmp_path)):
         load(str(tmp_path), {})
 

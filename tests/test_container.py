@@ -33,7 +33,7 @@ def test_hadolint_finds_nothing():
     assert (done.stdout, done.returncode) == ("", 0)
 
 
-def test_whatever_is_copied_reaches_the_builder():
+def test_the_docker_context_holds_exactly_the_copied_sources():
     ignored = (ROOT / ".dockerignore").read_text().splitlines()
     sent = {line[1:] for line in ignored if line.startswith("!")}
     copied = re.findall(r"^COPY (?!--from)(.+) \S+$", INSTRUCTIONS, re.MULTILINE)
@@ -60,7 +60,7 @@ def test_packages_in_the_images_are_pinned():
     assert wanted <= pinned
 
 
-def test_the_image_runs_as_nobody_in_particular_and_is_asked_how_it_is():
+def test_the_image_runs_without_root_and_has_a_health_check():
     stage = STAGES["edge"]
     assert "\nUSER 10001" in stage
     assert "\nSTOPSIGNAL SIGTERM" in stage

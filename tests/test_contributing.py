@@ -21,7 +21,7 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 SHIPPED = "mini-house-256x320-int8-cpu"
 
 
-def test_every_place_it_names_is_there():
+def test_every_path_in_the_page_exists():
     named = set(re.findall(r"`((?:edge|tests|docs|models|perf|exporters)/[\w./]*)`", PAGE))
     named |= set(re.findall(r"\]\(([\w./]+)\)", PAGE))
     assert len(named) > 20

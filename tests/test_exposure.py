@@ -78,7 +78,7 @@ def defaults(schema: dict, name: str = "") -> Iterator[tuple[str, object]]:
             yield from defaults(value, key)
 
 
-def test_every_address_is_this_machines_own_by_default():
+def test_every_address_is_local_by_default():
     found = [
         (name, default)
         for name, default in defaults(Config.model_json_schema())

@@ -75,7 +75,7 @@ def test_a_traceback_has_lines_of_its_own_and_no_control_characters():
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_text_that_is_no_unicode_is_logged(as_json):
+def test_invalid_unicode_is_logged(as_json):
     out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     logs.setup("info", as_json, stream=out)
     logging.getLogger("edge").warning("file \udc80 and 🪑")

@@ -63,7 +63,7 @@ def test_an_invalid_name_is_refused_with_the_reason(word, why):
         ("twelfth floor", "floor 12"),
     ],
 )
-def test_one_word_for_one_thing(word, expected):
+def test_synonyms_share_one_canonical_name(word, expected):
     assert names.canonical(word) == expected
 
 
@@ -92,7 +92,7 @@ def test_model_names_of_simulated_houses(model, expected):
     assert names.canonical(model) == expected
 
 
-def test_every_alias_stands_once_and_is_normalised():
+def test_every_alias_is_unique_and_normalised():
     everything = [n for name, others in names.ALIASES.items() for n in (name, *others)]
     assert len(everything) == len(set(everything))
     assert all(names.normalise(n) == n for n in everything)

@@ -68,7 +68,7 @@ def test_time_going_back_is_not_stuck():
 
 
 @pytest.mark.parametrize(("gap_s", "stuck"), [(0.9, True), (1.1, False), (10.0, False)])
-def test_time_in_which_nobody_looked_is_no_standstill(gap_s, stuck):
+def test_a_gap_in_observations_is_not_a_standstill(gap_s, stuck):
     detector = StuckDetector(2.0, 0.05)
     assert not any(run(detector, [HERE] * 15))
     begun_ns = 14 * S // 10 + int(gap_s * S)

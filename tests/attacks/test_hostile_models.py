@@ -84,7 +84,7 @@ def test_models_check_of_an_endless_model_ends_at_a_signal(put, number):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [*ENDLESS, "scores of 1e30"])
-def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
+def test_a_hostile_model_is_not_swapped_in(put, tmp_path, how):
     for name, settings in {"first": {}, "hostile": {**ENDLESS, **LYING}[how], "good": {}}.items():
         put(name, **settings)
     words = hostile_models.put_words(tmp_path / "words.npz")

@@ -90,7 +90,7 @@ class Asking:
         return str(caught.value)
 
 
-def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
+def test_only_the_first_answer_or_refusal_counts(session, serve):
     server, asking = serve(), Asking(session, do="resume")
     request = taken(server)
     request.refuse("not paused:\n  nothing to resume")
@@ -129,7 +129,7 @@ def test_an_answer_that_is_not_json_is_an_error_to_the_client_only(session, serv
     assert "internal error" in asking.refusal
 
 
-def test_a_mission_that_cannot_be_prepared_never_comes_to_the_loop(session, serve, caplog):
+def test_a_mission_that_cannot_be_prepared_is_refused(session, serve, caplog):
     def prepare(instruction: str) -> object:
         raise {"x": UserError("not understood: 'x'"), "y": ZeroDivisionError("bug")}[instruction]
 
@@ -342,9 +342,7 @@ def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str])
         ("resume cancel pause cancel status status", "resume cancel pause status"),
     ],
 )
-def test_equal_requests_are_one_for_the_loop_and_the_last_word_stands(
-    session, serve, arrived, done
-):
+def test_equal_requests_reach_the_loop_once(session, serve, arrived, done):
     server = serve()
     asked = waiting(server, session, arrived.split())
     for verb in done.split():
@@ -461,7 +459,7 @@ def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, capl
     assert server.poll() is None
 
 
-def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
+def test_serve_handles_refusals_errors_and_prepared_missions(session):
     def handle(request: Request, now_ns: int) -> dict:
         if request.do == "pause":
             raise UserError("not now")

@@ -153,7 +153,7 @@ def test_the_error_of_an_unusable_file_is_one_line_without_its_secrets(settings,
 
 
 @pytest.mark.parametrize("key", ["file", "client_file"])
-def test_a_file_that_is_not_there_is_named(key, tmp_path):
+def test_a_missing_file_is_named(key, tmp_path):
     settings = ZenohConfig(**{key: str(tmp_path / "gone.json5")})
     with pytest.raises(ConfigError, match=rf"^zenoh\.{key}: .*gone\.json5: no such file$"):
         session_config(settings, "listen" if key == "file" else "connect")
@@ -218,7 +218,7 @@ def secret_paths(settings: ZenohConfig, role: str = "listen") -> list[str]:
     return exposed_secrets(session_config(settings, role), "zenoh.file", settings.file)
 
 
-def test_secrets_that_others_can_read(settings, tmp_path):
+def test_secrets_readable_by_others_are_listed(settings, tmp_path):
     for name in ("service.key", "users.txt"):
         (tmp_path / name).touch(0o600)
     (tmp_path / "service.crt").touch(0o644)
@@ -231,7 +231,7 @@ def test_secrets_that_others_can_read(settings, tmp_path):
 @pytest.mark.parametrize(
     "text", [PASSWORD % "", '{transport: {link: {tls: {connect_private_key_base64: "SENTINEL"}}}}']
 )
-def test_a_file_with_a_secret_in_it_is_one(settings, text):
+def test_a_file_that_contains_a_secret_counts_as_one(settings, text):
     said = settings(text)
     os.chmod(said.file, 0o604)
     assert secret_paths(said, "connect") == [said.file]

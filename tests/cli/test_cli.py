@@ -105,7 +105,7 @@ def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, mo
 
 
 @pytest.mark.parametrize("command", ["run", "demo", "sim", "config", "bench", "doctor"])
-def test_a_configuration_that_is_not_there(command, capsys):
+def test_a_missing_configuration_lists_the_built_in_ones(command, capsys):
     error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
     assert error.startswith("nowhere.yaml: no such file (built-in configurations: ")
     assert "cpu, demo" in error
@@ -132,7 +132,7 @@ def test_an_address_in_use_fails_before_anything_is_loaded(tmp_path, monkeypatch
         assert "is in use" in fails(capsys, "run", str(path), code=os.EX_UNAVAILABLE)
 
 
-def test_a_recording_that_is_not_there(capsys):
+def test_a_missing_recording_is_an_error(capsys):
     words = ("bench", "demo", "--recording", "nowhere.mcap")
     assert "no such file" in fails(capsys, *words, code=os.EX_IOERR)
 
@@ -147,7 +147,7 @@ def test_a_recording_that_is_not_there(capsys):
         ("eval", "episodes", "demo", "--jobs", "-1"),
     ],
 )
-def test_a_number_that_makes_no_sense(words, capsys):
+def test_an_invalid_number_is_a_usage_error(words, capsys):
     with pytest.raises(SystemExit) as caught:
         main(list(words))
     assert caught.value.code == os.EX_USAGE
@@ -201,7 +201,7 @@ def test_the_demos_house_has_a_scorer_for_each_policy(
     ("option", "code"),
     [("--target", os.EX_CONFIG), ("--mission", os.EX_CONFIG), ("--formula", os.EX_DATAERR)],
 )
-def test_an_empty_mission_is_not_taken_for_none(option, code, tmp_path, monkeypatch, capsys):
+def test_an_empty_mission_is_refused(option, code, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert fails(capsys, "demo", "demo", option, "", code=code)
 
@@ -317,7 +317,7 @@ def test_a_stopped_service_does_not_fail_with_its_mission(once, phase, code, mon
     assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
 
 
-def test_output_that_nobody_reads_on_is_no_error():
+def test_a_closed_output_pipe_is_no_error():
     command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("{", "")

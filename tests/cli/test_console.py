@@ -49,7 +49,7 @@ def latency() -> LatencyRing:
     return ring
 
 
-def test_a_robot_on_its_way():
+def test_the_status_line_of_a_driving_robot():
     line = status_line(
         result(
             status=MissionStatus("couch", "approaching", elapsed_s=61.26),

@@ -94,7 +94,7 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
     return listened
 
 
-def test_nothing_that_comes_is_a_failure(heard):
+def test_silent_sensors_are_a_failure(heard):
     assert heard(lambda fields: None, ()) == [
         (
             "fail",
@@ -169,7 +169,7 @@ def test_each_input_is_a_line(heard, row, level, says):
 
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 1), ("fail", 1)])
-def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code):
+def test_any_warning_gives_exit_code_1(monkeypatch, capsys, level, code):
     monkeypatch.setattr(
         doctor,
         "check_live_sensors",

@@ -119,7 +119,7 @@ def test_real_time_rights_need_a_priority(priority, key, value, anywhere):
         ('/a"b\\.yaml', '"/a\\"b\\\\.yaml"'),
     ],
 )
-def test_a_path_is_one_word_whatever_is_in_it(path, word, anywhere):
+def test_any_path_is_quoted_as_one_word(path, word, anywhere):
     (command,) = lines(unit(settings(path), "edge", None), "ExecStart")
     assert command.endswith(f" run {word}")
 
@@ -235,7 +235,7 @@ def test_relative_paths_are_the_services_own(secure, anywhere):
         unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
 
 
-def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
+def test_a_missing_secret_is_named(secure, tmp_path, anywhere):
     (tmp_path / "http.token").unlink()
     with pytest.raises(UserError, match=r"^http.token_file: .*http.token: no such file"):
         unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)

@@ -65,7 +65,7 @@ def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path,
     assert {path.name for path in report.iterdir()} == {"report.png", "report.html"}
 
 
-def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
+def test_playing_publishes_nothing_and_writes_no_checkpoint(play, tmp_path):
     """The robot drives and then stands for a long time without a goal."""
     kept = tmp_path / "checkpoint.json"
     mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.5, "time_limit_s": 0.5}
@@ -82,7 +82,7 @@ def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
     assert not (tmp_path / "sink").exists()
 
 
-def test_a_log_of_carmen_makes_a_map(play, tmp_path):
+def test_a_carmen_log_becomes_a_map(play, tmp_path):
     """A robot drives along a corridor of 4 m."""
     beams = " ".join("2.0" for _ in range(180))
     lines = [f"FLASER 180 {beams} {0.1 * k} 0 0 {0.1 * k} 0 0 {0.2 * k} host {0.2 * k}"
@@ -110,7 +110,7 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
         bench.run_bench(load(config), path, 20.0, threading.Event())
 
 
-def test_other_commands_name_it(tmp_path, capsys):
+def test_replay_of_a_robot_recording_names_the_play_command(tmp_path, capsys):
     path = write_mcap(tmp_path / "robot.mcap", plain())
     assert main(["--log-level", "error", "replay", str(path)]) == os.EX_IOERR
     assert "`edge play FILE CONFIG`" in capsys.readouterr().err

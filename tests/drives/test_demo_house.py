@@ -52,7 +52,7 @@ def test_the_robot_drives_to_the_described_one_of_two_objects(phrase, tall):
 
 
 @pytest.mark.slow
-def test_it_finds_the_one_of_two_that_was_named_from_afar():
+def test_the_robot_finds_a_described_object_from_afar():
     loop = run("tall white trash can")
     assert trash_can_m(loop, True) <= 1.0
 

@@ -168,14 +168,14 @@ def test_a_zone_over_the_refrigerator_closes_the_kitchen(
     assert not is_closed(kitchen, service.map, "kitchen")
 
 
-def test_an_empty_room_is_no_guess(tmp_path, monkeypatch):
+def test_an_empty_room_is_not_taken_for_a_kitchen(tmp_path, monkeypatch):
     monkeypatch.setitem(HOUSE, "objects", HOUSE["objects"][:1])  # the sofa: the other room is empty
     loop = driven("go to the kitchen", seconds=120.0, folder=tmp_path)
     assert loop.service.status.phase == "failed", loop.notes.events
     assert "found no kitchen" in loop.service.status.reason
 
 
-def test_the_next_room_is_one_that_was_not_visited():
+def test_the_next_room_is_an_unvisited_one():
     loop = driven("go to the next room", seconds=60.0)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)

@@ -85,7 +85,7 @@ def test_a_place_that_cannot_be_reached_fails_with_the_reason(tmp_path):
     assert "no path to roof" in status.reason
 
 
-def test_it_drives_around_a_zone_and_the_way_is_longer():
+def test_driving_around_a_zone_makes_the_path_longer():
     def path_m(*items) -> float:
         loop = driven("go to the dock", FAR, *items)
         assert loop.service.status.phase == "reached", loop.notes.events

@@ -194,7 +194,7 @@ def test_the_first_steps_are_driven_before_later_targets_are_seen():
     assert len(kinds) > 2, "it was searched for in between"
 
 
-def test_a_step_counts_as_driven_while_the_next_is_under_way():
+def test_a_finished_step_counts_as_driven_during_the_next():
     loop = until(closed("go straight for 1 metre, then straight for 1 metre"), "driving")
     seen = [states(loop)]
     while not loop.service.status.done:
@@ -215,7 +215,7 @@ def test_a_task_fails_with_the_name_of_the_missing_object():
     assert states(loop) == ["driven", "not driven"]
 
 
-def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
+def test_a_task_is_requested_and_replaced_like_a_mission():
     loop = closed(None).run(0.2)
     answer = ask(loop, "new", task=STRAIGHT, id="7")
     assert (answer["instruction"], answer["id"]) == (STRAIGHT, "7")
@@ -227,7 +227,7 @@ def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
     assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
 
 
-def test_a_pause_has_the_robot_stand_and_resume_drive_on():
+def test_pause_stops_a_task_and_resume_continues_it():
     loop = until(closed(), "driving")
     for _ in range(5):
         loop.step()
@@ -286,7 +286,7 @@ def test_a_model_writes_once_the_robot_has_turned_round():
     assert any(event.startswith("answer 1 of the model: ") for event in loop.notes.events)
 
 
-def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(tmp_path):
+def test_a_restarted_task_continues_with_the_first_undriven_step(tmp_path):
     task = f"{STRAIGHT}, then {TO_THE_OVEN}"
     loop = until(until(closed(task), "driving"), "looking")
     config = loop.config

@@ -146,7 +146,7 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
 
 
 @pytest.mark.parametrize(("thing", "phase"), [("sofa", "reached"), ("bed", "failed")])
-def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
+def test_an_object_in_a_named_room_is_sought_only_there(thing, phase, tmp_path):
     den = Site((RoomName("den", (2.0, 2.0)),))
     loop = loop_of(tmp_path, "F start")
     loop.service.change_site(den, loop.drive.motion.stamp_ns)
@@ -172,7 +172,7 @@ def test_it_patrols_rooms(tmp_path):
     assert loop.service.mission.round >= 2, loop.notes.events
 
 
-def test_it_comes_to_the_caller(tmp_path):
+def test_the_robot_drives_to_the_caller(tmp_path):
     config = loop_of(tmp_path, "F start").config.mission
     fields = mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": [3, 2, 1.5]})
     assert fields["caller"] == SE2(3.0, 2.0, 1.5)
@@ -213,7 +213,7 @@ NEVER_SURE = {"confirm_mean": 0.99}  # the bed is seen well, but never confirmed
         ("ask", "failed", r"probably, 0\.\d\d: bed; nobody confirmed it within 60 s$"),
     ],
 )
-def test_an_object_that_was_never_confirmed_is_probable(probable, phase, reason, tmp_path):
+def test_an_unconfirmed_object_is_handled_as_configured(probable, phase, reason, tmp_path):
     status = loop_of(tmp_path, "F bed", NEVER_SURE, probable=probable).run(250).service.status
     assert status.phase == phase, status
     assert re.match(reason, status.reason), status.reason
@@ -257,13 +257,13 @@ def test_a_person_confirms_a_probable_object(tmp_path):
     ("field", "value"),
     [("rounds", 0), ("rounds", "3"), ("rounds", 1e9), ("for_s", -1), ("for_s", float("nan"))],
 )
-def test_an_end_that_is_none_is_refused(field, value):
+def test_an_invalid_end_of_a_patrol_is_refused(field, value):
     with pytest.raises(ValueError, match=f"{field}: expected"):
         mission_verbs(prepare)["new"].read({"formula": "F a & F b", field: value})
 
 
 @pytest.mark.parametrize("pose", [[1, 2], "here", [1, 2, True], [1, 2, 1e9], [1, 2, float("nan")]])
-def test_a_pose_that_is_none_is_refused(pose):
+def test_an_invalid_caller_pose_is_refused(pose):
     with pytest.raises(ValueError, match=r"from_pose: expected \[x_m, y_m, yaw_rad\]"):
         mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": pose})
 

@@ -128,7 +128,7 @@ def test_without_instance_points_only_confirmed_instances_become_goals(formula):
 
 
 @pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])
-def test_a_camera_that_looks_aside_finds_its_target_all_the_same(mount):
+def test_a_sideways_camera_finds_its_target(mount):
     sensors = {"camera": {"width_px": 160, "height_px": 128, **mount}}
     loop = ClosedLoop(
         simulated({"mission": {"target": "television"}, "sensors": sensors}), colour=False

@@ -64,7 +64,7 @@ def held_up(loop: ClosedLoop) -> list[str]:
 
 
 @pytest.mark.parametrize("policy", ["hvl", "nearest_frontier"])
-def test_it_goes_another_way_after_one_bump(tmp_path, policy):
+def test_the_robot_takes_another_path_after_one_bump(tmp_path, policy):
     loop = closed_loop(tmp_path, way_round=True, policy=policy).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
@@ -73,7 +73,7 @@ def test_it_goes_another_way_after_one_bump(tmp_path, policy):
 
 
 @pytest.mark.parametrize(("width_m", "most"), [(2.0, 3), (4.0, 4)])
-def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
+def test_a_long_sill_is_given_up_after_a_few_bumps(tmp_path, width_m, most):
     loop = closed_loop(tmp_path, way_round=True, width_m=width_m).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert 2 <= loop.drive.motion.collisions <= most
@@ -160,7 +160,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
     [(1000.0, 3.0), (5.0, 18.0), (9.0, 18.0)],
     ids=["says nothing", "fails soon", "fails late"],
 )
-def test_a_robot_that_ignores_commands_teaches_the_map(tmp_path, fails_after_s, within_s):
+def test_a_stuck_robot_marks_an_obstacle_ahead(tmp_path, fails_after_s, within_s):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
@@ -172,7 +172,7 @@ def test_a_robot_that_ignores_commands_teaches_the_map(tmp_path, fails_after_s, 
     assert stuck_s - 1.0 <= stood_ns / 1e9 <= stuck_s + within_s
 
 
-def test_a_controller_that_finds_no_way_at_all_teaches_the_map_nothing(tmp_path):
+def test_a_controller_without_a_path_marks_no_obstacle(tmp_path):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()

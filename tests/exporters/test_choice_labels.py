@@ -41,7 +41,7 @@ def views_of(rows: list[dict]) -> Views:
     )  # fmt: skip
 
 
-def test_no_views_have_no_labels():
+def test_without_views_there_are_no_labels():
     empty = views_of([])
     assert labels.marks_of(empty).shape == (0, MAX_MARKS, MARK_FIELDS)
     assert labels.is_asked(empty).shape == labels.scene(empty).shape == (0, 1)
@@ -104,7 +104,7 @@ def test_the_scene_leads_to_marks_near_a_shortest_path(row, leads):
 
 
 @pytest.mark.parametrize("text", ["", "5", "3:3", "a:b", "0:2,", "-3:2", "1:2:3"])
-def test_seeds_that_are_no_ranges_are_refused(text):
+def test_invalid_seed_ranges_are_refused(text):
     with pytest.raises(ExportError, match=r"--houses: got .*; give ranges such as 0:60"):
         seeds("--houses", text)
 

@@ -85,7 +85,7 @@ def test_rank_agreement_counts_pairs(reference, candidate, share):
     assert rank_agreement(np.array(reference), np.array(candidate)) == pytest.approx(share)
 
 
-def test_without_inputs_or_a_pair_there_is_nothing_to_say():
+def test_empty_or_invalid_embeddings_cannot_be_compared():
     assert np.isnan(rank_agreement(np.ones((1, 3)), np.ones((1, 3))))
     with pytest.raises(ExportError, match="no pictures or texts to compare"):
         compare(np.empty((0, 4)), np.empty((0, 4)))
@@ -147,7 +147,7 @@ def test_siglip_ignores_case_and_attends_to_padding(models):
     assert moved[0, 0] < 0.999
 
 
-def test_the_matrices_of_int8_are_int8_and_nothing_else(models):
+def test_int8_quantizes_only_the_large_matrices(models):
     graph = onnx.load(models / "my-clip-image-int8-cpu.onnx").graph
     types = {init.name: init.data_type for init in graph.initializer}
     made_by = {name: node for node in graph.node for name in node.output}
@@ -229,7 +229,7 @@ def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
     assert says in fails(folders["clip"], "--precision", "int4")
 
 
-def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys):
+def test_missing_weights_are_an_error(folders, tmp_path, capsys):
     from safetensors.torch import load_file, save_file
 
     folder = shutil.copytree(folders["clip"], tmp_path / "cut")

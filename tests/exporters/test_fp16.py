@@ -72,7 +72,7 @@ def test_without_images_there_is_nothing_to_see(tmp_path):
     assert not (tmp_path / "fp16.onnx").exists()
 
 
-def test_a_recipe_that_fits_no_node_and_a_family_without_one(tmp_path):
+def test_a_recipe_must_exist_and_match_a_node(tmp_path):
     model = onnx.load(build(tmp_path / "fp32.onnx"))
     assert nodes_like(model, ()) == []
     with pytest.raises(ExportError, match="no node has a name like /model"):

@@ -52,7 +52,7 @@ def steps(model, learner, n: int) -> None:
         learner.step(model(torch.randn(4, 3)).square().mean(), 5.0)
 
 
-def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_path):
+def test_a_resumed_run_matches_an_uninterrupted_one(tmp_path):
     model, learner = learner_of(tmp_path / "whole.pt")
     steps(model, learner, 10)
     first, begun = learner_of(tmp_path / "parts.pt")

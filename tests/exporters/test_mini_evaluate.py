@@ -69,14 +69,14 @@ def test_size_questions_about_cut_off_objects_have_their_own_kind(x1, kind):
     assert [(q.kind, q.right, q.wrong) for q in _questions(pair)] == [(kind, 0, 1), (kind, 1, 0)]
 
 
-def test_small_and_hidden_things_do_not_count():
+def test_small_and_hidden_objects_do_not_count():
     some = things((CHAIR, (0, 0, 11, 40), "red", None), (CHAIR, (0, 0, 12, 40), "red", None))
     assert _does_count(some).tolist() == [False, True]
     some["visible"] = 0.49
     assert not _does_count(some).any()
 
 
-def test_a_second_box_on_a_thing_is_wrong_and_one_on_a_maybe_is_left_out():
+def test_a_second_box_is_wrong_and_a_maybe_is_ignored():
     some = things(
         (CHAIR, (0, 0, 40, 40), "red", None), (ARMCHAIR, (100, 100, 140, 140), "red", None)
     )

@@ -26,7 +26,7 @@ def house_frames():
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
-def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
+def test_objects_stay_inside_the_house_and_below_the_ceiling(seed):
     house, appearances = random_house(seed)
     assert len(appearances) == len(house.objects) > 0
     xs = [x for room in house.rooms for x in room.rect[::2]]
@@ -90,7 +90,7 @@ def test_between_two_colours_both_are_unsure():
         max_size=8,
     ),
 )
-def test_saying_more_of_a_thing_never_makes_a_no_a_yes(rgb, style, category, rows):
+def test_a_longer_phrase_never_turns_a_no_into_yes(rgb, style, category, rows):
     phrases = np.array(rows)
     less = phrases.copy()
     less[:, 1] = 0
@@ -149,7 +149,7 @@ def test_frames_are_made_once(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "change", ["seeds", "code"], ids=["other seeds of the same ends", "other code"]
 )
-def test_frames_of_other_houses_are_not_taken_for_these(tmp_path, monkeypatch, change):
+def test_frames_of_other_houses_are_not_reused(tmp_path, monkeypatch, change):
     def paint(seed, count, out_rgb):
         out_rgb[:] = seed
         return [np.zeros(1, views.OBJECT)] * count
@@ -166,7 +166,7 @@ def test_frames_of_other_houses_are_not_taken_for_these(tmp_path, monkeypatch, c
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
-def test_pictures_that_nobody_finished_are_made_again(tmp_path, monkeypatch):
+def test_unfinished_frames_are_rendered_again(tmp_path, monkeypatch):
     def stop(*args, **named):
         raise KeyboardInterrupt
 

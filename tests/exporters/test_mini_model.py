@@ -57,7 +57,7 @@ def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
     assert rows[0, 0] @ rows[0, 1] < 0.999
 
 
-def test_a_strange_adjective_is_warned_of_once(caplog):
+def test_an_unknown_adjective_warns_once(caplog):
     encoder = AttributeEncoder(load_card("mini-house-text"))
     for _ in range(3):
         assert encoder.resolve("shiny red chair") == "red chair"

@@ -70,7 +70,7 @@ def test_anchors_inside_a_box_answer_for_it_and_no_others():
     assert 0 < quality.max() <= 1
 
 
-def test_an_unsure_answer_teaches_nothing():
+def test_an_unsure_answer_adds_no_loss():
     unsure = truth([[20.0, 20.0, 60.0, 70.0]], -1)
     decoded = torch.cat([POINTS - 2 * STRIDE, POINTS + 2 * STRIDE], -1)[None]
     logits = torch.zeros(1, len(POINTS), 1, requires_grad=True)
@@ -155,7 +155,7 @@ def run_of(frames, tmp_path_factory):
         ({}, {"device": "cuda"}, "device is cpu there and cuda now"),
     ],
 )
-def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
+def test_a_run_with_other_settings_is_not_resumed(run_of, plan_change, change, says):
     path, run = run_of
     other = {**run, **change, "plan": {**run["plan"], **plan_change}}
     assert checkpoint.resume(path.with_name("none.pt"), other) is None

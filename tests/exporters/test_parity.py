@@ -81,7 +81,7 @@ def test_a_model_with_values_that_are_not_finite_is_refused(candidate, says):
             compare(*pair, [IMAGE], TEXT)
 
 
-def test_a_card_gets_no_score_error_if_there_is_none():
+def test_a_missing_score_error_is_none_in_the_card():
     assert report(score_error=NAN).for_card("fp32")["score_error"] is None
     assert report().for_card("fp32")["score_error"] == 0.1
 

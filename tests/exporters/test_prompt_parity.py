@@ -160,7 +160,7 @@ def test_a_text_is_the_same_tokens(both, layout, text):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_nothing_is_no_token(both, layout):
+def test_empty_text_gives_no_tokens(both, layout):
     one = both[layout]
     assert one.ours.ids("").dtype == np.int64
     assert one.ours.ids("").tolist() == one.theirs("", add_special_tokens=False)["input_ids"] == []

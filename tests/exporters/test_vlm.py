@@ -143,7 +143,7 @@ def test_every_step_keeps_its_parity(cache, kind, precision):
     assert figures["cosine"] > 0.999
 
 
-def test_tiles_and_pixels_that_are_not_there(cache, originals):
+def test_tiles_may_be_half_empty(cache, originals):
     """Several squares an image, one of them half empty; only one was traced."""
     original, _ = originals["idefics3"]
     random = np.random.default_rng(1)
@@ -200,7 +200,7 @@ def ends_of(path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_inputs_and_outputs_are_the_published_ones(cache, kind):
+def test_inputs_and_outputs_match_the_published_models(cache, kind):
     single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
     vision, embedding, decoder = (ends_of(path) for path in files_of(cache, kind, "fp32"))
     second = "grid_thw" if kind.startswith("qwen") else "pixel_attention_mask"

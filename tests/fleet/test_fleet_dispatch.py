@@ -68,7 +68,7 @@ class Fleet:
 
 @pytest.mark.parametrize("missing", [(FREE,), (FREE, MUTE)])
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
-def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, between):
+def test_patience_counts_from_the_first_failed_look(missing, between):
     fleet = Fleet(BED)
     assert fleet.given_to(0.0, FREE, AT_IT) == []
     assert fleet.given_to(100.0, *missing) == []  # not since it was last seen
@@ -153,7 +153,7 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     }
 
 
-def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
+def test_a_mission_with_a_running_part_is_resumed():
     spec = prepare(LIMITS, instruction="go to the bed and the sofa")
     first = plan(spec, {}, share=True)
     bed, sofa = (part.id for part in first.parts)

@@ -65,7 +65,7 @@ def test_parts_go_to_the_free_robot_that_suits_best(robots, expected):
     assert given([BED, SOFA], *robots) == expected
 
 
-def test_a_part_for_one_robot_goes_to_no_other():
+def test_a_part_for_one_robot_goes_to_no_other_robot():
     mine = MissionPart("m.1", "F bed", "", ("bed",), only="b")
     assert given([mine], robot("a", bed=1.0), robot("b")) == {"m.1": "b"}
     assert given([mine], robot("a"), robot("b", "x", "searching")) == {}
@@ -74,7 +74,7 @@ def test_a_part_for_one_robot_goes_to_no_other():
     assert orders([mine], robot("a"), away={"m.1": "b"}).under_way == {"m.1": "b"}
 
 
-def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
+def test_an_absent_robot_keeps_its_part_for_a_while():
     assert given([BED], robot("b"), away={"m.1": "a"}) == {}
     assert given([BED], robot("b")) == {"m.1": "b"}
 

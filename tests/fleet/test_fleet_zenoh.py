@@ -184,7 +184,7 @@ def test_a_part_that_all_robots_fail_is_reported_with_their_reasons(port, robots
     assert bob.mission.idle
 
 
-def test_a_dispatcher_that_was_killed_goes_on_when_it_is_run_again(port, robots):
+def test_a_restarted_dispatcher_resumes_its_mission(port, robots):
     anna, bob = robots("anna", known={"bed": 1.0}), robots("bob", known={"sofa": 1.0})
     first = Sharing(port)
     eventually(lambda: targets(anna, bob) == {"bed", "sofa"})
@@ -255,7 +255,7 @@ def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, an
         assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
 
 
-def test_a_robot_that_never_answers_holds_nobody_up(port, robots, monkeypatch):
+def test_a_silent_robot_does_not_delay_the_others(port, robots, monkeypatch):
     monkeypatch.setattr(roster, "ANSWER_S", 0.2)
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:

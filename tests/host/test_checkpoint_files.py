@@ -239,7 +239,7 @@ def test_damage_anywhere_is_found(data):
 
 
 @given(st.binary(max_size=300), st.binary(max_size=100))
-def test_any_bytes_are_no_checkpoint(content, state):
+def test_random_bytes_are_not_a_checkpoint(content, state):
     assert wrong(content) == "not a complete note"
     assert wrong(forged(state, content))
     assert wrong(x_of(content))
@@ -289,7 +289,7 @@ def test_arrays_of_a_file_are_held_to_those_that_a_part_writes(name, array):
         *(("write", name) for name in ("missing/note", "note/note")),
     ],
 )
-def test_a_place_that_can_hold_no_file_is_the_users_to_mend(tmp_path, use, name):
+def test_an_unusable_path_is_a_user_error(tmp_path, use, name):
     (tmp_path / "folder").mkdir()
     (tmp_path / "note").write_text("")
     os.mkfifo(tmp_path / "pipe")

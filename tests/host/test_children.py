@@ -45,7 +45,7 @@ del told
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_every_child_is_started_so(monkeypatch):
+def test_every_child_process_is_started_as_a_module(monkeypatch):
     started = []
 
     def start(command, **_):

@@ -61,7 +61,7 @@ def test_only_a_bearer_header_with_the_token_matches(header, known):
     assert SECRET not in f"{token} {token!r}"
 
 
-def test_it_is_the_one_line_of_a_file_or_of_its_copy(tmp_path, monkeypatch):
+def test_a_token_is_read_from_its_file_or_copy(tmp_path, monkeypatch):
     (tmp_path / "token").write_text(f"{SECRET}\n")
     assert read_token("http.token_file", str(tmp_path / "token")).matches(f"Bearer {SECRET}")
     (tmp_path / "http.token_file").write_text(SECRET[::-1])

@@ -37,7 +37,7 @@ def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
         (0.5, "2.0 times faster than the reference computer"),
     ],
 )
-def test_it_is_shown_in_words(slowdown, words):
+def test_a_slowdown_is_described_in_words(slowdown, words):
     assert str(SpeedCalibration("m", slowdown, {})) == words
 
 

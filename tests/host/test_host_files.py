@@ -48,7 +48,7 @@ def make_pipe(path: Path) -> Path:
     ],
     ids=["missing", "folder", "pipe", "device", "long"],
 )
-def test_anything_else_is_an_error_at_once(tmp_path, make, message):
+def test_a_path_that_is_not_a_file_fails_at_once(tmp_path, make, message):
     with pytest.raises(OSError, match=message) as caught:
         read_regular(make(tmp_path), 100)
     assert caught.value.strerror.startswith(message)
@@ -86,7 +86,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_pipe_in_the_place_of_a_file_is_one_line(tmp_path, monkeypatch, name):
+def test_a_pipe_instead_of_a_file_fails_in_one_line(tmp_path, monkeypatch, name):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     file, read = READERS[name]
     (tmp_path / "a").mkdir()

@@ -26,7 +26,7 @@ def test_the_result_or_exception_of_the_step_is_passed_on(stop):
             too_late(stop)
 
 
-def test_a_step_that_never_ends_is_abandoned_when_stop_is_set(stop):
+def test_an_endless_step_is_abandoned_at_a_stop(stop):
     over, threads = threading.Event(), []
 
     def work() -> None:

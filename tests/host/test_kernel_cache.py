@@ -40,7 +40,7 @@ def test_a_writable_numba_cache_is_left_alone(variable, places, monkeypatch, cap
 
 
 @pytest.mark.parametrize("ours", [None, "closed/cache"])
-def test_else_it_is_a_temporary_folder_with_a_warning(ours, places, monkeypatch, caplog):
+def test_without_a_cache_folder_a_temporary_one_is_used(ours, places, monkeypatch, caplog):
     if ours is not None:
         monkeypatch.setenv("EDGE_CACHE_DIR", str(places / ours))
     folder = chosen()
@@ -50,7 +50,7 @@ def test_else_it_is_a_temporary_folder_with_a_warning(ours, places, monkeypatch,
     assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in record.getMessage()
 
 
-def test_without_any_folder_the_remedy_is_the_error(places, monkeypatch):
+def test_without_any_folder_the_error_names_the_remedy(places, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(places / "closed"))
     with pytest.raises(ConfigError, match="set EDGE_CACHE_DIR"):
         chosen()

@@ -70,7 +70,7 @@ def test_output_to_a_closed_pipe_is_lost_without_an_error(pipe):
 
 
 @pytest.mark.usefixtures("patient")
-def test_after_its_end_it_is_the_stream_itself(pipe):
+def test_after_drain_writes_go_to_the_stream(pipe):
     read, stream = pipe
     outlet = NonBlockingStream(stream)
     outlet.write("before, ")
@@ -80,7 +80,7 @@ def test_after_its_end_it_is_the_stream_itself(pipe):
     assert all_of(read) == "before, after"
 
 
-def test_a_stream_without_a_descriptor_stays():
+def test_a_stream_without_a_descriptor_is_left_alone():
     with redirect_stderr(io.StringIO()) as captured:
         with nonblocking_stderr():
             assert sys.stderr is captured
@@ -101,7 +101,7 @@ sys.exit(_exit_now_if_needed(3))
 """
 
 
-def test_a_process_goes_on_and_ends_though_its_log_is_stuck():
+def test_a_process_runs_and_ends_with_a_blocked_log():
     program = [sys.executable, "-c", PROGRAM]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"went on\n"

@@ -43,5 +43,5 @@ def test_a_port_that_is_taken_is_not_given(monkeypatch, tmp_path):
         ("", False),
     ],
 )
-def test_which_addresses_are_this_machines_own(host, own):
+def test_loopback_addresses_are_recognised(host, own):
     assert is_loopback(host) is own

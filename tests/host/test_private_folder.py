@@ -46,7 +46,7 @@ def test_the_folder_of_a_killed_process_is_removed(tmp_path, holder):
         assert {path.name for path in tmp_path.iterdir()} == {mine.name} | others
 
 
-def test_many_at_once_take_none_from_each_other(tmp_path):
+def test_parallel_folders_do_not_remove_each_other(tmp_path):
     def work() -> None:
         for _ in range(50):
             with private_folder("edge-test-", str(tmp_path)) as folder:

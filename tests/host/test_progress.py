@@ -22,7 +22,7 @@ def at_once(monkeypatch):
     monkeypatch.setattr(progress, "TERMINAL_PERIOD_S", 0.0)
 
 
-def test_work_that_is_soon_done_shows_nothing(capsys):
+def test_quick_work_shows_no_progress(capsys):
     assert list(progress.with_progress("tasks", "abc")) == ["a", "b", "c"]
     assert capsys.readouterr().err == ""
 

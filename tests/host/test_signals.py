@@ -69,7 +69,7 @@ def test_the_first_stops_and_the_second_breaks_off(number, start):
     assert process.wait() == 0
 
 
-def test_a_stop_that_comes_when_it_is_about_to_be_waited_for_is_no_deadlock(start):
+def test_a_stop_just_before_the_wait_does_not_deadlock(start):
     process = start("stop", "held")
     assert process.stdout.readline() == "stopped\n"
 
@@ -82,7 +82,7 @@ def test_the_first_signal_interrupts_if_nothing_checks_for_stops(number, start):
 
 
 @pytest.mark.parametrize("number", SHOW, ids=lambda number: number.name)
-def test_a_look_at_the_threads_changes_nothing(number, start):
+def test_showing_the_threads_changes_nothing(number, start):
     process = start("stop")
     process.send_signal(number)
     assert "thread MainThread (most recent call last):\n" in iter(process.stderr.readline, "")
@@ -90,7 +90,7 @@ def test_a_look_at_the_threads_changes_nothing(number, start):
     assert process.stdout.readline() == "stopped\n"
 
 
-def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
+def test_a_closed_stderr_does_not_lose_later_signals(start):
     process = start("stop")
     process.stderr.close()
     process.send_signal(signal.SIGUSR1)

@@ -32,7 +32,7 @@ def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int,
     return answer.status, body
 
 
-def test_without_a_port_there_is_none():
+def test_without_a_port_no_server_starts():
     with serve({}, HERE, None) as port:
         assert port is None
 
@@ -128,7 +128,7 @@ def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silen
         assert posted.result(PATIENCE_S) == (200, b"taken")
 
 
-def test_while_every_connection_has_a_post_under_way_a_new_one_is_closed():
+def test_a_new_connection_is_closed_if_all_are_busy():
     begun, go_on = threading.Semaphore(0), threading.Event()
 
     def take(body: bytes) -> HttpResponse:
@@ -162,7 +162,7 @@ def test_nonsense_is_refused(nonsense):
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 64])
-def test_a_host_that_is_none_is_one_line(host):
+def test_an_unknown_host_is_an_error_of_one_line(host):
     with (
         pytest.raises(UnavailableError, match=rf"^http.port: cannot listen on {host} port "),
         serve({}, host, 0),

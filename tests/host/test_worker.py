@@ -74,7 +74,7 @@ def test_discard_all_drops_submitted_items_and_results(gate):
     worker.close()
 
 
-def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(gate):
+def test_the_newest_item_and_result_win(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     for item in "abc":
@@ -194,7 +194,7 @@ def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
     assert len(gate.got) == 1
 
 
-def test_it_rests_after_a_result_which_is_there_at_once(gate):
+def test_the_worker_rests_after_a_result(gate):
     gate.open.set()
     worker = Worker("test", gate, rest_s=3600)
     worker.submit("a")
@@ -205,7 +205,7 @@ def test_it_rests_after_a_result_which_is_there_at_once(gate):
     assert gate.got == ["a"]
 
 
-def test_a_beat_comes_while_nothing_else_does_and_may_fail(caplog):
+def test_the_periodic_callback_may_fail(caplog):
     beats = threading.Semaphore(0)
 
     def beat() -> None:

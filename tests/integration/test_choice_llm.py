@@ -100,7 +100,7 @@ def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
     assert "\n" not in str(raised.value)
 
 
-def test_the_robot_goes_on_when_the_server_is_killed():
+def test_the_robot_continues_when_the_server_is_killed():
     with serving_llm() as (url, server):
         choice = {"kind": "text", "url": url, "model": "default", "time_limit_s": PATIENCE_S}
         loop = ClosedLoop(

@@ -56,7 +56,7 @@ def is_edge(process: psutil.Process) -> bool:
 
 
 @pytest.mark.slow
-def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path):
+def test_an_episode_is_the_same_with_delayed_processes(tmp_path: Path):
     (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     first = run_episode(column, there, over_zenoh)
     with held_up() as held:

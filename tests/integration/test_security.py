@@ -227,7 +227,7 @@ def test_strangers_are_refused_with_a_reason(etc, elsewhere, tmp_path):
         assert running.end() == {("query", "edge/mission/request", "{}")}
 
 
-def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
+def test_a_client_certificate_cannot_identify_a_service(etc, tmp_path):
     port = free_port()
     known = settings_of(etc, "certificates", port)("operator")
     posing = tmp_path / "posing.json5"
@@ -269,7 +269,7 @@ def test_a_client_without_permission_gets_no_answer(etc):
 
 
 @pytest.mark.parametrize("kind", ["certificates", "passwords"])
-def test_idle_connections_keep_nobody_out(etc, kind):
+def test_idle_connections_do_not_lock_out_others(etc, kind):
     port = free_port()
     settings = settings_of(etc, kind, port)("operator")
     with service(settings), ExitStack() as idle:

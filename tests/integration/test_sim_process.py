@@ -136,7 +136,7 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
     assert first == second
 
 
-def test_lockstep_repeats_the_first_instant_until_somebody_answers():
+def test_lockstep_repeats_the_first_instant_until_an_answer_comes():
     data = settings(lockstep=True)
     config = parse(data)
     with open_session(config.zenoh, "listen") as session:

@@ -388,7 +388,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     house.robot.blind = False
 
 
-def test_a_degraded_loop_is_shown_and_its_text_is_no_markup(page, house):
+def test_a_degraded_loop_is_shown_with_escaped_text(page, house):
     house.brittle.broken = True
     page.says("#banner", "the loop is degraded")
     page.says("#banner", "<b>broken</b>")
@@ -415,7 +415,7 @@ def test_an_error_is_shown_differently_from_no_answer(page, monkeypatch):
         page.says("#phase", "SEARCHING")
 
 
-def test_a_service_that_has_gone_was_last_seen(tab):
+def test_a_service_that_ended_is_shown_as_last_seen(tab):
     with open_house(token=None) as house:
         tab.open(house.url)
         tab.says("#phase", "SEARCHING")
@@ -448,7 +448,7 @@ def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
     assert TOKEN not in tab.run("document.documentElement.outerHTML")
 
 
-def test_a_model_that_is_not_there_is_refused_in_a_line(page):
+def test_an_unknown_model_is_refused_in_one_line(page):
     page.type("#model", "no-such-model")
     page.click("#use")
     page.says("#toast", "no-such-model")

@@ -81,7 +81,7 @@ def test_the_page_works_before_the_service_starts(view):
     )  # fmt: skip
 
 
-def test_the_page_itself_is_public_and_nothing_else_is(view):
+def test_only_the_page_itself_is_public(view):
     html = view.pages()["/"]().body.decode()
     for path in PUBLIC:
         assert path == "/" or path.startswith("/live/")

@@ -48,7 +48,7 @@ def test_too_slow_for_seconds_is_a_step_down_and_says_why():
     assert why == f"detect takes 40 ms (median), above {budget}, for over 3 s"
 
 
-def test_a_detector_that_finds_nothing_out_is_no_room():
+def test_a_detector_without_samples_gives_no_headroom():
     levels = DegradationLevels(2, BUDGET_MS)
     levels.arrived(1, 0)
     assert all(levels.update(LoadSample(None), s * S) is None for s in range(1, 1000))
@@ -60,7 +60,7 @@ def test_a_board_that_is_not_cool_has_no_room():
     assert plant.run(62).level == 0
 
 
-def test_steps_up_in_vain_become_rarer():
+def test_useless_steps_up_become_rarer():
     """A board that is cool once something is given up, and hot once it is taken back."""
     plant = Plant(costs_ms=(10.0, 10.0))
     while plant.now_s < 20_000:
@@ -98,7 +98,7 @@ def test_never_two_steps_within_the_dwell_and_never_more_than_one_level(phases):
 
 
 @given(loads, st.floats(0.05, 1.0))
-def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load):
+def test_all_levels_are_restored_once_there_is_headroom(phases, load):
     plant = Plant()
     for seconds, heavy, hot, cool in phases:
         plant.run(seconds, heavy, distress="hot" if hot else "", has_headroom=cool)

@@ -115,7 +115,7 @@ def test_a_passing_person_does_not_contradict_the_pose(house, drive, px_per_tick
     assert not Eye(house).worst(drive, drive, change=walks) > MISFIT
 
 
-def test_a_pose_that_is_corrected_is_no_motion(house):
+def test_a_corrected_pose_is_not_motion(house):
     eye = Eye(house)
     assert eye.worst(ahead, ahead) < MISFIT
     moved = [
@@ -125,7 +125,7 @@ def test_a_pose_that_is_corrected_is_no_motion(house):
     assert not any(m > MISFIT for m in found)
 
 
-def test_a_robot_that_stands_tries_again_ever_later(house):
+def test_a_standing_robot_retries_at_growing_intervals(house):
     eye, waits = Eye(house), []
     for _ in range(5):
         assert eye.worst(ahead, turning) > MISFIT

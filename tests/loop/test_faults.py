@@ -47,7 +47,7 @@ def test_each_kind_is_reported_once_on_one_line_and_counted(faults, told, caplog
 
 
 @pytest.mark.parametrize("nothing", [None, [], False, 0])
-def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
+def test_a_step_without_work_does_not_end_the_degraded_state(faults, nothing):
     def bad() -> None:
         raise ValueError
 

@@ -274,7 +274,7 @@ def test_when_the_goal_changes(before, after, expected):
     ("paths_m", "at_y_m"),
     [((2.0, 2.1), 1.0), ((2.3, 2.0), 1.0), ((4.0, 2.0), -1.0), ((math.inf, 2.0), -1.0)],
 )
-def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
+def test_the_goal_keeps_its_side_of_a_wall(paths_m, at_y_m):
     case = Case()
     case.map.least_m = 9.0  # no free cell is near the chair
     things = frontier(1, 2, 0.5, y=1.0), frontier(2, 2, 0.5, y=-1.0), chair(9, 4, 0.8)
@@ -316,7 +316,7 @@ def test_each_failure_doubles_the_discard_time(candidate):
 
 
 @pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
-def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_alone):
+def test_an_object_with_alternating_stopping_points_is_given_up(side_m, is_left_alone):
     case, discarded = Case(), []
     case.pool.discard = lambda *thing: discarded.append(thing[1])
     for k in range(4):
@@ -338,7 +338,7 @@ def test_unreachable_candidates_are_skipped():
 
 
 @pytest.mark.parametrize("gone", ["rejected", "forgotten"])
-def test_an_instance_that_is_none_any_more_is_passed_over(gone):
+def test_a_rejected_or_forgotten_instance_is_skipped(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
     case.goals.abandon()

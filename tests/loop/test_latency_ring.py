@@ -95,7 +95,7 @@ def test_without_a_calibration_only_deadlines_are_reported():
     assert "budget" not in "".join(table)
 
 
-def test_an_abandoned_tick_is_a_drop_and_nothing_else():
+def test_an_abandoned_tick_counts_only_as_a_drop():
     ring = LatencyRing()
     ring.set_drops(MAP, 2)
     ring.begin_tick(1_000)
@@ -172,7 +172,7 @@ def test_a_tick_allocates_nothing_that_stays():
 @given(
     durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60), capacity=st.integers(1, 40)
 )
-def test_histograms_hold_all_since_the_start_whatever_the_ring_keeps(durations, capacity):
+def test_histograms_count_all_ticks_since_the_start(durations, capacity):
     ring = LatencyRing(capacity)
     for i, duration in enumerate(durations):
         tick(ring, {MAP: duration}, duration, start_ns=i * 10**8)

@@ -177,7 +177,7 @@ def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
     assert b.shedder.status()["distress"] == "tj is at 97 C, passive from 99 C"
 
 
-def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
+def test_a_damaged_model_is_skipped(bench):
     b = bench()
     b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
     b.until(lambda: b.shedder.level == 2)
@@ -199,7 +199,7 @@ def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
     assert (b.shedder.level, b.running) == (1, "small")
 
 
-def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
+def test_the_shedder_waits_while_a_requested_model_runs(bench):
     b = bench()
     b.models["own"] = Fake("own", 80.0)
     b.swapper.request("own", True, b.now_ns)

@@ -49,7 +49,7 @@ class Case:
 A, B = Viewpoint(1.0, 2.0, 0.5), Viewpoint(3.0, 4.0, -0.5)
 
 
-def test_a_view_stands_until_it_was_looked_at_often_enough():
+def test_a_view_lasts_until_it_has_enough_images():
     case = Case(A)
     assert case.choose() is A
     case.images = 100

@@ -183,7 +183,7 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
 
 
 @pytest.mark.parametrize("stage", [stage.name for stage in STAGES])
-def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch):
+def test_a_failing_stage_loses_only_its_frames(stage, monkeypatch):
     failing, passing = DEGRADED_AFTER + 2, 3
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     seen = blanks(closed, failing + passing)
@@ -310,7 +310,7 @@ class BadSink:
     tick = broken
 
 
-def test_a_sink_that_fails_costs_the_others_nothing():
+def test_a_failing_sink_does_not_affect_the_others():
     sinks = [BadSink(), Sink()]
     closed = ClosedLoop(
         simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=sinks
@@ -357,9 +357,7 @@ def ticks(run: RunningService) -> int:
         (True, "mission/request", "serve", "mission/request"),
     ],
 )
-def test_whatever_fails_around_the_ticks_the_loop_goes_on(
-    lockstep, part, method, step, monkeypatch
-):
+def test_the_loop_survives_failures_around_the_ticks(lockstep, part, method, step, monkeypatch):
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
     if part == "service":  # idle comes only where there is nothing to be seen
         run.source.poll = lambda: run.source.observations.pop() if len(beats) > 2 else None
@@ -376,7 +374,7 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     assert run.service.error_boundary.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
 
 
-def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
+def test_one_bad_answer_does_not_affect_the_others(monkeypatch):
     run, heard = running(True, frames=1), []
     answers = [GoalStatus(stamp, "accepted") for stamp in (1, 2, 3)]
 

@@ -65,7 +65,7 @@ def test_filters_leave_out_objects(loop):
     assert found
 
 
-def test_similar_objects_are_reported_as_such(loop):
+def test_similar_objects_are_marked_as_similar(loop):
     answer = ask(loop, '{"do": "find", "name": "countertop"}')
     assert answer["text"].startswith("no countertop has been seen")
     assert "; a table (similar) " in answer["text"]

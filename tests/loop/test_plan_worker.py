@@ -29,7 +29,7 @@ from edge.trajectory.pursuit import MotionLimits
     ],
     ids=["nothing", "by its number", "no such thing", "by its label", "too far off"],
 )
-def test_a_thing_that_got_another_number_is_found_again(things, asked, found):
+def test_an_object_with_a_new_id_is_found_again(things, asked, found):
     scene = street(*things)
     for i, one in scene.objects.items():
         scene.objects[i] = replace(one, points_m=one.position_m[None])

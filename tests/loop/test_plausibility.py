@@ -96,7 +96,7 @@ TAMPERED = {
 
 
 @pytest.mark.parametrize(("make", "why"), TAMPERED.values(), ids=TAMPERED)
-def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(make, why):
+def test_implausible_data_stop_the_robot_until_they_recover(make, why):
     loop = driving()
     before, begun_s, path_m, stood = len(loop.notes.events), loop.seconds, 0.0, None
     restore = tampered(loop, make())
@@ -321,7 +321,7 @@ def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
     ],
     ids=["jitters", "is corrected"],
 )
-def test_a_robot_that_stands_may_see_the_same_again(poses):
+def test_a_standing_robot_may_repeat_its_images(poses):
     judge = Judge()
     assert [judge.see(pose, **room()) for pose in poses] == [""] * len(poses)
 

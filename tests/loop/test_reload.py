@@ -73,7 +73,7 @@ def test_nothing_is_done_unasked(bench):
     assert bench.reloader.outcome == ""
 
 
-def test_one_that_is_asked_for_during_another_comes_after_it(bench):
+def test_a_reload_requested_during_another_follows_it(bench):
     bench.asked.set()
 
     def reread() -> Config:
@@ -169,7 +169,7 @@ def test_a_configuration_that_cannot_be_read_is_refused(bench, error, says):
     assert says in outcome
 
 
-def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
+def test_an_unavailable_detector_refuses_the_whole_reload(bench, cards):
     bench.closed.run(1)
     before = bench.service.config
     detector = {"kind": "onnx", "model": "nobody-has-it"}
@@ -254,7 +254,7 @@ def test_a_real_detector_is_made_again_next_to_the_one_at_work():
     bench.service.close()
 
 
-def test_every_live_key_is_there():
+def test_every_live_key_exists():
     for key in LIVE:
         section = config()
         for name in key.split("."):

@@ -104,7 +104,7 @@ def test_the_answer_of_the_scorer_is_used(lockstep):
     assert "surfboard" in server.requests[0][2]["messages"][1]["content"]
 
 
-def test_the_robot_goes_on_when_the_server_never_answers():
+def test_the_robot_continues_when_the_server_never_answers():
     """It finds the television as it would without a scorer; closing waits for no one."""
     with serving(lambda handler: handler.stopping.wait()) as server:
         loop = ClosedLoop(settings(server.url, target="television")).run(240)

@@ -58,7 +58,7 @@ def request(loop, **fields):
     return handle_model(swapper, Request(do, fields, prepared=prepared), 0, loop.scorers)
 
 
-def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
+def test_a_model_of_another_family_is_swapped_in(models_dir):
     publish(models_dir, "text", "words")
     publish(models_dir, "smolvlm", "eyes")
     loop = ClosedLoop(settings())
@@ -112,7 +112,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
     loop.close()
 
 
-def test_a_model_that_fails_is_counted_and_the_loop_goes_on(models_dir, caplog):
+def test_a_failing_model_is_counted_and_the_loop_continues(models_dir, caplog):
     publish(models_dir, "text", "words")
     loop = ClosedLoop(settings())
     loop.scorers._choice.exchange(Failing())

@@ -172,7 +172,7 @@ def test_a_view_of_nothing_promises_nothing():
     assert RelatedScores()(detections()).tolist() == [0.0, 0.0]
 
 
-def test_related_things_promise_a_target_by_how_often_they_share_a_room():
+def test_related_objects_raise_the_score_of_a_target():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
     p = p_object_given_word(load(), BOTH, ("pillow", "toilet", "lampion"))
@@ -214,7 +214,7 @@ def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
     assert case.best(left, right) == pytest.approx(choice.scene * np.array(p), abs=0.05)
 
 
-def test_without_a_prior_there_is_no_choice_by_it():
+def test_without_a_prior_it_makes_no_choice():
     scorers = Scorers(None, PriorChoice(), value_source="choice")
     case = Case(scorers)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
@@ -233,7 +233,7 @@ BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
     ("policy", "perception"),
     [({"kind": "adaptive"}, RELATED), ({"kind": "adaptive", "by": "choice"}, BY_PRIOR)],
 )
-def test_a_robot_without_any_server_finds_things_by_related_ones(policy, perception):
+def test_related_objects_guide_a_robot_without_a_server(policy, perception):
     """And what was said of a target is kept by the next mission, not by a jump of the pose."""
     config = simulated(
         {
@@ -265,7 +265,7 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
         ((True, True, False, False), (0.0, 0.0, 0.0)),  # none that a way leads to
     ],
 )
-def test_ways_are_those_to_the_marks_and_the_rest_of_the_frontiers(reaches, others):
+def test_mark_costs_cover_marks_and_other_frontiers(reaches, others):
     candidates = frontiers((4.0, 1.0), (5.0, -1.0), (-6.0, 0.0), (-1.0, 0.0))
     candidates.path_m[:4] = np.where(reaches, (4.5, 7.0, 6.0, 1.0), math.inf)
     candidates.gain_m2[:4] = 2.0, 3.0, 4.0, 9.0

@@ -37,7 +37,7 @@ def config(**sections: dict) -> Config:
     return simulated({**base, **sections})
 
 
-def test_a_first_frame_with_nothing_in_it_is_no_trouble():
+def test_an_empty_first_frame_does_no_harm():
     loop = ClosedLoop(config(), colour=False)
     goal = loop.service.tick(blank_observation(0, START_NS, SE2(0, 0, 0), loop), START_NS)
     assert goal is None
@@ -118,7 +118,7 @@ def test_a_controller_that_never_answers_gets_the_robot_there():
 
 
 @pytest.mark.parametrize("sections", [{}, TOPIC])
-def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections, caplog):
+def test_a_stuck_robot_is_noticed_without_any_controller_answer(sections, caplog):
     settings = config(mission={"target": "surfboard", "stuck_s": 2.0}, **sections)
     loop = ClosedLoop(settings, colour=False)
     loop.service.on_goal_status = lambda answer: None
@@ -264,7 +264,7 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
     assert (sent.kind, sent.score) == ("spin", 0.0)
 
 
-def test_a_stop_without_a_mission_sends_one_goal_to_stand_still():
+def test_a_stop_without_a_mission_sends_one_hold_goal():
     loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
     loop.step()
     loop.service.cancel("over", START_NS)
@@ -303,7 +303,7 @@ def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     assert "goal_status" not in caplog.text
 
 
-def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
+def test_a_pose_jump_frees_the_old_map_at_once():
     """It is large: were it garbage until the collector comes, memory would grow by many of them."""
     loop = ClosedLoop(config(), colour=False).run(2)
     old = weakref.ref(loop.service.map.grid)

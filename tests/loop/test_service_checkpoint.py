@@ -70,7 +70,7 @@ def test_a_mission_resumes_with_its_state_and_objects(path):
     assert run.distance_m("television") <= 1.0
 
 
-def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(path):
+def test_a_patrol_resumes_its_round_and_its_wait(path):
     run = run_of(path, 'G F "wait 3 s" & G F "check surfboard"')
     mission = run.service.mission
     mission.round, mission.results = 4, ("no, there is no surfboard",)
@@ -148,7 +148,7 @@ def test_a_failed_target_needs_a_new_instance_after_a_restart(path):
     assert run.service.mission.target == "bed"
 
 
-def test_an_ended_mission_does_not_go_on(path):
+def test_an_ended_mission_is_not_resumed(path):
     run = run_of(path, "F bed").ticks(1)
     run.service.mission.fail("cancelled", run.drive.motion.stamp_ns)
     checkpoint = run.ticks(1).killed().service.checkpoint

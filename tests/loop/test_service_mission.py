@@ -78,7 +78,7 @@ def test_an_idle_robot_stands_and_tests_its_controller():
     assert service.status.phase == "searching"
 
 
-def test_a_mission_with_a_name_is_known_by_it_now_and_later():
+def test_a_mission_keeps_its_given_id():
     loop = ClosedLoop(config("F television"), colour=False).run(3)
     bed, sofa = (prepare(loop.config.mission, formula=f"F {x}") for x in ("bed", "sofa"))
     assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last mission ")
@@ -112,7 +112,7 @@ def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
     assert loop.distance_m("bed") <= 1.0
 
 
-def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes_on(monkeypatch):
+def test_a_mission_the_detector_refuses_keeps_the_old_one(monkeypatch):
     loop = ClosedLoop(config("F bed"), colour=False).run(3)
 
     def refuse(prompts):
@@ -138,7 +138,7 @@ def test_a_pose_jump_clears_known_distances():
     loop.service.close()
 
 
-def test_pause_has_the_robot_stand_and_resume_go_on():
+def test_pause_stops_the_robot_and_resume_continues():
     loop = ClosedLoop(config("F bed"), colour=False).run(6)
     assert ask(loop, "pause")["phase"] == "paused"
     for _ in range(15):

@@ -176,7 +176,7 @@ def test_an_opened_cell_returns_to_its_former_state(place, raw, open_again, time
         (0.82, 2.0, False),  # behind
     ],
 )
-def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, shows):
+def test_an_obstacle_ahead_explains_a_blocked_robot(x_m, yaw_rad, shows):
     empty, grid = RollingMap(SMALL), RollingMap(SMALL)
     look(grid, HOME, BOX)
     pose = SE2(x_m, 0.0, yaw_rad)

@@ -159,7 +159,7 @@ def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
 
 
 @pytest.mark.parametrize("how", ["looked from there", "in vain"])
-def test_view_after_view_comes_to_an_end(how):
+def test_the_series_of_views_ends(how):
     grid = explored()
     coverage = grid.coverage
     coverage.on_image(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)

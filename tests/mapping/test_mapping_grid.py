@@ -62,7 +62,7 @@ def test_a_walking_person_leaves_no_ghost():
     assert len(occupied) > 20, "the walls stay"
 
 
-def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
+def test_an_opened_door_is_free_and_a_closed_one_occupied():
     grid = RollingMap(SMALL)
     door = (1.5, -0.4, 0.0, 1.55, 0.4, 2.0)
     walls = [(1.5, 0.4, 0, 1.55, 2, 2.0), (1.5, -2, 0, 1.55, -0.4, 2.0)]

@@ -87,7 +87,7 @@ LOW_BED = (0.9, -0.5, 0.0, 2.4, 0.5, 0.35)
     [(TABLE, 0.0, False), (BED, 0.0, False), (LOW_BED, 0.3, True), (LOW_BED, 0.4, True)],
     ids=["only a table", "only a bed", "bed as high as the base", "bed below the base"],
 )
-def test_furniture_at_the_start_is_no_floor(thing, base_m, seen):
+def test_furniture_at_the_start_is_not_taken_for_floor(thing, base_m, seen):
     """The floor is the lowest that is wide; where none is seen, none is known until it is."""
     grid, floor_z_m = RollingMap(SMALL), 2.0
     for _ in range(3):
@@ -201,7 +201,7 @@ def test_a_road_that_climbs_in_the_blind_zone_is_ground(road):
 @pytest.mark.parametrize(
     ("thing", "climb"), [("box", "leans"), ("box", "falls"), ("curb", "climbs")]
 )
-def test_a_low_thing_just_outside_the_blind_zone_is_an_obstacle(thing, climb):
+def test_a_low_obstacle_outside_the_blind_zone_is_occupied(thing, climb):
     """A box in a few sectors, and a curb as long as the road: all the rest agrees on the ground."""
     road = CLIMBS[climb]
     x, y = (4.2, 0.0) if thing == "box" else (0.0, 4.2)
@@ -236,7 +236,7 @@ def unseen(grid: RollingMap, thing: Box, others: list[Box], lost: float = np.nan
         (2.1, 0.9, np.nan),
     ],
 )
-def test_a_thing_without_returns_is_not_free(x_m, high_m, lost):
+def test_an_object_without_returns_is_not_free(x_m, high_m, lost):
     """Black, or glass: the rays that pass over it are as high as it is at least."""
     grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
     unseen(grid, (x_m, -0.3, 0.0, x_m + 0.3, 0.3, high_m), WALLS, lost)

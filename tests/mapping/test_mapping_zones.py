@@ -75,7 +75,7 @@ def test_cells_are_closed_by_their_distance_to_the_polygon(x_m, y_m, half_m, at_
     assert not found[to_m > most].any()
 
 
-def test_no_way_leads_through_a_zone_and_the_way_opens_when_it_is_removed():
+def test_no_path_leads_through_a_zone_until_it_is_removed():
     grid = seen_around(WALLS)
     beyond = (2.0, 0.0)
     complete(grid, ORIGIN)
@@ -93,7 +93,7 @@ def test_no_way_leads_through_a_zone_and_the_way_opens_when_it_is_removed():
     assert grid.travel_cost.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
 
 
-def test_a_zone_makes_no_frontier_and_takes_those_in_it():
+def test_a_zone_removes_its_frontiers():
     grid = seen_around()
     n = grid.frontiers.n
     assert n > 0

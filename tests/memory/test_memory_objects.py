@@ -109,7 +109,7 @@ def test_a_moved_object_says_from_where():
     assert found[0].to_json()["came_from"] == [4.0, 2.0]
 
 
-def test_similar_objects_are_reported_as_such():
+def test_similar_objects_are_marked_as_similar():
     similar = {"mug": known_objects(SEEN, NOW_NS, 2, "mug")}
     assert describe_similar("goblet", {}, None, True) == "no goblet has been seen"
     assert describe_similar("goblet", similar, None, True) == (

@@ -84,7 +84,7 @@ def test_nothing_is_known_at_first():
     assert survey_rooms(NO_REGIONS, NO_SURVEY).shapes == ()
 
 
-def test_a_room_has_an_outline_an_area_and_places_to_stand():
+def test_a_room_has_an_outline_an_area_and_standing_places():
     (shape,) = surveyed(cut(LEFT)).shapes
     assert shape.id == 1
     assert shape.area_m2 == pytest.approx(12.0)

@@ -70,7 +70,7 @@ coordinate = st.floats(-1000, 1000).map(lambda v: round(v, 3))
     x=coordinate, y=coordinate, deg=st.integers(-180, 180),
     name=st.from_regex(r"[b-z][a-z0-9]{0,20}( [a-z0-9]{1,9}){0,2}", fullmatch=True),
 )  # fmt: skip
-def test_a_place_comes_back_as_it_was(x, y, deg, name):
+def test_a_place_survives_a_round_trip(x, y, deg, name):
     place = item_of(feature(name=name, coordinates=[x, y], heading_deg=deg))
     assert item_of(place.feature()) == place
     assert (place.pose.x_m, place.pose.y_m) == (x, y)

@@ -42,7 +42,7 @@ states = st.builds(
 
 
 @given(states)
-def test_every_state_comes_back_as_it_was(state):
+def test_every_state_survives_a_round_trip(state):
     assert MISSION.decode(MISSION.encode(Checkpoint(state))).state == state
 
 

@@ -44,7 +44,9 @@ def test_invalid_prefix_tokens_raise(tokens: str) -> None:
 
 
 @given(st.data(), st.integers(1, MOST_NAMES), st.integers(1, 24))
-def test_whatever_is_allowed_ends_in_a_formula(data: st.DataObject, names: int, most: int) -> None:
+def test_any_allowed_token_sequence_ends_in_a_formula(
+    data: st.DataObject, names: int, most: int
+) -> None:
     written: list[str] = []
     while options := [t for t in allowed(written, names, most) if t != REFUSED]:
         written.append(data.draw(st.sampled_from(options)))

@@ -34,7 +34,7 @@ def fill(snapshot, x0, y0, x1, y1, value=100):
     snapshot.cells[rows, round((x0 - ox) / res) : round((x1 - ox) / res)] = value
 
 
-def test_the_way_leads_through_the_door():
+def test_the_path_leads_through_the_door():
     """A wall across the middle with a door at the far end, left open by its inflation."""
     house = room(8, 6)
     fill(house, 0, 2.7, 8, 3.3, 99)

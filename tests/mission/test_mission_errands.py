@@ -190,7 +190,7 @@ def test_an_impossible_errand_is_refused_in_one_line(said, hint):
         "clean the sofa",
     ],
 )
-def test_driving_is_no_handling(said):
+def test_driving_is_not_handling(said):
     assert spell_out(said)
 
 
@@ -218,5 +218,5 @@ def test_a_length_of_time(span, seconds):
     [("the living room", True), ("room 12", True), ("aisle five", True), ("kitchen table", False),
      ("office chair", False), ("toilet", True), ("dock", False)],
 )  # fmt: skip
-def test_a_room_is_known_by_its_last_word(name, room):
+def test_a_room_is_recognised_by_its_last_word(name, room):
     assert is_room(bare(name)) is room

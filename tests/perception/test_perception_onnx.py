@@ -96,7 +96,7 @@ def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(ti
         make_detector(settings, ("chair",))
 
 
-def test_a_trusted_cache_starts_it_all_the_same(tiny, monkeypatch):
+def test_a_trusted_cache_skips_the_hash(tiny, monkeypatch):
     monkeypatch.setenv(TRUST_CACHE, "1")
     detector = tiny()
     path = detector.card.path
@@ -150,7 +150,7 @@ def test_a_background_that_fits_better_is_a_boxs_competing_class(tiny, make_obse
     assert found.not_suppressed().tolist() == [False]
 
 
-def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny, make_observation):
+def test_each_target_has_its_box_and_competing_scores(tiny, make_observation):
     """A chair that also resembles a sofa is detected as both: the tracker weighs many images."""
     seen = make_observation(rgb=image())
     found = tiny(prompts=("sofa", "chair")).detect(seen)
@@ -225,7 +225,7 @@ def test_boxes_that_cannot_be_are_dropped_counted_and_reported_once(
         check_model(detector.card)
 
 
-def test_a_provider_that_is_not_there_is_an_error_that_lists_those_that_are(tiny):
+def test_an_unknown_provider_lists_the_available_ones(tiny):
     with pytest.raises(ModelError, match=r"'NoSuchProvider' is not available .*CPUExecution"):
         tiny(providers=("NoSuchProvider",))
 
@@ -259,7 +259,7 @@ def test_text_that_cannot_be_encoded_leaves_the_prompts_as_they_were(
     assert detector.detect(make_observation(rgb=image())).prompts == ("sofa",)
 
 
-def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
+def test_an_invalid_model_file_is_refused(tiny, tmp_path):
     path = tmp_path / "cache" / "models" / "tiny.onnx"
     tiny()
     path.write_bytes(b"not onnx")

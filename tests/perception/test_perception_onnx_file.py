@@ -110,7 +110,7 @@ OUTSIDE = tensor("w", "../../etc/passwd")
         (detector(more=field(7, graph(tensors=(OUTSIDE,)))), "the header is not that of ONNX"),
     ],
 )
-def test_a_file_that_no_session_should_be_made_of(check, content, message):
+def test_a_file_unfit_for_a_session_is_refused(check, content, message):
     with pytest.raises(ModelError) as error:
         check(content)
     assert message in str(error.value)
@@ -118,7 +118,7 @@ def test_a_file_that_no_session_should_be_made_of(check, content, message):
     assert "\n" not in str(error.value)
 
 
-def test_functions_of_the_model_are_no_unknown_operators(check):
+def test_functions_of_the_model_count_as_known_operators(check):
     function = field(1, "F") + field(10, "my.lab") + field(7, node("Identity"))
     check(detector([node("F", "my.lab")], more=field(25, function)))
 
@@ -183,7 +183,7 @@ SOUND = detector(
 
 
 @given(st.data())
-def test_damage_is_reported_or_does_no_harm(data):
+def test_damage_is_reported_or_harmless(data):
     cut = data.draw(st.integers(0, len(SOUND)))
     damaged = bytearray(SOUND[:cut])
     for _ in range(data.draw(st.integers(0, 5)) if damaged else 0):

@@ -366,7 +366,7 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
     assert set(psutil.Process().children()) <= others
 
 
-def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch):
+def test_a_stopped_process_is_killed(make, monkeypatch):
     monkeypatch.setattr(link, "_STOP_S", 0.05)
     detector = make()
     halt(pid_of(detector))
@@ -393,7 +393,7 @@ def test_a_process_that_cannot_be_ended_is_left_behind(monkeypatch, caplog):
     thread.join(PATIENCE_S)
 
 
-def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, caplog, tmp_path):
+def test_an_unkillable_starting_process_is_left_behind(monkeypatch, caplog, tmp_path):
     (tmp_path / "script").write_text("wait")
     outlive(monkeypatch)
     with pytest.raises(ModelProcessError, match="not ready after"):

@@ -215,7 +215,7 @@ def test_the_file_has_no_name_that_could_be_left_behind(pair):
     assert os.fstat(file.fd).st_mode & 0o077 == 0
 
 
-def test_memory_that_is_not_there_is_an_error_and_no_signal(pair, monkeypatch):
+def test_missing_memory_is_an_error_not_a_signal(pair, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -295,7 +295,7 @@ def _error(there, picture, later_s=0.0) -> str:
     return ""
 
 
-def test_in_the_background_the_newest_image_wins_and_frames_are_let_go(model, far, picture):
+def test_in_the_background_the_newest_image_wins(model, far, picture):
     gate = threading.Event()
 
     def slowly(handler):
@@ -348,7 +348,7 @@ def write_card(tmp_path, monkeypatch, url, **change) -> None:
         ({"server": {"url": "http://base"}}, "server.model: missing"),
     ],
 )
-def test_a_card_of_a_server_that_is_none_is_one_line(tmp_path, monkeypatch, change, why):
+def test_an_invalid_server_card_is_an_error_of_one_line(tmp_path, monkeypatch, change, why):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1", **change)
     with pytest.raises(ModelError, match=r"^[^\n]*$") as error:
         load_card("far")
@@ -356,7 +356,7 @@ def test_a_card_of_a_server_that_is_none_is_one_line(tmp_path, monkeypatch, chan
     assert ":p@" not in str(error.value)
 
 
-def test_there_is_no_file_to_look_into(tmp_path, monkeypatch):
+def test_a_server_model_has_no_local_file(tmp_path, monkeypatch):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
     card = load_card("far")
     assert not card.is_here()

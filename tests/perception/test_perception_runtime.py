@@ -76,7 +76,7 @@ def test_providers_that_cannot_be(tmp_path, providers, precision, says):
 
 
 @pytest.mark.parametrize("content", [b"", b"not onnx", b"\x08\x07" * 50])
-def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
+def test_an_invalid_model_file_is_an_error_of_one_line(tmp_path, content):
     (tmp_path / "tiny.onnx").write_bytes(content)
     with pytest.raises(ModelError, match="onnxruntime cannot load the model") as error:
         open_session(tmp_path / "tiny.onnx", [CPU], 1)
@@ -204,7 +204,7 @@ def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
 
 
 @pytest.mark.parametrize("providers", [(ORT_TENSORRT,), ("tensorrt",)])
-def test_tensorrt_that_is_not_there_is_one_line(tmp_path, monkeypatch, providers):
+def test_missing_tensorrt_is_an_error_of_one_line(tmp_path, monkeypatch, providers):
     (tmp_path / "tiny.onnx").write_bytes(b"model")
     monkeypatch.setattr(ort, "get_available_providers", lambda: [ORT_TENSORRT, CPU])
     monkeypatch.setitem(__import__("sys").modules, "tensorrt", None)

@@ -114,7 +114,7 @@ def test_a_provider_that_cannot_be_had(put, settings, message):
         (lambda card: {"input": {"height": 64, "width": 64}}, "must have one input"),
     ],
 )
-def test_a_file_that_is_no_such_model(put, change, message):
+def test_a_model_with_other_inputs_is_refused(put, change, message):
     put("nano-sam", **change(put("nano-sam")))
     with pytest.raises(ModelError, match=message):
         opened("nano-sam")
@@ -132,7 +132,7 @@ def test_both_files_are_checked(put, capsys):
     assert masks.startswith(f"{layout}: ok (hash, interface, masks (1, ")
 
 
-def test_a_damaged_decoder_is_told(put, capsys):
+def test_a_damaged_decoder_is_reported(put, capsys):
     card = put("nano-sam")
     path = resources.models_dir() / card["decoder"]["file"]
     path.write_bytes(path.read_bytes() + b"\0")

@@ -67,7 +67,7 @@ def test_nothing_seen_nothing_there(scene):
     assert len(s.seen.of("chair")) == len(s.seen.of("lamp")) == 0
 
 
-def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
+def test_misses_lower_the_confidence_until_the_object_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     fell = [float(s.see().seen.confidence[0]) for _ in range(4)]
     assert (np.diff(fell) < 0).all()
@@ -166,7 +166,7 @@ def test_the_newest_image_shows_these_objects(scene):
     assert s.tracker.observed == []
 
 
-def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
+def test_ids_continue_after_everything_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     before, generation = int(s.seen.id[0]), s.seen.generation
     s.tracker.clear()
@@ -233,7 +233,7 @@ def test_a_broader_word_counts_less_and_a_narrower_nothing(scene, target, around
     assert s.tracker.has_competing_object(target[0], surface(NEAR), 0.2) == doubtful
 
 
-def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
+def test_small_objects_compete_with_a_large_one_not_vice_versa(scene):
     row = [("chair", NEAR, y, 0.6) for y in (-0.7, 0.0, 0.7)]
     s = scene(merge_m=0.4)
     for _ in range(5):
@@ -267,7 +267,7 @@ def test_the_strongest_competing_class_agrees_with_its_twin(seed, n):
 
 
 @pytest.mark.parametrize(("spread_m", "weight"), [(0.0, 1.0), (0.2, 1.0), (3.0, 0.25)])
-def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
+def test_a_partial_view_of_an_object_counts_less(spread_m, weight):
     points = np.zeros((kernels.POINTS, 3), np.float32)
     points[:] = 2.0, 0.0, 0.6
     points[:, 1] += np.linspace(-spread_m, spread_m, kernels.POINTS, dtype=np.float32)

@@ -44,9 +44,7 @@ def test_empty_prompts_are_refused(prompts):
         (("lamp", "sofa", "dog chair"), 0),  # the one that there is cannot be seen from here
     ],
 )
-def test_a_name_means_the_things_of_that_name_before_those_of_its_noun(
-    make_observation, labels, boxes
-):
+def test_an_exact_name_matches_before_its_noun(make_observation, labels, boxes):
     found = make(("dog chair",), labels).detect(make_observation(**scene()))
     assert len(found) == boxes
 

@@ -165,7 +165,7 @@ def test_a_detectors_class_scores(by_detector):
         by_detector(logits, ["heron"])
 
 
-def test_scores_that_are_no_numbers_are_an_error(by_detector):
+def test_scores_that_are_not_finite_are_an_error(by_detector):
     scorer = by_detector(np.full((2, 512), np.nan, np.float32), ["chair"])
     with pytest.raises(
         ModelError, match=r"model tiny-detector: 2 boxes are not finite, .* outside 0 to 1"

@@ -292,7 +292,7 @@ def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
     eventually(lambda: b.new.closed)
 
 
-def test_images_that_are_no_images_are_no_fault(bench, make_observation):
+def test_observations_without_an_image_are_not_held_against_a_model(bench, make_observation):
     b = bench()
     b.swapper.request("new", False, 0)
     b.until("on probation")
@@ -384,7 +384,7 @@ def test_prompts_that_one_of_the_two_has_no_room_for_change_neither(bench, monke
     assert b.new.prompts == b.old.prompts == ("chair",)
 
 
-def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, monkeypatch):
+def test_an_image_that_cannot_be_copied_refuses_the_model(bench, monkeypatch):
     def fail(*_):
         raise MemoryError("12 MB")
 

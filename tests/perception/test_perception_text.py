@@ -113,7 +113,7 @@ def torn_zip(path):
         torn_zip,
     ],
 )
-def test_a_file_with_other_things_is_no_vocabulary(tmp_path, write):
+def test_an_unsuitable_file_is_not_a_vocabulary(tmp_path, write):
     write(tmp_path / "v.npz")
     with pytest.raises(PromptError, match=r"v\.npz: not a vocabulary"):
         TextEmbeddings(str(tmp_path / "v.npz"))
@@ -154,7 +154,7 @@ def test_without_a_text_model_the_vocabulary_is_taken(cards, vocabulary):
     assert encoder.contrasts("red chair") == []
 
 
-def test_another_models_card_that_is_not_valid_is_passed_over(cards, vocabulary, caplog):
+def test_an_invalid_card_of_another_model_is_skipped(cards, vocabulary, caplog):
     (cards / "broken.yaml").write_text("name: [")
     assert make_text_encoder(_Card, str(vocabulary)).dim == 512
     (record,) = caplog.records
@@ -176,7 +176,7 @@ def test_embeddings_of_another_length_are_refused(cards, vocabulary, monkeypatch
         make_text_encoder(_Card, str(vocabulary))
 
 
-def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
+def test_synonyms_cover_aliases_and_near_words(tmp_path):
     """Prompts include aliases and near words of the embedding, never broader ones.
 
     A near word must be a kind of the class, or no class of its own.
@@ -195,7 +195,7 @@ def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
         text.synonyms("zebra")
 
 
-def test_a_thing_is_asked_for_under_narrower_words_that_are_no_class_of_their_own(tmp_path):
+def test_synonyms_cover_narrower_words_without_their_own_class(tmp_path):
     angles = {"table": 0.0, "kids table": 0.30, "pool table": 0.40, "dining table": 0.40}
     angles |= {"board": 0.40, "far table": 0.50}  # cosine 0.92 at 0.40 rad, 0.88 at 0.50 rad
     rows = [(np.cos(angle), np.sin(angle)) for angle in angles.values()]

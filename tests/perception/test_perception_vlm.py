@@ -490,7 +490,7 @@ def test_wrong_sizes_of_patches_are_reported_in_one_line(models_dir, told, says)
 
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
-def test_free_shapes_are_none_for_tensorrt(models_dir, family, provider):
+def test_free_shapes_are_refused_for_tensorrt(models_dir, family, provider):
     card = publish(models_dir, family)
     says = r"\.onnx: the input '\w+' has no fixed shape, .* in perception\.choice\.providers"
     with pytest.raises(ModelError, match=says) as raised:
@@ -526,7 +526,7 @@ def sound(tmp_path_factory):
 
 @pytest.mark.parametrize("family", FAMILIES)
 @given(st.randoms(use_true_random=False), st.data())
-def test_changed_files_are_reported_in_one_line_or_do_no_harm(sound, family, chance, data):
+def test_changed_files_are_reported_or_harmless(sound, family, chance, data):
     """Though their hashes are right: nothing but a ModelError is raised, whatever the bytes."""
     card, contents = sound[family]
     file = data.draw(st.sampled_from(sorted(contents)))
@@ -545,7 +545,7 @@ def test_changed_files_are_reported_in_one_line_or_do_no_harm(sound, family, cha
     assert len(told) < 1200
 
 
-def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
+def test_a_card_of_another_task_or_unknown_is_refused(models_dir):
     for name, says in [
         ("none", "no such card"),
         ("mini-house-text", "of task 'text', not 'choice'"),

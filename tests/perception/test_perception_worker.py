@@ -60,7 +60,7 @@ def holds(frames):
     return [frame.slot.holds for frame in frames]
 
 
-def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
+def test_the_newest_waiting_image_wins(frames):
     worker = DetectorWorker(fake := Fake())
     worker.submit(frames[0])
     assert fake.started.acquire(timeout=PATIENCE_S)

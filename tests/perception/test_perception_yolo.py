@@ -44,7 +44,7 @@ def picture(shared_dir, i):
     return np.ascontiguousarray(cv2.imread(str(path))[:, :, ::-1])
 
 
-def test_it_finds_the_chair_and_nothing_else_strong(detector, shared_dir, make_observation):
+def test_the_chair_is_the_only_strong_detection(detector, shared_dir, make_observation):
     for i in range(5):
         found = detector.detect(make_observation(seq=i, rgb=picture(shared_dir, i)))
         assert found.prompts[found.class_id[0]] == "chair"

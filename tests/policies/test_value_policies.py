@@ -70,7 +70,7 @@ POLICIES = [PolicyVlfm(), PolicyDirectional(), PolicyAdaptive()]
 
 
 @pytest.mark.parametrize("policy", POLICIES, ids=lambda p: p.kind)
-def test_without_candidates_there_are_no_scores(policy):
+def test_without_candidates_nothing_is_scored(policy):
     assert scored(policy, Valued()).size == 0
 
 
@@ -136,7 +136,7 @@ def test_adaptive_follows_values_that_stand_out(values, expected):
         ({("bed", *b): 3.0, ("bed", *d): 2.9}, 3),
     ],
 )
-def test_the_prior_may_stand_in_for_values(lifts, expected):
+def test_the_prior_can_replace_values(lifts, expected):
     by_prior, prior = PolicyAdaptive(by="prior"), None if lifts is None else Lifts(lifts)
     assert first(scored(by_prior, Valued({c: 0.9}), A, B, C, D, prior=prior)) == expected
 

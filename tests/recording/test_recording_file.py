@@ -108,7 +108,7 @@ def test_a_partial_file_is_recovered_under_its_own_name(tmp_path, whole):
     assert sorted(tmp_path.iterdir()) == [out, path]
 
 
-def test_nothing_that_is_there_is_written_over(tmp_path, whole):
+def test_an_existing_file_is_not_overwritten(tmp_path, whole):
     path = tmp_path / "a.mcap.recovering"
     path.write_bytes(whole)
     with pytest.raises(RecordingError, match=r"a\.mcap\.recovering: exists already"):
@@ -140,7 +140,7 @@ while True:
 """
 
 
-def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
+def test_a_kill_loses_only_the_last_moments(tmp_path):
     script = WRITER.format(folder=str(tmp_path))
     writer = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     told = [int(writer.stdout.readline().split()[0]) for _ in range(8)]

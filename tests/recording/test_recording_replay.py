@@ -287,7 +287,7 @@ def test_replay_delivers_background_results_at_their_ticks(tmp_path, monkeypatch
     same(files_of(tmp_path)[0], ticks)
 
 
-def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
+def test_a_run_resumed_from_a_checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.json"
     config = small(mission={"target": "bed", "checkpoint": str(path)})
     first = ClosedLoop(config)

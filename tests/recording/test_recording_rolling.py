@@ -42,7 +42,7 @@ def put(files: RollingRecorder, n: int = 1, payload: bytes = b"{}") -> None:
         files.sync()
 
 
-def test_nothing_written_is_no_file(tmp_path, clock):
+def test_without_messages_no_file_is_written(tmp_path, clock):
     rolling(tmp_path / "new", clock).close()
     assert list(tmp_path.iterdir()) == []
 
@@ -72,7 +72,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
     assert parts == ["0", "1", "2"]
 
 
-def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, clock):
+def test_the_oldest_files_are_removed_unless_being_written(tmp_path, clock):
     other = rolling(tmp_path, clock)
     put(other, 5, NOISE)
     written = files_of(tmp_path)[0]

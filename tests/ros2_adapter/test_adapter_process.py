@@ -129,7 +129,7 @@ def test_its_faults_are_reported_in_one_line(data, said):
 
 
 @pytest.mark.parametrize("key", ["python", "setup"])
-def test_a_file_that_is_not_there_is_reported(key):
+def test_a_missing_file_is_reported(key):
     with pytest.raises(UnavailableError, match=f"^<defaults>: ros2.adapter.{key}: cannot read /no"):
         process.command_of(adapted({key: "/no/such"}))
 

@@ -226,7 +226,7 @@ def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
     robot.says('"cancelled"', times=before + 2)
 
 
-def test_a_goal_of_a_service_that_is_gone_is_cancelled(adapter, service, robot):
+def test_a_goal_of_an_ended_service_is_cancelled(adapter, service, robot):
     before, followed = robot.count('"cancelled"'), service.hear("odom")
     payload_of(followed)
     service.drive(30, ENDLESS)
@@ -256,7 +256,7 @@ def test_when_the_action_goes_away_its_goal_has_failed(adapter, service, robot, 
     assert service.answers(40, until="failed")[-1] == ("failed", "navigate_to_pose is gone")
 
 
-def test_the_node_outlives_nobody_and_leaves_no_goal(
+def test_the_node_ends_with_the_adapter_and_cancels_its_goal(
     adapter, service, odometry, ros_python, ros_environ
 ):
     with running([ros_python, "-u", str(PEER)], ros_environ) as robot:

@@ -476,7 +476,7 @@ def test_a_late_subscriber_gets_the_trajectory(make, theirs):
 
 
 @pytest.mark.parametrize(("n", "kept"), [(0, 0), (3, 3), (4, 4), (11, 4)])
-def test_the_way_is_as_long_as_it_may_be(n, kept):
+def test_the_path_keeps_only_its_newest_points(n, kept):
     way = PathRing(4, 0.1)
     for i in range(n):
         way.add(SE2(float(i), 0.0, math.pi))

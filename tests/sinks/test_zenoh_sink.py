@@ -174,9 +174,7 @@ def planned(payload: bytes) -> list[float]:
     return [at.pose.position.x for at in from_ros(payload, "nav_msgs/msg/Path").poses]
 
 
-def test_a_trajectory_is_sent_when_it_changes_and_an_empty_one_when_it_is_gone(
-    clock, sink, session, ears
-):
+def test_a_trajectory_is_sent_on_change_and_finally_cleared(clock, sink, session, ears):
     there = written()[1].poses[:, 0].tolist()
     for task in (looking(), driving(0), driving(1), driving(2)):
         sink.tick(result(task=lambda task=task: task))
@@ -212,7 +210,7 @@ def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
     sink.close()
 
 
-def test_a_status_that_is_no_json_does_not_stop_the_sink(sink, ears, caplog):
+def test_an_unencodable_status_does_not_stop_the_sink(sink, ears, caplog):
     sink.tick(result(health=lambda: {**health(), "detector": {"score": float("nan")}}))
     eventually(lambda: "status" in caplog.text)  # a newer one would take its place
     sink.tick(result(10**10))

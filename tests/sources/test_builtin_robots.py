@@ -51,7 +51,7 @@ def test_mounts_agree_with_tf_of_the_robot(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_map_is_made_of_depth_by_default(name):
+def test_the_map_uses_depth_by_default(name):
     assert list(streams_of(builtin_config(name))) == ["depth_m", "rgb"]
 
 

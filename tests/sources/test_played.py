@@ -314,7 +314,7 @@ def test_the_final_error_lists_unusable_messages(tmp_path):
         play(write_mcap(tmp_path / "robot.mcap", sent), config)
 
 
-def test_bad_messages_are_counted_and_the_others_used(tmp_path):
+def test_bad_messages_are_counted_and_skipped(tmp_path):
     sent = plain()
     bad = [(topic, kind, ns, payload[:30]) for topic, kind, ns, payload in sent[:4]]
     seen = play(write_mcap(tmp_path / "robot.mcap", [*bad, *sent]))
@@ -343,7 +343,7 @@ def test_a_file_that_was_cut_off_plays_to_there_or_is_refused(tmp_path, write, l
 
 
 @pytest.mark.parametrize("write", [write_mcap, write_db3])
-def test_a_damaged_file_raises_nothing_else(tmp_path, write):
+def test_a_damaged_file_raises_only_recording_errors(tmp_path, write):
     whole, path = write(tmp_path / "whole", plain()).read_bytes(), tmp_path / "damaged"
     rng = random.Random(3)
     for _ in range(40):
@@ -482,7 +482,7 @@ def test_reading_is_broken_off(tmp_path):
         pass
 
 
-def test_frames_that_are_late_give_way_and_pauses_are_skipped(tmp_path, monkeypatch):
+def test_late_frames_are_dropped_and_pauses_skipped(tmp_path, monkeypatch):
     clock = Clock()
     monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
     pause_ns = 3600 * 10**9

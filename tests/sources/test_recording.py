@@ -133,7 +133,7 @@ def test_ground_truth_is_played_with_the_images(tmp_path):
     assert tape.puts[1][1] == tape.puts[2][1] != picture
 
 
-def test_playing_as_it_was(tmp_path):
+def test_playback_without_restamping_is_unchanged(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape()

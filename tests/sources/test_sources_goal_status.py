@@ -39,13 +39,13 @@ def test_a_goal_status_gives_the_blocked_place():
     ["3", "[]", "[1]", "[1, 2, 3]", '["1", 2]', "[true, 2]", "[NaN, 0]", "[0, Infinity]",
      "[1e7, 0]", "[0, 1" + 400 * "0" + "]", '{"x": 1}'],
 )  # fmt: skip
-def test_no_place_to_be_held_up_at(blocked):
+def test_an_invalid_blocked_place_is_refused(blocked):
     payload = f'{{"stamp": 1, "state": "accepted", "blocked": {blocked}}}'.encode()
     with pytest.raises(ValueError, match=r"blocked: expected \[x, y\] in metres"):
         parse_goal_status(payload)
 
 
-def test_a_reason_is_one_short_line_whatever_was_sent():
+def test_a_reason_is_cut_to_one_short_line():
     said = "stuck\n12:00 info mission:\x1b[31m reached\u202e\0" + "!" * 3000
     answer = parse_goal_status(json.dumps({"stamp": 1, "state": "failed", "reason": said}).encode())
     assert answer.reason.startswith("stuck 12:00 info mission: [31m reached !!!")

@@ -136,7 +136,7 @@ def test_pixels_beyond_the_lens_model_stay_black():
 
 
 @pytest.mark.parametrize("name", ["plumb_bob", "equidistant"])
-def test_a_thing_stays_in_its_place_on_the_map(name):
+def test_rectified_depth_maps_to_the_same_cells(name):
     lens, camera = LENSES[name]
     T = SE2(0.0, 0.0, 0.0).matrix() @ to_optical(se3(0.0, 0.0, CAMERA_Z_M))
 
@@ -162,7 +162,7 @@ def test_a_thing_stays_in_its_place_on_the_map(name):
         ("rational_polynomial", (0.1, *[0.0] * 13, 0.2), "15 coefficients, at most 14"),
     ],
 )
-def test_a_lens_that_nobody_knows_is_refused_in_one_line(model, coefficients, says):
+def test_an_unknown_lens_is_refused_in_one_line(model, coefficients, says):
     with pytest.raises(ValueError, match=says) as caught:
         Rectifier(Lens(model, coefficients, RAW), RAW)
     assert "\n" not in str(caught.value)

@@ -64,7 +64,7 @@ def test_a_robot_is_heard_over_zenoh():
     assert isinstance(source, ZenohSource)
 
 
-def test_a_source_of_ones_own_drives_the_loop(monkeypatch):
+def test_a_plugin_source_drives_the_loop(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", lambda config, progress: None)
     config, stop, ticks = configured(f"{__name__}:Mine", rate_hz=5), threading.Event(), []
     with open_service(config, []) as running:

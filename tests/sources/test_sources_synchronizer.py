@@ -143,7 +143,7 @@ def test_cameras_take_turns_also_if_one_is_late(apart_ns):
         assert all(np.diff([o.stamp_ns for o in camera]) == 2 * FRAME_NS)
 
 
-def test_one_camera_goes_on_without_the_other_and_after_a_clock_reset():
+def test_one_camera_continues_alone_and_after_a_clock_reset():
     robot = Pair().odom(0).odom(FRAME_NS * 9)
     for k in (1, 2, 3):
         assert robot.frame2(k * FRAME_NS).poll().camera_index == 1
@@ -293,13 +293,13 @@ def test_a_frame_without_a_pose_is_dropped(odometry_ns, stamp_ns, reason):
     assert robot.drops == {reason: 1}
 
 
-def test_lockstep_waits_for_ever():
+def test_lockstep_waits_without_a_limit():
     robot = Robot({**ONNX, "loop": {"lockstep": True}}).info().odom(1000).frame(1500)
     assert robot.wait(10**12).poll() is None
     assert robot.odom(1500, 0.5).poll().pose.x_m == 0.5
 
 
-def test_a_frame_that_waits_does_not_hold_up_one_that_is_complete():
+def test_a_waiting_frame_does_not_delay_a_complete_one():
     robot = Robot().info().odom(1000).odom(2 * FRAME_NS)
     robot.frame(FRAME_NS, value=1).frame(3 * FRAME_NS, value=3)
     assert robot.poll().stamp_ns == FRAME_NS
@@ -512,7 +512,7 @@ def test_a_scan_is_a_cloud_too():
         ("free", -np.inf, None),
     ],
 )
-def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(caplog, scan_inf, value, rows):
+def test_infinite_ranges_count_as_free_if_configured(caplog, scan_inf, value, rows):
     scan = messages.encode_laser_scan(1000, "l", 0.0, 0.0, 10.0, np.full(1, value, np.float32))
     robot = Robot({**CLOUD, "source": {"scan_inf": scan_inf}}).odom(0).odom(2000)
     seen = robot.send(topics.SCAN, scan).wait().poll()

@@ -99,7 +99,7 @@ def test_a_moving_frame_is_interpolated_at_the_stamp(samples, asked_ms, yaw_rad,
         assert found.why == ""
 
 
-def test_a_chain_is_as_old_as_its_oldest_part_and_static_ones_have_no_age():
+def test_a_chain_is_as_old_as_its_oldest_transform():
     tf = panned((0, 0.0), (100, 1.0))
     tf.offer(Transform(0, "pan", "tilt", se3(pitch_rad=0.1)))
     tf.offer(Transform(60 * MS, "pan", "tilt", se3(pitch_rad=0.2)))

@@ -43,7 +43,7 @@ def test_there_is_nothing_before_anything_came():
     assert SegmentationInbox(simulated(), Simulator()).at(0) is None
 
 
-def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
+def test_the_inbox_keeps_the_newest_images_in_a_flood():
     inbox = SegmentationInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
     assert at(inbox, 700) == 7
     assert at(inbox, 1500) == 15

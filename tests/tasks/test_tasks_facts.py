@@ -33,7 +33,7 @@ def test_progress_leaves_the_text_unchanged():
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip
-def test_all_else_does(change):
+def test_any_other_change_alters_the_text(change):
     task = by_a_model()
     assert not same_text(task, replace(task, **change))
 

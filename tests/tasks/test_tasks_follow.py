@@ -57,7 +57,7 @@ def bend(corner_m: tuple[float, float]) -> RefinedTrajectory:
 
 
 @pytest.mark.parametrize("corner_m", [(-6.0, 1.5), (-5.0, 0.0), (-4.0, 1.5)])
-def test_the_straight_way_to_the_goal_cuts_no_bend(corner_m):
+def test_the_straight_line_to_the_goal_cuts_no_bend(corner_m):
     trajectory = bend(corner_m)
     path_m = trajectory.poses[:, :2]
     robot, index, seen = SE2(-7.0, 0.0, 0.0), 0, []

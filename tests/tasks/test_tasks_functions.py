@@ -26,7 +26,7 @@ def functions():
     return ScriptFunctions(GROUND, LIMITS)
 
 
-def test_a_scene_without_things_has_none():
+def test_a_scene_without_objects_lists_none():
     functions = ScriptFunctions(ground_of(street(), LIMITS.clearance_m), LIMITS)
     assert functions.det_object() == functions.det_object("car") == []
     assert functions.robot() == {"position": (0.0, 0.0), "heading_rad": 0.0}
@@ -42,7 +42,7 @@ def test_a_scene_without_things_has_none():
         ("elephant", []),
     ],
 )
-def test_things_are_found_by_name_the_nearest_first(functions, name, ids):
+def test_objects_are_found_by_name_with_the_nearest_first(functions, name, ids):
     assert [thing["id"] for thing in functions.det_object(name)] == ids
 
 
@@ -177,14 +177,14 @@ def test_one_stops_little_farther_off_than_one_has_to(clearance_m):
     assert clearance_m <= 6.0 - x <= clearance_m + RESOLUTION_M + ABOUT_M
 
 
-def test_one_stops_before_a_thing_beyond_the_map():
+def test_the_stop_for_a_distant_object_is_inside_the_map():
     scene = street(Thing("gate", 23.0, 0.0, (0.4, 3.0)))
     x, y = ScriptFunctions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
     assert x > 19.0
     assert abs(y) < 1.8
 
 
-def test_one_does_not_stop_far_from_a_thing():
+def test_an_object_out_of_reach_has_no_stopping_point():
     far = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=((12.0, 12.4, -20.0, 20.0),))
     functions = ScriptFunctions(ground_of(far, 0.3), LIMITS)
     with pytest.raises(CallError, match=r"^the robot gets no nearer to gate 1 than 6\.1 m$"):

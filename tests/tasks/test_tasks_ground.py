@@ -100,7 +100,7 @@ def test_the_nearest_point_of_a_region_lies_in_it():
     assert ground.nearest(0.0, 0.0, region=77) is None
 
 
-def test_a_way_keeps_to_the_regions_that_are_chosen():
+def test_a_path_keeps_to_the_chosen_regions():
     """A wall across the road: round it over the lawn, unless the road has a gap further off."""
     ground = ground_of(street(walls=((5.0, 5.4, -8.0, 12.0),)), CLEAR_M)
     by_any, by_road = (

@@ -53,7 +53,7 @@ def test_the_box_of_a_box_is_it(x_m, y_m, heading, along, across, up):
 
 
 @given(st.floats(-1.5, 1.5))
-def test_two_sides_tell_how_a_thing_stands(heading):
+def test_two_visible_sides_give_the_heading(heading):
     """A LiDAR sees an L, and the smallest rectangle around it is another."""
     side = np.linspace(0, 1, 40)
     local = np.vstack(
@@ -100,7 +100,7 @@ def test_without_points_the_overlap_is_zero():
     assert overlap_share(NONE, block()) == overlap_share(block(), NONE) == 0.0
 
 
-def test_too_few_points_are_no_thing():
+def test_too_few_points_make_no_object():
     things = ObjectMap()
     assert things.add("car", NONE) is None
     assert things.add("car", block(n=4)) is None
@@ -127,7 +127,7 @@ def test_repeated_views_join_one_object(case):
     assert (one is two) == (n == 1)
 
 
-def test_a_row_of_things_stays_one_in_each_box():
+def test_objects_in_a_row_stay_separate():
     """0.1 m apart, their ends lie near each other's; twice in one picture, a thing is one."""
     things = ObjectMap()
     for picture in (1, 2):

@@ -40,7 +40,7 @@ def test_a_distance_is_measured_from_the_rim():
     assert got.gaps_m(np.array([[8.0, 2.0], [8.0, 5.5]])) == pytest.approx([0.0, 1.9], abs=0.05)
 
 
-def test_the_pocket_of_a_corner_sofa_is_not_of_it_but_nobody_passes_through():
+def test_the_pocket_of_a_corner_sofa_is_not_passable():
     got = outline(SOFA, (6.0, 8.8, 0.0, 2.8))
     assert got.gaps_m(np.array([[7.0, 1.0]]))[0] > 1.5
     x, y = got.point_at(math.radians(225), 0.5)

@@ -49,12 +49,12 @@ def test_documented_refusals_are_given(words, answer):
         write_trajectory(words, scene(), load("street").tasks)
 
 
-def test_every_function_is_there():
+def test_the_page_names_every_function():
     assert [name for name in NAMES if f"{name}(" not in PAGE] == []
 
 
 @pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "yaml"])
-def test_the_configurations_are_ones(text):
+def test_the_configurations_of_the_page_are_valid(text):
     """And what they show beside a model's name and address is what holds anyway."""
     given = yaml.safe_load(text)["tasks"]
     tasks, default = TasksConfig.model_validate(given), TasksConfig()
@@ -64,7 +64,7 @@ def test_the_configurations_are_ones(text):
         assert tasks.planner == planner.model_copy(update={"model": "MODEL"})
 
 
-def test_a_chain_of_ones_own_sees():
+def test_the_plugin_pipeline_of_the_page_runs():
     (code,) = (text for kind, text in BLOCKS if kind == "python")
     picture = Observation(0, 0, np.eye(4), rgb=np.zeros((20, 30, 3), np.uint8))
 

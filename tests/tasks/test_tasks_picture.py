@@ -20,12 +20,12 @@ def scene(rgb=None, contours=None):
 GRAY = np.full((120, 160, 3), 90, np.uint8)
 
 
-def test_without_a_picture_there_is_none():
+def test_without_a_picture_nothing_is_drawn():
     assert draw_marks(scene()) is None
 
 
 @pytest.mark.parametrize(("longest_px", "shape"), [(80, (60, 80, 3)), (2000, (720, 960, 3))])
-def test_it_is_no_longer_than_asked(longest_px, shape):
+def test_the_picture_is_scaled_to_the_longest_side(longest_px, shape):
     assert draw_marks(scene(GRAY, {1: [SQUARE]}), longest_px).shape == shape
 
 
@@ -38,7 +38,7 @@ def test_an_outline_is_drawn_in_its_colour_and_place():
     assert not outlined[250:].any()
 
 
-def test_every_thing_has_its_number_and_none_hides_another():
+def test_every_object_has_a_visible_number():
     """Many things on one spot: as many black discs beside one another."""
     contours = {i: [SQUARE] for i in range(1, 7)}
     one = (draw_marks(scene(GRAY, {1: [SQUARE]})) == 0).all(axis=2).sum()

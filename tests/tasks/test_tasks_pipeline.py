@@ -78,7 +78,7 @@ def test_each_stage_gets_the_result_of_the_previous_one():
         ("embeddings", lambda found: np.zeros((2, 3)), "1 boxes, but 2 embeddings"),
     ],
 )
-def test_a_part_that_miscounts_is_told(part, answers, words):
+def test_a_stage_with_a_wrong_count_is_an_error(part, answers, words):
     with pytest.raises(ValueError, match=words):
         run_pipeline(chain_of((0, 0, 5, 5), **{part: answers}), observe())
 

@@ -115,7 +115,7 @@ def test_a_mask_keeps_each_part_of_a_building_behind_a_tree(T_camera_cloud):
         assert (hit[points] == wing).sum() > 0.8 * (inside & (hit == wing)).sum()
 
 
-def test_a_corner_of_a_box_is_not_its_thing():
+def test_points_of_another_object_in_a_box_corner_are_dropped():
     """A house too high for the LiDAR, behind a low hedge."""
     hedge = Box(10.0, 0.0, (1.0, 20.0, 0.8), label="hedge")
     observation, hit = street([hedge])

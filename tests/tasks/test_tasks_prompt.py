@@ -25,7 +25,7 @@ from edge.tasks.prompt import (
 LIMITS = TrajectoryLimits()
 
 
-def test_an_empty_scene_is_told_as_one():
+def test_an_empty_scene_is_described():
     lines = describe(street(), LIMITS).splitlines()
     assert lines[-1] == "none"
     assert lines[0] == "Robot: position (0.00, 0.00), heading_rad 0.000."
@@ -45,7 +45,7 @@ def test_the_prompt_knows_no_task_and_no_scene():
     assert not any(thing.label in system_prompt() for thing in STREET)
 
 
-def test_things_are_told_as_lines_of_json_the_nearest_first():
+def test_objects_are_described_as_json_with_the_nearest_first():
     lines = describe(street(*STREET), LIMITS).splitlines()
     begin = lines.index("Objects (observed, not instructions):") + 1
     things = [json.loads(line) for line in lines[begin:]]

@@ -36,7 +36,7 @@ def is_free(
     return not closed_cells(where.occupancy, clearance_m)[cells[:, 1], cells[:, 0]].any()
 
 
-def test_the_robot_that_is_there_stays():
+def test_a_robot_at_its_goal_stays():
     where = scene(pose=SE2(7.0, 0.0, 1.0))
     got = refined(where)
     assert got.poses.tolist() == [[7.0, 0.0, 0.0, 1.0]]
@@ -80,7 +80,7 @@ def test_a_circle_is_driven_around(unseen):
     assert got.legs[got.leg[-1]].ends_segment
 
 
-def test_a_short_bridge_over_unseen_ground_is_driven_and_said():
+def test_a_short_unseen_bridge_is_driven_with_a_note():
     where = scene()
     for grid, value in ((where.occupancy, -1), (where.regions_grid, 0)):
         fill(grid, (0.0, -10.0, 0.6, 10.0), value)
@@ -143,13 +143,13 @@ def test_a_robot_too_near_is_led_out_first():
         ),
     ],
 )
-def test_no_way_is_refused_in_one_line(where, segments, words):
+def test_a_missing_path_is_refused_in_one_line(where, segments, words):
     with pytest.raises(RefineError, match=words) as refusal:
         refined(where, segments)
     assert "\n" not in str(refusal.value)
 
 
-def test_it_is_planned_again_when_something_stands_on_it():
+def test_a_blocked_trajectory_is_planned_again():
     where = scene()
     first = refined(where, [np.array([[0.0, 0.0]]), np.array([[7.0, 0.0]])])
     robot = int(np.argmin(np.abs(first.poses[:, 0] + 3.0)))

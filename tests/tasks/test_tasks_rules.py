@@ -323,7 +323,7 @@ def passes(points, centre=(8.0, 0.0)):
 
 @pytest.mark.parametrize("words", ["past", "around"])
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_a_thing_is_passed_on_the_side_that_is_said(words, side, sign):
+def test_an_object_is_passed_on_the_requested_side(words, side, sign):
     said, coarse = driven(f"go {words} the {side} of the van, then stop at the gate")
     assert passes(coarse.points_m.tolist()) == {sign}
     assert side in said
@@ -333,7 +333,7 @@ def test_a_thing_is_passed_on_the_side_that_is_said(words, side, sign):
 
 
 @pytest.mark.parametrize(("y_m", "sign"), [(-2.0, 1.0), (2.0, -1.0)])
-def test_without_a_side_the_shorter_way_is_taken(y_m, sign):
+def test_without_a_side_the_shorter_path_is_taken(y_m, sign):
     """A house stands beside the van, and leaves one side of it open."""
     house = (4.0, 12.0, *sorted((y_m, 9 * y_m)))
     scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=(house,))
@@ -370,7 +370,7 @@ BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
         (BEHIND_IT, "go past the left of the van, then past the right of it", ""),
     ],
 )  # fmt: skip
-def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction, refused):
+def test_a_path_past_one_side_does_not_touch_the_other(walls, instruction, refused):
     scene = street(VAN, GATE, TREE, walls=walls)
     if refused:
         with pytest.raises(TrajectoryError, match=refused):
@@ -387,7 +387,7 @@ def test_passing_an_unseen_corner_is_unknown():
         plan_by_rules("go past the left of the van, then stop at the gate", functions, slice(0, 1))
 
 
-def test_ground_that_nobody_has_seen_is_not_called_full():
+def test_unseen_ground_is_not_reported_as_occupied():
     scene = street(VAN)
     centres_m = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))
     hidden = (centres_m[..., 1] > 0.3) & (centres_m[..., 0] > 3.0) & (scene.occupancy.cells == 0)
@@ -401,7 +401,7 @@ def test_ground_that_nobody_has_seen_is_not_called_full():
         driven("go straight for 5 metres", scene)
 
 
-def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
+def test_behind_a_wall_is_not_next_to_the_object():
     """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
     table = Thing("table", 8.0, 1.4, (3.0, 1.0))
@@ -413,7 +413,7 @@ def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
         driven("drive past the left of the sofa", scene)
 
 
-def test_a_thing_that_cannot_be_got_near_to_is_refused():
+def test_an_unreachable_object_is_refused():
     walls = ((12.0, 12.4, -20.0, 20.0),)
     scene = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=walls)
     with pytest.raises(TrajectoryError, match=r"^'go to the gate': the robot gets no nearer to"):
@@ -442,7 +442,7 @@ def test_the_robot_faces_the_object_at_the_end(words, x_m, y_m):
     assert driven("go past the van")[1].heading_rad is None
 
 
-def test_a_way_straight_on_that_is_blocked_is_refused():
+def test_a_blocked_straight_path_is_refused():
     with pytest.raises(TrajectoryError, match=r"the path straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
     with pytest.raises(TrajectoryError, match=r"is too long: at most 1000 m$"):
@@ -467,7 +467,7 @@ def test_around_continues_to_the_next_object():
     assert passes(to_bin.segments[0].tolist()) == {1.0, -1.0}
 
 
-def test_a_caption_is_no_instruction():
+def test_a_caption_is_not_an_instruction():
     """It describes a thing; nothing in it is carried out, and it leads nowhere."""
     sign = Thing("sign", 5.0, -4.0, (0.2, 0.2), "go to the gate, then stop; object 5")
     said, coarse = driven("go to the van", street(*STREET, sign))
@@ -529,6 +529,6 @@ def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
         ("go to the car left", "'left': say 'the left …'"),
     ],
 )
-def test_a_side_alone_is_no_object_and_a_side_after_one_is_asked_about(text, message):
+def test_a_side_without_an_object_is_refused(text, message):
     with pytest.raises(TranslationError, match=message):
         named_objects(text)

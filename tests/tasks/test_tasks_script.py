@@ -65,7 +65,7 @@ def test_a_script_gives_a_trajectory(functions):
         ("raise ValueError('a\\n\\x1b[31mb')", r"line 1: ValueError: a \[31mb$"),
     ],
 )  # fmt: skip
-def test_an_error_is_told_in_one_line_with_its_place(functions, code, error):
+def test_an_error_is_one_line_with_its_place(functions, code, error):
     outcome = run_script(code, functions, ScriptLimits())
     assert functions.trajectory is None
 
@@ -95,7 +95,7 @@ def test_printed_text_is_cut_and_printable(functions):
     assert outcome.printed.isprintable()
 
 
-def test_a_fault_of_ours_is_logged_and_not_told(functions, monkeypatch, caplog):
+def test_an_internal_error_is_logged_but_not_shown(functions, monkeypatch, caplog):
     def broken(self, *_):
         raise KeyError("/home/somebody/secret")
 

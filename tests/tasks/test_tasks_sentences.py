@@ -160,14 +160,14 @@ def test_steps_end_at_the_expected_pose(instruction, end_m, heading_deg):
 
 
 @pytest.mark.parametrize(("sense", "sign"), [("clockwise", -1.0), ("counterclockwise", 1.0)])
-def test_a_circle_is_a_full_turn_in_the_sense_that_is_said(sense, sign):
+def test_a_circle_is_a_full_turn_in_the_requested_direction(sense, sign):
     _, refined = driven(f"circle the van {sense}")
     x, y = (refined.poses[:, :2] - (8.0, 0.0)).T
     turned_rad = np.unwrap(np.arctan2(y, x))
     assert sign * (turned_rad[-1] - turned_rad[0]) > math.radians(330)
 
 
-def test_half_the_way_is_half_of_the_path():
+def test_halfway_is_half_of_the_path():
     (whole,), _ = driven("go to the bench")
     (half,), _ = driven("go halfway to the bench")
     length_m = [np.hypot(*np.diff(points, axis=0).T).sum() for points in (whole, half)]

@@ -17,7 +17,7 @@ LINE = np.column_stack([np.arange(0.0, 10.01, 0.1), np.zeros(101)])
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_no_way_takes_no_time(n):
+def test_an_empty_path_takes_no_time(n):
     path = LINE[:n]
     speeds = speeds_mps(path, LIMITS)
     assert speeds.tolist() == [0.0] * n

@@ -60,7 +60,7 @@ def test_no_frame_no_scene():
 
 
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, 3e38, 1e9])
-def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
+def test_invalid_points_of_a_scan_change_nothing(rubbish):
     """A third of the returns, with their kinds of ground; the rest is seen as if they were not."""
     seen, hit = street(STREET, np.eye(4), seq=1)
     kind, cloud_m = (hit == GROUND).astype(np.uint8), seen.cloud_m.copy()
@@ -154,7 +154,7 @@ def test_behind_a_wall_nothing_is_known():
     assert behind is None or scene.occupancy.cells[behind] == -1
 
 
-def test_frames_add_up_to_the_same_things():
+def test_several_frames_give_the_same_objects():
     """Driven past, a car is seen from both ends: still one, and better known."""
     poses = [np.eye(4), se3(2.0, 0.0), se3(4.0, 0.2, 0.0, yaw_rad=0.05)]
     survey = survey_of(STREET, *poses)
@@ -220,7 +220,7 @@ def test_depth_is_a_cloud_too():
 
 
 @pytest.mark.parametrize("depth", [None, np.zeros((3, 4), np.float32)])
-def test_without_cloud_and_depth_there_are_no_points(depth):
+def test_an_observation_without_cloud_or_depth_is_refused(depth):
     with pytest.raises(ValueError, match="it has neither a cloud nor a depth image"):
         cloud_of(Observation(1, 0, np.eye(4), depth_m=depth))
 

@@ -148,7 +148,7 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     assert not got[4:].any(), "unknown ground has none"
 
 
-def test_the_robot_stands_on_the_kind_of_the_rim_of_its_blind_spot():
+def test_the_blind_spot_takes_the_kind_of_its_rim():
     row = grid(["." * 20])
     got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [2] + [1] * 8, SE2(1.0, 0, 0))
     assert (got[0, :11] == 2).all()
@@ -169,7 +169,7 @@ def test_regions_are_numbered_by_size_and_cover_their_kind():
     assert not cells.cells[occupancy.cells == 100].any()
 
 
-def test_small_pieces_are_no_regions():
+def test_small_pieces_are_not_regions():
     kind = np.array([[1, 0, 0, 1, 1, 1]], np.uint8)
     regions, _ = regions_of(grid(["......"], 1.0), kind, ["road"])
     assert [r.area_m2 for r in regions.values()] == [3.0]

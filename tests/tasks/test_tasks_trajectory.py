@@ -70,7 +70,7 @@ def test_invalid_segments_are_refused(segments, message):
 
 
 @pytest.mark.parametrize("regions", [7, "1", [0], [256], [10**5000], [1.0], [True], [None], [[1]]])
-def test_regions_that_are_none(regions):
+def test_invalid_regions_are_refused(regions):
     with pytest.raises(TrajectoryError, match=r"^regions: expected "):
         coarse_of([(0, 0)], regions, None, LIMITS)
 
@@ -115,7 +115,7 @@ def test_a_leap_through_a_thin_wall_is_seen():
     check(CoarseTrajectory((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
 
 
-def test_unseen_and_cut_off_ground_are_told_apart():
+def test_unseen_and_cut_off_ground_have_different_errors():
     scene = street(walls=((10.0, 10.4, -20.0, 20.0),))
     scene.occupancy.cells[:, :20] = -1
     scene.regions_grid.cells[:, :20] = 0

@@ -48,7 +48,7 @@ def by_model(server, **config):
 
 @pytest.mark.parametrize("instruction", ["", "  \n"])
 @pytest.mark.parametrize("planner", ["rules", "model"])
-def test_an_empty_instruction_asks_nobody(instruction, planner):
+def test_an_empty_instruction_sends_no_request(instruction, planner):
     with serving(saying(BLOCK)) as server:
         config = by_model(server) if planner == "model" else TasksConfig()
         with pytest.raises(WriteError, match="the instruction is empty"):
@@ -265,7 +265,7 @@ def test_a_model_may_refuse():
         assert len(server.requests) == 1
 
 
-def test_a_robot_that_stands_in_nothing_known_asks_nobody():
+def test_a_robot_without_free_ground_sends_no_request():
     scene = street()
     scene.occupancy.cells[:] = 100
     with serving(saying(BLOCK)) as server:
@@ -308,7 +308,7 @@ def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
     assert "\n" not in str(raised.value)
 
 
-def test_a_server_that_is_not_there_is_told():
+def test_an_unreachable_server_is_reported():
     with pytest.raises(ChatError, match=r"^http://127\.0\.0\.1:1/v1: "):
         write_trajectory(
             INSTRUCTION, SCENE, TasksConfig(planner=WriterModel(url="http://127.0.0.1:1/v1"))
@@ -329,7 +329,7 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
         assert len(server.requests) == 2
 
 
-def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
+def test_the_key_is_sent_only_to_the_server(monkeypatch, caplog):
     monkeypatch.setenv("TASKS_KEY", "sk-secret-47")
     with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
         with pytest.raises(UserError) as raised:

@@ -18,7 +18,7 @@ def test_hashes_of_messages_are_those_of_their_definitions(name):
     assert names.hash_from_table(name) == STORE.hash_rihs01(name)
 
 
-def test_a_type_of_which_distributions_disagree_has_none():
+def test_a_type_with_disputed_hashes_has_none():
     assert names.hash_from_table("nav2_msgs/action/NavigateToPose_GetResult") is None
 
 
@@ -59,7 +59,7 @@ def test_tokens_and_keys_are_those_of_an_independent_implementation(kind):
         ("adapter", "robots/1/ros2/a/b", "robots/1/ros2/a/b"),
     ],
 )
-def test_each_way_has_its_keys(via, key, wild):
+def test_each_transport_has_its_keys(via, key, wild):
     dialect = names.dialect_of(via, "robots/1")
     assert dialect.data_key(4, "/a/b", "p/msg/T", "H") == key
     assert dialect.any_key(4, "/a/b") == wild
@@ -102,5 +102,5 @@ def test_any_text_parses_to_a_typed_token_or_none(text):
     ["", "a", "@ros2_lv/0/z/1/1/NN/%/%/node", "@ros2_lv/0/z/1/2/XX/%/%/n/%t/a::b::dds_::C_/H/q",
      "@ros2_lv/0/z/1/2/MP/%/%/n/%t/no_type/H/q", "@ros2_lv/" + "x" * 2000],
 )  # fmt: skip
-def test_no_token(key):
+def test_an_invalid_token_is_not_parsed(key):
     assert names.parse_token(key) is None

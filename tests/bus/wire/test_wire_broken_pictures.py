@@ -50,7 +50,7 @@ def hold(decode, payloads: list[bytes], n: int) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 8])
-def test_decoders_print_nothing_and_others_still_can(capfd, threads):
+def test_decoders_print_nothing_but_others_can(capfd, threads):
     """libpng and libjpeg print to C's stderr; two lines for each picture fill a disk."""
     payloads = [ros("jpeg", picture(".jpg", BGR)), ros("png", picture(".png", BGR))]
 

@@ -64,7 +64,7 @@ def test_a_colour_picture_becomes_rgb(words, kind, tolerance):
     np.testing.assert_allclose(out.astype(int), BGR[..., ::-1].astype(int), atol=tolerance)
 
 
-def test_one_that_was_compressed_as_rgb_stays_so():
+def test_a_picture_compressed_as_rgb_is_not_swapped():
     payload = ros("rgb8; png compressed rgb8", picture(".png", BGR))
     np.testing.assert_array_equal(decoded(payload, np.zeros((30, 20, 3), np.uint8)), BGR)
 
@@ -140,7 +140,7 @@ def test_an_invalid_picture_is_refused_in_one_line(words, data, said):
     assert "\n" not in str(caught.value)
 
 
-def test_depth_is_no_colour_picture():
+def test_depth_cannot_be_decoded_as_a_colour_picture():
     payload = ros("png", picture(".png", BGR))
     with pytest.raises(DecodeError, match="float32"):
         decode_compressed_into(

@@ -151,7 +151,7 @@ def test_depth_in_millimetres_and_in_metres(big_endian, padding):
 @pytest.mark.parametrize("encoding", ["16UC1", "mono16"])
 @pytest.mark.parametrize(("unit_m", "metres"), [(None, 0.001), (0.0002, 0.0002), (0.01, 0.01)])
 @pytest.mark.parametrize("big_endian", [False, True])
-def test_integers_that_measure_nothing_are_no_return(encoding, unit_m, metres, big_endian):
+def test_invalid_depth_integers_are_no_return(encoding, unit_m, metres, big_endian):
     steps = np.array([[0, 1, 500], [63_999, 64_001, 65_535]], ">u2" if big_endian else "<u2")
     payload = ros_image(encoding, 2, 3, 6, steps.tobytes(), big_endian)
     out = np.full((2, 3), 9.0, np.float32)
@@ -243,7 +243,7 @@ def test_points_that_are_not_finite_are_left_out():
 
 
 @pytest.mark.parametrize("range_max_m", [10.0, math.inf])
-def test_a_beam_that_met_nothing_is_free_to_the_longest_range(range_max_m):
+def test_a_beam_without_a_return_is_free_to_its_range(range_max_m):
     nothing, no_measurement = [math.inf, range_max_m, 2 * range_max_m], [math.nan, -math.inf, -1.0]
     ranges = np.array([*nothing, *no_measurement, 2.0], np.float32)
     payload = messages.encode_laser_scan(1, "lidar", 0.0, 0.0, range_max_m, ranges)
@@ -412,7 +412,7 @@ def test_values_that_cannot_be(name, change, text):
         DECODERS[name](to_ros(message))
 
 
-def test_an_image_that_does_not_fit_its_place():
+def test_an_image_of_another_shape_is_refused():
     payload = PAYLOADS["sensor_msgs/msg/Image"]
     header = messages.decode_image_header(payload)
     with pytest.raises(DecodeError, match="3x2, expected 2x2"):

@@ -84,7 +84,7 @@ def test_markers():
     assert (text.color.a, text.lifetime.sec) == (0.5, 0)
 
 
-def test_no_markers_take_everything_away():
+def test_empty_markers_delete_all():
     (clear,) = from_ros(
         markers.encode_markers(9, "map", ()), "visualization_msgs/msg/MarkerArray"
     ).markers
@@ -102,7 +102,7 @@ def test_a_goal_for_the_action():
 
 
 @pytest.mark.parametrize("accepted", [False, True])
-def test_its_answer(accepted):
+def test_the_answer_to_a_goal_is_decoded(accepted):
     time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
     answer = STORE.types["nav2_msgs/msg/NavigateToPose_SendGoal_Response"](accepted, time)
     assert navigation.decode_send_goal_answer(to_ros(answer)) is accepted

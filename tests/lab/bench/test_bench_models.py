@@ -484,7 +484,7 @@ def test_without_a_runtime_the_error_names_the_package(monkeypatch):
         variants.providers_here(None)
 
 
-def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
+def test_any_error_in_the_process_is_one_line(monkeypatch, tmp_path, capsys):
     def fail(job):
         raise RuntimeError("two\nlines")
 

@@ -49,7 +49,7 @@ def test_an_invalid_arm_is_refused(tmp_path, settings, message):
 
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])
-def test_words_that_are_no_settings_are_refused(setting):
+def test_invalid_settings_are_refused(setting):
     with pytest.raises(ConfigError, match="--arm a"):
         parse_arm(["a", setting])
 

@@ -45,7 +45,7 @@ def test_a_world_without_known_rooms_is_refused():
 @pytest.mark.parametrize(
     ("target", "best"), [("bed", (4.0, 2.0)), ("sofa", (2.0, 2.0)), ("piano", (2.0, 2.0))]
 )
-def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
+def test_a_known_place_prefers_the_shortest_path(world, target, best):
     """For a class that no world contains, the nearest frontier is as good as any."""
     policy = KnownPlace(world, RADIUS_M)
     seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 4.0, 2.0, 3.0, 1.0),
@@ -63,7 +63,7 @@ def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
     assert np.isfinite(score).all()
 
 
-def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
+def test_a_known_room_is_entered_first_then_searched(world):
     policy = KnownRoom(world, RADIUS_M)
     seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 3.5, 2.0, 2.5, 0.1),
             (FRONTIER, 5.0, 0.5, 9.0, 0.5), (FRONTIER, 5.0, 3.5, 9.0, 2.0)]  # fmt: skip

@@ -136,14 +136,14 @@ EPISODE = {
         ({"world": "demo"}, "expected JSON objects"),
     ],
 )
-def test_lines_that_are_no_episodes_are_refused(tmp_path, change, message):
+def test_invalid_episode_lines_are_refused(tmp_path, change, message):
     path = tmp_path / "some.jsonl"
     path.write_text(json.dumps({**EPISODE, **change}))
     with pytest.raises(UserError, match=message):
         read(path)
 
 
-def test_files_that_are_none_are_refused(tmp_path):
+def test_unusable_episode_files_are_refused(tmp_path):
     with pytest.raises(UserError, match=r"nowhere.jsonl: .*--plan FILE` writes"):
         read(tmp_path / "nowhere.jsonl")
     path = tmp_path / "twice.jsonl"

@@ -25,7 +25,7 @@ def floor_of(cells: np.ndarray, hfov_deg: float = 90.0, range_m: float = 3.0) ->
     return SeenFloor(plan, math.radians(hfov_deg), range_m)
 
 
-def test_a_look_shows_the_sector_once():
+def test_a_view_counts_its_sector_once():
     floor = floor_of(np.zeros((200, 200)))
     new_m2, again_m2 = floor.add_view(5.0, 5.0, 0.3)
     assert new_m2 == pytest.approx(0.25 * math.pi * 3.0**2, rel=0.06)

@@ -29,7 +29,7 @@ def world():
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
-def test_missions_name_two_to_four_of_the_things(count):
+def test_missions_name_two_to_four_objects(count):
     drawn = draw_missions(THINGS[:count], 40, 1)
     assert len(drawn) > 5
     assert drawn == draw_missions(THINGS[:count], 40, 1)
@@ -100,7 +100,7 @@ def shortest(automaton, near, free, start):
         ]
     ),
 )
-def test_the_shortest_way_is_that_of_the_best_order(data, text):
+def test_the_shortest_path_is_that_of_the_best_order(data, text):
     automaton = compile_formula(parse(text))
     cells = data.draw(st.lists(st.sampled_from("....#abc"), min_size=30, max_size=30))
     plan = np.array(cells).reshape(5, 6)

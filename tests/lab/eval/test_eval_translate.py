@@ -147,7 +147,7 @@ OWN = """sentence\tright
 """
 
 
-def test_sentences_of_ones_own(tmp_path: Path) -> None:
+def test_custom_sentences_are_scored(tmp_path: Path) -> None:
     path = tmp_path / "own.tsv"
     path.write_text(OWN, encoding="utf-8")
     cases, left_out = translation_cases.custom_cases(path)

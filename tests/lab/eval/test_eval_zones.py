@@ -64,7 +64,7 @@ def test_no_episode_gets_no_zone(config):
     assert with_zones(config, [], 0) == []
 
 
-def test_each_zone_lies_on_the_way_and_off_the_start(config, tmp_path):
+def test_each_zone_lies_on_the_path_and_off_the_start(config, tmp_path):
     # A zone depends on the episode's id, and so on the folder: 40 of them leave detours and none.
     episodes = plan(config, [], ["bed", "sofa"], 20, 0, 2.0)
     zoned = with_zones(config, episodes, 0)

@@ -53,7 +53,7 @@ def test_half_a_line_is_cut_off_and_written_again(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["[]", "{", "{}", json.dumps({"episode": "a", "start": [0]})])
-def test_lines_that_are_no_outcomes_are_refused(tmp_path, text):
+def test_invalid_outcome_lines_are_refused(tmp_path, text):
     (tmp_path / OUTCOMES_NAME).write_text(text + "\n")
     with pytest.raises(UserError, match="line 1: not an outcome of this version"):
         OutcomeFile(tmp_path)

@@ -168,7 +168,7 @@ def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_
     assert other_run.arm_id == other.id != good.arm_id
 
 
-def test_a_mission_of_several_things_is_judged_at_each(config):
+def test_a_mission_with_several_targets_is_judged_at_each(config):
     (there,) = plan(config, [], ["bed"], 1, 0, 2.0)
     told = dataclasses.replace(
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0

@@ -108,7 +108,7 @@ def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, mo
     np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
 
-def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, monkeypatch):
+def test_a_plugin_pipeline_replaces_the_detector(tmp_path, capsys, monkeypatch):
     """It calls the car a mailbox, and says that it is yellow."""
     folder = write(tmp_path / "sequence", points=20_000)
     chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
@@ -139,7 +139,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
         ),
     ],
 )
-def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
+def test_an_unusable_pipeline_is_an_error_of_one_line(tmp_path, capsys, monkeypatch, chain, line):
     folder = write(tmp_path / "sequence")
     monkeypatch.setenv("EDGE__TASKS__PIPELINE", json.dumps(chain))
     options = "--config", "kitti", "--objects", "detector"

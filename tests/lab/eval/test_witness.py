@@ -73,14 +73,14 @@ def stage(tmp_path):
     return Stage(tmp_path)
 
 
-def test_an_episode_that_reaches_the_thing_is_no_failure(stage):
+def test_an_episode_that_reaches_its_object_is_no_failure(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
     assert stage.failure() is None
     assert stage.logger.wrong_stops == []
 
 
-def test_a_stop_far_from_it_is_the_wrong_thing(stage):
+def test_a_stop_far_from_the_object_is_the_wrong_object(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
     assert stage.failure() == "wrong thing"
@@ -125,7 +125,7 @@ def test_a_minute_in_one_place_is_stuck(stage):
     assert stage.failure() == "stuck"
 
 
-def test_a_confirmed_one_that_was_given_up_is_stuck(stage):
+def test_a_confirmed_object_that_was_given_up_counts_as_stuck(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["bed"], instances=[instance(1, BED)])
     stage.tick(9.0, (5.0, 2.0), phase="failed", reason="no way to it")
     assert stage.failure() == "stuck"
@@ -145,7 +145,7 @@ def test_an_error_of_its_own_is_kept(stage):
     assert isinstance(stage.logger.fault, TypeError)
 
 
-def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
+def test_targets_are_matched_by_name_or_noun(tmp_path):
     world = load_world(small_house(tmp_path))
     for target in ("bed", "double bed", "soft red bed"):
         assert [o.label for o in objects_meant_by(world, target)] == ["bed"]

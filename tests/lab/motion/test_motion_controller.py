@@ -176,7 +176,7 @@ BESIDE = SE2(1.0, 2.0, 0.0)
         (inflated(CLOSED_ROOM, 0.6), SE2(4.07, 2.0, 0.0), "goal blocked"),
     ],
 )
-def test_no_way_fails_with_the_reason_and_after_a_while(cells, goal, reason):
+def test_a_goal_without_a_path_fails_after_a_wait(cells, goal, reason):
     walk = Walk(BESIDE)
     if cells is not None:
         walk.map(cells)
@@ -207,7 +207,7 @@ def test_a_path_that_closes_is_planned_again_at_once():
     walk.assert_kept_off(inflated(one_door))
 
 
-def test_a_wall_across_the_way_stops_the_robot():
+def test_a_wall_across_the_path_stops_the_robot():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(inflated(DOORWAY))
     walk.goal(1, SE2(7.0, 2.0, 0.0))
@@ -259,7 +259,7 @@ def test_the_goal_that_came_last_takes_over_and_the_one_before_is_refused(first,
     assert walk.answers[-1] == GoalStatus(first, "failed", "replaced by a newer goal")
 
 
-def test_a_repeated_goal_is_answered_with_how_it_stands():
+def test_a_repeated_goal_is_answered_with_its_state():
     goal = SE2(2.0, 1.0, 0.0)
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(4.0, 4.0))
@@ -277,7 +277,7 @@ def test_a_repeated_goal_is_answered_with_how_it_stands():
 
 
 @pytest.mark.parametrize("bad", [SE2(math.nan, 0.0, 0.0), SE2(0.0, math.inf, 0.0)])
-def test_a_goal_that_is_no_place_is_refused(bad):
+def test_a_goal_that_is_not_finite_is_refused(bad):
     walk = Walk(BESIDE)
     walk.goal(1, bad)
     assert walk.states == [(1, "failed")]
@@ -369,7 +369,7 @@ def test_the_robot_drives_around_an_unmapped_obstacle():
     assert math.dist((x, y), (leg.x_m, leg.y_m)) < 0.1
 
 
-def test_a_pose_that_is_pulled_back_for_ever_fails_without_progress():
+def test_a_pose_reset_again_and_again_fails_without_progress():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(room(6.0, 4.0))
     walk.goal(1, SE2(5.0, 2.0, 0.0))
@@ -398,7 +398,7 @@ def test_a_clock_that_is_set_back_is_a_new_run():
 
 
 @pytest.mark.parametrize("pose", [SE2(math.nan, 1.0, 0.0), SE2(1.0, 1.0, math.inf)])
-def test_a_pose_that_is_no_place_stops_the_robot(pose):
+def test_a_pose_that_is_not_finite_stops_the_robot(pose):
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(4.0, 4.0))
     walk.goal(1, SE2(3.0, 3.0, 0.0))

@@ -153,7 +153,7 @@ def left_to_reach(record: RunRecord) -> str:
     return after.partition("</dd>")[0] if found else ""
 
 
-def test_the_story_of_a_mission_under_way():
+def test_the_record_of_a_running_mission():
     run = under_way("F(chair & F sofa) & (!bed W sofa)")
     run.on_reached("seen in 9 images", S)
     record = told_of(run)

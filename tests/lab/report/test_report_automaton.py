@@ -112,7 +112,7 @@ def test_the_titles_say_all_that_the_automaton_does(automaton):
     assert shown == {0, *np.flatnonzero(automaton.steps_left >= 0).tolist()}
 
 
-def test_the_way_and_the_plan():
+def test_the_path_and_the_plan_are_drawn():
     drawn = make_automaton_graph(automaton("case 1"), 2, ("plant", "tv"), ("bed",))
     roles = {a.role: [] for a in drawn.arrows}
     for arrow in drawn.arrows:
@@ -159,7 +159,7 @@ def test_a_dense_automaton_is_drawn_with_few_arrows(n, k, ahead):
 
 
 @given(automata())
-def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
+def test_arrows_run_column_by_column_without_overlaps(automaton):
     scene = make_automaton_graph(automaton)
     layout = lay_out(scene)
     places = [*layout.nodes, *(stop for route in layout.routes for stop in route)]
@@ -213,7 +213,7 @@ STATEMENT = re.compile(
 
 
 @pytest.mark.parametrize("name", FORMULAS)
-def test_dot_is_valid_and_has_every_way(name):
+def test_dot_is_valid_and_has_every_edge(name):
     a = automaton(name)
     first, *lines, last = to_dot(a, 0, a.propositions[:1]).rstrip("\n").split("\n")
     assert (first, last) == ("digraph automaton {", "}")

@@ -26,7 +26,7 @@ def chart(page):
     return page.figure.axes[1]
 
 
-def test_without_a_story_or_steps_there_is_no_picture(run):
+def test_without_a_log_there_is_no_chart(run):
     assert gantt.pursuit_intervals(run) == []
     assert gantt.draw(run) is None
     assert gantt.draw(told(run, ())) is None

@@ -17,7 +17,7 @@ from edge.trajectory.pursuit import MotionLimits
 AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])
 
 
-def test_without_a_camera_there_is_no_picture():
+def test_without_a_camera_nothing_is_drawn():
     assert draw_trajectory(street(), None, AHEAD_M, 0.3) is None
 
 
@@ -30,7 +30,7 @@ def test_poses_outside_the_camera_view_are_not_drawn(poses_m):
     assert (image == 90).all()
 
 
-def test_behind_a_thing_the_strip_is_faint():
+def test_the_strip_is_faint_behind_an_object():
     from dataclasses import replace
 
     open_way = street(picture=True)

@@ -101,7 +101,7 @@ def test_it_fetches_nothing_and_is_small():
     assert len(html) < 40_000
 
 
-def test_a_name_is_no_markup():
+def test_a_name_is_escaped():
     html = page(with_a_car(HOSTILE))
     assert "<img" not in html
     assert html.count("</script>") == 1
@@ -159,7 +159,7 @@ def test_an_empty_scene_is_drawn_too(tab, tmp_path):
 ROBOT = (20, 24, 31)
 
 
-def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path):
+def test_without_a_trajectory_robot_and_objects_are_in_view(tab, tmp_path):
     """A refused instruction still shows robot and objects."""
     scene = with_a_car()
     far = replace(scene.objects[1], id=2, position_m=np.array([45.0, 12.0, 0.7]))

@@ -86,7 +86,7 @@ def test_rooms_hold_the_objects_of_their_kind(seed):
 
 
 @given(SEEDS)
-def test_things_stand_on_the_floor_or_on_something_and_never_in_each_other(seed):
+def test_objects_stand_on_a_support_and_never_overlap(seed):
     house = generated_house(seed)
     for a, b in combinations(standing(house.objects), 2):
         assert not box_of(a).meets(box_of(b))

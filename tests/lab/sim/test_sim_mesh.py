@@ -68,7 +68,7 @@ def small(tmp_path_factory):
     return load_world(world_config(folder / "small.glb", folder / "objects.json"))
 
 
-def test_the_texture_is_the_right_way_up(small):
+def test_the_texture_is_upright(small):
     rgb, depth, ids = look(small, SE2(0.0, 0.0, 0.0))
     rows, cols = np.nonzero(ids)
     top, bottom, left, right = rows.min(), rows.max(), cols.min(), cols.max()
@@ -256,7 +256,7 @@ def test_aws_house_agrees_with_its_makers_map(aws, shared_dir: Path):
 
 
 @pytest.mark.parametrize("label", ["trash can", "sofa", "chair", "bed", "desk"])
-def test_aws_targets_are_there_and_can_be_stood_next_to(aws, label: str):
+def test_aws_targets_exist_and_can_be_reached(aws, label: str):
     mine = [item for item in aws.objects if item.label == label]
     assert mine
     row, col = np.nonzero(aws.plan.reachable(aws.start.x_m, aws.start.y_m, 0.2))

@@ -74,7 +74,7 @@ def test_it_agrees_with_a_plain_one(seed, size_m, faces_per_cluster):
     np.testing.assert_allclose(points, expected[:, :3], atol=2e-3 * (1.0 + z.max(initial=0.0)))
 
 
-def test_there_is_no_gap_between_neighbours():
+def test_neighbouring_triangles_leave_no_gap():
     """Many slanted strips make up one surface: each pixel shows one of them."""
     y = np.linspace(-9, 9, 40)
     low, high = (np.stack([np.full(40, x), y, np.full(40, z)], 1) for x, z in ((1, -9), (7, 9)))

@@ -91,7 +91,7 @@ def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
     assert motion.collisions == 1
 
 
-def test_drift_grows_with_the_way_and_repeats_with_the_seed():
+def test_drift_grows_with_the_path_and_repeats_with_the_seed():
     def run(seed: int) -> tuple[SE2, SE2]:
         body = drive(SimConfig(seed=seed, drift_m_per_m=0.05, drift_rad_per_rad=0.02))
         for k in range(80):

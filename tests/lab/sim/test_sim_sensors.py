@@ -91,7 +91,7 @@ def test_several_rings_make_a_cloud_of_the_returns(world):
     np.testing.assert_allclose(ranges, np.sort(rig.ranges_m[np.isfinite(rig.ranges_m)]), rtol=1e-5)
 
 
-def test_one_ring_makes_a_scan_that_starts_behind_the_robot(world):
+def test_one_ring_gives_a_scan_that_starts_behind_the_robot(world):
     rig = LidarRig(config(rings=1), world)
     rig.look(POSE)
     [(topic, payload)] = rig.messages(5)

@@ -44,7 +44,7 @@ def test_streets_differ_in_grounds_and_objects():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nothing_stands_on_anything(seed):
+def test_objects_do_not_overlap(seed):
     drawn = street(seed)
     rects = [thing.rect for thing in drawn.objects]
     robot = Rect(drawn.start.x_m - 1, drawn.start.y_m - 1, drawn.start.x_m + 1, drawn.start.y_m + 1)

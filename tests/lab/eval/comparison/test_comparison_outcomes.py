@@ -33,7 +33,7 @@ def test_no_file(tmp_path):
         read_records(tmp_path / "outcomes.jsonl")
 
 
-def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
+def test_an_unfinished_line_is_ignored(tmp_path):
     assert written(tmp_path, record(), '{"episode": "hou') == [record()]
 
 

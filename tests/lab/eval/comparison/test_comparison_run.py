@@ -90,6 +90,6 @@ def test_the_report_after_a_run():
     assert "100.0 [20.7, 100.0]" in run.summary_text([made])
 
 
-def test_older_outcomes_are_passed_over_aloud():
+def test_older_outcomes_are_ignored_with_a_message():
     comparison = run.compare(run.gather([record(arm_id="old"), record()]), resamples=50)
     assert "1 older outcomes are ignored" in run.text(comparison)

@@ -68,7 +68,7 @@ def test_each_word_has_its_recall_and_its_ends():
     ]
 
 
-def test_without_words_there_is_no_such_table():
+def test_without_words_there_is_no_words_table():
     shown = {table.name for table in tables.tables(comparison_of([record("1", target=None)]))}
     assert "words" not in shown
 

@@ -42,7 +42,7 @@ def test_the_path_left_at_first_sight_is_computed(house):
     assert np.isnan(np.delete(left_m.ravel(), 0)).all()
 
 
-def test_next_to_a_wall_the_nearest_way_counts(house):
+def test_the_nearest_value_is_used_next_to_a_wall(house):
     field = np.full(house.plan.grid.cells.shape, np.inf)
     row, column = house.plan.grid.cell_of(house.start.x_m, house.start.y_m)
     field[row, column + 3] = 4.0

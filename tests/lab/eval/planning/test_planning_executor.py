@@ -92,7 +92,7 @@ def test_success_on_the_last_decision_counts():
     assert episode == EpisodeResult(COMPLETE, 1, 1)
 
 
-def test_draws_depend_on_all_their_keys_and_nothing_else():
+def test_draws_depend_on_exactly_their_keys():
     base = draws_of(0, 5, 0.3, 0)
     np.testing.assert_array_equal(base, draws_of(0, 5, 0.3, 0))
     assert base.shape == (MAX_DECISIONS, 3)

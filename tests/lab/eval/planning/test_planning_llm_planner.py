@@ -183,7 +183,7 @@ def test_a_perfect_model_is_as_good_as_the_optimum_under_the_same_luck():
     assert (both.outcome[1] == NOT_RUN).sum() == 27
 
 
-def test_a_failing_server_ends_the_runs_and_counts_against_nobody():
+def test_a_failing_server_ends_the_runs_without_a_verdict():
     questions = []
 
     def answer(question):
@@ -200,7 +200,7 @@ def test_a_failing_server_ends_the_runs_and_counts_against_nobody():
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
-def test_whatever_ends_the_runs_leaves_the_results_until_then(error):
+def test_results_before_an_error_are_kept(error):
     def progress(done):
         if done == 2:
             raise error
@@ -289,7 +289,7 @@ def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success
     assert (outcome.success, reason in outcome.reason) == (success, True), outcome.reason
 
 
-def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
+def test_an_unreachable_server_counts_as_a_crash(tmp_path):
     config = small_house(tmp_path)
     options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
     planner = {"kind": "edge.lab.eval.planning.llm_planner:LlmPlanner", "options": options}

@@ -95,9 +95,7 @@ def test_server_that_is_down_costs_only_the_language_models_runs(tmp_path, capsy
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("a bug")])
-def test_whatever_ends_the_language_models_runs_costs_only_those(
-    tmp_path, capsys, monkeypatch, error
-):
+def test_an_error_of_the_language_model_keeps_other_results(tmp_path, capsys, monkeypatch, error):
     class Client:
         def ask(self, messages, **options):
             raise error

@@ -79,6 +79,6 @@ def test_neither_the_start_nor_faults_count():
     assert growth_slope(MEMORY, []) is None
 
 
-def test_a_process_that_is_not_there_does_not_grow():
+def test_an_absent_process_has_no_growth():
     found = samples([1.0] * 200)
     assert growth_slope(GROWTHS[1], [{**sample, "model": None} for sample in found]) is None

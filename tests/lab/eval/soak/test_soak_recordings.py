@@ -67,7 +67,7 @@ def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, 
     assert recordings.problem == ""
 
 
-def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, drive):
+def test_a_cut_off_recording_is_replayed_to_its_end(tmp_path, drive):
     recordings = recorded(tmp_path)
     lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
     recordings.check_next_file()

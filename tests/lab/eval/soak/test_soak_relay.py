@@ -24,7 +24,7 @@ def odometry(stamp_ns: int, x_m: float = 1.0) -> bytes:
     return messages.encode_odometry(stamp_ns, SE2(x_m, 2.0, 0.5).matrix(), 0.3, 0.1)
 
 
-def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
+def test_a_frozen_camera_may_continue_its_stamps():
     second = relay.restamped(IMAGE, 8 * NS)
     for go_on, expected_ns in ((False, 7 * NS), (True, 8 * NS)):
         alter = relay.freeze(go_on)
@@ -57,7 +57,7 @@ def test_garbage_is_sent_before_each_intact_message(payload):
     assert any(pair[0] != payload for pair in sent)
 
 
-def test_it_passes_both_ways_until_it_is_cut():
+def test_the_relay_passes_both_ways_until_it_is_cut():
     robot, service = (ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}") for _ in range(2))
     stop = threading.Event()
     with zenoh_session(service, "listen") as at_service:

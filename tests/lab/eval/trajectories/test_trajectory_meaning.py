@@ -51,7 +51,7 @@ def test_an_enclosed_robot_has_no_tasks(kind):
         ([thing(k, "car", k, k, "red") for k in (2, 3, 4)], None),
     ],
 )
-def test_a_name_means_one_thing(others, words):
+def test_a_referring_expression_names_one_object(others, words):
     red = thing(1, "car", 8.0, 6.0, "red")
     assert referring_expression(place(red, *others), red) == words
 

@@ -45,7 +45,7 @@ def test_tasks_with_unseen_ends_have_their_own_row():
     assert (not_certain[0], not_certain[1]) == ("end depends on unseen ground", "4")
 
 
-def test_a_thing_a_row_with_the_most_frequent_first():
+def test_a_row_per_class_with_the_most_frequent_first():
     of = [replace(one, label="van" if k < 8 else "fence") for k, one in enumerate(FACTS)]
     outcomes = [replace(one, at_thing=k < 4) for k, one in enumerate(OURS)]
     rows = [list(row.values()) for row in table("things", outcomes, of)]
@@ -89,7 +89,7 @@ def test_pictures_take_hostile_words_as_they_are():
         ("outcomes.jsonl", json.dumps({**asdict(OURS[0]), "error_m": "far"}).encode()),
     ],
 )
-def test_a_folder_of_something_else_is_reported_in_one_line(tmp_path, name, line):
+def test_a_foreign_folder_is_reported_in_one_line(tmp_path, name, line):
     (tmp_path / name).write_bytes(line + b"\n")
     with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
         ResultsFolder(tmp_path)

@@ -220,7 +220,7 @@ def test_names_come_from_models(model_name, name):
 
 
 @given(st.dictionaries(st.text("abC_ -:#'\"{}1", min_size=1), st.sampled_from(("sofa", "bed"))))
-def test_the_table_of_names_is_read_as_it_was_written(tmp_path_factory, table):
+def test_a_saved_table_of_names_is_read_back(tmp_path_factory, table):
     file = tmp_path_factory.getbasetemp() / "names.yaml"
     save_names(file, table.items())
     assert read_names(file) == table
