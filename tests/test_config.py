@@ -264,7 +264,7 @@ def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])
-def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
+def test_a_fault_is_one_line_with_its_remedy(data, line):
     with pytest.raises(ConfigError) as error:
         parse({**SIM, **data}, "f.yaml")
     text = str(error.value)

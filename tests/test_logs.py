@@ -60,7 +60,7 @@ def test_quoted_text_forges_no_line_and_no_escape_code(as_json):
         assert len(line) < logs.MAX_MESSAGE + 100
 
 
-def test_a_traceback_has_lines_of_its_own_and_no_control_characters():
+def test_a_traceback_is_indented_without_control_characters():
     out = io.StringIO()
     logs.setup("info", stream=out)
     try:

@@ -123,7 +123,7 @@ def test_parts_of_a_name_are_valid_names(word):
     assert all(map(names.is_name, parts))
 
 
-def test_every_name_and_alias_leads_to_its_canonical_name_and_stays_there():
+def test_every_alias_leads_to_its_canonical_name():
     for name, others in names.ALIASES.items():
         for other in (name, *others, name.upper(), f"the {name}"):
             assert names.canonical(other) == name, other

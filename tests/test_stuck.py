@@ -45,7 +45,7 @@ def test_jitter_about_a_point_is_stuck():
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 0.1, 5.0])
-def test_a_pause_neither_counts_nor_restarts_the_wait(pause_s):
+def test_a_pause_suspends_the_stuck_timer(pause_s):
     detector, paused = StuckDetector(2.0, 0.05), int(10 * pause_s)
     told = [True] * 16 + [False] * paused + [True] * 30
     said = [detector.update(HERE, moving, k * S // 10) for k, moving in enumerate(told)]

@@ -26,7 +26,7 @@ def test_one_line(said, shown):
 
 
 @given(st.text(max_size=500), st.integers(1, 300))
-def test_it_is_printable_short_and_says_no_more_the_second_time(text, limit):
+def test_one_line_is_printable_short_and_stable(text, limit):
     line = one_line(text, limit)
     assert line.isprintable()
     assert len(line) <= limit

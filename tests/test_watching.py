@@ -123,7 +123,7 @@ def test_expressions_use_only_metrics_of_the_service(told, expression):
         assert asked <= labels
 
 
-def test_every_metric_is_on_the_dashboard_or_there_is_a_reason():
+def test_every_other_metric_is_on_the_dashboard():
     asked = {s.name for e in EXPRESSIONS for s in selectors(promql.parse(e))}
     asked = {re.sub(r"_(bucket|count|sum)$", "", name) for name in asked}
     unseen = {metric.name for metric in METRICS} - asked
@@ -176,7 +176,7 @@ def test_the_page_names_every_metric_and_no_other():
     assert [one for one in patterns if not any(fnmatch(name, one) for name in names)] == []
 
 
-def test_the_ready_scrape_configuration_is_for_these_alerts_and_asks_with_a_token():
+def test_the_prometheus_configuration_fits_the_alerts():
     text = (CONFIG / "prometheus/prometheus.yml").read_text(encoding="utf-8")
     config = yaml.safe_load(text)
     assert [CONFIG / "prometheus" / name for name in config["rule_files"]] == [
@@ -276,7 +276,7 @@ def test_every_alert_is_tried():
 
 
 @promtool
-def test_every_alert_fires_for_the_robot_that_has_it_and_for_no_other(tmp_path):
+def test_every_alert_fires_only_for_its_robot(tmp_path):
     tests = [
         {
             "name": alert,

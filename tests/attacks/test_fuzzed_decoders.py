@@ -55,7 +55,7 @@ def test_changed_messages(name, chance, data):
 
 
 @pytest.mark.parametrize("name", DECODERS)
-def test_a_length_that_lies_allocates_nothing(name):
+def test_a_false_length_allocates_nothing(name):
     decoder = DECODERS[name]
     lies = [lie for seed in decoder.seeds for lie in lengths_that_lie(seed)]
     for seed in decoder.seeds:  # what is imported or compiled at the first message is not the lie's

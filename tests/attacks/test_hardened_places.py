@@ -66,7 +66,7 @@ def test_an_error_without_a_home_names_the_variable_to_set(as_stranger, temporar
     assert list(temporary.iterdir()) == []
 
 
-def test_kernels_that_can_be_kept_nowhere_are_compiled_with_a_warning(as_stranger, temporary):
+def test_without_a_kernel_cache_kernels_compile_with_a_warning(as_stranger, temporary):
     for environ in ({}, {"HOME": "/"}):
         done = as_stranger("mission", "explain", "go to the bed", **environ)
         assert done.returncode == 0, done.stderr

@@ -49,7 +49,7 @@ def children() -> int:
 
 
 @pytest.mark.parametrize("how", [ENDLESS["always"], *LYING.values()], ids=str)
-def test_models_check_refuses_it_in_one_line(put, capsys, how):
+def test_models_check_refuses_a_hostile_model_in_one_line(put, capsys, how):
     put("hostile", **how)
     before = children()  # another test of this process may have left one that compiles
     assert main(["models", "list", "--check", "hostile", "--timeout", "5"]) == 1

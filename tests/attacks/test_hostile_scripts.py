@@ -233,7 +233,7 @@ except ValueError as error:
     check(functions.trajectory, GROUND, LIMITS)
 
 
-def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
+def test_a_trajectory_of_a_failed_script_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
         config = TasksConfig(planner=WriterModel(url=server.url, max_attempts=2))

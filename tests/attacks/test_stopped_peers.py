@@ -93,7 +93,7 @@ class Ears:
             self.silences[key] = max(self.silences[key], beats + 1)
 
 
-def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_viewer):
+def test_a_stopped_viewer_delays_nothing_else(edge, endpoint, tmp_path, start_viewer):
     """Before it is let go, for its silence, all else flows on and requests are answered."""
     config = write_config(
         tmp_path,

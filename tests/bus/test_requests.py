@@ -123,7 +123,7 @@ def test_a_request_that_a_busy_service_dropped_is_sent_again(session, n_dropped)
 
 
 @pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
-def test_an_answer_that_is_not_json_is_an_error_to_the_client_only(session, serve, answer):
+def test_an_answer_that_is_not_json_is_an_internal_error(session, serve, answer):
     server, asking = serve(), Asking(session, do="status")
     taken(server).answer(answer)
     assert "internal error" in asking.refusal
@@ -141,7 +141,7 @@ def test_a_mission_that_cannot_be_prepared_is_refused(session, serve, caplog):
     assert server.poll() is None
 
 
-def test_while_one_mission_is_prepared_other_requests_pass_and_few_wait(session, serve):
+def test_other_requests_pass_while_a_mission_is_prepared(session, serve):
     begun, go = threading.Semaphore(0), threading.Event()
 
     def prepare(instruction: str) -> str:
@@ -233,7 +233,7 @@ def begin_all(server: RequestServer, number: int) -> list[str]:
         ("aabbaaa", "aba"),
     ],
 )
-def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_texts, begun):
+def test_equal_consecutive_missions_are_begun_once(session, serve, given_texts, begun):
     preparing = Preparing()
     server = serve(preparing)
     asked = give(server, session, given_texts)
@@ -271,9 +271,7 @@ def test_a_refusal_reports_a_loop_that_does_not_run(session, serve):
     assert server.poll() is None
 
 
-def test_a_refusal_reports_a_loop_that_takes_a_request_without_an_answer(
-    session, serve, monkeypatch
-):
+def test_a_request_without_an_answer_is_refused(session, serve, monkeypatch):
     server = serve()
     asking = Asking(session, do="pause")
     request = taken(server)
@@ -399,7 +397,7 @@ class Flood:
     def undeclare(self) -> None: ...
 
 
-def test_requests_that_come_faster_than_they_are_received_are_noticed(session, serve, caplog):
+def test_a_flood_of_requests_is_counted_as_overruns(session, serve, caplog):
     server = serve()
     asking = Asking(session, do="status")
     taken(server).answer({})

@@ -155,7 +155,7 @@ def test_a_blocked_peer_is_disconnected_after_a_limit(exact, wait_s):
     assert value(config, key) == wait_s * 1e6
 
 
-def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, caplog):
+def test_closing_gives_up_on_a_blocked_peer(monkeypatch, caplog):
     go = threading.Event()
     stuck = SimpleNamespace(close=lambda: go.wait(PATIENCE_S))
     monkeypatch.setattr(bus, "open_session", lambda *_: stuck)

@@ -107,7 +107,7 @@ def test_a_tls_handshake_ends_in_time(endpoint, listens):
     assert of(ZenohConfig(endpoint=endpoint), "connect", "connect/endpoints") == [endpoint]
 
 
-def test_the_client_has_its_own_file_or_that_of_the_service(settings, tmp_path):
+def test_the_client_file_overrides_the_file_of_the_service(settings, tmp_path):
     own = tmp_path / "client.json5"
     own.write_text('{namespace: "of/the/client"}')
     said = settings('{namespace: "of/the/service"}')
@@ -140,7 +140,7 @@ PASSWORD = '{transport: {auth: {usrpwd: {user: "me", password: "SENTINEL"%s}}}}'
         ),
     ],
 )
-def test_the_error_of_an_unusable_file_is_one_line_without_its_secrets(settings, text, says):
+def test_an_unusable_file_is_refused_without_its_secrets(settings, text, says):
     said = settings(text)
     with pytest.raises(ConfigError) as caught:
         session_config(said, "listen")

@@ -58,7 +58,7 @@ def test_every_command_explains_itself(command, capsys, monkeypatch):
     assert all(len(line) < 81 for line in text.splitlines())
 
 
-def test_no_command_looks_for_garbage_before_it_ends(capsys, monkeypatch):
+def test_a_command_skips_garbage_collection_at_its_end(capsys, monkeypatch):
     at_the_end = []
     monkeypatch.setattr("atexit.register", at_the_end.append)
     assert main(["config", "demo"]) == 0
@@ -96,7 +96,7 @@ def fails(capsys, *words: str, code: int) -> str:
         "soak",
     ],
 )
-def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, monkeypatch, capsys):
+def test_without_the_lab_extra_a_command_names_it_first(command, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     error = fails(capsys, *command.split(), code=os.EX_UNAVAILABLE)
     assert error == (
@@ -119,7 +119,7 @@ def test_a_report_that_cannot_be_written_fails_before_the_run(words, tmp_path, c
     assert "cannot write the report" in error
 
 
-def test_an_address_in_use_fails_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
+def test_an_address_in_use_fails_before_the_detector_loads(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("edge.launch.make_detector", None)
     monkeypatch.setattr("edge.launch.warm_up", None)
     with socket.socket() as taken:

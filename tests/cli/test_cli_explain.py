@@ -122,7 +122,7 @@ def test_any_text_is_a_target_or_refused_by_the_configuration(text):
     ],
     ids=lambda value: value[:20],
 )
-def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
+def test_an_invalid_formula_is_refused_in_one_short_line(text, says):
     assert_refused(text, formula=True, says=says)
 
 
@@ -140,7 +140,7 @@ def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
     ],
     ids=lambda value: value[:20],
 )
-def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
+def test_an_invalid_instruction_is_refused_in_one_short_line(text, says):
     assert_refused(text, formula=False, says=says)
 
 

@@ -254,7 +254,7 @@ def test_the_token_of_the_pages_is_looked_at(tmp_path):
     assert levels(bus_checks.check_access, settings) == []
 
 
-def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
+def test_an_unusable_zenoh_file_is_reported_once():
     settings = simulated({"zenoh": {"file": "gone.json5"}})
     findings = [f for f in doctor.examine(settings) if "gone.json5" in f.what]
     assert [finding.level for finding in findings] == ["fail"]

@@ -63,7 +63,7 @@ def installations() -> list:
 
 @ANALYZE
 @pytest.mark.parametrize(("user", "loop"), installations())
-def test_systemd_finds_nothing_wrong_with_it(user, loop, tmp_path, anywhere):
+def test_systemd_verifies_the_unit_without_complaints(user, loop, tmp_path, anywhere):
     done = analyze("verify", unit(settings(**loop), "edge", user), tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
@@ -71,7 +71,7 @@ def test_systemd_finds_nothing_wrong_with_it(user, loop, tmp_path, anywhere):
 @ANALYZE
 @pytest.mark.parametrize(("user", "loop"), installations())
 @pytest.mark.parametrize("homes", [False, True])
-def test_it_is_little_exposed(user, loop, homes, tmp_path, anywhere):
+def test_the_unit_has_a_low_exposure_score(user, loop, homes, tmp_path, anywhere):
     config = settings("/home/me/robot.yaml" if homes else "/etc/edge/robot.yaml", **loop)
     text = unit(config, "edge", user)
     done = analyze("security", text, tmp_path, "--offline=yes", "--no-pager")
@@ -82,7 +82,7 @@ def test_it_is_little_exposed(user, loop, homes, tmp_path, anywhere):
     assert float(found[1]) <= MOST_EXPOSED
 
 
-def test_it_runs_this_installation_with_that_configuration(anywhere):
+def test_the_unit_runs_this_installation_with_its_configuration(anywhere):
     text = unit(settings(), "rover-2", None)
     (command,) = lines(text, "ExecStart")
     assert command == f"{sys.executable} -m edge.cli run /etc/edge/robot.yaml"

@@ -99,7 +99,7 @@ def test_a_carmen_log_becomes_a_map(play, tmp_path):
     assert int(told.partition("map: ")[2].split()[0]) >= 8
 
 
-def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
+def test_a_covered_camera_is_named_by_the_bench(config, tmp_path):
     grey = np.full((12, 16, 3), 90, np.uint8)
     sent = [
         (topic, kind, ns, messages.encode_image(ns, OPTICAL, grey) if topic == RGB else payload)

@@ -48,7 +48,7 @@ def test_no_room_is_known_before_the_first_tick():
         ask(loop, do="set", kind="keep_out", room="kitchen")
 
 
-def test_the_robot_finds_a_room_of_a_kind_and_goes_inside(in_kitchen):
+def test_the_robot_finds_the_kitchen_and_drives_inside(in_kitchen):
     loop = in_kitchen
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)
@@ -121,7 +121,7 @@ def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
 CLOSED = Zone("annexe", "keep_out", ((6.0, -1.0), (12.0, -1.0), (12.0, 5.0), (6.0, 5.0)))
 
 
-def test_a_mission_to_a_room_that_a_zone_closes_is_refused(in_kitchen):
+def test_a_mission_to_a_closed_room_is_refused(in_kitchen):
     service, mission = in_kitchen.service, in_kitchen.config.mission
     service.change_site(Site((CLOSED,)), 0)
 
@@ -139,7 +139,7 @@ def test_a_mission_to_a_room_that_a_zone_closes_is_refused(in_kitchen):
     begin("go to the kitchen")
 
 
-def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason():
+def test_a_mission_to_an_undiscovered_closed_room_fails():
     loop = driven("go to the canteen", CLOSED, RoomName("canteen", KITCHEN))
     assert loop.service.status.phase == "failed", loop.notes.events
     assert loop.service.status.reason == "a zone closes the canteen, room 2"

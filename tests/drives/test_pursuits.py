@@ -43,7 +43,7 @@ def steps(loop: ClosedLoop, seconds: float) -> None:
         loop.step()
 
 
-def test_it_waits_for_the_given_time_without_moving(tmp_path):
+def test_the_robot_waits_for_the_given_time_without_moving(tmp_path):
     loop = loop_of(tmp_path, 'F "wait 3 s"')
     steps(loop, 1.5)
     status = loop.service.status
@@ -55,7 +55,7 @@ def test_it_waits_for_the_given_time_without_moving(tmp_path):
     assert not [goal for goal in loop.notes.goals if goal.kind != "spin"]
 
 
-def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
+def test_a_wait_without_a_time_ends_on_request(tmp_path):
     loop = loop_of(tmp_path, "F (wait & F start)", time_limit_s=2.0)
     steps(loop, 4.0)
     assert loop.service.status.reason == "waiting until told to go on"
@@ -166,7 +166,7 @@ def test_a_failed_check_reports_the_last_known_place(tmp_path):
     assert "before: bed: in the bedroom, at (" in reason
 
 
-def test_it_patrols_rooms(tmp_path):
+def test_the_robot_patrols_rooms(tmp_path):
     loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
     steps(loop, 60.0)
     assert loop.service.mission.round >= 2, loop.notes.events
@@ -185,7 +185,7 @@ def test_the_robot_drives_to_the_caller(tmp_path):
     assert loop.drive.motion.pose.distance_to(3.0, 2.0) < 0.8
 
 
-def test_it_patrols_for_some_time_and_reports_the_round(tmp_path):
+def test_a_timed_patrol_reports_its_round(tmp_path):
     loop = loop_of(tmp_path, "F start")
     site = Site((Place("dock", SE2(3.0, 2.0, 0.0)), Place("shelf", SE2(1.5, 1.0, 0.0))))
     fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})
@@ -222,7 +222,7 @@ def test_an_unconfirmed_object_is_handled_as_configured(probable, phase, reason,
 @pytest.mark.parametrize(
     "limit", [{"path_limit_m": 6.0}, {"time_limit_s": 25.0}, {"search_limit_s": 25.0}]
 )
-def test_it_goes_back_to_a_probable_object_before_a_limit_ends_the_search(limit, tmp_path):
+def test_a_probable_object_is_visited_before_a_limit(limit, tmp_path):
     status = (
         loop_of(tmp_path, "F bed", NEVER_SURE, probable="accept", **limit).run(60).service.status
     )

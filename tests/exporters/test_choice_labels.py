@@ -82,7 +82,7 @@ def test_directions_are_weighted_by_the_distance_left(left, else_m, expected):
 
 
 @given(hnp.arrays(np.float64, st.integers(2, 9), elements=st.floats(0, 100)))
-def test_directions_sum_to_one_and_the_shortest_is_likeliest(each_m):
+def test_directions_sum_to_one_and_favour_the_shortest(each_m):
     found = labels.directions(each_m[:-1], each_m[-1])
     assert found.sum() == pytest.approx(1.0, abs=1e-5)
     assert found[each_m.argmin()] == found.max()

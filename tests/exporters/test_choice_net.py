@@ -47,7 +47,7 @@ def answer(net, images, *rest):
     return net(net.read(*images), *rest)
 
 
-def test_a_place_is_read_from_its_cells_with_weights_that_sum_to_one():
+def test_bilinear_weights_of_a_place_sum_to_one():
     centres = cell_centres()
     torch.testing.assert_close(bilinear_weights(centres), torch.eye(CELLS), atol=1e-5, rtol=0.0)
     between = bilinear_weights((centres[:1] + centres[1:2]) / 2)
@@ -73,7 +73,7 @@ def test_absent_marks_change_nothing(net):
     torch.testing.assert_close(scene, same, atol=1e-5, rtol=1e-4)
 
 
-def test_the_order_of_marks_views_and_targets_is_only_an_order(net):
+def test_permuted_inputs_permute_the_outputs(net):
     images, target, text, marks, others = asked()
     logits, scene = answer(net, images, target, text, marks, others)
     turned = tuple(x.flip(0) for x in images)

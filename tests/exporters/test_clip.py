@@ -128,7 +128,7 @@ def test_texts_embed_as_the_original_embeds_them(models, folders, kind):
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip"])
-def test_an_image_embeds_as_the_original_embeds_it(models, folders, kind, rgb):
+def test_image_embeddings_agree_with_the_original(models, folders, kind, rgb):
     encoder = ClipImageEncoder(load_card(f"my-{kind}-image-fp32"), ("CPUExecutionProvider",), 1)
     from edge.perception.embedding.clip import pixels_of
 
@@ -208,7 +208,7 @@ def test_a_tower_of_the_detectors_family_encodes_its_prompts(folders, tmp_path, 
 # -- what goes wrong ---------------------------------------------------------------------------
 
 
-def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
+def test_an_unusable_folder_is_an_error_of_one_line(folders, tmp_path, capsys):
     def fails(*words, name="x"):
         code = main([name, "--weights", *map(str, words), "--cache", str(tmp_path / "cache")])
         (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
@@ -241,7 +241,7 @@ def test_missing_weights_are_an_error(folders, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("kind", ["clip", "idefics3"])
-def test_a_tokenizer_of_another_model_is_one_line(folders, tmp_path, capsys, kind):
+def test_a_foreign_tokenizer_is_an_error(folders, tmp_path, capsys, kind):
     folder = tiny_folders.write_vlm(tmp_path / kind, kind) if kind == "idefics3" else None
     folder = folder or shutil.copytree(folders[kind], tmp_path / kind)
     told = (folder / "tokenizer.json").read_text()

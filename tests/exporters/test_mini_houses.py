@@ -195,7 +195,7 @@ def test_two_commands_make_the_same_frames_at_once(tmp_path, monkeypatch):
     np.testing.assert_array_equal(frames.objects, within[0].objects)
 
 
-def test_a_full_disk_is_an_error_that_says_how_much_is_needed(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_with_the_needed_space(tmp_path, monkeypatch):
     def full(*args):
         raise OSError(errno.ENOSPC, "No space left on device")
 

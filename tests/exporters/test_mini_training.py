@@ -59,7 +59,7 @@ def test_an_empty_picture_has_no_owner_and_a_finite_loss():
     assert torch.isfinite(total)
 
 
-def test_anchors_inside_a_box_answer_for_it_and_no_others():
+def test_anchors_inside_a_box_are_assigned_to_it():
     there = truth([[20.0, 20.0, 60.0, 70.0]])
     decoded = torch.cat([POINTS - 2 * STRIDE, POINTS + 2 * STRIDE], -1)[None]
     owner, quality = loss.assign(torch.full((1, len(POINTS), 1), 0.1), decoded, POINTS, there)

@@ -167,7 +167,7 @@ def test_empty_text_gives_no_tokens(both, layout):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_special_tokens_are_one_token_each(both, layout):
+def test_special_tokens_are_single_tokens(both, layout):
     one = both[layout]
     for special in SPECIAL[one.family]:
         (token,) = one.ours.ids(special)

@@ -172,7 +172,7 @@ def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw, kin
     np.testing.assert_allclose(found, shown.features, atol=2e-5)
 
 
-def test_places_of_a_text_and_of_a_picture_in_it():
+def test_position_ids_of_text_and_image_tokens():
     ids = np.array([[5, 9, 9, 9, 9, 6]])
     np.testing.assert_array_equal(position_ids_of(ids, 9, None, 1), [range(6)])
     threefold = position_ids_of(ids, 9, np.array([[1, 4, 4]]), 2)
@@ -254,7 +254,7 @@ def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
         assert card["image_tokens"] > 0
 
 
-def test_weights_that_one_file_does_not_hold_are_next_to_it(
+def test_large_weights_are_saved_next_to_the_network(
     cache, originals, rgb, folders, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(vlm_files, "ONE_FILE_BYTES", 10_000)

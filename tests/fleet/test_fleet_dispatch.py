@@ -94,9 +94,7 @@ def test_patience_counts_from_the_first_failed_look(missing, between):
     ],
 )
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
-def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
-    part, there, reason, between
-):
+def test_a_part_fails_only_after_the_patience(part, there, reason, between):
     """One look may lack a robot that is there."""
     fleet = Fleet(part)
     over = fleet.dispatcher._is_over
@@ -137,7 +135,7 @@ def test_a_robot_that_forgets_its_part_loses_it_to_another():
         (MUTE,),
     ],
 )
-def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
+def test_a_forgetful_robot_gets_a_limited_number_of_tries(between):
     """Whatever it reports in between, and even without another robot."""
     fleet = Fleet(BED, accepts=True)
     gives, now_s = 0, 0.0

@@ -172,7 +172,7 @@ def test_a_mission_in_three_parts_is_done_by_three(port, robots):
     assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 
-def test_a_part_that_all_robots_fail_is_reported_with_their_reasons(port, robots):
+def test_a_part_that_all_robots_fail_lists_their_reasons(port, robots):
     anna, bob = robots("anna"), robots("bob", blind_to=frozenset({"bed"}))
     sharing = Sharing(port, "go to the bed", patience_s=0.5, share=False)
     eventually(lambda: not anna.mission.done)
@@ -220,7 +220,7 @@ def test_two_dispatchers_of_one_mission_do_nothing_twice(port, robots):
     assert (anna.service.begun, bob.service.begun) == (2, 1)
 
 
-def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(port, robots):
+def test_two_dispatchers_with_different_missions_share_the_robots(port, robots):
     both = [robots(name, reaches_in_s=0.1) for name in ("anna", "bob")]
     one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
     assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
@@ -245,7 +245,7 @@ def test_a_robot_that_returns_learns_that_another_has_its_part(port, robots, mon
 
 
 @pytest.mark.parametrize("answer", [b"", b'{"phase": "searching"}', b"\xff" * 1000])
-def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, answer):
+def test_a_robot_with_invalid_answers_is_shown_but_not_used(port, robots, answer):
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
@@ -347,7 +347,7 @@ def test_one_of_two_services_started_at_once_stays(port, robots, monkeypatch, or
         eventually(lambda: seen.ask_status().get("anna", Robot("anna")).status_reply)
 
 
-def test_two_services_that_came_together_later_are_shown(port, robots):
+def test_two_services_with_one_name_are_shown(port, robots):
     robots("anna")
     with open_session(settings_of(port, "anna"), "listen") as other:
         token = other.liveliness().declare_token("robots/anna/alive/other")
@@ -387,7 +387,7 @@ def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     assert {part["by"] for part in told["parts"]} <= {"anna", "bob"}
 
 
-def test_a_router_that_is_killed_and_comes_back_costs_nothing(tmp_path, monkeypatch):
+def test_a_mission_survives_a_restarted_router(tmp_path, monkeypatch):
     from edge.host.ports import free_port
 
     port = free_port()

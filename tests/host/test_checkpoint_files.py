@@ -177,7 +177,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_file_is_set_aside_with_one_line_and_little_memory(tmp_path, caplog, name):
+def test_a_damaged_file_is_set_aside_with_little_memory(tmp_path, caplog, name):
     path, (content, text) = tmp_path / "note", DAMAGED[name]
     path.write_bytes(content)
     (tmp_path / "note.damaged-1").write_text("of the day before")
@@ -273,7 +273,7 @@ FITS = {
         ("name", np.frombuffer(b"\xff" * 8, "<U1")),
     ],
 )
-def test_arrays_of_a_file_are_held_to_those_that_a_part_writes(name, array):
+def test_loaded_arrays_must_have_the_saved_names_and_shapes(name, array):
     rows = {("id", "name"): 8, ("seen_ns",): 3, ("cell",): 3}
     check_arrays(FITS, LIKE, rows, {"kind": 3}, ("id",))
     state = {key: a for key, a in {**FITS, name: array}.items() if a is not None}
@@ -366,7 +366,7 @@ print(writer.close())
 """
 
 
-def test_a_disk_that_fills_up_costs_only_the_checkpoints(tmp_path):
+def test_a_full_disk_stops_only_the_checkpoints(tmp_path):
     path = tmp_path / "note"
     save(path, BEGUN, NOTE)
     done = run(FULL_DISK, path)
@@ -411,7 +411,7 @@ def test_a_period_is_counted_from_the_last_posted_state(tmp_path):
     writer.close(30)
 
 
-def test_a_writer_that_is_not_used_leaves_the_half_file_of_another_process(tmp_path):
+def test_an_unused_writer_keeps_the_temporary_file_of_others(tmp_path):
     half = tmp_path / ".note.tmp"
     half.write_bytes(WHOLE[:100])
     assert CheckpointWriter(tmp_path / "note", NOTE).close(30)

@@ -19,7 +19,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
+def test_the_calibrate_command_measures_and_saves(capsys, monkeypatch):
     monkeypatch.setattr(calibration, "ROUNDS", 1)
     assert main(["bench", "--calibrate"]) == 0
     kept = calibration.load()

@@ -110,7 +110,7 @@ def test_exporters_wait_for_no_pipe_either(tmp_path, read):
 
 
 @pytest.mark.parametrize("beside", [None, ".half"])
-def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, beside):
+def test_a_file_is_replaced_atomically(tmp_path, beside):
     folder = tmp_path / "new"
     file = folder / "model.onnx"
     write_atomically(file, b"old")

@@ -39,7 +39,7 @@ def all_of(read: int) -> str:
         return reader.read()
 
 
-def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeypatch):
+def test_a_full_pipe_drops_and_counts_lines(pipe, monkeypatch):
     monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe
     outlet = NonBlockingStream(stream)

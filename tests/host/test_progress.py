@@ -28,7 +28,7 @@ def test_quick_work_shows_no_progress(capsys):
 
 
 @pytest.mark.usefixtures("at_once")
-def test_a_log_gets_lines(capsys):
+def test_a_log_gets_progress_lines(capsys):
     assert list(progress.with_progress("tasks", "ab")) == ["a", "b"]
     shown = capsys.readouterr().err
     first, half, whole = shown.splitlines()

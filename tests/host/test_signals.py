@@ -108,7 +108,7 @@ def test_a_signal_in_another_thread_interrupts_the_main_thread(start):
         assert process.stdout.readline() == line
 
 
-def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
+def test_a_hangup_ignored_by_nohup_stops_nothing(start):
     process = start("stop", "nohup")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)
@@ -152,7 +152,7 @@ def reloads() -> Iterator[Callable[..., subprocess.Popen]]:
         process.communicate()
 
 
-def test_without_a_terminal_a_hang_up_asks_for_a_reload_each_time_and_stops_nothing(reloads):
+def test_each_hangup_without_a_terminal_requests_a_reload(reloads):
     process = reloads()
     for _ in range(2):
         process.send_signal(signal.SIGHUP)
@@ -162,7 +162,7 @@ def test_without_a_terminal_a_hang_up_asks_for_a_reload_each_time_and_stops_noth
     assert process.wait() == 0, "the hang-ups did not count as first signals to stop"
 
 
-def test_a_hang_up_that_nohup_has_ignored_asks_for_no_reload(reloads):
+def test_a_hangup_ignored_by_nohup_requests_no_reload(reloads):
     process = reloads("nohup")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)

@@ -37,7 +37,7 @@ def test_without_a_port_no_server_starts():
         assert port is None
 
 
-def test_pages_are_made_when_they_are_asked_for():
+def test_pages_are_made_on_request():
     counted = iter(range(9))
     pages = {
         "/count": lambda: json_response({"n": next(counted)}),
@@ -100,7 +100,7 @@ def test_idle_connections_do_not_lock_out_others():
 
 
 @pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
-def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silent):
+def test_a_running_post_is_not_cut_off_by_others(silent):
     """Strangers give way first, then those who know the token and wait for nothing."""
     begun, go_on = threading.Event(), threading.Event()
 
@@ -253,7 +253,7 @@ def test_a_page_of_ours_may_post(taken):
     assert bodies == [b"{}"]
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
+def test_an_incomplete_body_times_out(taken, monkeypatch):
     monkeypatch.setattr("edge.host.web_server._PATIENCE_S", 0.2)
     port, bodies = taken
     head = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"

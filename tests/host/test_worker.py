@@ -93,7 +93,7 @@ def test_the_newest_item_and_result_win(gate):
     assert dropped == ["a", "b", "late"]
 
 
-def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
+def test_the_newest_of_a_key_wins_in_queue_order(gate):
     worker = stuck(gate, finish_on_close=True)
     worker.submit("map 1", key="map")
     worker.enqueue("tick 1")
@@ -130,7 +130,7 @@ def test_closing_drops_queued_items_within_its_time_limit(gate):
     assert worker.poll() is None
 
 
-def test_the_worker_survives_a_failure_and_logs_each_kind_once_in_one_line(caplog):
+def test_failures_are_survived_and_logged_once_per_kind(caplog):
     done: list = []
 
     def work(item):
@@ -177,7 +177,7 @@ def test_inline_items_go_by_after_a_failure(caplog):
     assert len(caplog.records) == 2  # another row
 
 
-def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
+def test_failures_are_followed_by_growing_pauses(gate):
     gate.open.set()
     worker = Worker("test", gate, pause_s=0.5)
     pauses = []

@@ -93,7 +93,7 @@ def test_the_second_question_reuses_the_prompt_cache(scorer, monkeypatch):
     assert second["cache_n"] > second["prompt_n"]
 
 
-def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
+def test_an_image_for_a_text_model_is_an_error(url):
     blind = make_server_scorer(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
     with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
         put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))

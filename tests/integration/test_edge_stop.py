@@ -23,9 +23,7 @@ pytestmark = pytest.mark.slow
 TOKEN = "a-token-of-a-test"
 
 
-def test_a_stop_survives_kills_and_only_a_release_ends_it(
-    edge, endpoint, command, tmp_path, monkeypatch
-):
+def test_a_stop_survives_kills_until_it_is_released(edge, endpoint, command, tmp_path, monkeypatch):
     (tmp_path / "token").write_text(TOKEN)
     port = free_port()
     config = write_config(

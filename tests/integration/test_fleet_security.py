@@ -36,7 +36,7 @@ def etc(tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monkeypatch):
+def test_a_robot_sees_itself_and_the_operator_sees_all(etc, monkeypatch):
     monkeypatch.setattr(presence, "ANSWER_S", PATIENCE_S)
     port = free_port()
     section = parse_yaml(page_section("robots/anna\n  file", etc, PAGE))["zenoh"]

@@ -116,7 +116,7 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
 
 
-def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
+def test_a_killed_service_answers_again_after_its_restart(start, endpoint, service, session):
     send_request(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
@@ -133,7 +133,7 @@ def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, sessi
     eventually(answers)
 
 
-def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(session, service):
+def test_a_new_mission_replaces_one_still_being_translated(session, service):
     def slow(thing: str) -> dict:
         return {"do": "new", "instruction": f"slow F {thing}"}
 
@@ -157,7 +157,7 @@ def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(sess
     assert status(session)["formula"] == "F bed"
 
 
-def test_a_client_that_is_killed_while_it_waits(start, config, service, session):
+def test_a_request_outlives_its_killed_client(start, config, service, session):
     client = start("request", "new", config, "slow F sofa")
     assert service.stdout.readline() == "slow\n"
     client.kill()

@@ -84,7 +84,7 @@ def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys
         print("", *lines, sep="\n")
 
 
-def test_a_model_that_takes_no_pictures_is_an_error_of_one_line(url):
+def test_an_image_for_a_text_model_is_an_error(url):
     """A server whose model takes no pictures says so; that is one line, not a crash."""
     scene = street(*STREET, picture=True)
     config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))

@@ -67,7 +67,7 @@ def see(source: ZenohSource, n: int = 3) -> list[Observation]:
     return seen
 
 
-def test_a_robot_that_vanishes_and_comes_back(config, start):
+def test_a_robot_that_vanishes_is_received_again_later(config, start):
     with open_session(config.zenoh, "listen") as session:
         source = ZenohSource(config, session)
         first = start("robot")
@@ -84,7 +84,7 @@ def test_a_robot_that_vanishes_and_comes_back(config, start):
         source.close()
 
 
-def test_a_service_that_vanishes_and_comes_back(config, start):
+def test_a_restarted_service_receives_the_robot_again(config, start):
     start("robot")
     for _ in range(2):
         with open_session(config.zenoh, "listen") as session:

@@ -94,7 +94,7 @@ def test_the_page_shows_the_current_startup_step(tab):
         assert tab.text("#phase") == "STARTING"
 
 
-def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
+def test_a_chosen_layer_is_drawn_over_the_map(page):
     page.until("document.getElementById('layer').options.length > 1")
     page.run(
         "(() => { const s = document.getElementById('layer'); s.value = 'looked at';"
@@ -114,7 +114,7 @@ def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
     assert page.complaints == []
 
 
-def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
+def test_pause_stops_the_robot_and_resume_continues(page, house):
     page.click("#pause")
     page.says("#phase", "PAUSED")
     page.says("#banner", "Paused: the robot holds its position")
@@ -142,7 +142,7 @@ def test_a_wait_is_shown_and_ends_by_the_button(page, house):
     page.says("#phase", "REACHED")
 
 
-def test_a_request_that_is_not_understood_is_refused_and_changes_nothing(page, house):
+def test_an_unknown_instruction_is_refused_and_changes_nothing(page, house):
     order(page, INSTRUCTION)
     page.until("!document.getElementById('new-error').hidden")
     assert page.run("document.querySelector('#new-error b')") is None
@@ -171,7 +171,7 @@ def test_an_uncertain_reading_is_shown_before_it_starts(page, house):
     page.says("#formula", "F sofa")
 
 
-def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
+def test_an_idle_robot_starts_a_mission_from_the_page(tab):
     with open_house(mission={"target": "bed", "on_request": True}, robot=SLOWLY) as house:
         tab.open(house.url)
         tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
@@ -207,7 +207,7 @@ def choose(tab: Tab, kind: str, name: str) -> None:
     tab.click("#site-add")
 
 
-def test_places_and_zones_are_drawn_on_the_map_and_removed_from_the_list(page, house):
+def test_places_and_zones_are_drawn_and_removed(page, house):
     page.says("#site-list", "start")
     choose(page, "here", "dock")
     page.says("#site-list", "dock")
@@ -247,7 +247,7 @@ def test_escape_ends_the_drawing_and_adds_nothing(page, house):
     assert house.service.site.site.items == ()
 
 
-def test_a_room_is_named_by_a_click_in_it_and_listed(page, house):
+def test_a_click_into_a_room_names_it(page, house):
     page.until("document.querySelector('#rooms-list button') !== null")
     choose(page, "room", "office")
     page.says("#site-hint", "click into the room")
@@ -271,7 +271,7 @@ def test_remembered_objects_are_listed_and_no_markup(page, house):
     assert page.complaints == []
 
 
-def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
+def test_the_text_box_starts_a_mission_or_explains_why_not(page, house):
     page.type("#sentence", "find the sofa")
     page.click("#send")
     page.says("#answer", "Started: Reach the sofa.")
@@ -372,7 +372,7 @@ def test_missing_sensor_data_are_shown_with_the_reason(page, house):
     page.until("document.getElementById('banner').hidden")
 
 
-def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
+def test_the_missing_input_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
         inputs.on_message(name)
@@ -432,7 +432,7 @@ def test_without_a_token_nothing_can_be_done(tab):
         assert "http.token_file" in tab.text("#readonly")
 
 
-def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
+def test_the_page_asks_until_the_token_is_right(tab, house):
     tab.open(house.url)
     tab.run("sessionStorage.clear()")
     tab.open(house.url)
@@ -454,7 +454,7 @@ def test_an_unknown_model_is_refused_in_one_line(page):
     page.says("#toast", "no-such-model")
 
 
-def test_the_map_follows_the_robot_until_it_is_dragged(page):
+def test_dragging_the_map_stops_following_the_robot(page):
     page.click("#follow")
     pressed = "document.getElementById('follow').getAttribute('aria-pressed')"
     assert page.run(pressed) == "true"

@@ -95,7 +95,7 @@ def test_the_site_has_a_version(sink, clock):
     assert sites == [1, 2, 2, 3]
 
 
-def test_boxes_come_with_the_image_that_they_were_found_in(sink):
+def test_boxes_are_shown_with_their_own_image(sink):
     sink.mark_watched()
     found, newest = (seen(np.full((30, 40, 3), v, np.uint8)) for v in (7, 9))
     around = ContextBoxes(
@@ -129,7 +129,7 @@ def test_each_camera_has_its_newest_image_at_its_own_pace(sink, clock):
     assert {i: shot.rgb.max() for i, shot in sink.shots.items()} == {0: 7, 1: 8}
 
 
-def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
+def test_letters_are_drawn_on_frontiers_that_still_exist(sink):
     """Two metres ahead; what the model was asked about besides is gone, or out of view."""
     sink.mark_watched()
     there = ScoredCandidates(

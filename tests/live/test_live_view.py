@@ -173,7 +173,7 @@ def test_a_task_is_encoded_once_and_its_progress_every_time(view):
     assert len(json.dumps(fetch(view, "/live/now"))) < 3000
 
 
-def test_before_it_is_written_it_has_no_lines(view):
+def test_an_unwritten_task_has_no_lines(view):
     view.sink.mark_watched()
     view.sink.tick(result(task=looking))
     script = fetch(view, "/live/task")

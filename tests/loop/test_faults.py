@@ -59,7 +59,7 @@ def test_a_step_without_work_does_not_end_the_degraded_state(faults, nothing):
     assert faults.state == "ok"
 
 
-def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, told):
+def test_repeated_failures_set_degraded_and_success_ends_it(faults, told):
     fail(faults, DEGRADED_AFTER - 1)
     with faults.contain("tick", 6):
         pass

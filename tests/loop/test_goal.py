@@ -349,7 +349,7 @@ def test_a_rejected_or_forgotten_instance_is_skipped(gone):
     assert case.goals.choose(case.context(), case.map, case.score, 0) is None
 
 
-def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
+def test_a_frontier_left_three_times_is_kept():
     """Two far frontiers, each the better one from where the way to the other leads."""
     case, chosen = Case(), []
     for k in range(12):
@@ -393,7 +393,7 @@ def test_with_no_candidates_the_robot_spins_three_times(
     assert case.turn().kind == "spin"
 
 
-def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
+def test_without_candidates_or_views_the_search_is_exhausted():
     case = Case()
     case.turn_round()
     assert not case.goals.exhausted

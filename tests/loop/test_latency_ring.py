@@ -186,7 +186,7 @@ def test_histograms_count_all_ticks_since_the_start(durations, capacity):
     assert found.interval.sum_s == pytest.approx((len(durations) - 1) * 0.1)
 
 
-def test_spans_follow_each_other_as_they_ran():
+def test_spans_are_listed_in_order():
     ring = LatencyRing(capacity=2)
     for k in range(3):
         begin_ns = 1000 * k

@@ -146,7 +146,7 @@ def bench(monkeypatch):
         one.close()
 
 
-def test_a_slow_detector_is_relieved_level_by_level_and_comes_back(bench):
+def test_a_slow_detector_steps_down_and_recovers(bench):
     b = bench()
     b.models["large"].ms, b.models["small"].ms = 60.0, 40.0
     b.until(lambda: b.shedder.level == 1)
@@ -170,7 +170,7 @@ def test_a_slow_detector_is_relieved_level_by_level_and_comes_back(bench):
     assert b.shedder.steps == {"down": 2, "up": 2}
 
 
-def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
+def test_a_hot_board_steps_down_and_names_the_sensor(bench):
     b = bench().sees(HOT)
     b.until(lambda: b.shedder.level == 1)
     assert "model small: tj is at 97 C, passive from 99 C, for over 2 s" in b.said[0]
@@ -188,7 +188,7 @@ def test_a_damaged_model_is_skipped(bench):
     b.until(lambda: b.shedder.level == 0)
 
 
-def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
+def test_a_model_that_cannot_return_keeps_the_small_one(bench):
     b = bench(levels=LEVELS[:1])
     large = b.models["large"]
     large.ms = 60.0
@@ -219,7 +219,7 @@ def test_another_power_mode_is_reported(bench):
     assert b.shedder.status()["power_mode"] == "15W"
 
 
-def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
+def test_an_unreadable_board_sensor_is_ignored(bench):
     b = bench(board=OSError("no such sensor"))
     b.until(lambda: b.reads)
     b.models["large"].ms = 60.0
@@ -227,7 +227,7 @@ def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
     assert b.shedder.status()["power_mode"] is None
 
 
-def test_another_configuration_of_the_detector_starts_again_and_another_budget_does_not(bench):
+def test_another_detector_resets_the_levels_unlike_another_budget(bench):
     b = bench()
     b.models["large"].ms, perception = 60.0, b.config.perception
     b.until(lambda: b.shedder.level == 1)
@@ -256,7 +256,7 @@ def test_lockstep_or_no_levels_disable_the_load_shedder(lockstep, levels):
     assert status_message(closed.service.result())["load_shedding"] is None
 
 
-def test_a_service_reports_each_step_in_its_status_and_to_its_sinks():
+def test_each_step_is_in_the_status_and_the_events():
     closed = service(False, levels=LEVELS[1:])
     shedder = closed.service.load_shedder
     try:

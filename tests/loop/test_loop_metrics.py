@@ -99,7 +99,7 @@ def test_after_some_ticks(watched):
     assert found["edge_policy_info"] == {loop.config.policy.kind: 1}
 
 
-def test_every_metric_of_the_tables_has_its_name_help_and_kind(watched):
+def test_every_metric_has_its_help_and_type(watched):
     page = watched.page()
     for metric in (*HEALTH_METRICS, *SERVICE_METRICS, *BOARD_METRICS):
         kind = "gauge" if metric.kind == "state" else metric.kind
@@ -162,7 +162,7 @@ def test_checkpoint_metrics_count_writes(tmp_path):
     assert found["edge_checkpoint_failed_total"] == {(): 0}
 
 
-def test_in_the_middle_of_a_reload_and_after_it():
+def test_reloads_are_counted_when_they_end():
     watched = Watched().watch()
     running, asked, read = watched.running, threading.Event(), threading.Event()
 
@@ -184,7 +184,7 @@ def test_in_the_middle_of_a_reload_and_after_it():
     assert watched.scrape()["edge_reloads_total"] == {"switched": 0, "unchanged": 1, "refused": 0}
 
 
-def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():
+def test_metrics_can_be_scraped_while_the_loop_drives():
     watched, stop, failed = Watched().watch(), threading.Event(), []
 
     def scrape() -> None:

@@ -157,7 +157,7 @@ def test_its_layer_has_its_value_at_each_place(by):
     assert grid.cells.max() > 128
 
 
-def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
+def test_a_layer_is_a_snapshot_of_its_time():
     """As another thread may call for it, while the loop goes on."""
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))

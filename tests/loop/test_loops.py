@@ -94,7 +94,7 @@ def run_out(run: RunningService, seen: list[Observation]) -> None:
     loop(run, stop, each=lambda: None if seen else stop.set())
 
 
-def test_in_lockstep_a_late_second_camera_does_not_set_the_clock():
+def test_in_lockstep_a_late_second_camera_keeps_the_clock():
     """Its stamps are two seconds old; a second of the first one is a second of the loop."""
     run = running(lockstep=True)
     seen = blanks(ClosedLoop(run.config), 21)
@@ -127,7 +127,7 @@ def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
     assert (status.phase, status.elapsed_s) == ("searching", 0.0)
 
 
-def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
+def test_a_changed_wall_clock_does_not_end_a_mission(monkeypatch):
     run, stop, ticks = running(False, time_limit_s=300.0), threading.Event(), []
     monkeypatch.setattr(runner.time, "time_ns", lambda: 10**18 + len(ticks) * 10**13)
 
@@ -141,7 +141,7 @@ def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
 
 
 @pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
-def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(steps_s):
+def test_a_reset_sensor_clock_does_not_move_lockstep_time(steps_s):
     """Else what waits until a time waits for ever, or a mission is over by its limit."""
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)
@@ -156,7 +156,7 @@ def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(
     assert [b - a for a, b in pairwise(times)] == [10**9 * (0 < s <= 60) for s in steps_s]
 
 
-def test_the_service_takes_the_stages_in_the_order_of_the_table():
+def test_stages_are_in_the_order_of_the_table():
     from edge.loop import stages
 
     for index, stage in enumerate(STAGES):
@@ -245,7 +245,7 @@ def test_an_exception_that_ends_the_process_ends_the_loop(error, monkeypatch):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(inline, monkeypatch):
+def test_a_failing_detector_is_degraded_until_it_works_again(inline, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     failing, passing = DEGRADED_AFTER + 2, 3
     seen = blanks(closed, failing + passing)
@@ -326,7 +326,7 @@ def test_a_failing_sink_does_not_affect_the_others():
 
 
 @pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
-def test_a_frame_that_a_stage_fails_on_is_published_as_handled(stage, monkeypatch):
+def test_a_frame_that_fails_still_counts_as_handled(stage, monkeypatch):
     """In lockstep the simulator's clock stands still until it is."""
     sink = Sink()
     closed = ClosedLoop(

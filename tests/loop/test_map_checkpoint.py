@@ -171,7 +171,7 @@ def idle(checkpoint: ServiceCheckpoint) -> None:
         time.sleep(0.001)
 
 
-def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_path, monkeypatch):
+def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeypatch):
     """Even where copying it takes several ticks, in which the robot drives on."""
     steps, step = [], TileCopier.step
 
@@ -201,7 +201,7 @@ def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_p
     run.service.checkpoint.close()
 
 
-def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
+def test_an_unwritable_disk_stops_only_the_checkpoint(tmp_path, caplog):
     run = Run(tmp_path / "m.json", config())
     (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
     for _ in range(40):
@@ -270,7 +270,7 @@ def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, chang
     run.service.checkpoint.close()
 
 
-def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_path):
+def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
     now_ns = run.drive.motion.stamp_ns
     run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
@@ -292,7 +292,7 @@ def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_
     run.service.checkpoint.close()
 
 
-def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
+def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     run.service.mission.fail("told to", run.drive.motion.stamp_ns)
     run.ticks(1)

@@ -90,7 +90,7 @@ def test_every_array_has_its_dtype_shape_and_limits(tmp_path, saved):
         ("tiles/packed", lambda a: a[:-1]),
     ],
 )
-def test_numbers_that_cannot_be_are_set_aside(tmp_path, saved, name, change):
+def test_impossible_numbers_are_set_aside(tmp_path, saved, name, change):
     array = saved.arrays[name]
     assert array.size
     assert problem(tmp_path, saved, {name: change(array).astype(array.dtype, copy=False)})

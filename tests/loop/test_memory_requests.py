@@ -85,7 +85,7 @@ VOCABULARY = ["goblet", "cup", "chair"], np.array([(1.0, 0.0), (0.95, 0.312), (0
         ("nothing known", ["chair"], VOCABULARY, []),
     ],
 )
-def test_similar_words_come_from_the_vocabulary_and_the_table(name, words, vocabulary, similar):
+def test_similar_words_come_from_vocabulary_and_table(name, words, vocabulary, similar):
     class Prior:
         words = PriorWordIndex(load(), vocabulary)
 

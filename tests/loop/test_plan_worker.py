@@ -40,9 +40,7 @@ def test_an_object_with_a_new_id_is_found_again(things, asked, found):
 @pytest.mark.parametrize(
     ("chosen", "drivable"), [({"lawn"}, {2}), ({"road", "lawn"}, {1, 2}), ({"path"}, {1, 2})]
 )
-def test_a_path_keeps_to_its_kinds_of_ground_when_their_regions_get_other_ids(
-    chosen, drivable, monkeypatch
-):
+def test_a_path_keeps_its_kinds_of_ground_under_new_ids(chosen, drivable, monkeypatch):
     """If no ground of these kinds is left, it may use all."""
     scene, limits = street(), MotionLimits(1.0, 1.0, 1.0, 1.0)
     driven = refine(scene, [np.array([[2.0, 0.0]])], {7}, PathMargins(0.3), limits)

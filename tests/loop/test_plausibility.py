@@ -149,7 +149,7 @@ def test_a_lidar_that_freezes_is_noticed_with_each_camera():
 
 
 @pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
-def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
+def test_delayed_images_are_noticed_by_their_motion(seed, begin_s):
     """A straight drive proves nothing; the next turn or stop does."""
     world = {"kind": "generated", "seed": seed}
     loop = ClosedLoop(simulated({
@@ -271,7 +271,7 @@ def test_each_check_fails_by_its_own_fault(name, value, check, use):
     assert [f for f in judge.failing() if f != "rgb_dark" or check == f] == [check] * bool(check)
 
 
-def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
+def test_a_missing_floor_makes_the_robot_not_ready():
     judge, known = Judge(), SemanticMap(CONFIG, ("bed",))
     states = []
     for floor_z_m in (None, -2.0, -2.0, None, -2.0, 0.0, 0.0, None):
@@ -285,7 +285,7 @@ def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
     assert [line[:13] for line, _ in judge.said] == ["map: no floor", "floor: this c"]
 
 
-def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on():
+def test_near_a_wall_the_robot_may_only_turn_away():
     judge, near, far = Judge(), room(3.5) | {"rgb": None}, room(2.0) | {"rgb": None}
     empty = near | {"depth_m": np.zeros((48, 64), np.float32)}
     assert judge.see(SE2(3.5, 0, 0), **near) == ""
@@ -341,7 +341,7 @@ def test_clouds_are_checked_if_they_are_mapped(cloud_m, check):
     assert (found, judge.failing()) == ("none" if check else "", check)
 
 
-def test_a_lasting_fault_is_reported_and_again_only_after_a_while():
+def test_a_lasting_fault_is_reported_at_intervals():
     judge = Judge()
     bad = room() | {"depth_m": np.zeros((48, 64), np.float32)}
     judge.see(**bad)

@@ -180,7 +180,7 @@ def test_an_unavailable_detector_refuses_the_whole_reload(bench, cards):
     assert bench.service.config is before
 
 
-def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, monkeypatch):
+def test_a_new_detector_is_tried_before_the_switch(bench, monkeypatch):
     """The swapper's own rules are tested with the swapper; here its verdict is played."""
     said = {"state": "idle", "detail": ""}
     asked = []
@@ -215,9 +215,7 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
         ({"state": "kept", "model": "new"}, ["sim", "new"], "new was swapped in during the reload"),
     ],
 )
-def test_while_another_model_comes_all_may_change_but_the_detector(
-    bench, monkeypatch, swap, at_work, says
-):
+def test_during_a_swap_only_the_detector_cannot_change(bench, monkeypatch, swap, at_work, says):
     """The running model may be rolled back, or may have changed after the reload was prepared."""
     names = chain(at_work, repeat(at_work[-1]))
     monkeypatch.setattr(swapped.DetectorSwap, "status", lambda self: swap)
@@ -229,7 +227,7 @@ def test_while_another_model_comes_all_may_change_but_the_detector(
     assert bench.reload(config(perception={"tau_det": 0.4})) == "switched: perception.tau_det"
 
 
-def test_a_real_detector_is_made_again_next_to_the_one_at_work():
+def test_a_changed_detector_is_rebuilt_next_to_the_old():
     first = load("demo").model_dump(exclude={"path"})
     first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
     first["perception"]["isolation"] = "thread"

@@ -139,7 +139,7 @@ STEPS = ["prepare_mission", "make_detector", "make_scorers", "warm_up"]
 
 
 @pytest.mark.parametrize("last", STEPS)
-def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeypatch, caplog, last):
+def test_a_stop_during_the_start_ends_after_the_step(monkeypatch, caplog, last):
     caplog.set_level(logging.INFO, "edge")
     stop, made = threading.Event(), []
 

@@ -56,7 +56,7 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
 
 
 @pytest.mark.parametrize("isolation", ["thread", "process"])
-def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
+def test_a_new_model_is_loaded_in_a_process_first(isolation):
     """A model that never ends could not be killed in a thread."""
     made: list[tuple[str, str, str]] = []
 
@@ -135,7 +135,7 @@ def test_answers_from_before_a_pose_jump_do_not_count():
         loop.close()
 
 
-def test_no_one_is_asked_while_the_mission_is_paused_or_over():
+def test_no_question_is_asked_while_paused_or_ended():
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
         asked = len(server.requests)
@@ -212,6 +212,6 @@ def test_objects_around_are_in_the_prompt():
 @pytest.mark.parametrize(
     "perception", [{"similarity": "made-up"}, {"similarity": "yolo-world-s-256x320-int8-cpu"}]
 )
-def test_bad_cards_are_one_line_at_the_start(perception):
+def test_bad_cards_fail_at_the_start_in_one_line(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
         make_scorers(simulated({"perception": perception}), ("chair",))

@@ -94,7 +94,7 @@ TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # without an a
 
 
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
-def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
+def test_a_robot_that_does_not_move_drops_its_goal(answers, stuck, caplog):
     loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}), colour=False)
     assert status_message(loop.service.result())["controller"] == "silent"
     for i in range(60):
@@ -109,7 +109,7 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
     assert len(warned) == (0 if answers else 1)
 
 
-def test_a_controller_that_never_answers_gets_the_robot_there():
+def test_the_robot_arrives_without_answers_of_its_controller():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     loop.service.on_goal_status = lambda answer: None
     loop.run(240)
@@ -215,7 +215,7 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_stop_withdraws_the_goal_at_once_and_missions_wait_until_its_release(blind):
+def test_a_stop_withdraws_the_goal_until_its_release(blind):
     loop = driving(time_limit_s=60.0)
     service, notes = loop.service, loop.notes
 
@@ -278,7 +278,7 @@ def test_a_stop_without_a_mission_sends_one_hold_goal():
 
 
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])
-def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without, stops):
+def test_a_goal_without_a_successor_is_withdrawn(ticks_without, stops):
     loop = driving()
     choose, before = loop.service.goals.choose, len(loop.notes.goals)
     loop.service.goals.choose = lambda *_: loop.service.goals.abandon()
@@ -292,7 +292,7 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
 
 
 @pytest.mark.parametrize("off_ns", [0, 128, -240, 1000])
-def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
+def test_a_rounded_stamp_still_matches_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
     stamp_ns = service.goal.stamp_ns
     service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
@@ -348,7 +348,7 @@ def test_detections_from_before_a_pose_jump_are_dropped():
     assert [slot.holds for slot in slots] == [0, 0, 1]
 
 
-def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
+def test_a_pose_jump_restarts_the_search():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
     chooser = service.goals._chooser
@@ -433,7 +433,7 @@ def test_a_result_has_the_candidates_and_the_path():
         ("both", False, ["looked at", "likely place of bed"]),
     ],
 )
-def test_likely_places_of_a_target_are_a_layer_if_there_is_a_prior(prior, idle, layers):
+def test_likely_places_are_a_layer_if_a_prior_exists(prior, idle, layers):
     loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}), colour=False)
     if idle:
         loop.service.mission.set_idle()

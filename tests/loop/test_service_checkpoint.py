@@ -39,7 +39,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "mission.json"
 
 
-def test_which_reading_was_taken_is_saved(path):
+def test_the_chosen_reading_is_saved(path):
     run = run_of(path, "the sofa must be visited before the bed", "grammar").ticks(1)
     before = run.service.mission.spec
     again = run.killed().service.mission.spec
@@ -126,7 +126,7 @@ def test_a_restart_that_saw_nothing_loses_no_object(path):
     assert run.service.mission.sets.failed == {"television"}
 
 
-def test_objects_come_back_under_an_order_that_came_before_the_first_image(path):
+def test_objects_are_restored_if_a_mission_comes_first(path):
     run = run_of(path, "F television & F bed")
     while "television" not in run.service.mission.detected:
         run.step()

@@ -99,7 +99,7 @@ def test_a_mission_keeps_its_given_id():
     assert json.dumps(answer)
 
 
-def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
+def test_a_new_mission_replaces_the_old_and_keeps_the_map():
     loop = ClosedLoop(config("F television"), colour=False).run(10)
     generation = loop.service.map.grid.travel_cost.generation
     spec = prepare(loop.config.mission, formula="F bed")
@@ -178,7 +178,7 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
     assert not any("replaced" in answer.reason for answer in loop.notes.answers)
 
 
-def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
+def test_cancel_ends_a_mission_and_leaves_nothing_to_pause():
     loop = ClosedLoop(config("F bed"), colour=False).run(3)
     answer = ask(loop, "cancel")
     assert (answer["phase"], "overtaken" in answer) == ("failed", False)
@@ -189,7 +189,7 @@ def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
 
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
-def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
+def test_a_stop_reports_the_missions_that_it_prevented(do):
     loop = ClosedLoop(config("F bed"), colour=False)
     ask(loop, "cancel")
     assert "no mission is running" in refusal(loop, do)

@@ -188,7 +188,7 @@ def test_an_obstacle_ahead_explains_a_blocked_robot(x_m, yaw_rad, shows):
     assert not beside.bumps.explained_by_obstacle(pose, place, 0.2)  # a bump explains nothing
 
 
-def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
+def test_bumps_outside_the_rolled_window_are_dropped():
     grid = seen_around()
     strip_m = ly.WORD * grid.resolution_m
     left_m = grid.window.origin[0] * grid.resolution_m
@@ -259,7 +259,7 @@ def sill(*ys: float) -> RollingMap:
         ((-0.5, 0.5, 0.0), (-1.7, 1.7)),  # no farther than a metre
     ],
 )
-def test_two_bumps_along_one_line_are_one_sill(ys, closed_y):
+def test_two_bumps_in_line_form_one_sill(ys, closed_y):
     cells = sill(*ys).snapshot(inflated=50)
     column = math.floor((1.02 - cells.origin_xy_m[0]) / cells.resolution_m)
     rows = np.flatnonzero(cells.cells[:, column] == 100)

@@ -112,7 +112,7 @@ def test_show_agrees_with_its_twin(seed, then):
 
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), work=st.sampled_from([1, 3000, 10**9]))
-def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
+def test_the_best_view_is_independent_of_the_step_size(seed, work):
     n, side = 64, 1 << BITS
     rng, layers, raw, looks, stored, shift, origin = random_world(seed, n)
     reached = (raw == FREE) & (rng.random(raw.shape) < 0.05)

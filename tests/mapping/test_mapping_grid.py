@@ -112,7 +112,7 @@ def test_only_small_obstacles_may_have_been_people(width_m, small_too, state):
     assert grid.state_at(1.52, 0.0) == 100
 
 
-def test_a_low_obstacle_stays_while_it_is_below_the_view():
+def test_a_low_obstacle_stays_below_the_view():
     """Seen from afar, then under the camera's blind zone: nothing flew low enough to clear it."""
     grid = RollingMap(SMALL)
     low = (1.5, -0.1, 0.0, 1.6, 0.1, 0.2)
@@ -198,18 +198,18 @@ def test_rolling_keeps_the_cells_inside_the_window():
 
 
 @pytest.mark.parametrize("shape", [(120, 161), (160, 120), (0, 0), (120, 160, 1)])
-def test_a_depth_image_of_the_wrong_size_is_an_error_that_says_so(shape):
+def test_a_depth_image_of_the_wrong_size_is_an_error(shape):
     with pytest.raises(ValueError, match="120x160"):
         RollingMap(SMALL).update_depth(np.zeros(shape, np.float32), CAMERA, *STILL)
 
 
 @pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 3, 1)])
-def test_a_cloud_of_the_wrong_shape_is_an_error_that_says_so(shape):
+def test_a_cloud_of_the_wrong_shape_is_an_error(shape):
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
         RollingMap(SMALL).update_cloud(np.zeros(shape, np.float32), *STILL)
 
 
-def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
+def test_a_pose_that_is_not_finite_changes_nothing():
     grid = RollingMap(SMALL)
     look(grid, ORIGIN, [])
     before = twins.states(grid)

@@ -110,7 +110,7 @@ def test_furniture_at_the_start_is_not_taken_for_floor(thing, base_m, seen):
     ],
     ids=["a lift", "a jump", "lying down and up", "trotting"],
 )
-def test_the_floor_stays_under_a_robot_that_moves_up_and_down(heights):
+def test_the_floor_follows_a_robot_that_moves_up_and_down(heights):
     """(floor, base) in `map` of each update."""
     grid = RollingMap(SMALL)
     for floor_z_m, base_z_m in heights:
@@ -145,7 +145,7 @@ def test_ground_far_below_the_base_is_not_free(floor_z_m):
 
 
 @pytest.mark.parametrize("z_m", [-0.3, -0.05, 0.05, 0.4])
-def test_a_scan_that_sees_no_floor_shows_walls_from_below_the_base_too(z_m):
+def test_a_scan_without_floor_still_shows_walls(z_m):
     """A level LiDAR of one ring; the base of a legged robot may be over it."""
     grid = RollingMap(SMALL)
     angle = np.linspace(-math.pi, math.pi, 720, endpoint=False)

@@ -283,7 +283,7 @@ def test_floor_obstacle_and_overhang_are_distinguished_for_a_tilted_lidar():
     assert grid.state_at(3.0, 0.0) == -1, "hidden behind the obstacle"
 
 
-def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
+def test_a_ramp_is_free_and_an_obstacle_on_it_occupied():
     ramp = lidar_map([], slope=0.15)
     assert not (twins.states(ramp) == 100).any()
     assert ramp.state_at(3.0, 0.0) == 0, "floor is 0.3 m up here"
@@ -304,7 +304,7 @@ def test_rays_stop_at_a_drop_in_the_floor():
 
 @pytest.mark.parametrize("beams", [180, 360, 720])
 @pytest.mark.parametrize(("range_m", "end_m"), [(4.0, 2.0), (5.0, 2.0), (5.0, 12.0)])
-def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range_m, end_m):
+def test_a_beam_without_a_return_only_frees_cells(beams, range_m, end_m):
     """Also between beams that are two degrees apart."""
     angles = 2 * np.pi / beams * np.arange(beams)
     x, y = end_m * np.cos(angles), end_m * np.sin(angles)

@@ -105,7 +105,7 @@ def test_a_zone_removes_its_frontiers():
     assert grid.frontiers.n == n
 
 
-def test_a_robot_in_a_zone_may_leave_it_but_not_squeeze_along_walls():
+def test_a_robot_in_a_zone_may_leave_it():
     grid = seen_around(WALLS)
     zone = square(0.0, 0.0, 1.0)
     grid.set_zones((zone,), ())
@@ -118,7 +118,7 @@ def test_a_robot_in_a_zone_may_leave_it_but_not_squeeze_along_walls():
     assert math.isinf(grid.travel_cost.distance_m(0.0, 0.0))
 
 
-def test_the_trail_of_before_leads_through_no_zone():
+def test_the_trail_does_not_open_a_zone():
     grid = seen_around(WALLS)
     for x_m in np.arange(0.0, 2.0, 0.2):
         look(grid, SE2(x_m, 0.0, 0.0), WALLS)
@@ -173,7 +173,7 @@ def test_without_zones_the_mask_closes_nothing():
 @given(
     x_m=st.floats(-2, 2), y_m=st.floats(-2, 2), half_m=st.floats(0.05, 1.0), stays=st.booleans()
 )  # fmt: skip
-def test_the_mask_closes_the_cells_that_the_map_closes_and_a_border(x_m, y_m, half_m, stays):
+def test_the_mask_closes_the_same_cells_as_the_map(x_m, y_m, half_m, stays):
     grid, polygon = RollingMap(SMALL), square(x_m, y_m, half_m)
     zones = ZonePolygons((), (polygon,)) if stays else ZonePolygons((polygon,))
     look(grid, ORIGIN, WALLS)

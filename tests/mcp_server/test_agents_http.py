@@ -105,7 +105,7 @@ def test_without_the_token_nothing_is_asked_or_answered(served, headers, method)
 
 
 @pytest.mark.parametrize("header", ["Host", "Origin"])
-def test_a_web_page_of_another_site_is_refused_even_with_the_token(served, header):
+def test_another_site_is_refused_even_with_the_token(served, header):
     headers = {"Authorization": f"Bearer {SECRET}", header: "http://evil.example"}
     headers["Host"] = "evil.example" if header == "Host" else httpx.URL(served.url).netloc.decode()
     before = len(served.asked)

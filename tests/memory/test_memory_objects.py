@@ -50,11 +50,11 @@ SEEN = seen(
         ("armchair", [3]),
     ],
 )
-def test_objects_are_found_by_name_and_kind_if_they_were_seen_often_enough(name, ids):
+def test_objects_are_found_by_name_and_kind(name, ids):
     assert [one.id for one in known_objects(SEEN, NOW_NS, 2, name)] == ids
 
 
-def test_an_armchair_comes_after_the_chairs():
+def test_an_armchair_is_listed_after_the_chairs():
     armchair_first = seen(("armchair", 1.0, 5, 0), ("chair", 2.0, 5, 0), ("chair", 3.0, 5, 0))
     ids = {
         name: [one.id for one in known_objects(armchair_first, NOW_NS, 2, name)]

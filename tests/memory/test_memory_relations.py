@@ -114,7 +114,7 @@ def test_a_description_means_these_instances(text, ids):
     assert resolve(text) == ids
 
 
-def test_the_nearest_one_may_be_far_once_the_search_is_over():
+def test_the_nearest_object_may_be_far_after_the_search():
     assert resolve("chair nearest to the window") == []
     assert resolve("chair nearest to the window", last=True) == [3]
 

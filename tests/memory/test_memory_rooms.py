@@ -159,7 +159,7 @@ OPEN_PLAN = seen(
 )
 
 
-def test_nothing_speaks_for_the_kind_of_an_empty_room():
+def test_an_empty_room_has_no_evidence_of_its_kind():
     rooms = memory(cut(LEFT))
     xy_m, weights = rooms.evidence(rooms.rooms[0], "kitchen")
     assert (xy_m.shape, weights.shape) == ((0, 2), (0,))
@@ -187,7 +187,7 @@ def test_evidence_for_a_room_kind_lies_at_its_objects(kind, x_m):
         ("stay_inside", ((4, -1), (9, -1), (9, 5), (4, 5)), True),
     ],
 )
-def test_a_room_is_closed_if_zones_close_all_of_it(kind, corners_m, closed):
+def test_a_room_is_closed_if_zones_cover_it(kind, corners_m, closed):
     (room,) = memory(cut(LEFT)).rooms
     assert room.closed_by(UNNAMED) == ""
     assert room.closed_by(Site((Zone("yard", kind, corners_m),))) == ("yard" if closed else "")
@@ -215,7 +215,7 @@ def test_a_robot_is_inside_away_from_the_border():
     assert [room.is_visited for room in rooms.rooms] == [True, False]
 
 
-def test_rooms_keep_ids_over_a_restart_but_not_over_a_new_frame():
+def test_room_ids_survive_a_restart_but_not_a_new_frame():
     rooms, again = memory(cut(LEFT, RIGHT)), RoomMemory(TABLE, WORDS)
     rooms.on_pose(5.0, 2.0)
     again.load_state_dict(rooms.state_dict())

@@ -56,7 +56,7 @@ def test_an_empty_site(tmp_path):
     assert Site().polygons_m("keep_out") == []
 
 
-def test_all_kinds_come_back_from_a_file(tmp_path):
+def test_all_kinds_survive_a_round_trip_through_a_file(tmp_path):
     path = tmp_path / "folder" / "site.geojson"
     write_site(path, ALL)
     assert read_site(path) == ALL

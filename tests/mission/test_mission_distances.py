@@ -73,7 +73,7 @@ def test_an_object_is_reached_next_to_it(half_m, found):
         assert out[1, 0] == pytest.approx(5.0 - half_m - 1.1, abs=0.35)
 
 
-def test_an_object_at_a_wall_is_not_reached_from_the_next_room():
+def test_an_object_at_a_wall_has_no_path_from_behind():
     """It stands against the wall, whose other side is hardly farther from its middle."""
     house = room(6, 4)
     fill(house, 2.7, 0, 3.3, 4, 99)

@@ -383,7 +383,7 @@ def auto() -> Translator:
 
 
 @given(sentences(), st.data())
-def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
+def test_the_auto_translator_skips_no_meaningful_word(sentence, data) -> None:
     words, stars = sentence
     at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
     with contextlib.suppress(TranslationError):

@@ -36,7 +36,7 @@ def test_nothing_to_plan(text, feasible, cost):
         (CASE_1, None, ("bed", "plant", "tv")),  # what may come only later is passed over
     ],
 )
-def test_targets_come_in_the_order_of_mention(text, knowledge, steps):
+def test_targets_are_planned_in_the_order_of_mention(text, knowledge, steps):
     plan = planned(text, knowledge)
     assert plan.steps == steps
     assert plan.target == steps[0]

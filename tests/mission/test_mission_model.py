@@ -161,7 +161,7 @@ NOT_READ = [
 
 
 @pytest.mark.parametrize("said", NOT_READ)
-def test_the_shipped_one_takes_no_orders_it_cannot_keep(said: str) -> None:
+def test_the_shipped_model_is_unsure_of_unsupported_orders(said: str) -> None:
     with contextlib.suppress(TranslationError):
         assert not shipped().read(said).confident
 

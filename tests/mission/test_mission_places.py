@@ -73,9 +73,7 @@ def briefed(instruction: str):
         ("visit the sofa and the bed", "F sofa & F bed", [], ("sofa", "bed")),
     ],
 )  # fmt: skip
-def test_a_place_is_a_target_that_the_detector_does_not_look_for(
-    instruction, formula, places, prompts
-):
+def test_a_place_is_a_target_without_a_prompt(instruction, formula, places, prompts):
     spec = briefed(instruction)
     assert str(spec.automaton.formula) == formula
     assert list(spec.translation.destinations) == places

@@ -43,7 +43,7 @@ def test_a_seen_branch_is_switched_to_at_once():
     assert kinds(mission)[2:] == ["seen", "target"]
 
 
-def test_reaching_the_targets_in_order_fulfils_it():
+def test_reaching_the_targets_in_order_ends_the_mission():
     mission = begun()
     mission.on_detections({"sofa": 1}, S)
     mission.on_reached("seen in 5 images", 2 * S)

@@ -8,7 +8,7 @@ from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import prepare
 
 
-def test_a_bare_target_is_the_mission_to_reach_it():
+def test_a_bare_target_becomes_a_formula():
     spec = prepare(MissionConfig(target="trash can"))
     assert str(spec.automaton.formula) == 'F "trash can"'
     assert spec.targets == ("trash can",)

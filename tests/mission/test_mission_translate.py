@@ -163,7 +163,7 @@ BANNED = [
 
 
 @pytest.mark.parametrize(("said", "formula", "asked"), BANNED)
-def test_a_models_formula_heeds_the_bans_that_the_rules_read(
+def test_bans_of_the_rules_apply_to_a_models_formula(
     said: str, formula: str, asked: list[str] | str | None
 ) -> None:
     read = ParsedInstruction([parse(formula)], "llm")

@@ -34,7 +34,7 @@ def fetch(server, tmp_path, limits=LIMITS, **expected):
 
 
 @pytest.mark.parametrize("content", [b"", CONTENT])
-def test_a_file_comes_whole(server, tmp_path, content):
+def test_a_file_is_downloaded_completely(server, tmp_path, content):
     server.put("/w.pt", content)
     fetch(server, tmp_path, sha256=hashlib.sha256(content).hexdigest())
     assert (tmp_path / "w.pt").read_bytes() == content
@@ -59,7 +59,7 @@ def test_a_part_of_an_earlier_run_is_resumed(server, tmp_path):
     assert left(tmp_path) == {"w.pt": len(CONTENT)}
 
 
-def test_a_server_that_cannot_resume_sends_all_of_it_again(server, tmp_path):
+def test_a_server_without_ranges_sends_the_whole_file(server, tmp_path):
     part(tmp_path).path.write_bytes(CONTENT[:5])
     server.put("/w.pt", CONTENT, ranges=False)
     fetch(server, tmp_path)
@@ -172,7 +172,7 @@ def test_a_place_that_cannot_be_written(tmp_path):
         pass
 
 
-def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
+def test_a_pipe_instead_of_a_partial_file_is_an_error(tmp_path):
     os.mkfifo(part(tmp_path).path)
     with pytest.raises(ModelError, match=r"part: cannot be written \(Not a regular file\)"):
         part(tmp_path).__enter__()

@@ -94,7 +94,7 @@ def test_variants_of_a_language_model_derive_from_its_fp32(started, monkeypatch,
     assert started[0][10:] == [*cards, "--precision", *told]
 
 
-def test_a_card_that_names_its_precision_gets_no_other(started, capsys):
+def test_the_precision_set_in_a_card_cannot_be_changed(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
     assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
     assert "small: its card sets the precision" in capsys.readouterr().err
@@ -127,7 +127,7 @@ def test_a_trained_model_names_its_training_commands(started, capsys, words):
 
 
 @pytest.mark.parametrize("lacking", ["source", "place"])
-def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys, lacking):
+def test_a_vocabulary_that_cannot_be_copied_is_an_error(started, tmp_path, capsys, lacking):
     (tmp_path / "words.npz").write_bytes(b"words")
     if lacking == "source":
         (tmp_path / "words.npz").unlink()
@@ -196,7 +196,7 @@ def test_a_hash_of_the_user_is_handed_on(started):
     assert started[0][at + 1] == "ab" * 32
 
 
-def test_a_family_that_comes_as_a_folder_names_the_folder(put_card, capsys):
+def test_a_family_without_a_weights_file_names_the_folder(put_card, capsys):
     put_card({**ORIGINAL, "family": "owlv2-base", "sources": []})
     for action in ("export", "pull"):
         assert main(["models", action, "big"]) == os.EX_UNAVAILABLE

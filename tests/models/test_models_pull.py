@@ -86,7 +86,7 @@ def weights_file(name="w.pt"):
     return f"{sha(WEIGHTS)[:12]}-{name}"
 
 
-def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsys):
+def test_pulled_weights_are_found_by_the_exporter(put_card, server, capsys):
     server.put("/a/w.pt", WEIGHTS)
     put_card(card(url(server.url("/a/w.pt"))))
     assert pulled_weights(load_card("tiny")) is None
@@ -107,7 +107,7 @@ def test_present_weights_are_fetched_again_only_if_damaged(put_card, server, cap
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_sources_are_tried_in_order_and_a_failure_is_a_note(put_card, server, capsys):
+def test_sources_are_tried_in_order_with_notes(put_card, server, capsys):
     server.put("/wrong/w.pt", b"other")
     server.put("/last/w.pt", WEIGHTS)
     places = ("/none/w.pt", "/wrong/w.pt", "/last/w.pt")
@@ -120,7 +120,7 @@ def test_sources_are_tried_in_order_and_a_failure_is_a_note(put_card, server, ca
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(put_card, server, capsys):
+def test_if_every_source_fails_nothing_is_left(put_card, server, capsys):
     server.put("/w.pt", b"x" * 100)
     put_card(card(url(server.url("/w.pt"), bytes=5)))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
@@ -318,7 +318,7 @@ def test_no_message_has_a_password(put_card, server, capsys, sources, place, net
         ("w.pt/", b"", "contains neither w.pt"),
     ],
 )
-def test_a_folder_that_lacks_it(put_card, tmp_path, capsys, name, content, message):
+def test_a_folder_without_the_model_is_an_error(put_card, tmp_path, capsys, name, content, message):
     folder = tmp_path / "stick"
     folder.mkdir()
     if name.endswith("/"):
@@ -362,9 +362,7 @@ def put_export(folder, model, of=None):
 
 
 @pytest.mark.parametrize("broken", [False, True])
-def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
-    put_card, tmp_path, monkeypatch, broken
-):
+def test_a_sound_model_is_kept_if_a_pull_fails(put_card, tmp_path, monkeypatch, broken):
     put_card(card(url("https://example.org/w.pt")))
     stick = tmp_path / "stick"
     words = ["models", "pull", "tiny", "--offline", "--from", str(stick)]

@@ -76,7 +76,7 @@ def test_a_model_on_a_server_needs_no_file(far, capsys):
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_the_doctor_looks_whether_anything_listens(far, there):
+def test_the_doctor_checks_if_a_server_listens(far, there):
     with serving(KServe(model)) as server:
         far(server.url if there else "http://127.0.0.1:1")
         (found,) = [f for f in model_checks.check_models(simulated()) if "model far" in f.what]

@@ -83,7 +83,7 @@ def test_a_contradictory_phrase_is_refused(prompt, message):
     st.sampled_from(WORDS.categories),
     st.data(),
 )
-def test_every_phrase_is_read_back_in_any_order_and_with_any_alias(size, color, category, data):
+def test_phrases_are_read_in_any_order_with_any_alias(size, color, category, data):
     phrase = Phrase(category, color, size)
     assert parse(str(phrase), WORDS) == phrase
     noun = data.draw(st.sampled_from(names.names_of(category)))
@@ -141,7 +141,7 @@ def test_an_invalid_vocabulary_is_refused(text):
         Vocabulary.from_json(text)
 
 
-def test_the_nearest_words_come_by_alias_too():
+def test_the_nearest_words_include_aliases():
     assert nearest("setee", WORDS)[0] == "sofa"
     assert nearest("bim", WORDS)[0] == "trash can"
     assert 0 < len(nearest("xyzzy", WORDS)) <= 5

@@ -148,7 +148,7 @@ def test_a_bad_card_of_any_task_names_file_and_key(place, tmp_path, task, change
     assert all(line.startswith(str(tmp_path)) for line in str(error.value).splitlines())
 
 
-def test_a_model_shipped_next_to_its_card_comes_before_the_cache(place, tmp_path):
+def test_a_shipped_model_is_preferred_to_the_cache(place, tmp_path):
     place()
     card = put_model()
     shipped = tmp_path / "cards" / "tiny.onnx"
@@ -159,7 +159,7 @@ def test_a_model_shipped_next_to_its_card_comes_before_the_cache(place, tmp_path
         cards.verify_model(card)
 
 
-def test_a_missing_model_says_how_to_make_it(place):
+def test_a_missing_model_names_the_export_command(place):
     place()
     with pytest.raises(cards.ModelError, match=r"tiny\.onnx: .* `edge models export tiny"):
         cards.verify_model(cards.load_card("tiny"))
@@ -179,7 +179,7 @@ def test_a_damaged_model_is_refused(place, content, message):
         cards.verify_model(put_model(content))
 
 
-def test_a_hash_in_the_card_comes_first(place):
+def test_the_hash_in_the_card_is_checked_first(place):
     place(sha256="1" * 64)
     with pytest.raises(cards.ModelError, match="sha256 is not 111111111111"):
         cards.verify_model(put_model())
@@ -257,7 +257,7 @@ def test_a_repaired_model_loads_again(place):
     assert cards.verify_model(card) == card.path
 
 
-def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):
+def test_an_unreadable_model_is_an_error_of_one_line(place, monkeypatch):
     place()
 
     def refuse(path):
@@ -282,7 +282,7 @@ def own(name, **changes):
     (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
 
 
-def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, tmp_path):
+def test_package_cards_come_before_own_cards(place, tmp_path):
     place()
     own("tiny", family="other")
     own("mine")
@@ -354,7 +354,7 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
         (" ", "{kind: sim}", "mission.target: '' is no name", os.EX_CONFIG),
     ],
 )
-def test_edge_run_says_in_one_line_why_it_cannot_detect(
+def test_edge_run_explains_an_unusable_detector_in_one_line(
     tmp_path, capsys, monkeypatch, target, detector, message, code
 ):
     from edge.cli import main as cli

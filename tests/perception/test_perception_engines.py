@@ -90,9 +90,7 @@ def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
     assert (folder / "model.engine").read_bytes() == b"engine"
 
 
-def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
-    tmp_path, monkeypatch
-):
+def test_an_unremovable_damaged_engine_is_an_error(tmp_path, monkeypatch):
     """As another user's is, whose folder may be read but not written to."""
     build = Builds()
     folder = get_or_build(KEY, tmp_path, build, quiet)
@@ -118,7 +116,7 @@ def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
     assert not killed.exists()
 
 
-def test_a_build_without_an_engine_and_a_full_disk_are_one_line(tmp_path):
+def test_a_failed_or_unsaved_build_is_an_error(tmp_path):
     with pytest.raises(ModelError, match="the build left no engine"):
         get_or_build(KEY, tmp_path, lambda folder: None, quiet)
 
@@ -142,7 +140,7 @@ def below_a_file(path):
 @pytest.mark.parametrize(
     "place", [file_in_the_way, below_a_file, lambda path: Path("/proc/engines")]
 )
-def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
+def test_an_unusable_cache_fails_before_the_build(tmp_path, place):
     build = Builds()
     with pytest.raises(ModelError, match=r"cannot hold engines .*engine_cache") as error:
         get_or_build(KEY, place(tmp_path / "x"), build, quiet)
@@ -284,7 +282,7 @@ def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
         open_tiny().run(["boxes"], inputs)
 
 
-def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open_tiny):
+def test_an_engine_that_does_not_load_is_kept(gpu, open_tiny):
     """The engine was either built now or found."""
     gpu.unreadable = 2
     for _ in range(2):
@@ -306,7 +304,7 @@ def test_a_tensorrt_error_is_one_line_with_its_reason(gpu, open_tiny):
     assert "\n" not in str(error.value)
 
 
-def test_no_gpu_is_one_line(gpu, open_tiny):
+def test_a_missing_gpu_is_an_error_of_one_line(gpu, open_tiny):
     with pytest.raises(ModelError, match="device_id: 1, but there are 1 GPUs"):
         open_tiny(device_id=1)
     gpu.cuda.failing = {"cudaGetDeviceCount"}

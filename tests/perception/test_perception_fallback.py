@@ -70,7 +70,7 @@ def test_a_new_fallback_asks_no_server(server):
     assert (server.model.detail, server.asked) == ("", [])
 
 
-def test_the_local_model_answers_from_the_first_failure_until_the_server_does(server, caplog):
+def test_the_local_model_answers_until_the_server_returns(server, caplog):
     caplog.set_level(logging.INFO)
     assert server.ask(1) == "far 1"
     server.fault = UserError("no connection")
@@ -90,7 +90,7 @@ def test_the_local_model_answers_from_the_first_failure_until_the_server_does(se
     ]
 
 
-def test_a_server_that_fails_soon_again_is_asked_ever_more_rarely(server):
+def test_an_unreliable_server_is_asked_at_growing_intervals(server):
     pauses = []
     for item in range(8):
         server.fault = UserError("oh no")

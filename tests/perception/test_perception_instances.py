@@ -128,7 +128,7 @@ def test_a_high_object_is_confirmed_from_farther_away(scene, x_m, z_m, state):
     assert painting.state == state
 
 
-def test_detections_are_views_even_if_the_centre_of_the_object_is_hidden(scene):
+def test_a_detection_counts_as_a_view_if_partly_hidden(scene):
     s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
     (plant,) = s.see(("chair", 2, 0, 0.6))
     for _ in range(9):
@@ -158,7 +158,7 @@ def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, pl
     assert s.tracker.verified(chair, SE2(*at, 0.0)) == verified
 
 
-def test_merged_objects_keep_the_viewpoint_that_their_hits_are_counted_from(scene):
+def test_merged_objects_keep_the_viewpoint_of_their_hits(scene):
     s = scene(confirm_hits=4, merge_m=1.0, confirm_score=0.5)
     s.see(("sofa", 1.5, 0, 0.4))  # the older one has no good hit
     for _ in range(3):
@@ -223,7 +223,7 @@ def test_a_rejected_object_is_never_pursued_again(scene):
     assert s.tracker.get(chair.id) is chair
 
 
-def test_rejecting_takes_its_doubles_along(scene):
+def test_rejecting_an_object_removes_its_duplicates(scene):
     s = scene(merge_m=0.3, reject_radius_m=0.7)
     s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
     s.tracker.reject(1)

@@ -148,7 +148,7 @@ def test_unusable_outputs_are_an_error_of_one_line(monkeypatch, session, says):
     assert "\n" not in str(error.value)
 
 
-def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypatch):
+def test_missing_inputs_and_unknown_targets_are_errors(monkeypatch):
     scorer = scorer_of(monkeypatch, FakeSession([0.0] * 9))
     image = np.zeros((*HW, 3), np.uint8)
     for rgb, says in ((None, "observation 3 has no camera image"), (image, "there is no map yet")):
@@ -212,7 +212,7 @@ def test_tensorrt_by_itself_is_refused():
         open_view_scorer(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
 
 
-def test_in_a_process_of_its_own_it_says_the_same(shipped):
+def test_an_isolated_scorer_gives_the_same_answers(shipped):
     perception = PerceptionConfig.model_validate(
         {
             "isolation": "process",
@@ -235,7 +235,7 @@ def test_in_a_process_of_its_own_it_says_the_same(shipped):
         there.answer(there.prepare(asked))
 
 
-def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped):
+def test_mark_order_and_image_size_change_little(shipped):
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 255, (*HW, 3), np.uint8)
     marks = [
@@ -256,7 +256,7 @@ def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped)
 # -- TensorRT -------------------------------------------------------------------------------------
 
 
-def test_every_input_has_one_shape_as_tensorrt_wants_it():
+def test_every_input_has_a_fixed_shape():
     check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
 
 

@@ -94,7 +94,7 @@ def test_without_background_or_object_the_mask_is_empty(box):
     assert not out.any()
 
 
-def test_a_mask_of_a_part_of_the_box_is_not_taken():
+def test_a_mask_of_a_small_part_is_rejected():
     """A lamp on a box is no mask of the box, which spans it."""
     rgb = picture((RED, 36, 28, 44, 36))
     assert not masks_of(rgb, (20, 10, 60, 54))[1].any()
@@ -110,7 +110,7 @@ def test_past_the_deadline_boxes_are_left():
     seed=st.integers(0, 2**32 - 1),
     box=st.tuples(*[st.floats(-200, 300, width=32)] * 2, *[st.floats(0.125, 400, width=32)] * 2),
 )
-def test_any_box_on_any_image_has_a_mask_that_is_always_the_same(seed, box):
+def test_masks_are_repeatable_for_any_box(seed, box):
     rng = np.random.default_rng(seed)
     noise = rng.integers(0, 256, (*rng.integers(1, 40, 2), 3), np.uint8)
     x, y, wide, high = box

@@ -87,7 +87,7 @@ def tiny(tmp_path, monkeypatch, vocabulary):
     return make
 
 
-def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(tiny):
+def test_a_damaged_model_is_noticed_despite_its_timestamp(tiny):
     detector = tiny()
     settings = config.PerceptionConfig(detector=detector.config)
     path = detector.card.path
@@ -172,7 +172,7 @@ def test_independent_prompts_compete_only_if_they_are_background(
     assert found.not_suppressed().tolist() == kept
 
 
-def test_a_background_that_the_model_does_not_know_is_left_out_and_reported_once(tiny, caplog):
+def test_an_unknown_background_word_is_reported_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
     assert detector._prompt_set.classes.n_classes == 3
@@ -197,7 +197,7 @@ def test_a_background_that_the_model_does_not_know_is_left_out_and_reported_once
     ],
     ids=["none", "empty", "grey", "rgba", "float"],
 )
-def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
+def test_a_bad_image_is_an_error_of_one_line(tiny, make_observation, rgb):
     detector = tiny()
     with pytest.raises(ValueError, match=r"observation 0: .*image") as error:
         detector.detect(make_observation(rgb=rgb))
@@ -205,9 +205,7 @@ def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, -1e6])
-def test_boxes_that_cannot_be_are_dropped_counted_and_reported_once(
-    tiny, make_observation, caplog, value
-):
+def test_invalid_boxes_are_dropped_and_counted(tiny, make_observation, caplog, value):
     boxes = BOXES.copy()
     boxes[0, 2] = value
     detector = tiny(prompts=("chair", "trash can"), model={"boxes": boxes})
@@ -245,9 +243,7 @@ def test_boxes_of_another_rank_are_refused(tiny):
         tiny(model={"boxes": np.zeros(4, np.float32)})
 
 
-def test_text_that_cannot_be_encoded_leaves_the_prompts_as_they_were(
-    tiny, monkeypatch, make_observation
-):
+def test_a_failed_encoding_keeps_the_old_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("sofa",))
 
     def fail(*_):

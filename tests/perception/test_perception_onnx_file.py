@@ -123,7 +123,7 @@ def test_functions_of_the_model_count_as_known_operators(check):
     check(detector([node("F", "my.lab")], more=field(25, function)))
 
 
-def test_nesting_without_end_is_given_up(check):
+def test_deep_nesting_is_refused(check):
     inside = graph()
     for _ in range(60):
         inside = graph(nodes=(branch(inside),))
@@ -135,7 +135,7 @@ def test_nesting_without_end_is_given_up(check):
     ("limit", "content"),
     [("FIELDS", field(1, 9) * 1001), ("PARTS", field(7, field(1, b"") * 1000))],
 )
-def test_a_file_that_would_take_time_or_memory_without_end_is_given_up(monkeypatch, limit, content):
+def test_a_file_with_too_many_parts_is_refused(monkeypatch, limit, content):
     monkeypatch.setattr(f"edge.perception.runtime.onnx_file.MAX_{limit}", 1000)
     with pytest.raises(NotOnnxError, match=f"more than 1000 {limit.lower()}"):
         parse_onnx(content)

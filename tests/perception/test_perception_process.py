@@ -109,7 +109,7 @@ def back(detector):
     return eventually(lambda: detector.health().state == "ok", "it never came back")
 
 
-def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
+def test_a_detector_in_a_process_returns_boxes(make, seen, place, tmp_path):
     script, told = tmp_path / "script", []
     script.write_text("build")
 
@@ -242,7 +242,7 @@ def test_only_the_main_thread_waiting_for_a_core_counts(monkeypatch, tmp_path):
     assert link._core_wait_s(7) == 0
 
 
-def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):
+def test_a_restarting_process_keeps_its_prompts(make, seen, tmp_path):
     script = tmp_path / "script"
     script.write_text("")
     detector = make(prompts=("chair", "slow"), script=script)
@@ -305,7 +305,7 @@ def test_ends_between_images_are_noticed_and_too_many_are_degraded(make, seen, c
     assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
 
 
-def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, seen, tmp_path):
+def test_a_model_that_cannot_reload_is_degraded(make, seen, tmp_path):
     """And one that can again is back; it may be closed while it is started again."""
     script = tmp_path / "script"
     script.write_text("")
@@ -342,7 +342,7 @@ def test_a_failed_start_is_an_error(tmp_path, said, kind, says):
     assert type(error.value) is kind
 
 
-def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):
+def test_a_missing_program_is_an_error_at_the_start(monkeypatch):
     monkeypatch.setattr(link, "PROGRAM", ("/nowhere/python",))
     with pytest.raises(ModelProcessError, match=r"cannot be started: .*No such file"):
         steered()
@@ -479,7 +479,7 @@ def tiny(tmp_path, monkeypatch, vocabulary):
 
 
 @pytest.mark.slow
-def test_a_made_up_models_boxes_are_the_same_in_a_process(tiny, monkeypatch, make_observation):
+def test_a_tiny_model_gives_the_same_boxes_in_a_process(tiny, monkeypatch, make_observation):
     inside = tiny(prompts=("sofa", "chair", "trash can"))
     monkeypatch.setenv("EDGE_TEST_CARDS", str(resources.data_dir("models")))
     rules = config.ModelProcessConfig(**QUICK)

@@ -113,7 +113,7 @@ def test_an_unknown_prompt_is_reported_without_the_server(far):
     assert there.prompts == PROMPTS
 
 
-def test_a_server_that_comes_later_is_found(model, far, picture):
+def test_a_server_that_starts_later_is_found(model, far, picture):
     port = free_port()
     there = far(f"http://127.0.0.1:{port}")
     with pytest.raises(ServerError, match="no connection: nothing listens there; start the server"):
@@ -130,7 +130,7 @@ def test_a_server_that_comes_later_is_found(model, far, picture):
         assert there.health() == ("ok", "")
 
 
-def test_the_pause_doubles_to_its_limit_and_begins_again(model, far, picture):
+def test_the_pause_doubles_to_its_limit(model, far, picture):
     with serving(KServe(model, behave=lambda h: h.send(b"", 503))) as server:
         there, pauses = far(server), []
         for _ in range(8):
@@ -225,9 +225,7 @@ def limit(there: RemoteDetector, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(("behave", "kind", "why"), BAD)
-def test_a_fault_of_the_server_costs_one_image_and_is_reported(
-    model, far, picture, behave, kind, why, monkeypatch
-):
+def test_a_server_fault_loses_one_image(model, far, picture, behave, kind, why, monkeypatch):
     limit_s = 0.3 if kind == "timeout" else LIMIT_S
     with serving(KServe(model)) as server:
         there = far(server)
@@ -246,7 +244,7 @@ def test_a_fault_of_the_server_costs_one_image_and_is_reported(
         assert there.health() == ("ok", "")
 
 
-def test_a_server_that_comes_back_with_another_model_is_used(model, far, picture):
+def test_a_server_may_return_with_another_model(model, far, picture):
     metadata = {"inputs": [{"name": "images", "datatype": "FP32", "shape": [1, 3, 64, 64]}]}
     with serving(KServe(model)) as server:
         there = far(server)
@@ -317,9 +315,7 @@ def test_in_the_background_the_newest_image_wins(model, far, picture):
         worker.close()
 
 
-def test_a_model_on_a_server_has_no_process_of_its_own_and_needs_no_server_to_start(
-    tmp_path, monkeypatch
-):
+def test_a_server_model_starts_without_server_or_process(tmp_path, monkeypatch):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
     chosen = config.DetectorOnnx(model="far")
     made = make_detector(config.PerceptionConfig(detector=chosen, isolation="process"), PROMPTS)

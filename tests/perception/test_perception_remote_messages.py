@@ -26,7 +26,7 @@ def test_nothing_asked_is_nothing_found():
     assert infer_answer(*answer(), {}) == {}
 
 
-def test_a_request_as_the_protocol_wants_it():
+def test_a_request_follows_the_kserve_protocol():
     inputs = {"images": np.ones((1, 2), np.float32), "tokens": np.array([[7]])}
     headers, body = infer_request(inputs, ["boxes"], binary=False)
     assert headers == {"Content-Type": "application/json"}

@@ -91,7 +91,7 @@ def test_an_invalid_model_file_is_an_error_of_one_line(tmp_path, content):
         ({"opset": 99}, r"load the model: ONNX Runtime only .*Opset 99"),
     ],
 )
-def test_a_model_that_onnxruntime_cannot_run_is_one_line(tmp_path, change, says):
+def test_an_unsupported_model_is_an_error_of_one_line(tmp_path, change, says):
     path = save_adder(tmp_path, **change)
     with pytest.raises(ModelError, match=says) as error:
         open_session(path, [CPU], 1)
@@ -186,9 +186,7 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
-    fake_ort, tmp_path, monkeypatch, known
-):
+def test_a_damaged_model_gets_no_engine(fake_ort, tmp_path, monkeypatch, known):
     """The file's hash comes from the caller, or was cached."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     path, options = tmp_path / "tiny.onnx", engine("fp16", cache=tmp_path / "engines")
@@ -215,7 +213,7 @@ def test_missing_tensorrt_is_an_error_of_one_line(tmp_path, monkeypatch, provide
     assert "\n" not in str(error.value)
 
 
-def test_no_driver_and_no_gpu_are_one_line(monkeypatch):
+def test_a_missing_driver_or_gpu_is_an_error(monkeypatch):
     monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
     with pytest.raises(ModelError, match="no CUDA driver"):
         cuda.gpu_of(0)

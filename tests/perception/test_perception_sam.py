@@ -69,12 +69,12 @@ def test_an_image_of_another_size_leaves_nothing_behind(put, layout):
         assert one.any()
 
 
-def test_no_box_costs_no_image(put):
+def test_without_boxes_no_image_is_encoded(put):
     put("nano-sam", slow=True)
     assert segment(opened("nano-sam"), bright(0, 0, 9, 9))[0] == 0
 
 
-def test_an_image_without_end_is_given_up(put):
+def test_a_slow_image_is_given_up_at_the_deadline(put):
     put("nano-sam", slow=True)
     segmenter = opened("nano-sam")
     for deadline in (-1.0, 0.05):

@@ -105,7 +105,7 @@ def moved(scene):
 
 
 @pytest.mark.parametrize("first", ["elsewhere", "gone"])
-def test_an_object_that_is_seen_elsewhere_while_its_place_is_empty_has_moved(scene, first):
+def test_an_object_seen_elsewhere_has_moved(scene, first):
     s = moved(scene)
     was, first_seen_ns = int(s.seen.id[0]), int(s.seen.first_seen_ns[0])
     if first == "gone":
@@ -278,7 +278,7 @@ def test_a_partial_view_of_an_object_counts_less(spread_m, weight):
 
 
 @given(seed=st.integers(0, 2**32 - 1), views=st.integers(1, 20))
-def test_a_view_moves_the_centre_by_its_share_and_adds_points_reach_and_cell(seed, views):
+def test_a_view_updates_centre_points_reach_and_cell(seed, views):
     random = np.random.default_rng(seed)
     centers, seen = random.uniform(-4, 4, (2, 3, 3)).astype(np.float32)
     surfaces = (seen[:, None] + random.uniform(-0.3, 0.3, (3, 9, 3))).astype(np.float32)

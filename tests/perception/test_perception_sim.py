@@ -79,7 +79,7 @@ def test_the_same_seed_and_frame_replay_the_same(make_observation):
     assert other != [d.score.tolist() for d in first]
 
 
-def test_misses_and_false_positives_come_at_their_rates(make_observation):
+def test_misses_and_false_positives_have_the_configured_rates(make_observation):
     frames = [make_observation(seq=i, **scene()) for i in range(400)]
     detector = make(miss_rate=0.2)
     seen = sum(len(detector.detect(f)) for f in frames)

@@ -61,13 +61,13 @@ def perception(similarity, **detector):
         ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image', not 'similarity'"),
     ],
 )
-def test_an_unknown_card_is_one_clear_line(cards, name, expected):
+def test_an_unknown_card_is_an_error_of_one_line(cards, name, expected):
     write(cards, tiny_clip.BY_DETECTOR, {**tiny_clip.IMAGE, "sha256": "0" * 64})
     with pytest.raises(ModelError, match=rf"^perception\.similarity: model {expected}$"):
         similarity_card(perception(name))
 
 
-def test_a_missing_model_is_one_clear_line(cards, vocabulary):
+def test_a_missing_model_is_an_error_of_one_line(cards, vocabulary):
     write(cards, tiny_clip.BY_DETECTOR, tiny_clip.PAIR)
     for name in ("tiny-by-detector", "tiny-clip-similarity"):
         with pytest.raises(UserError, match="no such card") as raised:

@@ -180,7 +180,7 @@ def test_a_failure_on_probation_restores_the_old_model(swapping, error, says):
     assert old.closed == 0
 
 
-def test_without_an_image_neither_is_to_blame(swapping):
+def test_a_failure_without_an_image_does_not_count(swapping):
     swap, worker, old, give = swapping
     old.error = RuntimeError("of the old one")
     swap.request("new")

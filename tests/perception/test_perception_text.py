@@ -46,7 +46,7 @@ def test_rows_are_unit_and_in_order(vocabulary):
         ("ReadingDesk", "desk"),
     ],
 )
-def test_words_come_through_the_alias_table_without_a_warning(vocabulary, caplog, prompt, word):
+def test_aliases_resolve_without_a_warning(vocabulary, caplog, prompt, word):
     assert TextEmbeddings(str(vocabulary)).resolve(prompt) == word
     assert not caplog.records
 
@@ -66,7 +66,7 @@ def test_a_phrase_falls_back_to_its_noun_with_a_warning(vocabulary, caplog, phra
     assert word in caplog.text
 
 
-def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_path, caplog):
+def test_an_unknown_kind_is_searched_as_the_broader_word(tmp_path, caplog):
     words = ["potted plant", "mailbox (at home)", "bow (weapon)", "bow (decorative ribbons)"]
     np.savez(tmp_path / "words.npz", names=words, emb=np.eye(4, 512))
     encoder = TextEmbeddings(str(tmp_path / "words.npz"))

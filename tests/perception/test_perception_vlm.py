@@ -238,7 +238,7 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     )
 
 
-def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_observation):
+def test_a_question_needs_marks_and_an_image(make_observation):
     class Eyes:
         name, takes_images = "eyes", True
 
@@ -554,7 +554,7 @@ def test_a_card_of_another_task_or_unknown_is_refused(models_dir):
             made(card=name)
 
 
-def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
+def test_external_weights_must_be_listed_in_the_card(models_dir):
     card = publish(models_dir, "text")
     path = card.path_of(card.decoder)
     made = tiny_vlm.decoder(600, np.random.default_rng(0), "text", F32)
@@ -583,7 +583,7 @@ def test_a_question_that_is_too_long_is_not_asked(models_dir):
     assert len(model.ask(SYSTEM, "bed", both_questions(2, "lamp"), PATIENCE_S)) == 2
 
 
-def test_a_word_that_is_the_image_token_shows_no_second_image(models_dir):
+def test_an_image_token_in_a_target_is_an_error(models_dir):
     model = opened(publish(models_dir, "smolvlm"))
     with pytest.raises(ModelError, match=r"shows 2 images .<image>., expected 1"):
         model.ask(SYSTEM, a_view(model), both_questions(2, "<image>"), PATIENCE_S)

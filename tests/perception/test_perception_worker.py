@@ -77,7 +77,7 @@ def test_the_newest_waiting_image_wins(frames):
     assert fake.closed
 
 
-def test_cameras_take_turns_and_detections_come_in_order(make_observation):
+def test_cameras_take_turns(make_observation):
     """Two ticks pass while the detector runs, so the newest image is always of camera 0."""
     rgb = np.zeros((1, 1, 3), np.uint8)
     seen = [make_observation(seq=i, slot=Slot(), rgb=rgb, camera_index=i % 2) for i in range(12)]
@@ -99,9 +99,7 @@ def test_cameras_take_turns_and_detections_come_in_order(make_observation):
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that_is_down(
-    frames, inline, caplog
-):
+def test_failures_in_a_row_end_with_a_result(frames, inline, caplog):
     worker, rows = DetectorWorker(fake := Fake(bad=(0, 1, 3)), inline), []
     fake.gate.release(len(frames))
     for frame in frames:
@@ -275,7 +273,7 @@ class FakeScorer:
         self.closed.set()
 
 
-def test_one_question_at_a_time_and_its_frame_only_while_it_is_looked_at(frames):
+def test_the_worker_asks_one_question_at_a_time(frames):
     questions = [Question(frame) for frame in frames]
     worker = ScorerWorker("choice", fake := FakeScorer())
     worker.submit(questions[1])

@@ -86,7 +86,7 @@ def test_vl_score_stays_from_first_sight():
     assert scored([(2, 0)], [(0.0, 0.9)], vl=[0.25]).tolist() == [[0.25]]
 
 
-def test_each_target_has_a_score_of_its_own_from_the_same_look():
+def test_each_target_has_its_own_score():
     got = scored([(2, 0), (2, 1)], [(0.0, 0.9, 0), (0.46, 0.5, 1)], targets=3)
     for target, boxes in enumerate(([(0.0, 0.9)], [(0.46, 0.5)], [])):
         np.testing.assert_allclose(got[target], scored([(2, 0), (2, 1)], boxes)[0])
@@ -177,7 +177,7 @@ def test_confirmed_instances_can_rank_before_higher_scores(confirmed_first, expe
         ((9.0, 6.0), 0),
     ],
 )
-def test_objects_are_visited_in_the_order_of_the_least_expected_path(path_m, best):
+def test_objects_are_visited_by_the_least_expected_path(path_m, best):
     candidates = candidates_of((INSTANCE, 1, 0), (INSTANCE, 0, 1))
     candidates.confirmed[0], candidates.confidence[1] = True, 0.36
     candidates.path_m[:2] = path_m

@@ -93,7 +93,7 @@ def test_without_values_the_nearest_frontier_wins(policy):
         ({a: 0.0, b: 0.0, c: 0.0}, 0),
     ],
 )
-def test_the_frontier_with_the_best_value_near_it_is_taken(policy, values, expected):
+def test_the_frontier_with_the_best_nearby_value_wins(policy, values, expected):
     assert first(scored(policy, Valued(values), A, B, C, D)) == expected
 
 
@@ -141,7 +141,7 @@ def test_the_prior_can_replace_values(lifts, expected):
     assert first(scored(by_prior, Valued({c: 0.9}), A, B, C, D, prior=prior)) == expected
 
 
-def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
+def test_the_first_frontier_starts_the_shortest_tour():
     """East lies nearest; west first, and then all of the east, is 2.5 + 8.5 m instead of 14.5."""
     east = [(FRONTIER, x, 0.0) for x in (2.0, 4.0, 6.0)]
     west = (FRONTIER, -2.5, 0.0)

@@ -141,7 +141,7 @@ def test_a_small_file_stays_small(tmp_path, case):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
+def test_a_chunk_of_its_declared_size_is_read(tmp_path, known):
     path = tmp_path / "a.mcap"
     whole, data = message(b"x" * 10_000), CHANNEL + message(b"y")
     write(

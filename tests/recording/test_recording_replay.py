@@ -107,7 +107,7 @@ def test_a_task(tmp_path):
     same(recording.close(), 27)
 
 
-def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
+def test_a_patrol_with_waits_and_checks(tmp_path):
     recording = Recording(tmp_path).steps(2)
     service, closed = recording.service, recording.closed
     place = Site((Place.at("near", closed.drive.motion.pose),))
@@ -127,7 +127,7 @@ def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
     same(recording.close(), ticks)
 
 
-def test_all_that_can_come_into_the_loop(tmp_path):
+def test_all_kinds_of_inputs_replay(tmp_path):
     """Requests, answers, idle beats, a jump, a reload, a tick that fails, in one run."""
     recording = Recording(tmp_path).steps(5)
     service, closed = recording.service, recording.closed
@@ -562,7 +562,7 @@ def reloaded(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("key", STRANGE)
-def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key):
+def test_a_recorded_reload_runs_no_plugin(reloaded, tmp_path, strangers, key):
     path = rewritten(reloaded, tmp_path / "edge-a.mcap", small(), small(**STRANGE[key]))
     with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no built-in kind"):
         replay(RecordedRun(path))

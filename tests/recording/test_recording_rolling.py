@@ -47,7 +47,7 @@ def test_without_messages_no_file_is_written(tmp_path, clock):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_has_its_name_when_it_is_complete(tmp_path, clock):
+def test_a_complete_file_gets_its_final_name(tmp_path, clock):
     files = rolling(tmp_path / "new", clock)
     put(files)
     (path,) = files_of(tmp_path / "new")

@@ -61,7 +61,7 @@ QUALITIES = [
 
 
 @pytest.mark.parametrize(("ros", "kind", "quality"), QUALITIES, ids=[row[0] for row in QUALITIES])
-def test_each_topic_has_its_key_its_type_and_its_quality_of_service(ros, kind, quality):
+def test_each_topic_has_its_key_type_and_qos(ros, kind, quality):
     config = adapted({"reliable": ["camera/rgb", "lidar/scan"]}, topics={"camera/rgb": COMPRESSED})
     one = passed(process.make_plan(config), ros)
     assert one.items() >= {"key": f"edge/ros2{ros}", "type": kind, **quality}.items()

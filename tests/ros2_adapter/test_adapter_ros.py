@@ -136,7 +136,7 @@ def payload_of(subscription: Ros2Subscription) -> bytes:
     return eventually(subscription.take)[0][1].to_bytes()
 
 
-def test_messages_of_ros_reach_the_service_as_they_are(adapter, service, odometry):
+def test_ros_messages_reach_the_service_unchanged(adapter, service, odometry):
     images = service.hear("camera/rgb")
     payload = payload_of(images)
     header = messages.decode_image_header(payload)
@@ -214,9 +214,7 @@ def test_invalid_requests_are_dropped(adapter, service):
     adapter.says("a request was dropped: ")
 
 
-def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
-    adapter, service, robot, odometry
-):
+def test_the_adapter_cancels_a_replaced_goal(adapter, service, robot, odometry):
     before = robot.count('"cancelled"')
     for stamp_ns in (20, 21):
         service.drive(stamp_ns, ENDLESS)

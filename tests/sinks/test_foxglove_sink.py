@@ -121,7 +121,7 @@ def test_a_port_that_is_taken(sink):
         [make(config=config, session=None) for make in find_sinks(config)]
 
 
-def test_others_can_reach_it_only_if_configured(caplog):
+def test_a_host_open_to_others_logs_a_warning(caplog):
     FoxgloveSink(simulated(), port=0).close()
     assert caplog.records == []
     FoxgloveSink(simulated(), port=0, host="0.0.0.0").close()

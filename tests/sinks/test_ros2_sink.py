@@ -219,7 +219,7 @@ def test_docking_needs_actions(make, more):
         make(docks={"dock": "bay_1"}, **more)
 
 
-def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
+def test_a_goal_waits_for_a_late_nav2(make, theirs, answers, caplog, monkeypatch):
     monkeypatch.setattr(navigate, "PATIENCE_S", 0.0)
     make().tick(driving(5))
     eventually(
@@ -248,9 +248,7 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch)
 
 
 @pytest.mark.parametrize("accepts", [True, False])
-def test_the_old_goal_is_cancelled_if_the_server_still_drives_to_it(
-    make, nav2, answers, accepts, monkeypatch
-):
+def test_an_old_goal_still_driven_to_is_cancelled(make, nav2, answers, accepts, monkeypatch):
     monkeypatch.setattr(navigate, "REPLACED_S", 0.0)
     sink = make()
     sink.tick(driving(1))
@@ -427,7 +425,7 @@ SQUARE = np.array([(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0)])
 
 
 @pytest.mark.parametrize("via", ["rmw_zenoh", "bridge"])
-def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, theirs, via):
+def test_the_zone_mask_for_nav2_opens_around_the_robot(make, theirs, via):
     sink = make(via=via, keepout_filter=True, map_frame="world")
     node = Ros2Node(theirs, 0, "costmap", dialect_of(via, "edge"))
     kind = "nav2_msgs/msg/CostmapFilterInfo"

@@ -90,7 +90,7 @@ EVERY = [ns for _, ns in stamps()]
 
 
 @pytest.mark.parametrize("write", [write_mcap, write_bag, write_db3])
-def test_nothing_comes_of_an_empty_recording(tmp_path, write):
+def test_an_empty_recording_is_an_error(tmp_path, write):
     with pytest.raises(
         RecordingError, match=r"searched for camera/rgb, .* the recording has no topics"
     ):
@@ -327,7 +327,7 @@ def test_bad_messages_are_counted_and_skipped(tmp_path):
 
 @pytest.mark.parametrize("write", [write_mcap, write_db3])
 @pytest.mark.parametrize("left", [0.02, 0.3, 0.7, 0.97, -9, -1])
-def test_a_file_that_was_cut_off_plays_to_there_or_is_refused(tmp_path, write, left):
+def test_a_cut_off_file_plays_or_is_refused(tmp_path, write, left):
     whole = write(tmp_path / "whole", plain()).read_bytes()
     path = tmp_path / "cut"
     path.write_bytes(whole[: int(left * len(whole)) if left > 0 else int(left)])

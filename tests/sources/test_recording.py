@@ -33,7 +33,7 @@ def test_an_empty_recording_is_still_a_file(tmp_path):
     assert list(read(path)) == []
 
 
-def test_ros_tools_read_it(tmp_path):
+def test_ros_tools_can_read_the_recording(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, list(drive(3))[:-1])
     with AnyReader([path]) as reader:

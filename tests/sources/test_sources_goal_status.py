@@ -19,7 +19,7 @@ def test_an_answer(state):
 
 
 @pytest.mark.parametrize("stamp", [0, -1, 2**31 * 10**9, -(2**63), 2**63 - 1, 10**30])
-def test_any_stamp_is_one(stamp):
+def test_any_integer_is_a_valid_stamp(stamp):
     payload = json.dumps({"stamp": stamp, "state": "reached"}).encode()
     assert parse_goal_status(payload).stamp_ns == stamp
 

@@ -34,7 +34,7 @@ def driven(
     return robot
 
 
-def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_to():
+def test_at_first_every_input_is_missing():
     robot = Robot()
     assert set(states(robot).values()) == {"missing"}
     inputs = robot.synchronizer.inputs
@@ -61,13 +61,13 @@ def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_
                  "(no odom)"),
     ],
 )  # fmt: skip
-def test_the_one_input_that_never_came_is_named(without, said):
+def test_the_only_missing_input_is_named(without, said):
     robot = driven(Robot(), 3, without)
     assert missing_inputs(robot.synchronizer.inputs.rows()) == said
 
 
 @pytest.mark.parametrize("without", ["camera/rgb", "camera/depth", "odom"])
-def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
+def test_a_silent_input_is_named_until_it_returns(without):
     robot = driven(driven(Robot(), 3), 3, without)
     row = rows(robot)[without]
     assert (row.state, row.hz) == ("silent", 0.0)
@@ -101,7 +101,7 @@ def test_a_late_input_is_named_with_its_delay(late, late_ms, name, why):
     assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
 
 
-def test_old_poses_are_reported_while_they_are_used():
+def test_old_poses_are_reported():
     robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
     row = rows(robot)["odom"]
     assert (row.state, row.why) == (

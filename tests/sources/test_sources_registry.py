@@ -59,7 +59,7 @@ def configured(kind: str, **options):
     return simulated({**data, "mission": {"target": "bed"}}, "f.yaml")
 
 
-def test_a_robot_is_heard_over_zenoh():
+def test_zenoh_is_the_default_source():
     source = find_source(simulated())(config=simulated(), session=Flooded("", ()))
     assert isinstance(source, ZenohSource)
 
@@ -104,7 +104,7 @@ def test_an_unusable_source_is_an_error_of_one_line(kind, options, says):
     (f"{__name__}:Deaf", {"rate_hz": 5}, r"kind: .*:Deaf is no source: it has no inbox\.poll\(\)$"),
     (f"{__name__}:Broken", {}, "options: .*:Broken: OSError: no camera at 30 Hz$"),
 )
-def test_a_source_that_fails_when_opened_is_an_error_of_one_line(kind, options, says):
+def test_an_invalid_plugin_source_is_an_error_of_one_line(kind, options, says):
     config = configured(kind, **options)
     with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}"):
         find_source(config)(config=config, session=None)

@@ -156,7 +156,7 @@ def test_one_camera_continues_alone_and_after_a_clock_reset():
 
 
 @pytest.mark.parametrize("silent", [None, 0, 1], ids=["", "no camera", "no camera2"])
-def test_clouds_go_to_the_cameras_in_turn_and_each_is_mapped_once(silent):
+def test_each_cloud_goes_to_one_camera_in_turn(silent):
     """Images of the second camera come later than those of the first."""
     robot = Pair(**{**CLOUD, "sensors": {**CLOUD["sensors"], **PAIR["sensors"]}}).odom(0)
     seen = []
@@ -251,7 +251,7 @@ def test_late_messages_are_joined_at_their_stamp(late, late_ms, odometry_hz):
 
 
 @pytest.mark.parametrize(("without", "ms"), [("", 0), ("rgb", 51), ("late rgb", 251)])
-def test_a_sweep_waits_for_a_picture_no_longer_than_pictures_are_late(without, ms):
+def test_a_sweep_waits_for_an_image_within_a_limit(without, ms):
     robot = Robot(CLOUD).info()
     if without == "late rgb":
         robot.wait(300 * MS).cloud(300 * MS).wait(200 * MS).rgb(300 * MS).poll()
@@ -442,7 +442,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
         ),
     ],
 )
-def test_images_of_a_distorting_lens_are_rectified_and_that_is_logged(
+def test_images_of_a_distorting_lens_are_rectified(
     caplog, distortion, rgb, depth, made, straight, says
 ):
     caplog.set_level("INFO")
@@ -556,7 +556,7 @@ def test_cloud_without_a_lidar_is_a_configuration_error():
         TimeSynchronizer(simulated({"mapping": {"input": "cloud"}}))
 
 
-def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_again(monkeypatch):
+def test_a_frame_that_breaks_its_decoder_is_dropped(monkeypatch):
     robot = Robot({**ONNX, "source": {"pool_slots": 3}}).info()
 
     def broken(*_) -> None:
@@ -573,7 +573,7 @@ def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_a
     assert not robot.drops
 
 
-def test_typed_messages_need_no_wire_and_are_opened_only_when_used():
+def test_typed_messages_are_opened_only_when_used():
     """As a source on another transport hands them in."""
     opened = []
 

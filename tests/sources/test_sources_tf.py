@@ -122,7 +122,7 @@ def test_a_returned_transform_is_not_overwritten(asked_ms):
 
 
 @given(st.lists(st.tuples(st.sampled_from("abcdef"), st.sampled_from("abcdef")), max_size=30))
-def test_no_loop_keeps_it_busy(edges):
+def test_a_loop_of_frames_does_not_hang(edges):
     tf = TfBuffer(WAIT_NS)
     for parent, child in edges:
         assert tf.offer(Transform(0, parent, child, A)) == (parent != child)

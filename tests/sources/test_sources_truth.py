@@ -39,7 +39,7 @@ def at(inbox: SegmentationInbox, stamp_ms: int) -> int | None:
     return None if found is None else int(found.ids[0, 0])
 
 
-def test_there_is_nothing_before_anything_came():
+def test_an_empty_inbox_returns_nothing():
     assert SegmentationInbox(simulated(), Simulator()).at(0) is None
 
 

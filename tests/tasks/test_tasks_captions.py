@@ -69,14 +69,14 @@ def test_colours_keep_their_names_in_other_light(place, light):
 
 
 @pytest.mark.parametrize("place", painted_scenes.PLACES)
-def test_full_light_is_left_as_it_is(place):
+def test_full_light_is_left_unchanged(place):
     rgb = painted_scenes.picture(place, (190, 40, 36), "full")
     assert in_white_light(rgb) is rgb
     assert painted_scenes.results(place, "full") == [(name, name) for name, _ in PAINTS]
 
 
 @pytest.mark.parametrize("place", painted_scenes.PLACES)
-def test_no_paint_turns_black_in_the_shade_of_a_bright_picture(place):
+def test_no_bright_paint_turns_black_in_the_shade(place):
     greys = ("black", "gray", "white")
     results = painted_scenes.results(place, "30 %", shaded=True)
     assert [(a, b) for a, b in results if a not in greys and b in greys] == []

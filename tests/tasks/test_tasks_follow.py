@@ -107,7 +107,7 @@ def test_no_legs_end_is_passed_before_the_robot_was_there(segments, step_m):
     assert robot.distance_to(*segments[-1][-1]) < 0.05
 
 
-def test_the_controllers_word_passes_the_end_of_a_leg_and_no_other():
+def test_a_reached_goal_ends_only_its_own_leg():
     refined = refine(scene(), [np.array([[-2.0, 0.0]]), np.array([[-6.0, 0.5]])], {1}, BODY, LIMITS)
     tip = int(np.argmax(refined.poses[:, 0]))
     for at, since, index in ((tip, 3, tip + 1), (tip - 4, 3, tip - 4), (tip + 9, 3, tip)):
@@ -165,7 +165,7 @@ def test_outside_the_map_nothing_is_known():
     assert blocked_ahead_m(trajectory, mapped((2.0, -0.5, 3.0, 0.5))) is None
 
 
-def test_it_is_a_path():
+def test_the_trajectory_is_sent_as_a_path():
     trajectory = refine(scene(), [np.array([[0.0, 0.0, 0.5], [0.0, 7.0, 0.5]])], {1}, BODY, LIMITS)
     path = from_ros(path_message(trajectory, 10**9 + 5), "nav_msgs/msg/Path")
     assert (path.header.frame_id, path.header.stamp.nanosec) == ("map", 5)

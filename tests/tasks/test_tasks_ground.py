@@ -55,7 +55,7 @@ def test_a_robot_in_a_room_can_drive_only_in_that_room():
 
 
 @pytest.mark.parametrize(("gap_m", "reachable"), [(ESCAPE_M - 0.2, True), (ESCAPE_M + 0.5, False)])
-def test_a_robot_too_close_to_something_begins_next_to_it(gap_m, reachable):
+def test_a_robot_near_an_obstacle_starts_next_to_it(gap_m, reachable):
     """Closed ground all around, out to `gap_m`."""
     wall = (-gap_m, gap_m, -gap_m, gap_m)
     assert ground_of(street(walls=(wall,)), 0.0).reachable.any() == reachable
@@ -70,7 +70,7 @@ def test_unknown_ground_is_open_only_within_a_region():
     assert not ground.is_free(10.0, 5.0)
 
 
-def test_a_bridge_is_as_good_as_the_region_that_it_joins():
+def test_the_robot_does_not_stop_on_unseen_ground():
     """The robot does not stop on unseen ground at a meadow that is no region."""
     scene = street(Thing("tree", 10.0, 0.0, (0.4, 0.4)))
     x_m, _ = np.moveaxis(scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape)), -1, 0)
@@ -92,7 +92,7 @@ def test_script_and_refinement_close_the_same_ground(seed, clearance_m):
     np.testing.assert_array_equal(writes.weight > 0, refines.weight > 0)
 
 
-def test_the_nearest_point_of_a_region_lies_in_it():
+def test_the_nearest_point_of_a_region_is_inside():
     ground = ground_of(street(), CLEAR_M)
     x, y = ground.nearest(0.0, 0.0, region=LAWN)
     assert ground.region_at(x, y) == LAWN

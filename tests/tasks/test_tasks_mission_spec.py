@@ -58,6 +58,6 @@ def test_an_invalid_task_is_refused_in_one_line(config, task, said):
     assert "\n" not in str(caught.value)
 
 
-def test_without_a_task_it_is_a_mission():
+def test_without_a_task_a_mission_is_prepared():
     assert prepare_mission(RULES).steps is None
     assert prepare_mission(RULES, formula="F sofa").targets == ("sofa",)

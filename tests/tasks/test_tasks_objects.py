@@ -40,7 +40,7 @@ SIDES = np.vstack([np.column_stack((_RIM, np.full(len(_RIM), z))) for z in (0.0,
     st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-10, 10),
     st.floats(0.3, 5.0), st.floats(0.1, 0.25), st.floats(0.1, 4.0),
 )  # fmt: skip
-def test_the_box_of_a_box_is_it(x_m, y_m, heading, along, across, up):
+def test_box_around_recovers_a_box(x_m, y_m, heading, along, across, up):
     local = SIDES * (along, across, up)
     c, s = np.cos(heading), np.sin(heading)
     points = local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (x_m, y_m, 0.5)

@@ -92,7 +92,7 @@ def test_distances_of_all_cells_are_those_of_their_centres(seed, x_m):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())
-def test_a_point_next_to_it_is_so_far_from_the_hull(angle_rad, distance_m, corner):
+def test_point_at_keeps_its_distance_from_the_hull(angle_rad, distance_m, corner):
     got = outline(SOFA, *([(6.0, 8.8, 0.0, 2.8)] if corner else []))
     at = got.point_at(angle_rad, distance_m)
     hull = (got.hull_m + got.middle_m).astype(np.float32)

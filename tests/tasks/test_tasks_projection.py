@@ -90,7 +90,7 @@ def test_a_mask_leaves_out_other_points_of_its_box():
 
 
 @pytest.mark.parametrize("T_camera_cloud", [T_CAMERA_LIDAR, np.eye(4)], ids=["lidar", "depth"])
-def test_a_mask_keeps_each_part_of_a_building_behind_a_tree(T_camera_cloud):
+def test_a_mask_keeps_both_wings_behind_two_trees(T_camera_cloud):
     """Two wings at different depths, a trunk before each: all of the building, nothing else."""
     wings = [Box(16.0, 6.0, (1, 9, 4)), Box(24.0, -5.0, (1, 9, 4))]
     trunks = [Box(8.0, 3.0, (0.3, 0.3, 3)), Box(9.0, -2.0, (0.3, 0.3, 3))]

@@ -91,7 +91,7 @@ def test_a_short_unseen_bridge_is_driven_with_a_note():
         refined(where)
 
 
-def test_it_keeps_to_the_regions_chosen():
+def test_the_path_keeps_to_the_chosen_regions():
     """A corridor in the north; the straight line lies on the lawn."""
     where = scene(road=(-9.0, -1.0, -6.0, 4.0))
     for box in ((-9.0, 3.0, 9.0, 5.0), (6.0, -1.0, 9.0, 4.0)):

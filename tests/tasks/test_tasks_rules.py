@@ -296,7 +296,7 @@ PROBES = Path(__file__).parents[3] / "shared" / "nl2ltl" / "probes_tasks.tsv"
 
 
 @pytest.mark.skipif(not PROBES.is_file(), reason=f"{PROBES}: the probes are not in this checkout")
-def test_probes_are_understood_as_they_are_meant():
+def test_probes_have_the_intended_meaning():
     wrong = []
     for line in PROBES.read_text(encoding="utf-8").splitlines()[1:]:
         instruction, right, *_ = line.split("\t")
@@ -449,7 +449,7 @@ def test_a_blocked_straight_path_is_refused():
         driven("go straight for 1001 metres")
 
 
-def test_sides_are_those_that_the_robot_sees_as_it_comes():
+def test_sides_depend_on_the_direction_of_travel():
     """From behind the van its left is the other one; which car is meant is told from the start."""
     _, coarse = driven("go behind the van, then go past the left of the van")
     assert coarse.segments[1][:, 1].min() < -1.0

@@ -73,7 +73,7 @@ def test_an_error_is_one_line_with_its_place(functions, code, error):
     assert outcome.error.isprintable()
 
 
-def test_an_error_can_be_caught_and_mended(functions):
+def test_a_script_can_catch_an_error_and_retry(functions):
     code = """
 try:
     give_trajectory([(8.0, 0.0)])
@@ -118,7 +118,7 @@ def test_without_the_interpreter_the_error_names_the_package(functions, monkeypa
         run_script("1", functions, ScriptLimits())
 
 
-def test_without_its_program_it_says_so(functions, monkeypatch, tmp_path):
+def test_a_missing_monty_program_is_reported(functions, monkeypatch, tmp_path):
     monkeypatch.setenv("MONTY_BIN", str(tmp_path / "none"))
     with pytest.raises(UnavailableError, match="pydantic-monty does not run here: "):
         run_script("1", functions, ScriptLimits())

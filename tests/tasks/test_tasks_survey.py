@@ -285,7 +285,7 @@ def test_the_service_has_seen_nothing():
 
 
 @pytest.mark.parametrize("by", ["survey", "service"])
-def test_a_robot_gets_out_of_its_blind_spot(by):
+def test_a_robot_can_leave_its_blind_spot(by):
     """Cells that no sensor sees lie all around it: the ground beyond is reached nevertheless."""
     if by == "service":
         scene = of_service([], blind_m=3.5)

@@ -175,7 +175,7 @@ def test_small_pieces_are_not_regions():
     assert [r.area_m2 for r in regions.values()] == [3.0]
 
 
-def test_a_small_piece_joins_the_region_next_to_it():
+def test_a_small_piece_joins_its_neighbour():
     kind = np.array([[1, 1, 1, 2, 2, 1, 1, 1, 0, 2]], np.uint8)
     regions, cells = regions_of(grid(["." * 10], 1.0), kind, ["lawn", "sidewalk"])
     assert [(r.label, r.area_m2) for r in regions.values()] == [("lawn", 4.0), ("lawn", 4.0)]

@@ -96,7 +96,7 @@ def test_an_undrivable_trajectory_is_refused(segments, message):
         check(CoarseTrajectory(whole), GROUND, LIMITS)
 
 
-def test_a_jump_between_segments_is_one():
+def test_a_jump_between_segments_is_refused():
     segments = (np.array([(0.0, 0.0), (1.0, 0.0)]), np.array([(1.0, 4.0)]))
     with pytest.raises(
         TrajectoryError, match=r"^point 1 of segment 2 is 4\.0 m from the point bef"

@@ -208,7 +208,7 @@ def test_newly_detected_objects_are_sent_with_the_picture():
     assert 9 in written.ground.scene.objects
 
 
-def test_a_recorded_refusal_is_one():
+def test_a_recorded_refusal_is_raised():
     with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
         write_trajectory("swim across the river", SCENE, by_model(server))
 
@@ -246,7 +246,7 @@ def test_an_answer_that_was_cut_off_is_not_run():
 
 
 @pytest.mark.parametrize("rounds", [1, 3])
-def test_after_so_many_rounds_it_gives_up(rounds):
+def test_the_writer_gives_up_after_the_last_attempt(rounds):
     with serving(saying(THROUGH)) as server:
         with pytest.raises(WriteError) as raised:
             write_trajectory(INSTRUCTION, SCENE, by_model(server, max_attempts=rounds))
@@ -297,7 +297,7 @@ def fails(handler):
         "redirects",
     ],
 )  # fmt: skip
-def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
+def test_a_misbehaving_server_is_an_error_of_one_line(behave, message):
     limit_s = 0.3 if behave is stalls else 60.0
     with serving(behave) as server:
         with pytest.raises(ChatError) as raised:

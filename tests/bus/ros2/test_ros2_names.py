@@ -23,7 +23,7 @@ def test_a_type_with_disputed_hashes_has_none():
 
 
 @pytest.mark.parametrize("name", names.HASHES)
-def test_names_of_types_there_and_back(name):
+def test_type_names_survive_a_round_trip(name):
     assert names.ros_name(names.dds_name(name)) == name
     key = names.data_key(3, "/a/b", name, "RIHS01_0")
     assert key.startswith("3/a/b/")

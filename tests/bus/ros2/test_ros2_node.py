@@ -77,7 +77,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     peer.close()
 
 
-def test_we_hear_a_peer_and_which_type_it_sends(port, node):
+def test_a_subscription_takes_the_type_that_its_peer_sends(port, node):
     subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
     assert subscription.type == IMAGE
     peer = publisher(port, "/camera/image", COMPRESSED)

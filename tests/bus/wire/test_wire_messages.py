@@ -291,7 +291,7 @@ def camera_info(**fields: object) -> messages.CameraCalibration:
         ((2, 2), (8, 4, 40, 30), (20, 15, 30.0, 31.0, 12.0, 9.5)),
     ],
 )
-def test_binning_and_roi_are_those_of_the_image_that_is_sent(binning, roi, expected):
+def test_binning_and_roi_change_the_camera_model(binning, roi, expected):
     k = [60.0, 0, 32.0, 0, 62.0, 23.0, 0, 0, 1]
     info = from_ros(PAYLOADS[INFO], INFO)
     info.width, info.height = 64, 48
@@ -362,7 +362,7 @@ def test_a_changed_image_header_never_reaches_outside(data):
         pytest.param(ros_image("jpeg", 1, 1, 3, b"abc"), id="unknown encoding"),
     ],
 )
-def test_sizes_are_checked_before_anything_is_allocated(payload):
+def test_sizes_are_checked_before_memory_is_allocated(payload):
     with pytest.raises(DecodeError):
         messages.decode_image_header(payload)
 

@@ -125,7 +125,7 @@ def pictures(draw):
 
 
 @given(pictures(), pictures())
-def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other):
+def test_agreement_is_complete_with_itself_and_bounded(one, other):
     same = match_to_reference(one, one)
     assert (same.hits, same.error) == (len(one.score), 0.0)
     tally = match_to_reference(one, other)
@@ -165,7 +165,7 @@ def demo():
     return config.load("demo", environ={})
 
 
-def test_frames_of_a_world_are_the_same_each_time_and_never_enlarged(demo):
+def test_frames_of_a_world_are_repeatable(demo):
     small = frames.from_world(demo, 3, [(64, 64)])
     camera = demo.sensors.camera
     assert small.rgb[0].shape == (camera.height_px, camera.width_px, 3)
@@ -297,7 +297,7 @@ def bench(*words):
     return cli.main(["bench", "--models", *words, "--frames", "2"])
 
 
-def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
+def test_an_unknown_family_lists_the_known_ones(place, capsys, tmp_path):
     simulated = tmp_path / "simulated.yaml"
     simulated.write_text("perception: {detector: {kind: sim}}")
     assert bench("tiny") == os.EX_DATAERR
@@ -323,7 +323,7 @@ def test_if_no_model_runs_each_row_gives_the_reason(place, capsys):
     assert "Traceback" not in out
 
 
-def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, tmp_path, capsys):
+def test_every_variant_has_its_own_row_and_card(place, tmp_path, capsys):
     place("tiny-fp32", model_bytes(-1.0))
     place("tiny-crash", model_bytes(0.0), "fp16")
     place("tiny-int8-cpu", model_bytes(-1.5), "int8-cpu")
@@ -418,7 +418,7 @@ def test_figures_are_saved_in_the_folder_of_the_card(place, tmp_path, monkeypatc
     assert load_detector_card("tiny-own").measured.keys() == {"cpu of x, 2 cores"}
 
 
-def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(place):
+def test_figures_of_several_devices_share_a_card(place):
     place("tiny-fp32", None)
     both = "onnxruntime 1.23.0, tensorrt 10.3.0"
     ran = (

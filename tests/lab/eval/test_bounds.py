@@ -54,7 +54,7 @@ def test_a_known_place_prefers_the_shortest_path(world, target, best):
     assert seen[int(score.argmax())][1:3] == best
 
 
-def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
+def test_a_known_place_looks_round_first_and_ignores_look_alikes(world):
     seen = [(FRONTIER, 4.0, 2.0, 3.0, 1.0), (INSTANCE, 2.0, 3.0, 1.0, 0.0),
             (INSTANCE, 6.0, 2.0, 5.0, 0.0), (SPIN, 1.0, 2.0, 0.1, 4.0)]  # fmt: skip
     score = KnownPlace(world, RADIUS_M).score(context("bed", *seen))

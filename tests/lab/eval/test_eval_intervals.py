@@ -64,7 +64,7 @@ def means(values: np.ndarray, cluster: np.ndarray, **options):
     return bootstrap(values, np.ones_like(values), cluster, **options)
 
 
-def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
+def test_bootstrap_is_seeded_and_agrees_with_the_ratio():
     rng = np.random.default_rng(0)
     x, y = rng.exponential(2.0, (2, 400))
     one, other = (bootstrap(x[None], y[None], np.arange(400), seed=3) for _ in range(2))

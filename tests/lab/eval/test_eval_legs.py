@@ -65,7 +65,7 @@ def test_looks_count_each_place_once(cells, x, y, yaw):
     assert not (floor._seen[floor._blocked] > 0).any()
 
 
-def test_floor_counts_as_seen_again_only_until_the_target_is_known():
+def test_floor_counts_as_revisited_only_before_the_target_is_known():
     config = simulated({"sim": {"world": {"kind": "house", "house": "demo"}}})
     world = load_world(config)
     legs, bed = (
@@ -124,7 +124,7 @@ def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, f
 
 
 @pytest.mark.slow
-def test_in_no_house_does_a_mission_explore_more_than_a_robot_that_forgets():
+def test_missions_revisit_less_floor_than_a_forgetful_robot():
     """The way to the next frontier leads through what was seen: so it is not nothing."""
     found = [
         again_and_forgetful_m2(2, "toilet", "refrigerator"),

@@ -40,7 +40,7 @@ def test_missions_name_two_to_four_objects(count):
         assert "" not in named
 
 
-def test_the_service_understands_each_sentence_as_it_is_meant():
+def test_the_service_reads_each_sentence_as_its_formula():
     drawn = draw_missions(THINGS, 60, 2)
     assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
     for mission in drawn:

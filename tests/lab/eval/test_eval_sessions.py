@@ -63,7 +63,7 @@ def test_each_goal_starts_at_the_end_of_the_last(outcomes):
         assert 0.0 < second.shortest_m <= second.path_m
 
 
-def test_the_first_goal_is_the_same_and_only_memory_helps_the_second(outcomes):
+def test_memory_helps_only_the_second_goal(outcomes):
     (first, _), (known_first, known_second) = outcomes
     assert first.trail == known_first.trail
     assert (first.arm, known_first.arm) == ("search, no memory", "search")

@@ -60,7 +60,7 @@ def test_the_distance_is_that_of_opencv(polygon, x, y):
         assert found == pytest.approx(max(0.0, -signed), abs=1e-3)
 
 
-def test_no_episode_gets_no_zone(config):
+def test_no_episodes_get_no_zones(config):
     assert with_zones(config, [], 0) == []
 
 

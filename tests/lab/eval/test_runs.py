@@ -152,7 +152,7 @@ def test_an_interrupted_run_resumes(config, tmp_path):
     run_all(arms, episodes, out, on_outcome=lambda *news: pytest.fail("run again"))
 
 
-def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_path, monkeypatch):
+def test_changed_arms_and_crashes_are_run_again(config, tmp_path, monkeypatch):
     episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
     (arm,) = make_arms(config, {"it": {}})
     with monkeypatch.context() as patched:

@@ -93,7 +93,7 @@ def test_the_configured_detector_finds_the_named_object(tmp_path, capsys):
     assert "from the simulated detector" in capsys.readouterr().out
 
 
-def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
+def test_a_detector_works_without_labels(tmp_path, capsys, monkeypatch):
     """The shipped detector sees nothing there; the ground is what is flat."""
     folder = write(tmp_path / "sequence", points=20_000)
     (folder / "labels/000000.label").unlink()
@@ -173,7 +173,7 @@ def test_invalid_input_is_reported_in_one_line(tmp_path, capsys, case):
     assert said.count("\n") == 1
 
 
-def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys):
+def test_an_unwritable_folder_is_reported_first(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
     assert "out: cannot be written: File exists; choose another folder" in capsys.readouterr().err

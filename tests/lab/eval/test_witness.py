@@ -88,7 +88,7 @@ def test_a_stop_far_from_the_object_is_the_wrong_object(stage):
 
 
 @pytest.mark.parametrize("xy", [(5.2, 2.0), (2.0, 2.0)])  # at the bed, and far from it
-def test_a_probable_object_is_neither_right_nor_wrong(stage, xy):
+def test_a_probable_object_counts_as_neither_right_nor_wrong(stage, xy):
     text = "reached: bed (probably, 0.62: bed or sofa)"
     stage.tick(9.0, xy, phase="reached", reached="bed", text=text)
     assert stage.failure() == "probable"
@@ -132,7 +132,7 @@ def test_a_confirmed_object_that_was_given_up_counts_as_stuck(stage):
 
 
 @pytest.mark.parametrize(("near_m", "seen"), [(2.0, True), (6.0, True), (6.1, False)])
-def test_it_is_seen_within_the_detectors_range(stage, near_m, seen):
+def test_an_object_counts_as_seen_within_the_detectors_range(stage, near_m, seen):
     stage.tick(5.0, shown=["bed"], near_m=near_m)
     stage.tick(7.0, shown=["bed"], near_m=2.0)
     assert stage.logger.first_sight().seconds == (5.0 if seen else 7.0)

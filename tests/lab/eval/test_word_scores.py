@@ -21,7 +21,7 @@ OTHERS = WordCount(scores=[0.3, 0.9], right=[False, True])  # half of all object
         ([0.96] * 4, [0.96] * 8, OTHERS, NEVER),
     ],
 )
-def test_the_lowest_score_at_which_enough_objects_are_right(wrong, right, others, score):
+def test_score_for_finds_the_lowest_precise_score(wrong, right, others, score):
     count = WordCount(0, 0, [*wrong, *right], [False] * len(wrong) + [True] * len(right))
     assert score_for(count, others, 0.9, 0.3) == score
 

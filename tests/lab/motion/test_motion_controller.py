@@ -242,7 +242,7 @@ LAST_NS, FIRST_NS = (2**31 - 1) * 10**9 + 999_999_999, -(2**31) * 10**9
     [(10, 20), (20, 10), (LAST_NS, 10), (10, FIRST_NS), (FIRST_NS, LAST_NS), (0, -1), (5, 5)],
     ids=str,
 )
-def test_the_goal_that_came_last_takes_over_and_the_one_before_is_refused(first, second):
+def test_the_newest_goal_replaces_the_earlier_one(first, second):
     before, goal = SE2(5.0, 1.0, 0.0), SE2(1.5, 3.0, 1.0)
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(6.0, 4.0))
@@ -300,7 +300,7 @@ def test_a_held_robot_recovers_once_and_then_fails():
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # reported once
 
 
-def test_a_robot_in_contact_at_its_side_gets_free():
+def test_a_robot_touching_a_corner_gets_free():
     """Neither the path nor the way back leads off the corner on its left."""
     walk, start, goal = Walk(SE2(1.0, 2.0, 0.25)), SE2(1.0, 2.0, 0.25), SE2(5.0, 3.0, 0.0)
     cells, corner_rad = room(6.0, 4.0), 0.25 + 0.5 * math.pi
@@ -330,7 +330,7 @@ def test_a_held_robot_that_should_turn_was_blocked_nowhere():
     assert walk.blocked == []
 
 
-def test_a_robot_that_pushes_says_so_at_once_and_a_slow_base_does_not():
+def test_a_pushing_robot_reports_it_but_a_slow_one_not():
     """Its wheels answer half a second late."""
     pushing, slow = (Walk(SE2(1.0, 2.0, 0.0), held=True) for _ in range(2))
     for walk in (pushing, slow):

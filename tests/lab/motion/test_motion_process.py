@@ -208,7 +208,7 @@ def connect(robot: Robot) -> None:
 
 
 @real_time
-def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
+def test_real_time_commands_stop_without_odometry(robot: Robot):
     connect(robot)
     wait_for(robot, moving=True)
     # Silence: the newest command is a stop, again and again.

@@ -23,7 +23,7 @@ def code() -> str:
     return code
 
 
-def test_it_is_as_short_as_it_says(code):
+def test_the_example_controller_is_as_short_as_documented(code):
     lines = [line for line in code.splitlines() if line and not re.match("import|from", line)]
     assert len(lines) <= MAX_LINES
 

@@ -69,7 +69,7 @@ def test_trajectory_keeps_steps_and_counts_from_the_start():
 
 
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
-def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
+def test_a_path_of_any_length_is_thinned_to_the_capacity(n, capacity):
     trail = DrivenPath(capacity)
     for k in range(n):
         trail.append(k * S, SE2(float(k), 0.0, 0.0))
@@ -82,7 +82,7 @@ def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     assert n - 1 - poses[-1, 0] < max(1.0, STEP_M * trail._stride), "within a step of the end"
 
 
-def test_events_without_end_are_counted():
+def test_surplus_events_are_only_counted():
     recorder = make()
     for k in range(2000):
         recorder.tick(result(events=(Event(k, f"{k}"),)))

@@ -51,7 +51,7 @@ def png(scene, *args):
     return cv2.cvtColor(cv2.imdecode(content, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
-def test_a_scene_alone_is_one_panel():
+def test_a_scene_without_a_trajectory_is_one_panel():
     alone = png(street(*STREET), None, None, None)
     assert alone.shape[1] == pytest.approx(1008, abs=40)
     limits = MotionLimits.of(load("street").robot)

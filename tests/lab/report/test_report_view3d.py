@@ -95,7 +95,7 @@ def test_the_page_holds_the_given_scene():
     assert data["boxes"][0]["at"] == [6.0, 0.0, 0.7]
 
 
-def test_it_fetches_nothing_and_is_small():
+def test_the_page_is_small_and_loads_nothing():
     html = page(with_a_car())
     assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", html)
     assert len(html) < 40_000
@@ -140,7 +140,7 @@ CAR, ROAD, REFINED = (201, 42, 42), (98, 102, 110), (214, 34, 91)
 
 
 @pytest.mark.parametrize("label", ["car", HOSTILE])
-def test_a_browser_draws_it(tab, tmp_path, label):
+def test_a_browser_draws_the_scene(tab, tmp_path, label):
     before = len(tab.asked)
     opened(tab, tmp_path / "scene.html", page(with_a_car(label)))
     assert tab.asked[before:] == [(tmp_path / "scene.html").as_uri()]

@@ -98,7 +98,7 @@ def test_a_door_never_touches_a_standing_robot(x_m: float, y_m: float, wait_s: f
         assert door.distance_m(x_m, y_m) > RADIUS_M
 
 
-def test_a_shut_door_is_in_depth_and_ids_and_stops_the_robot(house: World) -> None:
+def test_a_shut_door_is_rendered_and_blocks_the_robot(house: World) -> None:
     config = _config(1.0)
     world = with_people(house, config, house.start)
     assert isinstance(world, PeopledWorld)

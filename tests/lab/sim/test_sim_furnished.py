@@ -79,7 +79,7 @@ def test_a_folder_without_catalogues_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"not a zip", None], ids=["empty", "no archive", "no list of models"]
 )
-def test_a_damaged_catalogue_is_one_line(tmp_path, content):
+def test_a_damaged_catalogue_is_an_error_of_one_line(tmp_path, content):
     if content is None:
         archive = io.BytesIO()
         with zipfile.ZipFile(archive, "w") as empty:

@@ -267,7 +267,7 @@ def test_aws_targets_exist_and_can_be_reached(aws, label: str):
         assert min(item.distance_m(*p) for p in near) < 0.5, item.name
 
 
-def test_aws_trash_can_is_seen_from_in_front_of_it(aws):
+def test_the_aws_trash_can_is_visible_from_the_front(aws):
     can = next(item for item in aws.objects if item.name == "Trash_01_001")
     x, y = can.center_m[:2]
     _, depth, ids = look(aws, SE2(x + 1.5, y, math.pi))

@@ -63,7 +63,7 @@ def test_walks_are_repeatable_and_avoid_a_standing_robot(empty: World, seed: int
     assert all(empty.plan.clearance_at(*xy) > 0.1 for xy in places.tolist())
 
 
-def test_a_person_is_in_depth_and_ids_and_stops_the_robot(empty: World) -> None:
+def test_a_person_is_rendered_and_blocks_the_robot(empty: World) -> None:
     config = _config(4)
     world = with_people(empty, config, empty.start)
     standing = world.people[3]

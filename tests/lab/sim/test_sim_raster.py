@@ -51,7 +51,7 @@ def test_nothing_is_seen_of_no_triangles():
 
 @settings(max_examples=40)
 @given(st.integers(0, 2**31), st.sampled_from((0.3, 1.0, 4.0)), st.integers(1, 5))
-def test_it_agrees_with_a_plain_one(seed, size_m, faces_per_cluster):
+def test_rasterised_agrees_with_a_plain_ray_caster(seed, size_m, faces_per_cluster):
     """Triangles lie on all sides of the camera, some reach behind it."""
     rng = np.random.default_rng(seed)
     middles, corners = rng.uniform(-3, 3, (30, 1, 3)), rng.normal(0, size_m, (30, 3, 3))

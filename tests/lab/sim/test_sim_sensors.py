@@ -33,7 +33,7 @@ def world():
     return load_world(config())
 
 
-def test_depth_goes_out_in_millimetres_and_comes_back_in_metres(world):
+def test_depth_is_sent_in_millimetres_and_read_in_metres(world):
     rig = CameraRig(config(), world)
     rig.look(POSE)
     rig.depth_m[0, 0] = np.nan

@@ -52,7 +52,7 @@ def test_objects_do_not_overlap(seed):
         assert not any(rect.meets(other) for other in [robot, *rects[:k]])
 
 
-def test_it_is_a_world_for_the_robot():
+def test_a_street_is_loaded_as_a_world():
     drawn = street(1)
     config = parse({"perception": {"detector": {"kind": "sim"}}, "sim": {"world": WORLD}})
     world = load_world(config)

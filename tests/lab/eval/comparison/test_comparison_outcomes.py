@@ -54,7 +54,7 @@ def test_an_invalid_outcome_is_reported_with_its_line(tmp_path, line, words):
         written(tmp_path, record(), line)
 
 
-def test_arrays_have_a_row_for_each_arm_and_nan_for_missing_values():
+def test_arrays_have_a_row_per_arm_and_nan_for_gaps():
     outcomes = gather(
         [
             record("house-10/bed", "a"),

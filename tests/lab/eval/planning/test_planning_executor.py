@@ -104,7 +104,7 @@ def test_draws_depend_on_exactly_their_keys():
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.1, 0.5, 1.0]), st.integers(1, 6))
-def test_explorations_are_at_least_the_new_objects_and_steps_at_least_those(task, p_obs, k):
+def test_explorations_and_steps_have_lower_bounds(task, p_obs, k):
     """Any order of k objects: each is explored for once at least, or was met while exploring."""
     problem = problem_of(" & ".join(f"F x{i}" for i in range(k)), others=6 - k)
 

@@ -166,7 +166,7 @@ def perfect(tasks):
     return answer
 
 
-def test_a_perfect_model_is_as_good_as_the_optimum_under_the_same_luck():
+def test_a_perfect_model_is_as_good_as_the_optimum():
     tasks = generate(30)
     settings = Settings(("optimal",), (1.0,))
     rows, told = [3, 11, 29], []

@@ -141,7 +141,7 @@ def test_searching_for_another_object_can_be_the_better_choice():
         (CASE_2, 0, 0.35),
     ],
 )  # fmt: skip
-def test_costs_are_those_of_policy_iteration(text, others, p_obs):
+def test_optimal_costs_agree_with_policy_iteration(text, others, p_obs):
     problem = problem_of(text, others)
     letters = problem.automaton.propositions
     found = Optimum(problem, p_obs).value

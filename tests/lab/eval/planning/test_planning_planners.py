@@ -93,7 +93,7 @@ def test_no_planner_beats_the_bounds(results):
     assert (certain >= results.explorations[optimum, -1]).all()
 
 
-def test_planners_of_the_service_lie_between_the_optimum_and_chance(results):
+def test_service_planners_lie_between_optimum_and_chance(results):
     mean = dict(zip(results.planners, results.explorations.mean(axis=(1, 2, 3)), strict=True))
     assert mean["optimal"] < mean["vitl"] < mean["in-order"]
 

@@ -69,7 +69,7 @@ def test_bad_options(argv, words, capsys):
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_bad_input_is_one_line(tmp_path):
+def test_bad_input_is_an_error_of_one_line(tmp_path):
     (tmp_path / "file").write_text("{}")
     for argv, words in (
         (("--planners", "vitl,best"), "no planner 'best' (choices: vitl"),
@@ -84,7 +84,7 @@ def test_bad_input_is_one_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_server_that_is_down_costs_only_the_language_models_runs(tmp_path, capsys):
+def test_an_unreachable_server_keeps_the_other_results(tmp_path, capsys):
     argv = ["--n", "5", "--p-obs", "1", "--jobs", "1", "--planners", "vitl"]
     with pytest.raises(UserError, match=r"127\.0\.0\.1:9"):
         command.run(parsed(*argv, "--out", str(tmp_path), "--llm", "http://127.0.0.1:9/v1"))
@@ -111,7 +111,7 @@ def test_an_error_of_the_language_model_keeps_other_results(tmp_path, capsys, mo
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
-def test_interrupt_ends_it_with_its_processes(tmp_path):
+def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""

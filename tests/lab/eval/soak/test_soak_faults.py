@@ -63,5 +63,5 @@ def test_an_unknown_fault_lists_the_known_ones(name):
         choose_faults(simulated(), [name])
 
 
-def test_a_fault_named_twice_is_one():
+def test_a_fault_named_twice_is_chosen_once():
     assert [f.name for f in choose_faults(simulated(), ["reload", "reload"])] == ["reload"]

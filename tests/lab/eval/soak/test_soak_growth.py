@@ -20,7 +20,7 @@ def life(n: int, per_h: float, noise: float = 0.0, begin: float = 500.0, seed: i
 
 
 @given(st.floats(-1e3, 1e3), st.integers(20, 2000))
-def test_a_line_grows_as_it_does(per_h, n):
+def test_the_slope_of_a_line_is_exact(per_h, n):
     slope = slope_of([life(n, per_h)])
     assert slope.per_h == pytest.approx(per_h, abs=1e-4)
     assert slope.low <= slope.high
@@ -33,7 +33,7 @@ def test_the_slope_interval_holds_the_truth_and_narrows():
     assert many < 0.1 * few
 
 
-def test_no_outlier_moves_it():
+def test_outliers_do_not_change_the_slope():
     t_s, values = life(1200, 0.0, noise=0.1)
     values[::5] += 1e6
     assert abs(slope_of([(t_s, values)]).per_h) < 1.0
@@ -70,7 +70,7 @@ def test_significant_growth_breaks_the_rule(per_h, noise, ran_h, broken):
     assert bool(why) == broken, why
 
 
-def test_neither_the_start_nor_faults_count():
+def test_startup_and_faults_do_not_count_as_growth():
     """Memory that only rises while it settles, and only stands high in faults, does not grow."""
     found = samples([*np.linspace(0, 500, 100), *[500.0] * 900])
     found[400:500] = samples([9e9] * 100, calm=False)

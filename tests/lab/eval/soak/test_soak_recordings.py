@@ -50,7 +50,7 @@ def test_nothing_recorded_is_reported_at_the_end(tmp_path):
     assert recordings.problem == "nothing was recorded"
 
 
-def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, drive):
+def test_a_complete_file_is_read_and_the_first_kept(tmp_path, drive):
     recordings = recorded(tmp_path)
     path = lay(tmp_path, drive, NAME + PARTIAL)
     recordings.check_next_file()

@@ -63,7 +63,7 @@ def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
         assert "elephant" in outcome.reason
 
 
-def test_an_end_on_another_side_of_the_object_is_at_it(tmp_path):
+def test_an_end_on_another_side_counts_as_at_the_object(tmp_path):
     there = episode("go to the van", to_m=(8.0, 1.6))
     (outcome,) = ran([there], ["ours"], ResultsFolder(tmp_path))
     assert (outcome.success, outcome.at_thing, outcome.true_depth_m) == (False, True, 0.0)
@@ -102,7 +102,7 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
     assert sorted(isinstance(content, str) for content in asked) == [False, False, True]
 
 
-def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
+def test_a_late_answer_counts_as_a_failure(tmp_path):
     with serving(lambda handler: server.stopping.wait(20.0)) as server:
         config = TasksConfig(planner=WriterModel(url=server.url, time_limit_s=0.2))
         (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path), config)

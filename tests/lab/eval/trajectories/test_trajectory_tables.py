@@ -74,7 +74,7 @@ def test_refusals_are_counted_by_cause():
     assert [list(row.values()) for row in rows] == [["ours", "12", "0"], ["a_star", "3", "3"]]
 
 
-def test_pictures_take_hostile_words_as_they_are():
+def test_hostile_words_are_escaped_in_images():
     (content,) = pictures.images(gather(FACTS, OURS), "svg").values()
     assert b"go to &lt;b&gt;$x$&lt;/b&gt;" in content
 

@@ -215,7 +215,7 @@ def test_addresses_of_models_are_looked_up_and_not_fetched(tmp_path):
         ("ground_plane", "structure"),
     ],
 )
-def test_names_come_from_models(model_name, name):
+def test_object_names_come_from_model_names(model_name, name):
     assert object_name(model_name) == name
 
 
