@@ -1,4 +1,4 @@
-"""A configuration is right, or the error says which key is wrong and what would be right."""
+"""A configuration is valid, or the error names the wrong key and valid values."""
 
 from __future__ import annotations
 
@@ -370,7 +370,7 @@ def test_all_yaml_is_read_by_one_reader():
 
 
 def test_huge_values_are_cut_in_errors(write):
-    """A value is shown as far as it is shown; nothing is made of the rest."""
+    """Only the shown part of a value is formatted."""
     for value in ("[" + "x, " * 1500 + "]", "x" * 90_000, "[" * 60 + "]" * 60):
         with pytest.raises(ConfigError) as error:
             load(write(f"robot: {{name: {value}}}"), {})
@@ -501,7 +501,7 @@ BY = "environment EDGE__"
     ],
 )
 def test_an_error_names_the_source_of_the_key(write, environ, named):
-    """Not the file, whose user would look there in vain."""
+    """The error does not name the file if the environment set the key."""
     broken = "ROBOT__NAME" in environ
     robot = {"robot": {"radius_m": "wide"}} if broken else {}
     path = write(yaml.safe_dump({**SIM, **robot}))
@@ -525,7 +525,7 @@ def test_variables_that_nothing_reads_are_reported_once(write, caplog):
 
 
 def test_objects_derive_the_same_clearances_as_a_file():
-    """Whichever way the robot and the sections are given."""
+    """This holds for sections given as objects too."""
     made = Config(
         perception=SIM["perception"],
         robot=RobotConfig(radius_m=0.5),
@@ -543,6 +543,6 @@ def test_a_dumped_configuration_loads_as_itself(write):
 
 
 def test_every_key_of_the_built_in_files_is_used():
-    """A built-in file says what differs from the defaults, in keys that exist."""
+    """A built-in file lists only differences from the defaults, in existing keys."""
     for path in BUILT_IN:
         assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)

@@ -56,7 +56,7 @@ def test_a_model_is_a_card_and_a_file(card, capsys):
 
 
 def test_packages_installed_by_ci_are_pinned():
-    """Otherwise a release of others fails a change of ours."""
+    """Otherwise a new release of a package fails our changes."""
     files = ("docker/constraints.txt", ".ci/constraints.txt")
     pins = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)
     ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]

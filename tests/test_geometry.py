@@ -162,7 +162,7 @@ angles_deg = st.floats(-179.0, 179.0)
 
 @given(metres, metres, st.floats(0.01, 3.0), angles_deg, st.floats(-89.0, 89.0), angles_deg)
 def test_a_mount_is_the_pose_that_the_configuration_says(x, y, z, roll, pitch, yaw):
-    """There and back; the camera looks where a LiDAR of the same mount points."""
+    """A mount survives a round trip; its camera looks along a LiDAR of the same mount."""
     mount = {"x_m": x, "y_m": y, "z_m": z, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
     T = Lidar(**mount).T_base_mount()
     assert T[:3, 3].tolist() == [x, y, z]

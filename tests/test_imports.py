@@ -1,4 +1,4 @@
-"""The house rules of `edge`: who may import whom."""
+"""The house rules of `edge`: permitted imports."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LAYERS = (
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
 MOST_AT_THE_TOP = 12
-# Only who makes a model reads what the exporters need.
+# Only code that makes a model may import the exporters' packages.
 NEVER = {"exporters", "torch", "transformers", "ultralytics"}
 
 

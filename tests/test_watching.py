@@ -86,7 +86,7 @@ def told() -> dict[str, set[str]]:
         finally:
             connection.close()
 
-    warm_up(config)  # what is compiled here takes longer than anybody waits below
+    warm_up(config)  # compilation takes longer than the waits below
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_service, config, stop, False, None)
         try:
@@ -128,7 +128,7 @@ def test_every_other_metric_is_on_the_dashboard():
     asked = {re.sub(r"_(bucket|count|sum)$", "", name) for name in asked}
     unseen = {metric.name for metric in METRICS} - asked
     assert unseen <= {
-        "edge_build_info",  # whose robots the dashboard lists
+        "edge_build_info",  # the dashboard lists robots by it
         "edge_stage_over_budget_total",  # percentiles say it better
         "edge_detector_invalid_boxes_total",
         "edge_mission_elapsed_seconds",

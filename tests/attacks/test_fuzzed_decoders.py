@@ -58,7 +58,7 @@ def test_changed_messages(name, chance, data):
 def test_a_false_length_allocates_nothing(name):
     decoder = DECODERS[name]
     lies = [lie for seed in decoder.seeds for lie in lengths_that_lie(seed)]
-    for seed in decoder.seeds:  # what is imported or compiled at the first message is not the lie's
+    for seed in decoder.seeds:  # do not count imports and compilation
         reads_or_refuses(decoder, seed)
     tracemalloc.start()
     try:
@@ -82,7 +82,7 @@ def test_hundreds_of_thousands_of_changed_messages(name):
         payload = mutate(chance.choice(corpus), chance)
         if reads_or_refuses(decoder, payload):
             read += 1
-            # What was read leads deeper than what was refused.
+            # Valid messages reach deeper code than refused ones.
             if len(corpus) < 256 and len(payload) < 4096:
                 corpus.append(payload)
     assert 0 < read < rounds

@@ -27,7 +27,7 @@ hostile_models = pytest.importorskip("hostile_models")
 
 ENDLESS = {
     "always": {"over": -1.0},
-    "for camera images": {"over": 0.6},  # what is tried first is darker
+    "for camera images": {"over": 0.6},  # the trial images are darker
 }
 LYING = {
     "scores of 1e30": {"score": "1e30"},

@@ -261,7 +261,7 @@ ORDERS = (
     ],
 )
 def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
-    """The words on it are in the prompt, quoted; what a model makes of them is checked."""
+    """The prompt quotes the words on the sign; the answer of the model is checked."""
     scene = street(*STREET, Thing("sign", 3.0, 2.0, (0.2, 0.2), caption), picture=True)
     said = []
     with serving(saying(f"As the sign says:\n```python\n{obeying}\n```")) as server:

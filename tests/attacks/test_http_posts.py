@@ -90,7 +90,7 @@ def port() -> Iterator[Port]:
 
 
 class _Served:
-    """A queue whose loop comes by right after each query."""
+    """Request queue that is served right after each query."""
 
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue

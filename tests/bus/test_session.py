@@ -100,7 +100,7 @@ def test_a_client_waits_until_a_listener_appears(free_endpoint):
     ],
 )  # fmt: skip
 def test_an_invalid_endpoint_is_named_in_one_line(endpoint, role):
-    """To who connects Zenoh would not say so: it would wait for ever."""
+    """Without this check, a connecting Zenoh client would wait without an error."""
     with pytest.raises(bus.BusError) as caught:
         bus.open_session(ZenohConfig(endpoint=endpoint, mode="client"), role)
     assert str(caught.value).startswith(f"zenoh.endpoint: cannot {role}")
@@ -182,7 +182,7 @@ def test_the_interpreter_exits_with_an_open_session(free_endpoint):
 def test_an_oversized_message_is_dropped_but_its_sender_stays_connected(free_endpoint):
     settings = ZenohConfig(endpoint=free_endpoint, shared_memory=False)
     with (
-        # `keep_zenoh_timeout`: who is only slow is not let go.
+        # `keep_zenoh_timeout`: a slow peer is not disconnected.
         bus.open_session(
             settings, "listen", keep_zenoh_timeout=True, most_bytes=1_000_000
         ) as service,

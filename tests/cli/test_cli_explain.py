@@ -18,7 +18,7 @@ from edge.errors import UserError
 from edge.mission.spec import prepare
 from edge.text import MAX_CHARS
 
-LONGEST = 1200  # of a refusal: the parts of a contradiction, and what to do
+LONGEST = 1200  # of a refusal with the parts of a contradiction and the remedy
 
 ODD = ["\0", "\x1b[2J", "\x9b", "\u202e", "\ud800", "\n", "\u2028", "\u00a0", "_", "€", "椅子", '"']
 ODD += ["a" * 201, "\\", "(", ")", "…", "²"]

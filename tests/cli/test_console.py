@@ -34,7 +34,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def wall(monkeypatch) -> SimpleNamespace:
-    """Stands for the module `time`; stands still unless the test sets it."""
+    """Fake of the module `time`; it stands still unless the test sets it."""
     wall = SimpleNamespace(now_ns=0)
     wall.monotonic_ns = lambda: wall.now_ns
     monkeypatch.setattr(console, "time", wall)

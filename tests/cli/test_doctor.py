@@ -1,4 +1,4 @@
-"""`edge doctor`: every lack is named with what to do, and fails only what needs it."""
+"""`edge doctor`: each problem is named with a remedy, and fails only its dependants."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Change = Callable[[dict], object]
 
 
 class Scripted:
-    """A source that shows a floor and a wall, or what a test makes of that."""
+    """Source that shows a floor and a wall, or a test's change of them."""
 
     change: Change = staticmethod(lambda fields: None)
     rows: tuple[InputStatus, ...] = ()

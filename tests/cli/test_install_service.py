@@ -1,4 +1,4 @@
-"""The systemd unit: what is in it, what systemd itself makes of it, and whom it would not serve."""
+"""The systemd unit: its content, systemd's own checks of it, and refused installations."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def config(tmp_path) -> str:
 
 @pytest.fixture
 def play(capsys):
-    """Run the command; its exit code, what it printed, and what it said of errors."""
+    """Run the command; return its exit code, its output and its errors."""
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["--log-level", "error", "play", *map(str, words)])
@@ -57,8 +57,8 @@ def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path,
     code, told, _ = play(folder, config, *pace, "--report", report)
     assert code == os.EX_OK
     lines = [line.split() for line in told.splitlines()]
-    assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # what is played
-    assert ["odom", "/odom", str(N), "-"] in lines  # what became of it
+    assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # played inputs
+    assert ["odom", "/odom", str(N), "-"] in lines  # and their outcome
     n = int(re.search(r"(\d+) observations", told)[1])
     assert n == N or (n > 0 and "--rate" in pace)  # this computer may be busy
     assert int(told.partition("map: ")[2].split()[0]) > 0

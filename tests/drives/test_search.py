@@ -72,7 +72,7 @@ def test_a_later_mission_finds_an_object_that_was_not_sought(tmp_path):
     begin(loop, "F toilet")
     assert loop.service.status.phase == "reached", loop.service.status
     assert loop.distance_m("toilet") <= 1.0
-    # And back to what was reached before, though the camera was on it while it was not sought.
+    # Then back to the first target, which the camera saw while it was not sought.
     begin(loop, "F desk")
     path_m = loop.drive.motion.pose.distance_to(2.5, 0.6)
     begin(loop, "F armchair")
@@ -104,7 +104,7 @@ def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
 
 @pytest.mark.parametrize("formula", ["F bed", "F television & F sofa"])
 def test_without_instance_points_only_confirmed_instances_become_goals(formula):
-    """The ablation "w/o IBTP" of VL-Nav: what may be the target does not attract."""
+    """The ablation "w/o IBTP" of VL-Nav: possible targets do not attract."""
     mission = {"instruction": formula, "translator": {"kind": "ltl"}}
     config = {
         "loop": {"lockstep": True},

@@ -16,7 +16,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.mapping import layers as ly
 from edge.types import GoalStatus
 
-# Over what the simulated robot drives across (0.05 m), under what the map shows (0.10 m).
+# Too high for the simulated robot (0.05 m), too low for the map (0.10 m).
 SILL_M = 0.085
 
 
@@ -95,7 +95,7 @@ def test_a_blocked_only_path_ends_the_mission_with_the_reason(tmp_path):
 
 @pytest.mark.parametrize("reach_cells_per_tick", [8000, 500])
 def test_a_removed_obstacle_lets_the_robot_through(tmp_path, monkeypatch, reach_cells_per_tick):
-    """As a person does who stood in the only doorway, or a door that is opened.
+    """The obstacle is a person in the only doorway, or a door that opens.
 
     All was looked at, so that no other view gives the reach field time to lead there.
     """
@@ -181,7 +181,7 @@ def test_a_controller_without_a_path_marks_no_obstacle(tmp_path):
 
 
 def test_a_known_obstacle_explains_a_standstill_only_for_a_time(tmp_path):
-    """Under the thing that the map shows there may be one that it does not, a little nearer."""
+    """Below the mapped obstacle there may be a nearer one that the map does not show."""
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()

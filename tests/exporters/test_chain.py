@@ -1,4 +1,4 @@
-"""The export of a real card from real weights: what the file takes, gives and is recorded as."""
+"""The export of a real card from real weights: inputs, outputs and record of the file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The net of the choice scorer: what it may depend on."""
+"""The network of the choice scorer: which inputs change its outputs."""
 
 from __future__ import annotations
 

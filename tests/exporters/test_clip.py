@@ -205,7 +205,7 @@ def test_a_tower_of_the_detectors_family_encodes_its_prompts(folders, tmp_path, 
     assert encoder.embed(["a chair", "sofa"]).shape == (1, 2, 48)
 
 
-# -- what goes wrong ---------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------
 
 
 def test_an_unusable_folder_is_an_error_of_one_line(folders, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Float16 models: what stays in float32, and that the ends do."""
+"""Float16 models: the nodes, inputs and outputs that stay float32."""
 
 from __future__ import annotations
 

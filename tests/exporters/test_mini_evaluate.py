@@ -122,7 +122,7 @@ def test_without_questions_no_share_is_reached():
 
 
 def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
-    """One about colour and one about the size of what is cut off, of the same two things."""
+    """One question about colour and one about the size of a cut-off object."""
     pair = things(
         (CHAIR, (10, 10, 40, 90), "red", "tall"),
         (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),

@@ -1,4 +1,4 @@
-"""The small detector as it is shipped: its cards, and what it sees in a house it never saw."""
+"""The small detector as it is shipped: its cards, and its detections in a new house."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The small detector learns, its ONNX files say what the network says, and only good ones ship."""
+"""The small detector learns, its ONNX files match the network, and only good ones ship."""
 
 from __future__ import annotations
 

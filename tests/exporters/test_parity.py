@@ -74,7 +74,7 @@ def test_compare_counts_lost_new_and_moved_scores():
     ],
 )
 def test_a_model_with_values_that_are_not_finite_is_refused(candidate, says):
-    """Also where all that the reference sees is still found."""
+    """This also holds if every box of the reference is found."""
     sound = model([A, FAR], [[0.9, 0.1], [0.0, 0.0]])
     for pair, which in (((sound, candidate), "candidate"), ((candidate, sound), "reference")):
         with pytest.raises(ExportError, match=f"the {which}'s {says}"):

@@ -195,7 +195,7 @@ def test_a_chat_is_the_same_text(both, layout, target, marks, view):
 @pytest.mark.parametrize("hw", [(32, 32), (48, 64), (64, 48), (30, 100), (96, 128)])
 @pytest.mark.parametrize("layout", ["smolvlm", "qwen2-vl"])
 def test_a_picture_is_the_same_tokens_and_numbers(both, layout, hw):
-    """By the families' processors: what stands in the picture's place, and the picture."""
+    """Compare the image tokens and the pixels with the families' processors."""
     one, question = both[layout], direction_question(3, "bed")
     rgb = np.random.default_rng(0).integers(0, 256, (*hw, 3), np.uint8)
     picture = make_prepare(one.files, one.ours.image_token, one.card.image_tokens)(rgb)

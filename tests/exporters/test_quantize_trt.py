@@ -1,4 +1,4 @@
-"""INT8 for TensorRT: what it demands of a graph, and that the result stays."""
+"""INT8 for TensorRT: the quantized graph, and its results."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def histogram(values: np.ndarray) -> Histogram:
 
 
 def test_ranges_keep_even_values_and_cut_outliers():
-    """Symmetric ones a lonely value, and those into SiLU what SiLU forgets."""
+    """Symmetric ranges cut single outliers; ranges before SiLU cut large negative values."""
     even, far = np.linspace(-1, 3, 10_000), np.full(500, -100.0)
     assert least_loss_limit(histogram(np.zeros(10))) > 0
     assert least_loss_limit(histogram(even)) == pytest.approx(3, abs=0.1)

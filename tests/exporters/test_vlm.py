@@ -273,7 +273,7 @@ def test_large_weights_are_saved_next_to_the_network(
 
 
 def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
-    """Published ones are longer than what is read into memory elsewhere."""
+    """Published files are larger than the limit that applies elsewhere."""
     from exporters.hugging_face import weights_sha256
 
     file = tmp_path / "model.safetensors"
@@ -321,7 +321,7 @@ def test_the_service_answers_as_the_model(cache, folders, originals, monkeypatch
     service.close()
 
 
-# -- what goes wrong ---------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------
 
 
 def test_an_unavailable_precision_names_the_command_to_run(folders, tmp_path, capsys):

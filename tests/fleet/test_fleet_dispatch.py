@@ -1,4 +1,4 @@
-"""The dispatcher's patience with robots that are gone, silent, or forget what they took."""
+"""The dispatcher's patience with absent, silent and forgetful robots."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Fleet:
     """A roster with given robots, and a dispatcher that reads it.
 
     Attributes:
-        robots: who is there; None: the router is gone.
-        accepts: whether robots answer what they are told to do.
+        robots: the present robots; None: the router is gone.
+        accepts: True if robots accept their orders.
     """
 
     def __init__(self, *parts: MissionPart, accepts: bool = False) -> None:

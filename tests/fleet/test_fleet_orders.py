@@ -47,14 +47,14 @@ def test_without_robots_or_parts_no_orders_are_given():
     [
         # One part a robot; ties go by the order of parts and names.
         ([robot("b"), robot("a")], {"m.1": "a", "m.2": "b"}),
-        # Who knows where it is, and is nearer.
+        # The robot that knows the object and is nearer.
         ([robot("a"), robot("b", bed=9.0)], {"m.1": "b", "m.2": "a"}),
-        # Who is not free gets nothing.
+        # A busy robot gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
         ([robot("a", problems=("no usable observations",))], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
-        # Who failed at a part does not get it again; who was doubled may, by another name.
+        # A robot does not get a failed part again; a duplicate may, under another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),
         ([robot("a", "m.1", "failed", reason=DUPLICATE_REASON)], {"m.1~1": "a"}),
         ([robot("a", "m.1", "reached"), robot("b", "m.2~1", "paused")], {}),

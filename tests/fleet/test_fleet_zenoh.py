@@ -36,7 +36,7 @@ THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.setattr(dispatch, "POLL_S", 0.05)
-    # Who is only slow to answer is not gone.
+    # A slow robot is not gone.
     for module in (roster, presence):
         monkeypatch.setattr(module, "ANSWER_S", 20.0)
     # Commands run in this process, whose signal handlers they must leave alone.
@@ -98,7 +98,7 @@ class Sharing:
         self._thread.join()
 
     def ended(self) -> dict[str, tuple[str, str]]:
-        """(phase, by whom), by target."""
+        """Return (phase, robot) by target."""
         self._thread.join(PATIENCE_S)
         assert self.outcomes is not None, self.told
         words = {part.id: part.words[0] for part in self.mission.parts}
@@ -127,7 +127,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
 
     with open_roster(settings_of(port, "any")) as seen:
         seen.send("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
-    code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
+    code, said = fleet("pause")  # bob has nothing to pause; that is an error only if he is named
     assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
     assert "anna:\n  instruction: F bed" in said
     assert "bob:\n  refused: no mission is running: no mission was given yet" in said

@@ -1,4 +1,4 @@
-"""Files are read at once and written whole, or not at all; what is no file is one line."""
+"""Files are read at once and written whole, or not at all; other paths are an error of one line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from edge.sources import recording
 from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings
 
-pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
+pytestmark = pytest.mark.timeout(60)  # opening a pipe without a writer never ends
 
 
 def make_pipe(path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Cutting a request's connection; what failures are called is held by the chat client's tests."""
+"""Cutting a request's connection; the chat client's tests check the error messages."""
 
 from __future__ import annotations
 

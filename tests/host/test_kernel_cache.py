@@ -16,7 +16,7 @@ VARIABLES = ("NUMBA_CACHE_DIR", "EDGE_CACHE_DIR", "XDG_CACHE_HOME")
 
 @pytest.fixture
 def places(tmp_path, monkeypatch):
-    """`free`, where folders can be made, and `closed`, where none can, not even by root."""
+    """Return a folder with `free`, where folders can be made, and `closed`, where none can."""
     for name in VARIABLES:
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "closed").touch()

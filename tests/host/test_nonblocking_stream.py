@@ -15,7 +15,7 @@ from edge.host import nonblocking_stream as outlets
 from edge.host.nonblocking_stream import MOST_WAITING, NonBlockingStream, nonblocking_stderr
 
 LINE = "x" * 199 + "\n"
-MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
+MUCH = 3 * MOST_WAITING  # lines, many times the size of a pipe
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Ports for a service of one's own: free, and out of the way of outgoing connections; addresses."""
+"""Free ports outside the range of outgoing connections, and loopback addresses."""
 
 from __future__ import annotations
 

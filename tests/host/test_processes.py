@@ -21,7 +21,7 @@ def test_an_unknown_process_has_no_usage():
 
 def test_usage_agrees_with_psutil():
     theirs = psutil.Process()
-    # Of other tests, a thread may just be ending.
+    # A thread of another test may just be ending.
     eventually(lambda: usage(theirs.pid).threads == theirs.num_threads())
     ours = usage(theirs.pid)
     assert ours.descriptors == pytest.approx(theirs.num_fds(), abs=2)

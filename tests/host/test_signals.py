@@ -1,4 +1,4 @@
-"""Each signal does what it is known to do: stop a process, break it off, show where it is."""
+"""Each signal has its usual effect: stop, interrupt, or show the threads."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_idle_connections_do_not_lock_out_others():
 
 @pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
 def test_a_running_post_is_not_cut_off_by_others(silent):
-    """Strangers give way first, then those who know the token and wait for nothing."""
+    """Connections without the token are closed first, then idle ones with it."""
     begun, go_on = threading.Event(), threading.Event()
 
     def take(body: bytes) -> HttpResponse:
@@ -120,7 +120,7 @@ def test_a_running_post_is_not_cut_off_by_others(silent):
         assert begun.wait(PATIENCE_S)
         for _ in range(silent):
             opened.enter_context(socket.create_connection((HERE, port)))
-        for _ in range(2 * MOST_OPEN):  # each of those who know the token is let in
+        for _ in range(2 * MOST_OPEN):  # each connection with the token is accepted
             sock = opened.enter_context(socket.create_connection((HERE, port), PATIENCE_S))
             sock.sendall(known)
             assert sock.recv(1 << 16).endswith(b"here")
@@ -156,7 +156,7 @@ def test_nonsense_is_refused(nonsense):
     with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         with socket.create_connection((HERE, port), PATIENCE_S) as sock:
             sock.sendall(nonsense)
-            with suppress(ConnectionResetError):  # what it has not read, it does not wait for
+            with suppress(ConnectionResetError):  # the server does not wait for unread bytes
                 assert b"here" not in sock.recv(1 << 16)
         assert ask(port, "/") == (200, b"here")
 
@@ -263,7 +263,7 @@ def test_an_incomplete_body_times_out(taken, monkeypatch):
 
 
 def test_a_refused_body_is_not_read_as_a_request(taken):
-    """A body of a request that may have none, or of a stranger, is no request."""
+    """This holds for the body of a GET, and of a request without the token."""
     port, bodies = taken
     inner = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
     inner += b"Content-Type: application/json\r\nContent-Length: 0\r\n\r\n"

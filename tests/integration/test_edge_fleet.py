@@ -36,7 +36,7 @@ def test_three_robots_finish_a_mission_although_one_is_killed(edge, endpoint, tm
     )
     for name in NAMES:
         services[name].says("target: ")
-    sharing.says("carl gets: ")  # else its answer is lost, and its start stays unknown
+    sharing.says("carl gets: ")  # otherwise its answer is lost and its start stays unknown
     services["carl"].process.send_signal(signal.SIGKILL)
     sharing.says("carl is offline; another robot gets the part unless it is back within 3 s")
     assert sharing.wait() == 0, sharing.output

@@ -103,7 +103,7 @@ def test_requests_by_command(edge, endpoint, tmp_path, request_of):
     assert (code, "paused" in said) == (0, True), said
     code, said = request_of("resume", config)
     assert code == 0, said
-    # What is refused leaves the running mission as it was.
+    # A refused request does not change the running mission.
     for bad, part in [
         (("new", config, "frobnicate the chair"), "frobnicate"),
         (("new", config, "F a & G !a", "--formula"), "contradiction"),

@@ -44,7 +44,7 @@ def test_a_recording_cut_off_by_kill_9_replays(edge, endpoint, tmp_path):
     assert recovered.wait() == os.EX_OK, recovered.output
     whole = left.with_name(left.name.removesuffix(PARTIAL))
     assert pages(whole) == there
-    left.unlink()  # else it were a part of the run too
+    left.unlink()  # otherwise it would be a part of the run too
     replayed = edge("replay", whole)
     assert replayed.wait() == os.EX_OK, replayed.output
     assert "identical in every tick" in replayed.output

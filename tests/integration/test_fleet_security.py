@@ -67,7 +67,7 @@ def test_a_robot_sees_itself_and_the_operator_sees_all(etc, monkeypatch):
         heard = {who: put_by_all(sessions, who) for who in ROBOTS}
         assert heard == {who: {who} for who in ROBOTS}
         keys = {who: settings(who).key(topics.MISSION_REQUEST) for who in ROBOTS}
-        for who in ROBOTS:  # the router may hear of who answers after it heard of who is there
+        for who in ROBOTS:  # the router may learn of queryables after the tokens
             for asker in (who, "client"):
                 eventually(
                     lambda a=asker, w=who: asked(sessions[a], keys[w]) == {}, f"{asker}: {who}"

@@ -49,7 +49,7 @@ class Graph:
             yield session
 
     def settings(self, file: str) -> ZenohConfig:
-        """As the page says for the service, with another client's file where it is another."""
+        """Configure a client as the page describes, with its own file."""
         section = page_section("7448", self.etc).replace(
             "robot.local:7448", f"127.0.0.1:{self.outside}"
         )

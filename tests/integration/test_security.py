@@ -44,7 +44,7 @@ from edge.host.ports import free_port
 PEER = Path(__file__).with_name("secure_peer.py")
 IDLE = 120  # more than Zenoh's own limit of 100
 
-# What each may send, ask and hear, of all keys of the project, below the prefix.
+# The keys below the prefix that each client may send, ask and hear.
 REQUESTS = set(topics.REQUESTS)
 EVERY = set(KEYS)
 BY_SENSORS = {t.key for t in topics.ALL if t.writer in ("sensors", "simulator")}
@@ -140,14 +140,14 @@ def test_each_client_has_exactly_its_permissions(etc, kind, prefix, tmp_path):
                 attempt = partial(tried_all, session, prefix, who)
                 eventually(lambda attempt=attempt: attempt() and may <= running.reached)
                 attempt()
-        time.sleep(0.2)  # for what must not come
+        time.sleep(0.2)  # for messages that must not come
         reached = running.end()
     assert reached == may
     assert heard == MAY_HEAR
 
 
 def tried_all(session: zenoh.Session, prefix: str, who: str) -> bool:
-    """Put and ask all that there is; whether what it may ask was answered, and nothing else."""
+    """Send and ask every key; return True if exactly the permitted queries were answered."""
     for key in EVERY:
         session.put(f"{prefix}/{key}", who)
     answered = {
@@ -284,7 +284,7 @@ def test_idle_connections_do_not_lock_out_others(etc, kind):
 
 @pytest.mark.slow
 def test_a_robot_is_driven_as_the_documentation_says(etc, edge, tmp_path):
-    """Each process with a certificate of its own; a stranger who lies changes nothing."""
+    """Each process has its own certificate; a stranger with false messages changes nothing."""
     port = free_port()
     section = page_section("0.0.0.0:7447", etc).replace("7447", str(port))
     config = write_config(tmp_path, **parse_yaml(section))

@@ -67,7 +67,7 @@ class Peer:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, v_mps, w_radps))
 
     def read(self) -> Iterator[tuple[str, bytes]]:
-        """(topic key, payload) of what the simulator sends, for as long as `PATIENCE_S`."""
+        """Yield (topic key, payload) of the simulator's messages for up to `PATIENCE_S`."""
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             sample = self._all.try_recv()

@@ -65,7 +65,7 @@ def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys
         if written is None:
             assert "\n" not in said
             assert said.isprintable()
-            # What a model said is kept; without any answer it was the server's fault.
+            # Answers of the model are kept; without any answer the server failed.
             assert rounds or "no complete answer" in said
         else:
             check(written.coarse, ground_of(scene, 0.3), config.trajectory)
@@ -85,7 +85,7 @@ def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys
 
 
 def test_an_image_for_a_text_model_is_an_error(url):
-    """A server whose model takes no pictures says so; that is one line, not a crash."""
+    """The server rejects the picture; that is an error of one line, not a crash."""
     scene = street(*STREET, picture=True)
     config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))
     with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:

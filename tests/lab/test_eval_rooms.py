@@ -1,4 +1,4 @@
-"""Rooms against ground truth: who is right, and by how much."""
+"""Rooms compared with the ground truth."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_a_chosen_layer_is_drawn_over_the_map(page):
         " s.dispatchEvent(new Event('change')); })()"
     )
     page.until(
-        # Yellow, of what was looked at well, over what is free.
+        # Yellow for well seen cells, over free cells.
         """(() => {
           const c = document.getElementById("map");
           const { data } = c.getContext("2d").getImageData(0, 0, c.width, c.height);
@@ -181,7 +181,7 @@ def test_an_idle_robot_starts_a_mission_from_the_page(tab):
         assert "idle" in tab.run("document.title")
         tab.says("#english", "The robot waits for a mission")
         for part in ("#formula", "#automaton", "#plan", "#note"):
-            assert tab.text(part) == ""  # of the mission that it was made ready for
+            assert tab.text(part) == ""  # the configured mission is not shown
         assert tab.run("document.getElementById('pause').disabled")
         order(tab, "find the sofa")
         tab.says("#formula", "F sofa")

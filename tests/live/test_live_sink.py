@@ -130,7 +130,7 @@ def test_each_camera_has_its_newest_image_at_its_own_pace(sink, clock):
 
 
 def test_letters_are_drawn_on_frontiers_that_still_exist(sink):
-    """Two metres ahead; what the model was asked about besides is gone, or out of view."""
+    """One frontier is two metres ahead; the others are gone or out of view."""
     sink.mark_watched()
     there = ScoredCandidates(
         np.array([FRONTIER, FRONTIER, INSTANCE], np.int8), np.array([5, 6, 7]),

@@ -145,7 +145,7 @@ def test_a_request_is_answered_as_over_the_bus(view, body, status, answer):
 
 
 class Served:
-    """A queue whose loop comes by right after each query."""
+    """Request queue that is served right after each query."""
 
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue

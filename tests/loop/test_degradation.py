@@ -21,7 +21,7 @@ def _soon(monkeypatch):
 
 
 class Plant:
-    """A computer: what detect takes on a level, times the load; a step is taken at once."""
+    """Computer model: detect takes the cost of the level times the load; steps are immediate."""
 
     def __init__(self, costs_ms=(20.0, 10.0, 5.0)) -> None:
         self.levels, self.costs_ms = DegradationLevels(len(costs_ms) - 1, BUDGET_MS), costs_ms

@@ -64,7 +64,7 @@ def test_repeated_failures_set_degraded_and_success_ends_it(faults, told):
     with faults.contain("tick", 6):
         pass
     fail(faults, DEGRADED_AFTER - 1)
-    with faults.contain("orders", 6):  # of another step
+    with faults.contain("orders", 6):  # another step
         pass
     assert faults.state == "ok"
     fail(faults)

@@ -70,7 +70,7 @@ class Map:
         return arrived
 
     def restart_search(self) -> None:
-        """Nothing was seen badly, but for `view`."""
+        """Do nothing: the only badly seen view is `view`."""
 
     def search(self, reach) -> bool:
         return True
@@ -176,7 +176,7 @@ class Case:
         return self._tick(pose, 0)
 
     def tick(self, *frontiers: tuple[float, float], after_s: float = 0.1, images: int = 0):
-        """One tick with frontiers at these places, which last by where they are."""
+        """Run one tick with frontiers at these places; a place identifies its frontier."""
         self.now_ns += int(after_s * S)
         xy = np.array(frontiers, np.float32).reshape(-1, 2)
         counts = np.ones(len(xy), np.int32)
@@ -258,7 +258,7 @@ def test_a_goal_faces_its_candidate_and_stays_the_same_object():
         # An instance is seen through: its best score counts, not the one of now.
         ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.7)], ("instance", 9)),
         ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.8)], ("instance", 8)),
-        # What was chosen has gone.
+        # The chosen candidate has gone.
         ([frontier(1, 3, 0.5)], [frontier(2, -3, 0.1)], ("frontier", 2)),
         ([chair(9, 3, 0.6)], [chair(8, -3, 0.1)], ("instance", 8)),
         ([frontier(1, 3, 0.5)], [], None),
@@ -381,7 +381,7 @@ def test_with_no_candidates_the_robot_spins_three_times(
         pose = goal.pose
     assert case.choose(pose=pose, after_s=1.1) is None
     assert not case.goals.exhausted
-    # What turns up later is gone to, and no reason to turn once more.
+    # A later candidate becomes the goal without another spin.
     late_s = case.now_ns / S
     assert who(case.choose(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
     assert case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
@@ -540,7 +540,7 @@ def test_an_obstacle_on_the_only_path_is_forgotten(path_m):
     [
         (0.5, "", True, "approaching", ""),
         (0.5, "accepted", True, "approaching", ""),
-        # Passing or stopping beside it is not reaching it: the controller must say so.
+        # Passing or stopping next to it is not enough: the controller must answer "reached".
         (0.5, "failed", True, "approaching", "goal failed: no reason given"),
         (0.5, "reached", True, "verifying", "confirmed, seen in 3 images"),
         (0.5, "reached", False, "verifying", ""),
@@ -558,7 +558,7 @@ def test_arrival_needs_the_answer_of_the_controller(away_m, state, confirmed, ph
     assert case.goals.phase == phase
     assert (case.mission.arrivals + case.events) == ([came_to] if came_to else [])
     assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
-    # What was settled is left alone, here by a mission that asks for a second chair.
+    # A settled object is not pursued again; this mission asks for a second chair.
     assert (case.goals.goal is None) == bool(came_to)
 
 

@@ -109,7 +109,7 @@ class Bench:
             camera=CameraModel.from_hfov(8, 8, 1.3),
         )  # fmt: skip
         self.worker.submit(seen)
-        # What it says it took stands for what it took: no clock decides here.
+        # The reported duration replaces a clock.
         self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
 
     def until(self, what) -> Bench:

@@ -95,7 +95,7 @@ def test_not_through_walls():
 
 
 def test_rooms_change_the_prior_inside_them():
-    """A room of 5 m × 6 m, one end of which holds what only a bathroom does."""
+    """Bathroom objects stand at one end of a room of 5 m × 6 m."""
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
     p = prior("rooms")
     p.step(room, seen(("toilet", 3.5, 2.5), ("sink", 3.5, -2.5)))

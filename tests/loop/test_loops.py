@@ -32,7 +32,7 @@ from edge.types import GoalStatus, Observation
 
 
 class Source:
-    """Gives out what it was given; a new epoch begins with an observation of `jump_at`."""
+    """Source of given observations; the one at `jump_at` begins a new epoch."""
 
     def __init__(self, observations: list[Observation], jump_at: int = -1) -> None:
         self.counters = Counter(received=0, observations=0)
@@ -122,7 +122,7 @@ def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
     run, stop = running(lockstep, 0, time_limit_s=0.05), threading.Event()
-    end_s = time.monotonic() + 0.5  # ten times what the mission may take
+    end_s = time.monotonic() + 0.5  # ten times the limit of the mission
     status = loop(run, stop, True, lambda: stop.set() if time.monotonic() > end_s else None)
     assert (status.phase, status.elapsed_s) == ("searching", 0.0)
 
@@ -142,7 +142,7 @@ def test_a_changed_wall_clock_does_not_end_a_mission(monkeypatch):
 
 @pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
 def test_a_reset_sensor_clock_does_not_move_lockstep_time(steps_s):
-    """Else what waits until a time waits for ever, or a mission is over by its limit."""
+    """Otherwise a wait never ends, or a mission ends by its time limit."""
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)
     stamp_ns = 2 * 10**9
@@ -210,7 +210,7 @@ def test_a_failing_stage_loses_only_its_frames(stage, monkeypatch):
     report = service.latency.report()
     assert (report.tick.count, report.tick.drops) == (passing, failing)
     assert report.stage(stage).drops == failing
-    run.worker.close()  # it may still hold what it found last
+    run.worker.close()  # it may still hold its last result
     assert [slot.holds for slot in slots] == [0] * len(slots)
 
 
@@ -359,7 +359,7 @@ def ticks(run: RunningService) -> int:
 )
 def test_the_loop_survives_failures_around_the_ticks(lockstep, part, method, step, monkeypatch):
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
-    if part == "service":  # idle comes only where there is nothing to be seen
+    if part == "service":  # idle runs only without an observation
         run.source.poll = lambda: run.source.observations.pop() if len(beats) > 2 else None
     owner = run.servers.get(part) or attrgetter(part)(run)
     whole = getattr(owner, method)

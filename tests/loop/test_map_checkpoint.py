@@ -126,7 +126,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
     before = run.service.goal
     for i in range(25):
         one, other = run.both()
-        # What the controller said last was said to the one that is gone: it says it again.
+        # The controller repeats its last answer, which went to the killed service.
         assume(i > 0 or before is None or one.goal is before)
         n = one.map.grid.frontiers.n
         assert n == other.map.grid.frontiers.n
@@ -172,7 +172,7 @@ def idle(checkpoint: ServiceCheckpoint) -> None:
 
 
 def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeypatch):
-    """Even where copying it takes several ticks, in which the robot drives on."""
+    """This holds although copying takes several ticks, while the robot drives."""
     steps, step = [], TileCopier.step
 
     def few(copier: TileCopier, window: Window, planes: LayerTiles, most: int) -> bool:
@@ -203,7 +203,7 @@ def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeyp
 
 def test_an_unwritable_disk_stops_only_the_checkpoint(tmp_path, caplog):
     run = Run(tmp_path / "m.json", config())
-    (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
+    (tmp_path / ".m.json.map.tmp").mkdir()  # the temporary file cannot be written
     for _ in range(40):
         run.ticks(1)
         idle(run.service.checkpoint)
@@ -302,7 +302,7 @@ def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= known_m2 > 0
     assert len(run.service.map.objects.read_only.id) == things
-    # For the new mission nothing was looked at: only what this one image shows now.
+    # The new mission has looked only at the view of this one image.
     assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
     run.service.checkpoint.close()
 

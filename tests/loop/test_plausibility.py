@@ -1,4 +1,4 @@
-"""The plausibility stage: a robot whose data is wrong stands, says why, and drives on later."""
+"""The plausibility stage: implausible data stop the robot, with a reason, until they recover."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def driving(**sections: Any) -> ClosedLoop:
 
 
 def tampered(loop: ClosedLoop, tamper: Tamper) -> Callable[[], None]:
-    """Let the loop see other data from now on, until what is returned is called."""
+    """Tamper with the loop's data; return a function that restores them."""
     true = loop.observe
     loop.observe = lambda: tamper(true())
     return lambda: setattr(loop, "observe", true)
@@ -121,7 +121,7 @@ def test_implausible_data_stop_the_robot_until_they_recover(make, why):
 
 @pytest.mark.parametrize("frozen_camera", [0, 1])
 def test_only_a_frozen_first_camera_stops_the_robot(frozen_camera):
-    """It stands if the first freezes, and drives on, saying so, if the second does."""
+    """The robot stops if the first freezes; it reports the second and drives on."""
     loop = driving(sensors={"camera": SMALL, "second_camera": {**SMALL, "yaw_deg": 180.0}})
     assert loop.service.plausibility.failed == ()
     freeze, begun_s, begun_m = frozen("rgb", "depth_m")(), loop.seconds, loop.drive.motion.path_m
@@ -203,7 +203,7 @@ def floor(z_m: float | None) -> dict[str, Any]:
 
 
 class Judge:
-    """A stage, with what it reports."""
+    """A stage and its reports."""
 
     def __init__(self, config: Config = CONFIG) -> None:
         self.said: list[tuple[str, int]] = []
@@ -214,7 +214,7 @@ class Judge:
         self.said.append((text, level))
 
     def see(self, pose: SE2 = HOME, after_ns: int = TICK_NS, **fields: Any) -> str:
-        """Judge the next observation; "" where it is good."""
+        """Judge the next observation; return "" if it is good."""
         self.now_ns += after_ns
         seen = Observation(0, self.now_ns, pose.matrix(), **fields)
         return self.stage.permitted_use(seen, self.now_ns)

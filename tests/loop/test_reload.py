@@ -1,4 +1,4 @@
-"""Another configuration in the running service: what is switched, and what is refused by name."""
+"""Another configuration in the running service: switched keys, and keys refused by name."""
 
 from __future__ import annotations
 

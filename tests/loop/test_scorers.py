@@ -127,7 +127,7 @@ def test_answers_from_before_a_pose_jump_do_not_count():
         assert loop.scorers.answers.choice is None
         loop.scorers.collect_answers(
             loop.service.map.grid.values
-        )  # what was asked about the old frame
+        )  # the question about the old frame
         assert loop.scorers.answers.choice is None
         eventually(lambda: loop.step() or loop.scorers.answers.choice)
         loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)

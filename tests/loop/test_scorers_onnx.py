@@ -38,7 +38,7 @@ def settings(card="words"):
 
 
 class Failing:
-    """In the place of a model: what it fails with is one line (see tests/perception)."""
+    """Fake model that fails with an error of one line (see tests/perception)."""
 
     name = "words"
 
@@ -74,7 +74,7 @@ def test_a_model_of_another_family_is_swapped_in(models_dir):
         loop.step()
 
     def switched():
-        # Of a tick the part that takes the step: the house is explored sooner than it is loaded.
+        # Only a part of the tick: otherwise the house is explored before the model is loaded.
         loop.scorers.collect_answers(loop.service.map.grid.values)
         return request(loop, do="status")["state"] == "on probation"
 

@@ -1,4 +1,4 @@
-"""Scorers write the value maps, with what the camera saw when they were asked."""
+"""Scorers write the value maps, with the camera's view at the time of the question."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
     assert case.grid.values.weight.any(axis=(0, 1)).tolist() == [feeds == "choice"] * 3
 
 
-# -- scores by what stands around ----------------------------------------------------------
+# -- scores by related objects -------------------------------------------------------------
 
 
 def detections(targets=(), around=(), prompts=BOTH, observation=None) -> Detections:
@@ -234,7 +234,7 @@ BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
     [({"kind": "adaptive"}, RELATED), ({"kind": "adaptive", "by": "choice"}, BY_PRIOR)],
 )
 def test_related_objects_guide_a_robot_without_a_server(policy, perception):
-    """And what was said of a target is kept by the next mission, not by a jump of the pose."""
+    """The next mission keeps the values of a target; a pose jump clears them."""
     config = simulated(
         {
             "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},

@@ -304,7 +304,7 @@ def test_a_rounded_stamp_still_matches_its_goal(off_ns, caplog):
 
 
 def test_a_pose_jump_frees_the_old_map_at_once():
-    """It is large: were it garbage until the collector comes, memory would grow by many of them."""
+    """The map is large: many uncollected ones would fill the memory."""
     loop = ClosedLoop(config(), colour=False).run(2)
     old = weakref.ref(loop.service.map.grid)
     gc.disable()
@@ -317,7 +317,7 @@ def test_a_pose_jump_frees_the_old_map_at_once():
 
 
 class Late(DetectorWorker):
-    """Returns what it found one tick later, like a worker in the background."""
+    """Worker that returns its result one tick later, like one in the background."""
 
     found: Detections | None = None
 

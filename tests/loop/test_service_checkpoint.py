@@ -87,7 +87,7 @@ def test_a_patrol_resumes_its_round_and_its_wait(path):
 
 
 def test_checkpoint_text_is_shown_in_one_short_line(path, caplog):
-    """A checkpoint is a file: a user who may write it must not write the log."""
+    """A user who can write the checkpoint must not be able to forge log lines."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
     run = run_of(path, "F bed").ticks(1)
     run.service.checkpoint.close()

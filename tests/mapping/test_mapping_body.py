@@ -1,4 +1,4 @@
-"""The robot's own shape in the map: its height, its radius, and what it sees of itself."""
+"""The robot's own shape in the map: its height, its radius, and returns from itself."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_robot_passes_under_higher_obstacles(height_m, thing, state):
 
 
 def test_an_overhang_does_not_raise_the_obstacle_below_it():
-    """Or rays that pass between the two would clear it."""
+    """Otherwise rays that pass between the two would clear it."""
     grid = RollingMap(of_robot(height_m=0.4).mapping)
     things = [(1.5, -0.1, 0.0, 1.6, 0.1, 0.2), (1.5, -0.1, 0.7, 1.6, 0.1, 2.0)]
     for x in (*np.arange(0.0, 1.1, 0.1), *[1.05] * 5):

@@ -47,7 +47,7 @@ def window(grid: RollingMap) -> np.ndarray:
 
 
 def show_twin(raw, looks, x, y, first, between, rays, near, far, enough, then):
-    """Twin of `show` in window coordinates: what is new in each ray; changes `looks`."""
+    """Return the new area of each ray and update `looks`: a twin of `show`, in the window."""
     n, shown, fresh = len(raw), set(), []
     for k in range(rays):
         angle, anew = first + between * k, 0
@@ -182,7 +182,7 @@ def test_the_series_of_views_ends(how):
         assert len(views) < 60
     assert len(views) > 3
     if how == "looked from there":
-        # All the floor but for what is too little to go for.
+        # All the floor except areas too small for a view.
         m = np.arange(-1.6, 1.7, 0.2)
         cells = [place(grid, x, y) for x in m for y in m]
         assert sum(c >= 2 for c in cells) > 0.9 * len(cells)

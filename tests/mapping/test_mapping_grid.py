@@ -1,4 +1,4 @@
-"""The rolling map: what an update marks, clears, forgets; bad input; its ceiling of memory."""
+"""The rolling map: marked, cleared and forgotten cells; bad input; its memory limit."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_a_pose_that_is_not_finite_changes_nothing():
 
 @given(st.integers(0, 2**32 - 1))
 def test_degenerate_depth_never_breaks_the_layers(seed):
-    """Random images full of holes from random poses: every layer stays what `raw` says."""
+    """Random images full of holes from random poses: every layer agrees with `raw`."""
     rng = np.random.default_rng(seed)
     grid = RollingMap(SMALL)
     camera = CameraModel.from_hfov(32, 24, 1.3)
@@ -315,7 +315,7 @@ def test_nothing_is_compiled_after_warmup(kind):
 @pytest.mark.parametrize("foot_m", [0.0, 0.08])
 @pytest.mark.parametrize("from_m", [-0.5, 0.4], ids=["from afar", "from near by"])
 def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
-    """The floor before it is in the blind zone; what is seen lowest climbs up its side."""
+    """The floor in front is in the blind zone; the lowest visible points climb up its side."""
     grid = RollingMap(SMALL)
     bed = [(1.0, -0.8, foot_m, 3.0, 0.8, 0.5)]
     for x in np.arange(from_m, 0.75, 0.01):

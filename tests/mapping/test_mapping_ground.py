@@ -88,7 +88,7 @@ LOW_BED = (0.9, -0.5, 0.0, 2.4, 0.5, 0.35)
     ids=["only a table", "only a bed", "bed as high as the base", "bed below the base"],
 )
 def test_furniture_at_the_start_is_not_taken_for_floor(thing, base_m, seen):
-    """The floor is the lowest that is wide; where none is seen, none is known until it is."""
+    """The floor is the lowest wide surface; it stays unknown until it is seen."""
     grid, floor_z_m = RollingMap(SMALL), 2.0
     for _ in range(3):
         update = see(grid, [thing, *WALLS], floor_z_m, base_m)

@@ -1,4 +1,4 @@
-"""Points, polar bins, local ground: kernels against twins, and what they must distinguish."""
+"""Points, polar bins, local ground: kernels against twins, and ground against obstacles."""
 
 from __future__ import annotations
 
@@ -338,7 +338,7 @@ def test_beams_without_a_return_free_nothing_behind_obstacles():
 @pytest.mark.parametrize("z_m", [0.1701, 0.2, 0.25, 0.3])
 @pytest.mark.parametrize("behind_m", [2.5, math.inf])
 def test_a_planar_lidar_clears_a_vanished_obstacle(z_m, behind_m):
-    """Someone who stood there and went on; behind is a wall, or nothing."""
+    """A person stood there and left; behind is a wall, or nothing."""
     angles = np.radians(np.arange(360.0))
 
     def sweep(grid: RollingMap, r: np.ndarray) -> None:

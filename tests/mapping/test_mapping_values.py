@@ -197,7 +197,7 @@ def test_whole_view_scores_are_blended_as_vlfm_does(seed):
     np.testing.assert_allclose(got[0][settled], value[settled], atol=2e-3)
 
 
-# -- what an observation sees --------------------------------------------------------------
+# -- views of an observation ----------------------------------------------------------------
 
 
 def observed(pose: SE2, depth, camera: CameraModel = CAMERA) -> Observation:

@@ -1,4 +1,4 @@
-"""Destinations: what the text of a proposition means, and their JSON."""
+"""Destinations: the meaning of a proposition's text, and their JSON."""
 
 from __future__ import annotations
 

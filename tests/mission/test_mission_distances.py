@@ -64,7 +64,7 @@ def test_a_wall_of_one_cell_has_no_gaps(slope):
 
 @pytest.mark.parametrize(("half_m", "found"), [(0.3, True), (1.0, True), (1.5, False)])
 def test_an_object_is_reached_next_to_it(half_m, found):
-    """It stands in the middle of what is occupied."""
+    """It stands in the middle of occupied cells."""
     snapshot = room(8, 4)
     fill(snapshot, 5 - half_m, 2 - half_m, 5 + half_m, 2 + half_m)
     out = d.distances(snapshot, (1.1, 2.1), [at((5.0, 2.0))])

@@ -1,4 +1,4 @@
-"""Everyday words for errands: what they are spelled out as, and what a robot cannot do."""
+"""Everyday words for errands: their plain wording, and impossible errands."""
 
 from __future__ import annotations
 

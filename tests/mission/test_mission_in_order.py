@@ -29,11 +29,11 @@ def test_nothing_to_plan(text, feasible, cost):
     ("text", "knowledge", "steps"),
     [
         ("F b & F a", None, ("b", "a")),
-        ("F b & F a", knowing("a"), ("b", "a")),  # what was seen changes nothing
+        ("F b & F a", knowing("a"), ("b", "a")),  # detected objects change nothing
         (CHOICE, knowing(["couch", "tv"]), ("chair", "tv")),
         (CHOICE, knowing(failed=["chair"]), ("couch", "tv")),
         ("F (a & F b) & !a W c", None, ("c", "a", "b")),  # the constraint comes first
-        (CASE_1, None, ("bed", "plant", "tv")),  # what may come only later is passed over
+        (CASE_1, None, ("bed", "plant", "tv")),  # a target that may only come later is skipped
     ],
 )
 def test_targets_are_planned_in_the_order_of_mention(text, knowledge, steps):

@@ -1,4 +1,4 @@
-"""The `llm` backend against a real HTTP server that says what a model might say."""
+"""The `llm` backend against a real HTTP server with answers like a model's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Formulas: what is read, how it is written, what it means."""
+"""Formulas: parsing, text and meaning."""
 
 from __future__ import annotations
 

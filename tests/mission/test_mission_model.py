@@ -185,7 +185,7 @@ def test_a_meaningful_word_changes_the_reading(said: str, word: str) -> None:
     assert not less.confident or distinguishing_trace(whole, less.formulas[0]) is not None
 
 
-LEFT_OVER = [  # what the rest of it means is plain; the refusal names a word of it
+LEFT_OVER = [  # the rest has a clear meaning; the refusal names a word of it
     ("go to all sofas, but do not go to the table", "all"),
     ("go to the sofa, but do not go to the table every time", "every time"),
     ("visit the sofa and the bed, avoid the table if you can", "if"),

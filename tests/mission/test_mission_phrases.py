@@ -156,7 +156,7 @@ REFUSED = [
     ("visit the sofa twice, then the bed, no revisiting", "no revisiting"),
 ]  # fmt: skip
 
-COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
+COMPOSED = [  # misreadings found with the sentences of the small translator's composer
     ("stop by the sofa. afterwards be careful not to see the bed", "F sofa & G (sofa -> G !bed)"),
     ("only explore the sofa one single time", "F sofa & !F (sofa & F (!sofa & F sofa))"),
     ("you should end up at landmark two after visiting landmark one",
@@ -168,7 +168,7 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
 ]  # fmt: skip
 
 
-SAID_OTHERWISE = [  # what people said where a list of examples had not thought of it
+SAID_OTHERWISE = [  # sentences of people that the examples lacked
     ("Drone, find landmark 2", 'F "landmark two"'),
     ("I want you in the kitchen, but the sofa is off limits", "F kitchen & G !sofa"),
     ("go to the kitchen; the robot is forbidden from the hallway", "F kitchen & G !hallway"),

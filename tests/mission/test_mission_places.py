@@ -1,4 +1,4 @@
-"""Places in instructions: by name, and by the words for where the robot was."""
+"""Places in instructions: by name, and by words for the robot's earlier place."""
 
 from __future__ import annotations
 

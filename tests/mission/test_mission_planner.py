@@ -304,7 +304,7 @@ def test_warm_up_runs(weights):
 
 
 class Alphabetical:
-    """A planner of one's own."""
+    """A plugin planner."""
 
     def __init__(self, automaton, instruction, last=False):
         self.letters, self.instruction, self.last = automaton.propositions, instruction, last

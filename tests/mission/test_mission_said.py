@@ -1,4 +1,4 @@
-"""Instructions by people who had not seen the grammar: none is misunderstood."""
+"""Instructions by people without knowledge of the grammar: none is misunderstood."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ TOGETHER = [
         "",
         True,
     ),
-    # No guess at a text that is no order, or whose scope is unknown.
+    # The translator does not guess about a text without an order or with an unknown scope.
     (
         "have you been to the bed?",
         _reader("F bed"),
@@ -147,7 +147,7 @@ def test_a_mission_reports_that_the_language_model_did_not_answer() -> None:
     assert (str(found.formula), found.warning) == ("F bed", warning)
 
 
-# Said, what a model makes of it, and what is asked about then; a text: it is refused with that.
+# Instruction, formula of a model, and the question to the user; a text is a refusal.
 BANNED = [
     ("go to both sofas, but do not go to the table", "F sofa & G !table", None),
     ("go to both sofas, but do not go to the table", "F sofa | G !table",

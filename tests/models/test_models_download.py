@@ -24,7 +24,7 @@ def part(tmp_path, sha256=SHA256, size=None):
 
 
 def left(tmp_path):
-    """Bytes of what lies in the folder, by name."""
+    """Return the sizes of the files in the folder, by name."""
     return {path.name: path.stat().st_size for path in tmp_path.iterdir()}
 
 
@@ -180,7 +180,7 @@ def test_a_pipe_instead_of_a_partial_file_is_an_error(tmp_path):
 
 @contextlib.contextmanager
 def full_disk(limit):
-    """No file may grow longer; what does not fit is refused as by a full disk."""
+    """Limit the size of every file; longer writes fail as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
     try:

@@ -1,4 +1,4 @@
-"""`edge models pull`: each kind of source, in order; without a network; what it says at the end."""
+"""`edge models pull`: each kind of source, in order; without a network; and the final message."""
 
 from __future__ import annotations
 

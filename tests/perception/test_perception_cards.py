@@ -336,7 +336,7 @@ def test_the_list_shows_present_models_and_their_parity(place):
     place()
     assert "recall" not in listing.as_table(cards.all_cards())
     sidecar(cards.load_card("tiny")).write_text(json.dumps({"sha256": "0", "parity": parity}))
-    assert "recall 0.970" in listing.as_table(cards.all_cards())  # what the export measured
+    assert "recall 0.970" in listing.as_table(cards.all_cards())  # measured by the export
 
 
 def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):

@@ -1,4 +1,4 @@
-"""Letters on images, and what a chat server makes of them (ViTL eq. 4 to 6)."""
+"""Letters on images, and a chat server's answers about them (ViTL eq. 4 to 6)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ FLOOR = 0.25 * math.exp(-MISSING_NATS)
         ({"A": LOG_HALF, "I": -0.1, "B": LOG_HALF}, "AB", [0.5, 0.5]),
         ({"A": LOG_HALF, "x": LOG_QUARTER}, "AB", [0.5 / (0.5 + FLOOR), FLOOR / (0.5 + FLOOR)]),
         ({"yes": LOG_HALF, "NO": LOG_HALF, "Yes": LOG_QUARTER}, ["Yes", "No"], [0.6, 0.4]),
-        ({"A": math.log(0.99)}, "ABCDE", [0.99, *[0.01 / 4] * 4]),  # they share what is left
+        ({"A": math.log(0.99)}, "ABCDE", [0.99, *[0.01 / 4] * 4]),  # they share the rest
         ({"A": LOG_HALF, " A": LOG_HALF}, "AB", [1.0, 0.0]),
     ],
 )

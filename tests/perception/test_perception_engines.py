@@ -91,7 +91,7 @@ def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
 
 
 def test_an_unremovable_damaged_engine_is_an_error(tmp_path, monkeypatch):
-    """As another user's is, whose folder may be read but not written to."""
+    """The engine may belong to another user, in a folder that is read-only here."""
     build = Builds()
     folder = get_or_build(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
@@ -376,7 +376,7 @@ def test_no_engine_is_built_of_a_damaged_file(
     tiny,  # noqa: F811
     trusted,
 ):
-    """Else it would be found under the sound file's hash once that is repaired."""
+    """Otherwise it would be found under the sound file's hash after a repair."""
     if trusted:
         monkeypatch.setenv(TRUST_CACHE, "1")
     gpu.context = OnnxContext

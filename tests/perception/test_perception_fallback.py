@@ -1,4 +1,4 @@
-"""A model on a server and one on this computer: who answers, and when the server is asked again."""
+"""A model on a server with a local fallback: answers, and retries of the server."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CHOICE = "mini-house-choice"
 
 
 class Server:
-    """A model that fails when a test wants it to; it keeps what it was asked, and what is held."""
+    """A model that fails on request; it keeps its questions and the held frames."""
 
     def __init__(self) -> None:
         self.fault: Exception | None = None

@@ -293,7 +293,7 @@ def test_rejected_objects_of_the_target_can_be_found_again(scene):
 
 
 class Memory(Scene):
-    """A scene whose tracker remembers what else stands where."""
+    """A scene whose tracker remembers context objects."""
 
     def __init__(self, make_observation, **settings):
         super().__init__(make_observation, **settings)

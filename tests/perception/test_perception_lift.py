@@ -257,7 +257,7 @@ def sofa_behind_table(table_left=0, table_right=80):
 
 @pytest.mark.parametrize("table", [(0, 80), (25, 55)])
 def test_an_obstacle_in_front_of_the_box_is_left_out(make_observation, table):
-    """The box around what is seen of the sofa holds much of the table too."""
+    """The box around the visible part of the sofa also contains much of the table."""
     out = lift(make_observation(depth_m=sofa_behind_table(*table)), (20, 20, 60, 44))
     assert out.valid.tolist() == [True]
     assert out.center_m[0, 0] == pytest.approx(3.0, abs=0.1)
@@ -313,7 +313,7 @@ def test_depth_that_fits_another_box_is_left_out(make_observation, around, x_m):
 
 
 def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
-    """Another box takes the bed's surface; what is left of its own box is the lamp's."""
+    """Another box takes the bed's surface; the rest of its own box is the lamp's."""
     depth = np.tile(np.linspace(5.2, 7.8, 80, dtype=np.float32), (64, 1))
     depth[31:48, 20:60] = 4.5
     depth[2:20, 28:52] = depth[20:64, 32:38] = 0.6  # its shade and its stem

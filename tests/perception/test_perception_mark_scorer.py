@@ -1,4 +1,4 @@
-"""Directions by a small network: what it gets of a view, and what is made of its logits."""
+"""Directions by a small network: its inputs from a view, and the choice from its logits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> Ma
     return MarkedView(seen, target, tuple(marks), mark_costs=ways(*marks))
 
 
-# -- what the network gets ------------------------------------------------------------------------
+# -- inputs of the network ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
     assert (inner[0, 0] == 0).all()
 
 
-# -- what is made of its logits -------------------------------------------------------------------
+# -- choices from its logits ----------------------------------------------------------------------
 
 
 class FakeSession:

@@ -1,4 +1,4 @@
-"""Masks of boxes, and what becomes of a segmenter that fails or is slow."""
+"""Masks of boxes, and a segmenter that fails or is slow."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_no_box_no_mask():
 
 
 def test_a_mask_leaves_out_the_occluding_object():
-    """A shelf whose lower left a cabinet hides that goes on beyond its box."""
+    """A cabinet hides the lower left of a shelf and continues beyond its box."""
     rgb = picture((RED, 30, 10, 60, 50), (GREEN, 5, 30, 45, 55))
     box = (29, 9, 61, 51)
     _, (out,) = masks_of(rgb, box)
@@ -119,11 +119,11 @@ def test_masks_are_repeatable_for_any_box(seed, box):
     np.testing.assert_array_equal(one[1], other[1])
 
 
-# -- beside the loop ------------------------------------------------------------------------------
+# -- in the background ----------------------------------------------------------------------------
 
 
 class Fake:
-    """Masks everything, or raises what it is given; `most` boxes are in time."""
+    """Segmenter that masks everything or raises a given error; `most` boxes are in time."""
 
     name = "fake"
 
@@ -222,7 +222,7 @@ def test_the_detectors_worker_makes_masks_and_holds_the_frame_once(seen, error):
     eventually(lambda: worker.idle)
     found = worker.poll()
     assert made(found.mask) == [error is None]
-    assert seen.slot.holds == 1  # whose it is that polled
+    assert seen.slot.holds == 1  # held by the caller of poll
     worker.close()
     assert fake.closed
 

@@ -1,4 +1,4 @@
-"""The grid hash finds what a look at every row finds."""
+"""The grid hash finds the same rows as a search of all rows."""
 
 from __future__ import annotations
 

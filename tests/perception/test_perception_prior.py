@@ -1,4 +1,4 @@
-"""The prior's table, what it makes of things near by and of rooms, and which words it knows."""
+"""The prior's table, its ratios for nearby objects and rooms, and its words."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_rooms_with_both(a, b, low, high):
 
 @pytest.mark.parametrize(("both", "lift"), [(20, 22 / 12), (10, 1.0), (0, 2 / 12)])
 def test_small_counts_are_drawn_towards_one(both, lift):
-    """Ten rooms with both by chance, and two more for what was not seen."""
+    """Ten rooms with both by chance, and two more for unseen cases."""
     data = {
         **DATA,
         "things": ["bed", "vase"],

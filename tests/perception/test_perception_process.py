@@ -30,7 +30,7 @@ from edge.perception.runtime.health import Health, log_progress
 from edge.perception.swap import detector as swaps
 
 FAKE = Path(__file__).parent / "fake_model_process.py"
-# Only where a hang is meant may a slow machine be taken for one.
+# Only a test of a hang may take a slow machine for one.
 QUICK = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S}
 SMALL = "mini-house-256x320-int8-cpu"
 
@@ -203,13 +203,13 @@ def test_a_hang_is_ended(make, seen):
 
 
 def test_a_process_waiting_for_a_core_gets_more_time(make, seen, monkeypatch):
-    """A stopped process and a clock of its own: at 1.5 s it goes on, at 2 s it is given up."""
+    """A stopped process with a fake clock: it continues at 1.5 s, and is given up at 2 s."""
     detector = make(timeout_s=1.0)
     pid = pid_of(detector)
     clock_s, looks = [0.0], []
 
     def queued(now_s, waited_s):
-        """At the first look the time is set; after some more the process is let go."""
+        """Set the time at the first look; let the process continue some looks later."""
 
         def look(pid):
             clock_s[0] = now_s

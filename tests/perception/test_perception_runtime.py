@@ -337,7 +337,7 @@ def test_a_model_that_ran_leaves_nothing_in_the_home_folder(package, tmp_path):
         f"import {package}, onnxruntime\n"
         f"onnxruntime.InferenceSession({str(model)!r}, providers=['CPUExecutionProvider'])"
     )
-    # No more of the environment: what says that this is a CI keeps onnxruntime quiet, too.
+    # Nothing else of the environment: variables of a CI keep onnxruntime quiet, too.
     environ = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     subprocess.run([sys.executable, "-c", code], env=environ, check=True)
     assert [str(path) for path in tmp_path.rglob("*")] == []

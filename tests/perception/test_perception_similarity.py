@@ -112,7 +112,7 @@ def test_a_pair_gives_the_cosine_with_vlfms_sentence(pair):
     scores = scorer.score(red_image(), ["chair", "sofa"])
     assert scores.shape == (2,)
     assert scores.dtype == np.float32
-    # Of "like there is a chair ahead" and the end each counts 1; "Seems" is no word to it.
+    # "like there is a chair ahead" and the end count 1 each; "Seems" is unknown.
     np.testing.assert_allclose(scores, [7**-0.5, 0.0], atol=2e-3)
     np.testing.assert_allclose(scorer.score(red_image(0), ["is"]), [2 / 3], atol=1e-3)
     scorer.close()

@@ -1,4 +1,4 @@
-"""A model that takes another's place: what is refused, what is rolled back, and what is kept."""
+"""A model that replaces another: refused, rolled back or kept."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAN = float("nan")
 
 
 class Fake:
-    """Finds one box in every image; from image `from_` on it does what `then` says."""
+    """Fake detector of one box in every image; from image `from_` on it follows `then`."""
 
     def __init__(self, name="new", words=("chair", "bed"), from_=0, **then):
         self.name, self.words, self.closed, self.images = name, words, 0, 0

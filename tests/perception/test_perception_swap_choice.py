@@ -46,7 +46,7 @@ class Question:
 
 @pytest.fixture
 def swapping(monkeypatch):
-    """(swap, worker, old, made): what is made waits until its name is among `made`."""
+    """Return (swap, worker, old, give); a model is loaded when `give` names it."""
     monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", 0.01)
     made = {}
     ready = threading.Condition()

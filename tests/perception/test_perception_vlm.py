@@ -1,4 +1,4 @@
-"""Published language models: what they are fed, what of their answers counts, how they fail."""
+"""Published language models: their inputs, their answers and their failures."""
 
 from __future__ import annotations
 
@@ -249,7 +249,7 @@ def test_a_question_needs_marks_and_an_image(make_observation):
     assert asks.answer(asks.prepare(MarkedView(seen.observation, "lamp", ()))) is None
 
 
-# -- what goes wrong --------------------------------------------------------------------------
+# -- errors ---------------------------------------------------------------------------------
 
 
 def change_json(file, **changes):
@@ -657,7 +657,7 @@ def test_closing_aborts_a_running_question(endless):
 
 
 def test_the_card_knows_its_files_and_refuses_unknown_keys(models_dir):
-    """Read as any other card, and refused where its parts do not go together."""
+    """It is read like any other card, and refused if its parts do not fit together."""
     publish(models_dir, "smolvlm")
     card = load_card("tiny")
     assert card.is_here()

@@ -73,7 +73,7 @@ def test_the_newest_waiting_image_wins(frames):
     found = worker.poll()
     assert found.observation is frames[3]
     worker.close()
-    assert holds(frames) == [0, 0, 0, 1, 0]  # whose it is that polled
+    assert holds(frames) == [0, 0, 0, 1, 0]  # held by the caller of poll
     assert fake.closed
 
 
@@ -170,7 +170,7 @@ class StoodStill:
 
 
 class Steered:
-    """A detector, or a scorer, that does what the test says while it is at work."""
+    """A detector or scorer that the test steers while it works."""
 
     name = "steered"
 

@@ -1,4 +1,4 @@
-"""A policy of one's own: the code of docs/policies.md, and what is said when it is wrong."""
+"""A plugin policy: the code of docs/policies.md, and its error messages."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_policy_sees_a_read_only_context(written):
         grid, res = context.map, context.map.resolution_m
         assert context.observation.rgb is not None
         assert context.targets[context.active] == context.target == loop.service.mission.target
-        # Cells whose state became another lie in the rectangle that is said to have changed.
+        # Cells with another state lie in the reported changed rectangle.
         x0, y0, x1, y1 = context.changed
         for x in range(-40, 40, 3):
             for y in range(-40, 40, 3):

@@ -93,7 +93,7 @@ def test_each_target_has_its_own_score():
 
 
 def test_only_the_strongest_context_box_counts():
-    """Ten pillows say no more of a bed than one, and nothing is taken from what the bed says."""
+    """Ten pillows count no more for a bed than one, and the bed's own score is kept."""
     bed, pillows = (0.0, 0.4), [(0.0, 0.3), (0.02, 0.3), (-0.4, 0.9)]
     alone, one = scored([(2, 0)], [bed]), scored([(2, 0)], [bed, pillows[0]], around=1)
     assert one[0, 0] == pytest.approx(alone[0, 0] + 0.3)
@@ -147,7 +147,7 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
         # Too close to be a goal; an instance there is for the mission to verify.
         ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
         ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
-        # A turn on the spot is one more way to see what is not known yet.
+        # A spin is one more way to see unknown space.
         ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (SPIN, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
         # Ties go to the older identity.
         ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
@@ -233,7 +233,7 @@ def context(
     )  # fmt: skip
 
 
-# Frontiers, one of them out of reach, an instance and a look; what each policy makes of them.
+# Frontiers, one of them out of reach, an instance and a spin, with each policy's scores.
 @pytest.mark.parametrize(
     ("policy", "expected"),
     [
@@ -262,7 +262,7 @@ def test_nearer_instances_win_unless_much_less_certain():
     assert got == pytest.approx([0.5 / 2, 0.9 / 5, 0.2 / 3])
 
 
-# By S_VL alone: what is remembered of a frontier is its score.
+# By S_VL alone: the remembered value of a frontier is its score.
 BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
@@ -275,7 +275,7 @@ def test_the_first_score_stays_with_its_frontier():
     chair = scores_of(policy, context(first, BOTH, "chair", boxes)).copy()
     assert (chair[1] > 0.1, chair[2] < 0.01) == (True, True)
     # Another order, one gone, one new in sight of nothing, an instance, and a later image without
-    # any box: it says nothing of what was looked at before.
+    # any box: it does not change earlier scores.
     later = candidates_of((FRONTIER, 0, 9), (FRONTIER, 2, -1), (FRONTIER, 2, 0), (INSTANCE, 1, 0))
     later.id[:4] = 7, 3, 1, 3
     later.first_seen_ns[0] = 5

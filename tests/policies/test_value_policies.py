@@ -1,4 +1,4 @@
-"""Policies that go by the value maps: which frontier they take, and what they fall back to."""
+"""Policies that use the value maps: their choice of a frontier, and their fallbacks."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_without_values_the_nearest_frontier_wins(policy):
         ({b: 0.3, c: 0.2}, 1),
         ({b: 0.3, c: 0.302}, 2),
         ({b: 0.3, c: 0.3}, 2),  # equals: the nearer
-        ({b: 0.1}, 1),  # of A, C and D nothing is known
+        ({b: 0.1}, 1),  # A, C and D have no value
         ({a: 0.0, b: 0.0, c: 0.0}, 0),
     ],
 )

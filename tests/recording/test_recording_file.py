@@ -1,4 +1,4 @@
-"""MCAP files: whole or cut anywhere, what is there is read, by this program and by `mcap`."""
+"""MCAP files: whole or cut anywhere, their messages are read, here and by `mcap`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_damaged_recording_is_read_up_to_the_damage(tmp_path_factory, whole, s
     reading = McapReader(path)
     n = len(list(reading))
     assert n <= 40
-    if reading.is_complete:  # what follows the messages only helps to find them
+    if reading.is_complete:  # the rest of the file is only an index
         assert n == 40
     else:
         assert reading.truncation.startswith("damaged: ")

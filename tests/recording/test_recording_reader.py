@@ -149,7 +149,7 @@ def test_a_chunk_of_its_declared_size_is_read(tmp_path, known):
         chunk(zstd(data, known), len(data), "zstd", zlib.crc32(data)),
         chunk(b"", 0),
         chunk(lz4.frame.compress(whole), len(whole), "lz4", zlib.crc32(whole)),
-        chunk(CHANNEL * 3, 3 * len(CHANNEL)),  # what comes again takes no more room
+        chunk(CHANNEL * 3, 3 * len(CHANNEL)),  # repeated values take no more memory
         struct.pack("<BQ", Opcode.ATTACHMENT, 3) + b"any",  # passed over, whatever it says
         struct.pack("<BQ", 0x80, 2) + b"??",
         message(b"z"),

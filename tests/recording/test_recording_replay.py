@@ -1,4 +1,4 @@
-"""A recorded run replays to identical in every tick, whatever came into it; and what does not."""
+"""A recorded run replays identically in every tick, with all inputs; and runs that differ."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def test_all_kinds_of_inputs_replay(tmp_path):
 
 @pytest.mark.parametrize("field", ["rgb", "depth_m"])
 def test_observations_that_were_refused_are_refused_again(tmp_path, field):
-    """By what the run decided: not every picture is recorded."""
+    """The recorded decisions are replayed, because not every image is recorded."""
     recording = Recording(tmp_path).steps(5)
     closed, see = recording.closed, recording.closed.observe
     closed.observe = lambda: replace(o := see(), **{field: np.zeros_like(getattr(o, field))})
@@ -536,7 +536,7 @@ def strangers(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("key", STRANGE)
 def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key):
-    """Whoever made it would else choose what runs here."""
+    """Otherwise the author of the recording could choose a program to run here."""
     path = rewritten(drive, tmp_path / "edge-a.mcap", small(**STRANGE[key]))
     args = argparse.Namespace(file=path, config=None, detect=False, trust=False)
     for way in (lambda: replay(RecordedRun(path)), lambda: commands.replay(args)):
@@ -547,9 +547,7 @@ def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key)
         assert "--config" in said
         assert "--trust" in said
         assert "\n" not in said
-    assert (
-        replay(RecordedRun(path), small()).first is None
-    )  # one's own configuration takes its place
+    assert replay(RecordedRun(path), small()).first is None  # a given configuration replaces it
     assert not strangers.exists()
 
 

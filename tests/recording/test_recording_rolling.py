@@ -149,7 +149,7 @@ print(files.messages, files.lost)
 
 
 def test_a_disk_that_is_full_for_a_while(tmp_path):
-    """A limit on a file's size is what any process may set, and fails as a full disk does."""
+    """A limit on the file size fails like a full disk, and any process may set it."""
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=False
     )

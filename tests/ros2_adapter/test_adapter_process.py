@@ -148,7 +148,7 @@ def bare_python() -> str:
 
 @pytest.fixture
 def node(tmp_path, monkeypatch) -> Path:
-    """Another node: it writes the plan down and does what the test says."""
+    """Return the path of a fake node, which the test writes."""
     monkeypatch.setattr(process, "NODE", tmp_path / "node.py")
     monkeypatch.setattr(process, "_PAUSE_S", 0.01)
     return tmp_path / "node.py"

@@ -33,7 +33,7 @@ from edge.types import Goal, GoalStatus
 
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
-# All that can be sent but "goal", which the action replaces, and what is off by default.
+# All topics except "goal", which the action replaces, and topics that are off by default.
 _OFF = {"goal", "detections", "objects", "keepout_mask", "keepout_info", "answer"}
 # All but those of a second camera, and the stop button.
 N_SUBSCRIBED = sum(not name.startswith("camera2/") for name in SUBSCRIBED) + 1

@@ -26,7 +26,7 @@ CAMERA = CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0)
 
 
 class Client:
-    """Subscribes to some of what is advertised; keeps what comes, by topic."""
+    """Client that subscribes to some advertised topics and keeps their messages."""
 
     def __init__(self, socket) -> None:
         self.advertised: dict[str, dict] = {}

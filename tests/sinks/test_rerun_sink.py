@@ -1,4 +1,4 @@
-"""The sink `rerun`: what Rerun reads in its file."""
+"""The sink `rerun`: its file, as Rerun reads it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sink over a real router: goals to a Nav2 and back, drawings, and the map for who is late."""
+"""The sink over a real router: goals to a Nav2 and back, drawings, and late subscribers."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch)
     sink.tick(driving(2))
     eventually(lambda: len(nav2.goals) == 2)
     new = first_goal(nav2)
-    nav2.end(old, ABORTED)  # what Nav2 says of one that was taken over
+    nav2.end(old, ABORTED)  # as Nav2 reports a replaced goal
     nav2.say_status(old, ABORTED)
     nav2.end(new, SUCCEEDED)
     assert [(a.stamp_ns, a.state) for a in answers(3)] == [

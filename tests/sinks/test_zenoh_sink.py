@@ -1,4 +1,4 @@
-"""The sink over a real session: what it sends, how often, and that it never blocks."""
+"""The sink over a real session: its messages, their rates, and that it never blocks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from edge.sinks import zenoh as zenoh_sink
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Goal, GoalStatus, MissionStatus
 
-PAUSE_S = 0.3  # for what must not come: on a slow machine the test sees less, and passes
+PAUSE_S = 0.3  # for messages that must not come; on a slow machine the test sees fewer and passes
 
 
 def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
@@ -58,7 +58,7 @@ class Ears:
 
 
 class Clock:
-    """Stands for the module `time` in the sink; stands still unless the test sets it."""
+    """Fake of the module `time` in the sink; it stands still unless the test sets it."""
 
     now_s = 0.0
 
@@ -113,7 +113,7 @@ def test_a_first_tick_sends_everything_once(sink, ears):
 
 
 def test_rates_follow_the_clock_of_the_loop(session, ears):
-    # In lockstep nothing is replaced, so what leaves can be counted.
+    # In lockstep no message is replaced, so all can be counted.
     sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     for k in range(100):  # 10 s at 10 Hz on the loop's clock, in no time
         sink.tick(result(k * 10**8))

@@ -1,4 +1,4 @@
-"""The built-in configurations of robots name what these publish, and mount sensors as tf does."""
+"""The built-in configurations of robots: topics of their drivers, and mounts as in tf."""
 
 from __future__ import annotations
 

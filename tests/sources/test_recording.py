@@ -82,7 +82,7 @@ def test_files_that_cannot_be_used(tmp_path):
 
 
 class Tape:
-    """Stands for a session: keeps what is put; `full` is set with the message of that number."""
+    """Fake session that keeps its messages; `full` is set at the message of that number."""
 
     def __init__(self, length: int = 1000) -> None:
         self.puts: list[tuple[str, bytes]] = []

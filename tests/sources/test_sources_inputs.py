@@ -79,7 +79,7 @@ def test_a_silent_input_is_named_until_it_returns(without):
 @pytest.mark.parametrize(
     ("late", "late_ms", "name", "why"),
     [
-        # A frame waits for half a second, in which 15 more come. Then what is there is too old.
+        # A frame waits for half a second, in which 15 more come. Then the poses are too old.
         ("odom", 1200, "camera/depth",
          "no_pose (the nearest odom is 667 ms earlier; odom comes 1200 ms after camera/depth of "
          "its stamp, and source.wait_s is 0.5)"),

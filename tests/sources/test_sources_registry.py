@@ -1,4 +1,4 @@
-"""Sources by name, and of one's own."""
+"""Sources by name, and plugin sources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edge.types import Observation
 
 
 class Mine:
-    """No more than `edge.loop.source.Source` asks for: an empty floor, at a rate of one's own."""
+    """Minimal `edge.loop.source.Source`: an empty floor, at a given rate."""
 
     epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 

@@ -139,7 +139,7 @@ def observed(source: Ros2Source, robot: Robot):
 
 def test_a_robot_becomes_an_observation(robot, make):
     robot.moor()
-    source = make()  # late: what is moored was said before
+    source = make()  # late: static transforms were sent before
     seen = observed(source, robot)
     np.testing.assert_array_equal(seen.rgb, RGB)
     np.testing.assert_allclose(seen.depth_m, 1.5)

@@ -1,4 +1,4 @@
-"""The tree of frames in time: chains, loops, what moves, and odometry outside of the map."""
+"""The tree of frames in time: chains, loops, moving frames, and odometry outside the map."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_up_and_down_the_tree(target, source, expected):
         ([(0, 0.0), (100, 1.0)], 0, 0.0, 0),
         ([(0, 0.0), (100, 1.0)], 25, 0.25, 0),
         ([(0, 0.0), (100, 1.0)], 100, 1.0, 0),
-        # Newer ones may come; what is older is too late for all.
+        # Newer ones may come; older ones are always too late.
         ([(0, 0.0), (100, 1.0)], 130, 1.0, 30),
         ([(50, 0.0), (100, 1.0)], 30, None, -20),
         # A transform that is sent rarely moves in steps.

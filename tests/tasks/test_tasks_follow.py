@@ -1,4 +1,4 @@
-"""Driving a refined trajectory: the moving goal, what blocks it, the message."""
+"""Driving a refined trajectory: the moving goal, obstacles, the message."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_a_single_pose_is_its_own_goal():
 
 
 def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
-    """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map of what is within 9 m."""
+    """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map with a radius of 9 m."""
     grid = RollingMap(
         MappingConfig(input="cloud", resolution_m=0.1, extent_m=19.2, inflation_m=0.4)
     )
@@ -142,12 +142,12 @@ def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
         ([], -7.0, None),
         ([(2.0, -0.5, 3.0, 0.5)], -4.0, 5.6),
         ([(2.0, -0.5, 3.0, 0.5)], 0.0, 1.6),
-        # Farther than is looked; beside the path, near enough and not; behind the robot.
+        # Beyond the checked range; next to the path, near and far; behind the robot.
         ([(4.0, -0.5, 5.0, 0.5)], -7.0, None),
         ([(2.0, 0.2, 3.0, 0.5)], 0.0, 1.6),
         ([(2.0, 0.6, 3.0, 0.9)], 0.0, None),
         ([(2.0, -0.5, 3.0, 0.5)], 4.0, None),
-        # The way out of what is too near blocks nothing.
+        # The path away from a near obstacle is not blocked.
         ([(-0.3, 0.3, 0.2, 0.6)], 0.0, None),
         ([(-0.3, 0.3, 0.2, 0.6), (3.0, -0.5, 4.0, 0.5)], 0.0, 2.6),
     ],

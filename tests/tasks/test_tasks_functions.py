@@ -158,7 +158,7 @@ def test_an_arc_round_something_long_has_no_leap():
 
 
 def test_the_stopping_point_is_on_the_near_side(functions):
-    """At the side of the van, not round it; a little farther from it where that is on the way."""
+    """Stop at the near side of the van; a little farther away if that is on the path."""
     for start, side in (
         ((0.0, 0.0), (5.6, 0.0)),
         ((8.0, 9.0), (8.0, 1.4)),

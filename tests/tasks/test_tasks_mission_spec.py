@@ -1,4 +1,4 @@
-"""From a task in words to what the detector looks for."""
+"""From a task in words to the detector's targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/tasks.md: its sentences, its configuration and its code do what it says."""
+"""docs/tasks.md: its sentences, its configuration and its code work as described."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_page_names_every_function():
 
 @pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "yaml"])
 def test_the_configurations_of_the_page_are_valid(text):
-    """And what they show beside a model's name and address is what holds anyway."""
+    """Apart from the model's name and address they show only defaults."""
     given = yaml.safe_load(text)["tasks"]
     tasks, default = TasksConfig.model_validate(given), TasksConfig()
     assert tasks.trajectory == default.trajectory

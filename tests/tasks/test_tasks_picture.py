@@ -39,7 +39,7 @@ def test_an_outline_is_drawn_in_its_colour_and_place():
 
 
 def test_every_object_has_a_visible_number():
-    """Many things on one spot: as many black discs beside one another."""
+    """Many objects on one spot have as many black discs next to each other."""
     contours = {i: [SQUARE] for i in range(1, 7)}
     one = (draw_marks(scene(GRAY, {1: [SQUARE]})) == 0).all(axis=2).sum()
     six = (draw_marks(scene(GRAY, contours)) == 0).all(axis=2).sum()

@@ -55,12 +55,12 @@ def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_
     leaps = np.diff(depth_m[own]) > GAP_M + GAP_SHARE * depth_m[own[:-1]]
     parts = [part[in_box[part]] for part in np.split(own, np.flatnonzero(leaps) + 1)]
     assert set(points) in [set(part) for part in parts]
-    # What fits best may be a little smaller than the largest: the box's rim cuts off returns.
+    # The best fit may be a little smaller than the largest: the box's rim cuts off returns.
     assert len(points) >= 0.9 * max(map(len, parts))
 
 
 def test_points_in_front_of_an_object_are_left_out():
-    """A pole before the middle of a car's box covers too little of it."""
+    """A pole in front of the middle of a car's box covers too little of it."""
     car, pole = Box(14.0, 0.0, heading_rad=1.57), Box(8.0, 0.3, (0.2, 0.2, 3.0), label="pole")
     observation, hit = street([car, pole])
     car_points, pole_points = of_boxes(
@@ -74,7 +74,7 @@ def test_points_in_front_of_an_object_are_left_out():
 
 
 def test_a_mask_leaves_out_other_points_of_its_box():
-    """The left half of the mask: the right one's points are another thing's."""
+    """The mask covers the left half; points on the right belong to another object."""
     left, right = Box(12.0, 1.0, (1, 1, 1.5)), Box(12.0, -1.0, (1, 1, 1.5))
     observation, hit = street([left, right])
     found = found_in(observation, [left, right])

@@ -1,4 +1,4 @@
-"""Refinement: free of collision, near to what was said, smooth; refused where there is no way."""
+"""Refinement: collision-free, near the given segments, smooth; refused without a path."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_given_segments_decide_between_two_paths():
 
 @pytest.mark.parametrize("unseen", [None, (-1.4, -10.0, -0.6, -1.0)])
 def test_a_circle_is_driven_around(unseen):
-    """Not cut short to its end, which is where it begins; not turned back at a short bridge."""
+    """A loop is not cut short although it ends at its start, nor turned back at a bridge."""
     angle = np.linspace(math.pi, -math.pi, 40)
     circle = 3.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     where = scene(HOUSE)
@@ -112,7 +112,7 @@ def test_unchosen_ground_is_crossed_as_a_last_resort():
 
 
 def test_a_bend_that_is_shut_is_passed_by():
-    """Its corner lies within the house, too far in to be moved: the ends are what counts."""
+    """Its corner lies within the house, too far in to be moved: only the ends count."""
     where = scene((-3.0, -3.0, 3.0, 3.0))
     got = refined(where, [np.array([[0.0, 0.0], [0.0, 7.0]])])
     assert is_free(where, got)

@@ -1,4 +1,4 @@
-"""Planner `rules`: what it understands, where it leads, and what it refuses."""
+"""Planner `rules`: understood instructions, their trajectories, and refusals."""
 
 from __future__ import annotations
 
@@ -334,7 +334,7 @@ def test_an_object_is_passed_on_the_requested_side(words, side, sign):
 
 @pytest.mark.parametrize(("y_m", "sign"), [(-2.0, 1.0), (2.0, -1.0)])
 def test_without_a_side_the_shorter_path_is_taken(y_m, sign):
-    """A house stands beside the van, and leaves one side of it open."""
+    """A house stands next to the van, and leaves one side of it open."""
     house = (4.0, 12.0, *sorted((y_m, 9 * y_m)))
     scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=(house,))
     _, coarse = driven("drive past the van", scene)
@@ -356,7 +356,7 @@ BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
 @pytest.mark.parametrize(
     ("walls", "instruction", "refused"),
     [
-        # Closed beside the van: the robot would touch its left from behind only.
+        # Closed next to the van: the robot would touch its left from behind only.
         ((BESIDE_IT,), "go past the left of the van", "only past its right"),
         ((BESIDE_IT,), "go around the left of the van, then to the gate", "only past its right"),
         ((BESIDE_IT,), "go past the van, then stop at the gate", ""),
@@ -380,7 +380,7 @@ def test_a_path_past_one_side_does_not_touch_the_other(walls, instruction, refus
 
 
 def test_passing_an_unseen_corner_is_unknown():
-    """The corner beside the van is touched, and nothing leads on."""
+    """The corner next to the van is touched, and no path continues."""
     scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
     functions = ScriptFunctions(ground_of(scene, LIMITS.clearance_m), LIMITS)
     with pytest.raises(TrajectoryError, match="not known yet if the robot can pass the left"):
@@ -402,7 +402,7 @@ def test_unseen_ground_is_not_reported_as_occupied():
 
 
 def test_behind_a_wall_is_not_next_to_the_object():
-    """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
+    """A sofa along a wall, with a table in front: the nearest place is behind the wall."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
     table = Thing("table", 8.0, 1.4, (3.0, 1.0))
     scene = street(sofa, table, walls=((4.0, 12.0, 3.0, 3.6),))
@@ -430,7 +430,7 @@ def test_an_unreachable_object_is_refused():
     ],
 )
 def test_the_robot_faces_the_object_at_the_end(words, x_m, y_m):
-    """Across the way it came too; where it leads to nothing, as it comes."""
+    """This holds across the path it came too; without an object it keeps its heading."""
     _, coarse = driven(words)
     body, motion = PathMargins(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
     refined = refine(
@@ -450,7 +450,7 @@ def test_a_blocked_straight_path_is_refused():
 
 
 def test_sides_depend_on_the_direction_of_travel():
-    """From behind the van its left is the other one; which car is meant is told from the start."""
+    """From behind the van its left is the other side; the start decides which car is meant."""
     _, coarse = driven("go behind the van, then go past the left of the van")
     assert coarse.segments[1][:, 1].min() < -1.0
     turned = street(*STREET, pose=SE2(0.0, 0.0, math.pi))
@@ -459,7 +459,7 @@ def test_sides_depend_on_the_direction_of_travel():
 
 
 def test_around_continues_to_the_next_object():
-    """Half round the van for what lies behind it, and all but round it for what lies beside."""
+    """Drive half round the van to an object behind it, and further round to one next to it."""
     _, to_gate = driven("go around the left of the van, then stop at the gate")
     scene = street(STREET[0], Thing("bin", 8.0, -6.0, (1.0, 1.0)))
     _, to_bin = driven("go around the left of the van, then stop at the bin", scene)

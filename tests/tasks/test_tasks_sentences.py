@@ -69,7 +69,7 @@ ROWS = [tuple(line.split("\t")) for line in SENTENCES.read_text(encoding="utf-8"
 
 
 def outcome(instruction, meanings):
-    """Return the result and what was read, or the error.
+    """Return the result and the reading, or the error.
 
     "right", "wrong", "refused" (it has a meaning), or "asked" (it has none, and is refused).
     """

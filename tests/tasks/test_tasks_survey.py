@@ -79,7 +79,7 @@ def test_invalid_points_of_a_scan_change_nothing(rubbish):
 
 
 def test_returns_from_the_robot_itself_are_no_ground():
-    """Returns nearer than `min_range_m`, 1 m, on a road of which all else is road."""
+    """Returns nearer than `min_range_m`, 1 m, in the middle of a road."""
     seen, hit = street((), np.eye(4), seq=1)
     own_m = np.random.default_rng(0).uniform((-0.6, -0.6, -0.6), (0.6, 0.6, -0.3), (400, 3))
     own_m = own_m[np.linalg.norm(own_m, axis=1) < 1.0].astype(np.float32)
@@ -129,7 +129,7 @@ def at_the_origin():
 @given(x_m=st.floats(-20, 20), y_m=st.floats(-20, 20), yaw=st.floats(-3.1, 3.1))
 @settings(max_examples=6)
 def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
-    """The same street around a robot elsewhere: every place is moved, what is said stays."""
+    """The same street around a robot elsewhere: places move, captions stay."""
     T = se3(x_m, y_m, 0.0, yaw_rad=yaw)
     here = at_the_origin()
     c, s = np.cos(yaw), np.sin(yaw)
@@ -147,7 +147,7 @@ def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
 
 
 def test_behind_a_wall_nothing_is_known():
-    """Not even where the map keeps the robot away from the wall."""
+    """This holds even for cells that inflation closes."""
     scene = at_the_origin()
     assert scene.occupancy.cells[scene.occupancy.cell_of(15.0, -1.0)] == 0
     behind = scene.occupancy.cell_of(23.95, -2.0)

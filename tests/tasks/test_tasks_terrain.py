@@ -123,7 +123,7 @@ def test_ground_before_a_wall_stays_unknown():
 
 
 def test_ground_that_the_robot_has_left_is_not_blind():
-    """It stands on a region already: what is unknown there, sensors could not see."""
+    """It stands on a region already: the unknown cells there were visible to no sensor."""
     occupancy, _, _ = blind((1.0, 1.4, -0.4, 0.4), free_m=(0.0, 6.0))
     occupancy.cells[38:42, 48:50] = -1
     assert with_blind_spot(occupancy, HERE) is occupancy

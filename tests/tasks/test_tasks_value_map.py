@@ -1,4 +1,4 @@
-"""The value map: costs as the paper orders them, closed where the robot does not fit."""
+"""The value map: costs as the paper orders them, closed if the robot does not fit."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_an_empty_map_is_an_empty_map():
     [
         ({}, (12, 20), TUBE),
         ({}, (5, 20), DRIVABLE),
-        # The tube does not lower what was not chosen: row 15 is 0.35 m from the line.
+        # The tube does not lower unchosen cells: row 15 is 0.35 m from the line.
         ({}, (15, 20), HIGH),
         ({"drivable": (1, 2)}, (15, 20), TUBE),
         ({"drivable": ()}, (12, 20), HIGH),
@@ -103,7 +103,7 @@ def test_costs_of_free_ground(change, cell, expected):
         (100, (3, 22), CLOSED),
         (100, (2, 22), DRIVABLE),
         (100, (5, 23), DRIVABLE),
-        # Between the rings of a LiDAR, and where no region is.
+        # Between the rings of a LiDAR, and outside regions.
         (-1, (5, 20), DRIVABLE),
         (-1, (20, 20), CLOSED),
         (-1, (16, 20), BRIDGE),

@@ -69,7 +69,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     mine = node.publisher("/goal_pose", POSE)
     assert looked(node, mine.has_subscribers)
     pose = messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0))
-    # The peer's token may arrive before its subscription: what is sent in between is lost.
+    # The peer's token may arrive before its subscription: messages in between are lost.
     eventually(lambda: mine.put(pose) or heard)
     message = heard[0]
     assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)

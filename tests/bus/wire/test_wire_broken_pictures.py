@@ -19,7 +19,7 @@ from edge.bus.wire import DecodeError
 from edge.bus.wire.compressed import decode_compressed_header, decode_compressed_into
 
 PICTURES = 20_000
-MOST_MB = 300.0  # OpenCV makes room for what a chunk says that it holds
+MOST_MB = 300.0  # OpenCV allocates the size that a chunk declares
 
 
 def mutated(payload: bytes, rng: random.Random) -> bytes:

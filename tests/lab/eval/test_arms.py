@@ -1,4 +1,4 @@
-"""Columns: what they change, and when they are another one."""
+"""Arms: their settings, and when two arms differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies that go by the simulator's truth: what they know, and that no robot gets one."""
+"""Policies that use the simulator's truth: their choices, and that no robot gets one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def world(tmp_path):
 
 
 def context(target: str, *candidates: tuple[int, float, float, float, float]) -> PolicyInput:
-    """Candidates as kind, x, y, way there [m] and what is to be seen there [m²]."""
+    """Return candidates given as kind, x, y, path [m] and gain [m²]."""
     c = Candidates(8)
     c.n = len(candidates)
     for k, (kind, x, y, path_m, gain_m2) in enumerate(candidates):

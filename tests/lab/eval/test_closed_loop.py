@@ -1,4 +1,4 @@
-"""A robot that obeys a service, in one process: it replays the same, with what sensors it has."""
+"""A robot that obeys a service, in one process: it replays the same with any sensors."""
 
 from __future__ import annotations
 

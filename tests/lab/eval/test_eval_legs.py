@@ -99,7 +99,7 @@ def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tupl
 
 
 def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
-    """Floor that a search saw, until its target was known, of what was seen before."""
+    """Measure the floor that a search saw again before its target was known."""
     config = simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
     hfov_rad = math.radians(config.sensors.camera.hfov_deg)
     floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
@@ -125,7 +125,7 @@ def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, f
 
 @pytest.mark.slow
 def test_missions_revisit_less_floor_than_a_forgetful_robot():
-    """The way to the next frontier leads through what was seen: so it is not nothing."""
+    """The path to the next frontier leads through seen space, so the area is not zero."""
     found = [
         again_and_forgetful_m2(2, "toilet", "refrigerator"),
         again_and_forgetful_m2(5, "bed", "toilet"),

@@ -1,4 +1,4 @@
-"""Missions over what a world has, and the shortest way to fulfil them."""
+"""Missions over the objects of a world, and the shortest path to complete them."""
 
 from __future__ import annotations
 

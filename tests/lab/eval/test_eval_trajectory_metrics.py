@@ -1,4 +1,4 @@
-"""Trajectories compared: known answers, and what holds of any."""
+"""Trajectory metrics: known answers, and properties of all trajectories."""
 
 from __future__ import annotations
 

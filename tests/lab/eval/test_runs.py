@@ -78,7 +78,7 @@ def serve_fallen(pipe):
 
 
 def test_a_process_that_falls_over_fails_its_episode_only(tasks, monkeypatch):
-    # A child imports this module by its name, and knows nothing of what is patched here.
+    # A child imports this module by its name, and does not see the patches.
     real, started = workers.get_context("spawn"), []
 
     class Context:

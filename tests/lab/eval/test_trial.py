@@ -94,7 +94,7 @@ def test_the_configured_detector_finds_the_named_object(tmp_path, capsys):
 
 
 def test_a_detector_works_without_labels(tmp_path, capsys, monkeypatch):
-    """The shipped detector sees nothing there; the ground is what is flat."""
+    """The shipped detector finds nothing there; flat cells are ground."""
     folder = write(tmp_path / "sequence", points=20_000)
     (folder / "labels/000000.label").unlink()
     detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "background": ["chair"]}

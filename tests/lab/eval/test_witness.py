@@ -1,4 +1,4 @@
-"""The verdict on an episode: what was so, whatever the service said."""
+"""The verdict on an episode by the ground truth, whatever the service reported."""
 
 from __future__ import annotations
 

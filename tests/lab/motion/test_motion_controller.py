@@ -50,7 +50,7 @@ def inflated(cells: np.ndarray, radius_m: float = 0.25) -> np.ndarray:
 
 @dataclass
 class Walk:
-    """A robot with the limits of the configuration, and what happened to it."""
+    """A robot with the limits of the configuration, and its history."""
 
     pose: SE2
     controller: Controller = field(default_factory=lambda: Controller(CONFIG))
@@ -67,7 +67,7 @@ class Walk:
         return [a.blocked for a in self.answers if a.blocked is not None]
 
     def map(self, cells: np.ndarray) -> None:
-        """Return the service's map, which is closed where the robot was stuck."""
+        """Return the service's map with the places closed at which the robot was stuck."""
         cells = cells.copy()
         for x, y in self.blocked:
             cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), round(0.25 / RES_M), 100, -1)

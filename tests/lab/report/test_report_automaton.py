@@ -85,7 +85,7 @@ def boxes(axes: Axes) -> list[Bbox]:
     return [box.padded(-0.5) for box in (*labels, *discs)]
 
 
-# -- what is shown ------------------------------------------------------------------------------
+# -- the drawing -------------------------------------------------------------------------------
 
 
 @given(automata())

@@ -80,5 +80,5 @@ def test_the_page_shows_escaped_answers_and_value_maps():
     page = choices.section(replace(record, start_ns=0))
     assert "1.0 s, bed: A 0.80 · elsewhere 0.20; scene 0.75" in page
     assert "value of &lt;bed&gt;" in page
-    assert "value of sofa" not in page  # of which nothing was said
-    assert 'viewBox="0 0 10 10"' in page  # what is known of it
+    assert "value of sofa" not in page  # it has no scores
+    assert 'viewBox="0 0 10 10"' in page  # the known cells

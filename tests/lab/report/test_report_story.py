@@ -1,4 +1,4 @@
-"""The page's part about the mission: when it is there, and what it says."""
+"""The page's section about the mission: when it exists, and its text."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def test_without_a_camera_nothing_is_drawn():
 
 @pytest.mark.parametrize("poses_m", [None, AHEAD_M[:0], AHEAD_M - (9.0, 0.0, 0.0)])
 def test_poses_outside_the_camera_view_are_not_drawn(poses_m):
-    """But for the ground at its feet, where a way from behind may end."""
+    """The ground at the camera's feet is an exception: a path from behind may end there."""
     scene = street(picture=True)
     image = draw_trajectory(scene, None, poses_m, 0.3)
     assert image.shape == (800, 1280, 3)

@@ -132,7 +132,7 @@ class TestLoading:
         assert "street light" not in labels  # it stands outside
         for item in world.objects:
             assert item.label in {object_label(row[0]) for row in MODELS}
-        # What stands on the floor stands where something stood.
+        # An object on the floor takes the place of another one.
         for item in world.objects:
             if item.center_m[2] - 0.5 * item.size_m[2] < 0.02:
                 x_m, y_m = item.center_m[:2]

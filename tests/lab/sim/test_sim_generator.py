@@ -1,4 +1,4 @@
-"""Houses by seed: what every one of them must be, whatever the seed."""
+"""Houses by seed: properties of every house."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_depth_is_sent_in_millimetres_and_read_in_metres(world):
 
 
 def test_a_turned_sensor_agrees_with_a_turned_robot(world):
-    """One that is turned on the robot sees what it would see ahead from a robot turned as far."""
+    """A sensor turned on the robot sees the same as one ahead on a turned robot."""
     turned = {"x_m": 0.0, "y_m": 0.0, "z_m": 0.6, "yaw_deg": 40.0}
     ahead = {**turned, "yaw_deg": 0.0}
     seen = []

@@ -1,4 +1,4 @@
-"""Records to arrays: what is refused, what is passed over, what a record need not say."""
+"""Records to arrays: refused lines, ignored records and optional fields."""
 
 from __future__ import annotations
 

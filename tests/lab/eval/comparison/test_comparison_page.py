@@ -1,4 +1,4 @@
-"""The page: every trail is in it, where it was driven; nothing is fetched; any text is safe."""
+"""The page: it shows every driven trail, fetches nothing and escapes any text."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_trail_is_drawn_along_the_driven_path():
     reader = Reader(page_of([one], {"w": DRAWING}))
     pieces = [points(a["d"]) for a in reader.all("path", "t")]
     driven = pieces[0] + [p for piece in pieces[1:] for p in piece[1:]]
-    # 5 cm a unit, y downwards from 4 m; where the robot stood still there is one point.
+    # 5 cm a unit, y downwards from 4 m; a standing robot adds one point.
     assert driven == [(20, 60), (25, 60), (30, 60), (30, 65), (25, 65)]
     assert all(a[-1] == b[0] for a, b in pairwise(pieces))
     assert [a["d"] for a in reader.all("path", "g")][-3:] == ["M40 60h0", "M50 40h0", "M0 0h0"]

@@ -36,7 +36,7 @@ def test_unmeasured_columns_are_left_out_and_gaps_are_dashes():
     without = {"false_confirmations": None, "score_ms": None}
     both = [record("1", "a", **without), record("1", "b", **without)]
     (never,) = {row[-2] for row in named(comparison_of(both), "conduct").rows}
-    assert never == "0.0 [0.0, 79.3]"  # of stops: what never happened in one episode yet may
+    assert never == "0.0 [0.0, 79.3]"  # no wrong stop in one episode
     head = named(comparison_of(both), "conduct").head
     assert "false conf." not in head
     assert "wrong stops, %" in head

@@ -1,4 +1,4 @@
-"""Floor plans as drawn, and what was left to drive when a target came into view."""
+"""Floor plans as drawn, and the path left when a target came into view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The probabilistic executor: what an attempt does, and how a run ends."""
+"""The probabilistic executor: the effect of an attempt, and the end of a run."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_problem_puts_other_objects_behind_the_formulas():
         ("F sofa & G !bed", [1, 0], luck(), EpisodeResult(VIOLATED, 1, 1)),
         # The failed attempt on a shows b (the first object not known): it is reached directly.
         ("F a & F b", [0, 1, 0], luck((UNLUCKY, 0.0)), EpisodeResult(COMPLETE, 2, 3)),
-        # What was reached stays known: going there again is no exploration.
+        # A reached object stays known: a second visit is no exploration.
         ("F (a & F (b & F a))", [0, 1, 0], luck(), EpisodeResult(COMPLETE, 2, 3)),
         # An object that the formula does not name is nothing to the automaton.
         ("F bed", [3, 0], luck(), EpisodeResult(COMPLETE, 2, 2)),

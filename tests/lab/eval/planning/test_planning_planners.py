@@ -1,4 +1,4 @@
-"""The compared planners: the paper's case studies, 100 % completion, and who beats whom."""
+"""The compared planners: the paper's case studies, 100 % completion, and the ranking."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
             time.sleep(3600)
         if __name__ == "__main__":
             progress.ProgressBar.set_done = reach
-            # Who was started in the background by a shell script ignores it.
+            # A process started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             args = make_parser().parse_args(["eval", "planning", *sys.argv[1:]])
             try:

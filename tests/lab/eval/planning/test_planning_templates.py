@@ -1,4 +1,4 @@
-"""The benchmark's tasks: what their sentences say is what their formulas mean."""
+"""The benchmark's tasks: each sentence means its formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Theil and Sen's slope over a process's lives, and what its interval says."""
+"""Theil and Sen's slope over a process's lives, and its interval."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_significant_growth_breaks_the_rule(per_h, noise, ran_h, broken):
 
 
 def test_startup_and_faults_do_not_count_as_growth():
-    """Memory that only rises while it settles, and only stands high in faults, does not grow."""
+    """Memory that rises only at the start and during faults does not grow."""
     found = samples([*np.linspace(0, 500, 100), *[500.0] * 900])
     found[400:500] = samples([9e9] * 100, calm=False)
     slope = growth_slope(MEMORY, found)

@@ -1,4 +1,4 @@
-"""`edge soak` as a whole: real processes, real faults, and reports of what breaks."""
+"""`edge soak` as a whole: real processes, real faults, and reports of failures."""
 
 from __future__ import annotations
 

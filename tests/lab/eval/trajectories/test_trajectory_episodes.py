@@ -1,4 +1,4 @@
-"""Episodes of each source: what is named is in the scene, and what is meant can be driven."""
+"""Episodes of each source: named objects are in the scene, and references can be driven."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rule for references: whom a name means, where one stops, on which side one passes."""
+"""The rule for references: meaning of names, stopping places and passing sides."""
 
 from __future__ import annotations
 

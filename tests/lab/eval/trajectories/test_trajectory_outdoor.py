@@ -1,4 +1,4 @@
-"""Outdoor episodes: the reference does what was said and collides with nothing."""
+"""Outdoor episodes: the reference follows the instruction without a collision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`edge eval trajectories`: what methods make, what is kept, what is printed."""
+"""`edge eval trajectories`: results of methods, saved files and printed tables."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
         asked = [request["messages"][1]["content"] for _, _, request in server.requests]
     assert {outcome.writer for outcome in found} == {"small"}
     assert [outcome.refused for outcome in found] == [""] * len(METHODS)
-    # Ours, without a picture, without a map: what two methods share is asked once.
+    # Ours, without a picture, without a map: a question that two methods share is asked once.
     assert sorted(isinstance(content, str) for content in asked) == [False, False, True]
 
 
