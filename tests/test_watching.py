@@ -66,8 +66,8 @@ def selectors(node) -> Iterator[promql.VectorSelector]:
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, set[str]]:
-    """Sample → names of its labels, from a scrape of a service that runs."""
+def reported() -> dict[str, set[str]]:
+    """Return the label names of each sample in a scrape of a running service."""
     port, stop = free_port(), threading.Event()
     config = simulated({
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
@@ -112,13 +112,13 @@ def test_there_is_something_to_check():
 
 
 @pytest.mark.parametrize("expression", EXPRESSIONS)
-def test_expressions_use_only_metrics_of_the_service(told, expression):
+def test_expressions_use_only_metrics_of_the_service(reported, expression):
     found = list(selectors(promql.parse(expression)))
     named = set(re.findall(r"\b(?:edge|process)_\w+|\bup\b", expression))
     assert {selector.name for selector in found} == named
     for selector in found:
-        assert selector.name in (told | TOLD_BY_PROMETHEUS)
-        labels = told.get(selector.name, set()) | TARGET_LABELS
+        assert selector.name in (reported | TOLD_BY_PROMETHEUS)
+        labels = reported.get(selector.name, set()) | TARGET_LABELS
         asked = {matcher.name for matcher in selector.matchers.matchers}
         assert asked <= labels
 

@@ -186,7 +186,7 @@ def test_position_ids_of_text_and_image_tokens():
 def ends_of(path):
     """{name: (type, shape)} of inputs and of outputs; a free size by its name."""
 
-    def told(values):
+    def ends(values):
         return {
             v.name: (
                 v.type.tensor_type.elem_type,
@@ -196,7 +196,7 @@ def ends_of(path):
         }
 
     graph = onnx.load(path).graph
-    return told(graph.input), told(graph.output)
+    return ends(graph.input), ends(graph.output)
 
 
 @pytest.mark.parametrize("kind", KINDS)

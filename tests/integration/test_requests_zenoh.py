@@ -86,18 +86,18 @@ def status(session: zenoh.Session) -> dict:
 
 
 def test_the_life_of_a_mission(config, service, command):
-    def said(verb: str, *more: str) -> dict:
+    def reply(verb: str, *more: str) -> dict:
         code, out, _ = command(verb, config, *more, "--json")
         assert code == 0
         return json.loads(out)
 
-    assert said("status")["formula"] == "F chair"
-    assert said("new", "F (bed & F tv)")["formula"] == "F (bed & F tv)"
-    assert said("pause")["paused"] is True
-    assert said("status")["paused"] is True
-    assert said("resume")["paused"] is False
-    assert said("new", "[] !bed", "--formula")["formula"] == "G !bed"
-    assert said("cancel")["phase"] == "cancelled"
+    assert reply("status")["formula"] == "F chair"
+    assert reply("new", "F (bed & F tv)")["formula"] == "F (bed & F tv)"
+    assert reply("pause")["paused"] is True
+    assert reply("status")["paused"] is True
+    assert reply("resume")["paused"] is False
+    assert reply("new", "[] !bed", "--formula")["formula"] == "G !bed"
+    assert reply("cancel")["phase"] == "cancelled"
 
 
 def test_a_request_without_a_service_is_an_error(endpoint):

@@ -99,7 +99,7 @@ class Run(ClosedLoop):
             self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
 
-def told(goal: Goal | None) -> tuple | None:
+def goal_fields(goal: Goal | None) -> tuple | None:
     return None if goal is None else (goal.kind, goal.candidate_id, goal.pose, goal.target)
 
 
@@ -139,7 +139,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
         np.testing.assert_array_equal(one.perception.scores, other.perception.scores)
-        assert told(one.goal) == told(other.goal)
+        assert goal_fields(one.goal) == goal_fields(other.goal)
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]

@@ -99,7 +99,7 @@ def test_objects_are_filtered_by_time_number_and_room(filters, ids):
     assert all(one.room == ("kitchen" if one.id == 3 else "") for one in found)
 
 
-def test_a_moved_object_says_from_where():
+def test_a_moved_object_reports_its_old_place():
     moved = seen(("mug", 1.0, 5, 0))
     moved.moves[0], moved.came_from_m[0] = 1, (4.0, 2.0)
     found = known_objects(moved, NOW_NS, 2, "mug")

@@ -180,7 +180,7 @@ def test_several_orders_at_once_are_refused(said):
 
 
 @pytest.mark.parametrize("said", ["Remember the dock.", "save the mug and the bed"])
-def test_an_order_to_remember_must_say_as_what(said):
+def test_an_order_to_remember_needs_a_name(said):
     with pytest.raises(TranslationError, match="unclear what to remember; say 'remember this as"):
         understand(said, NAMES)
 

@@ -306,8 +306,8 @@ NO_LONGER_READ = [  # too rare to keep their rules: they are refused, not misrea
 ]
 
 
-def told(sentence: str) -> tuple[Formula, ...]:
-    """All that it may mean."""
+def formulas_of(sentence: str) -> tuple[Formula, ...]:
+    """Return the distinct formulas of the sentence."""
     return distinct(readings(sentence))[0]
 
 
@@ -327,14 +327,14 @@ MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED, *ASKED_ABOUT]
 
 @pytest.mark.parametrize(("sentence", "formulas"), MEANT)
 def test_means(sentence: str, formulas: list[str]) -> None:
-    for one, expected in zip(told(sentence), formulas, strict=True):
+    for one, expected in zip(formulas_of(sentence), formulas, strict=True):
         assert distinguishing_trace(one, parse(expected)) is None, f"{one} is not {expected}"
 
 
 @pytest.mark.parametrize(("sentence", "part"), REFUSED)
 def test_refuses(sentence: str, part: str) -> None:
     with pytest.raises(TranslationError) as refusal:
-        told(sentence)
+        formulas_of(sentence)
     assert part in refusal.value.part
 
 

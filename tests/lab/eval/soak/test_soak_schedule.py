@@ -56,7 +56,7 @@ def fault(name: str, error: str = "", **more) -> Fault:
 
 
 @pytest.fixture(autouse=True)
-def nothing_said():
+def clear_said():
     SAID.clear()
 
 
