@@ -29,14 +29,14 @@ def closed() -> ClosedLoop:
     return closed
 
 
-def test_a_tick_that_nobody_looks_at(benchmark, closed):
+def test_a_tick_without_viewers(benchmark, closed):
     sink, result = LiveSink(), closed.service.result(1, closed.observe())
     benchmark.extra_info["budget"] = "live_tick_unseen"
     benchmark(sink.tick, result)
     assert sink.snapshot is None
 
 
-def test_a_tick_that_is_looked_at(benchmark, closed):
+def test_a_tick_with_viewers(benchmark, closed):
     """Measure a tick that gathers the state for viewers.
 
     There are five such ticks a second. One of five also gathers all objects.
@@ -55,7 +55,7 @@ def test_a_tick_that_is_looked_at(benchmark, closed):
     benchmark.pedantic(sink.tick, setup=watch_again, rounds=200)
 
 
-def test_what_is_asked_five_times_a_second(benchmark, closed):
+def test_the_live_now_response(benchmark, closed):
     view = LiveView(closed.config, ServiceHealth(SystemdNotifier({})))
     view.sink.mark_watched()
     view.sink.tick(closed.service.result(1, closed.observe()))

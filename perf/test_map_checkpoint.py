@@ -54,7 +54,7 @@ def file_of(cells: int) -> bytes:
 
 
 @pytest.mark.parametrize("cells", [1000, 4000])
-def test_copying_what_changed(benchmark, cells):
+def test_copy_of_changed_tiles(benchmark, cells):
     """Measure the copy of the changed tiles, which one tick makes every three seconds."""
     benchmark.extra_info["budget"] = f"places_copy_{cells}"
     grid, c = explored_map(cells), settings(cells)

@@ -140,7 +140,7 @@ def test_reach_step_in_the_open(benchmark):
     assert m.travel_cost.generation > 0
 
 
-def test_where_the_detector_looked(benchmark):
+def test_marking_a_searched_image(benchmark):
     """Benchmark: cost that each searched image adds to a tick."""
     benchmark.extra_info["budget"] = "coverage_look"
     m = explored_map(1000)

@@ -1,4 +1,4 @@
-"""Benchmark: what each option that touches the loop adds to a tick, on the loop's thread.
+"""Benchmark: the cost that each option adds to a tick, on the loop's thread.
 
 A figure is a mean over ticks, because most of this work is due a few times a second.
 """
@@ -31,7 +31,7 @@ Work = Callable[[TickResult], object]
 
 
 def stop_latch(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
-    """Do what `edge.loop.runner` does for a stop that may come."""
+    """Confirm the stop state in the latch, as `edge.loop.runner` does."""
     latch = StopLatch(folder / "stop.json")
 
     def work(_: TickResult) -> None:
@@ -62,7 +62,7 @@ def agents(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
 
 
 def viewer(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
-    """Gather what the live page shows, while it is open."""
+    """Collect the state for an open live page."""
     now_s = [0.0]
     sink = LiveSink(lambda: now_s[0])
 
@@ -92,7 +92,7 @@ def ros2(loop: ClosedLoop, stack: ExitStack, folder: Path, **settings: object) -
 
 
 def vision_msgs(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
-    """Do what the sink `ros2` does, with detections and objects."""
+    """Send detections and objects as the sink `ros2` does."""
     return ros2(loop, stack, folder, detections_frame="camera")
 
 

@@ -86,7 +86,7 @@ class FakeRobot:
 
     Attributes:
         reaches_in_s: how long it takes for a target; None: until `reach`.
-        problems: why nobody can count on it.
+        problems: reasons why it is not ready.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Public logs as robots' recordings: what docs/recording.md says was tried.
+"""Public logs as robots' recordings: the logs that docs/recording.md lists as tried.
 
     python tests/public_logs.py redwood FOLDER out.mcap
     python tests/public_logs.py carmen FILE.log out.mcap

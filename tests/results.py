@@ -40,7 +40,7 @@ def health() -> dict[str, Any]:
 
 
 def result(now_ns: int = 0, **fields: Any) -> TickResult:
-    """Return a tick without events, but for the given fields."""
+    """Return a tick without events, with the given fields."""
     status = fields.get("status", MissionStatus("chair", "searching"))
     nothing: dict[str, Any] = {
         "observation": None, "pose": None, "status": status, "goal": None, "goal_status": None,

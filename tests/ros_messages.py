@@ -53,7 +53,7 @@ _FILTER = {
         "float32 multiplier"
     )
 }
-# Of the branch `ros2`, as in Humble and later.
+# From the branch `ros2`, as in Humble and later.
 _VISION = {
     "ObjectHypothesis": "string class_id\nfloat64 score",
     "ObjectHypothesisWithPose": (

@@ -1,4 +1,4 @@
-"""Tasks at every stage, made by the real writer and refined for real, for those who show them."""
+"""Tasks at every stage, made by the real writer and refined, for tests of pages and messages."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def redirect(handler):
         (body(completion("F chair & F be", "length")), "cut off at the token limit"),
     ],
 )
-def test_no_usable_answer_is_one_clear_line(behave, expected):
+def test_an_unusable_answer_is_an_error_of_one_line(behave, expected):
     with serving(behave) as server:
         client = ChatClient(server.url, "m", KEY, PATIENCE_S, max_answer_bytes=16 * 1024)
         with pytest.raises(ChatError) as raised:
@@ -178,7 +178,7 @@ def test_a_long_answer_is_not_kept():
             tracemalloc.stop()
 
 
-def test_plain_http_where_tls_was_expected():
+def test_plain_http_instead_of_tls_is_an_error():
     with (
         serving(saying("F chair")) as server,
         pytest.raises(ChatError, match=r"does not speak TLS|closed the connection"),
@@ -257,7 +257,7 @@ def test_the_next_tokens_are_asked_for_and_read():
         (likeliest({"A": 10**400}), "an invalid logprob"),
     ],
 )
-def test_an_answer_without_log_probabilities_is_one_clear_line(answer, expected):
+def test_an_answer_without_log_probabilities_is_an_error(answer, expected):
     with serving(body(answer)) as server, pytest.raises(ChatError) as raised:
         ChatClient(server.url, "m").next_tokens(HELLO)
     assert expected in str(raised.value)
@@ -266,7 +266,7 @@ def test_an_answer_without_log_probabilities_is_one_clear_line(answer, expected)
 
 
 @pytest.mark.parametrize("connects", [True, False])
-def test_closing_the_client_gives_up_what_it_asks(connects):
+def test_closing_the_client_cancels_its_requests(connects):
     """`close` waits neither for an answer nor for a connection."""
     said: list[Exception] = []
 
@@ -291,7 +291,7 @@ def test_closing_the_client_gives_up_what_it_asks(connects):
 
 
 @pytest.mark.parametrize("status", [200, 404])
-def test_a_server_that_thinks_is_waited_for_while_it_answers_short_requests(status, monkeypatch):
+def test_a_busy_server_is_waited_for(status, monkeypatch):
     monkeypatch.setattr(chat, "LIFE_PERIOD_S", 0.01)
     lives = []
 
@@ -307,7 +307,7 @@ def test_a_server_that_thinks_is_waited_for_while_it_answers_short_requests(stat
     assert set(lives) == {"/v1/models"}
 
 
-def test_a_server_that_hangs_is_given_up_long_before_the_time_limit(monkeypatch):
+def test_a_hanging_server_is_given_up_early(monkeypatch):
     monkeypatch.setattr(chat, "LIFE_PERIOD_S", 0.01)
     monkeypatch.setattr(chat, "LIFE_S", 0.2)
     with serving(silent, silent) as server:

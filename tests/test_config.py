@@ -1,4 +1,4 @@
-"""A configuration is right, or the error says which key is wrong and what would be right."""
+"""A configuration is valid, or the error names the wrong key and valid values."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ SERVER = {"kind": "text", "url": "http://localhost:1", "model": "m"}
         ({"kind": "my:Own"}, {"similarity": "x", "choice": SERVER}, "choice"),
     ],
 )
-def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, perception, source):
+def test_the_policy_decides_the_source_of_value_maps(policy, perception, source):
     assert simulated({"policy": policy, "perception": perception}).value_source == source
 
 
@@ -242,7 +242,7 @@ def test_the_value_maps_are_written_from_what_the_policy_goes_by(policy, percept
         {"host": "0.0.0.0", "port": 7480, "token_file": "/etc/edge/http.token"},
     ],
 )
-def test_pages_need_a_token_only_where_others_can_reach_them(http):
+def test_only_open_pages_need_a_token(http):
     assert simulated({"http": http}).http.host == http["host"]
 
 
@@ -264,7 +264,7 @@ def test_a_camera_that_is_taken_can_be_simulated(width_px, height_px, hfov_deg):
 
 
 @pytest.mark.parametrize(("data", "line"), FAULTS, ids=[line[8:40] for _, line in FAULTS])
-def test_a_fault_is_one_line_with_file_key_and_remedy(data, line):
+def test_a_fault_is_one_line_with_its_remedy(data, line):
     with pytest.raises(ConfigError) as error:
         parse({**SIM, **data}, "f.yaml")
     text = str(error.value)
@@ -280,7 +280,7 @@ def test_hvl_works_with_the_finest_cells_that_its_error_names():
     assert share.tolist() == [1.0]
 
 
-def test_a_policy_that_counts_no_unknown_cells_may_have_finer_ones():
+def test_a_policy_without_unknown_cells_may_have_finer_ones():
     data = {"policy": {"kind": "nearest_frontier"}, "mapping": {"resolution_m": 0.02}}
     assert simulated(data).mapping.resolution_m == 0.02
 
@@ -306,7 +306,7 @@ def test_every_fault_has_its_line():
         ("loop: {hz: !!int ''}", "not YAML"),
     ],
 )
-def test_a_file_that_is_no_configuration(write, content, says):
+def test_an_invalid_configuration_file_is_refused(write, content, says):
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})
@@ -342,7 +342,7 @@ def nested(first: str, more: str) -> str:
         ("a: &a {x: 1}\nb:\n  <<: *a\n  <<: *a", "line 4: b.<<: given twice, first in line 3"),
     ],
 )  # fmt: skip
-def test_yaml_that_nobody_means_is_refused_at_once(write, content, says):
+def test_absurd_yaml_is_refused_at_once(write, content, says):
     path = write(content)
     with pytest.raises(ConfigError) as error:
         load(path, {})
@@ -351,7 +351,7 @@ def test_yaml_that_nobody_means_is_refused_at_once(write, content, says):
     assert "\n" not in str(error.value)
 
 
-def test_what_comes_again_by_an_alias_is_read(write):
+def test_a_yaml_alias_may_be_reused(write):
     content = """
     x: &sim {kind: sim, miss_rate: 0.2}
     perception: {detector: {<<: *sim, miss_rate: 0.3}}
@@ -369,15 +369,15 @@ def test_all_yaml_is_read_by_one_reader():
     assert [p for p in text if "yaml.safe_load" in text[p] or "yaml.load" in text[p]] == []
 
 
-def test_what_is_huge_is_not_echoed_in_full(write):
-    """A value is shown as far as it is shown; nothing is made of the rest."""
+def test_huge_values_are_cut_in_errors(write):
+    """Only the shown part of a value is formatted."""
     for value in ("[" + "x, " * 1500 + "]", "x" * 90_000, "[" * 60 + "]" * 60):
         with pytest.raises(ConfigError) as error:
             load(write(f"robot: {{name: {value}}}"), {})
         assert max(map(len, str(error.value).splitlines())) < 400
 
 
-def test_of_many_faults_the_first_are_reported():
+def test_only_the_first_faults_are_reported():
     with pytest.raises(ConfigError) as error:
         parse({**SIM, "sinks": [3] * 1000}, "f.yaml")
     lines = str(error.value).splitlines()
@@ -385,14 +385,14 @@ def test_of_many_faults_the_first_are_reported():
     assert lines[-1] == "f.yaml: 980 more faults"
 
 
-def test_a_missing_file_lists_the_ready_ones():
+def test_a_missing_file_lists_the_built_in_ones():
     with pytest.raises(ConfigError) as error:
         load("no/such/file.yaml", {})
     assert str(error.value).startswith("no/such/file.yaml: no such file")
     assert "demo" in str(error.value)
 
 
-def test_a_folder_is_no_file(tmp_path):
+def test_a_folder_is_not_a_configuration(tmp_path):
     with pytest.raises(ConfigError, match=str(tmp_path)):
         load(str(tmp_path), {})
 
@@ -500,8 +500,8 @@ BY = "environment EDGE__"
         ({"ROBOT__NAME": "a"}, "FILE: robot.radius_m: "),
     ],
 )
-def test_an_error_names_what_set_the_key(write, environ, named):
-    """Not the file, whose user would look there in vain."""
+def test_an_error_names_the_source_of_the_key(write, environ, named):
+    """The error does not name the file if the environment set the key."""
     broken = "ROBOT__NAME" in environ
     robot = {"robot": {"radius_m": "wide"}} if broken else {}
     path = write(yaml.safe_dump({**SIM, **robot}))
@@ -524,8 +524,8 @@ def test_variables_that_nothing_reads_are_reported_once(write, caplog):
     ]
 
 
-def test_objects_keep_as_far_away_as_what_is_read():
-    """Whichever way the robot and the sections are given."""
+def test_objects_derive_the_same_clearances_as_a_file():
+    """This holds for sections given as objects too."""
     made = Config(
         perception=SIM["perception"],
         robot=RobotConfig(radius_m=0.5),
@@ -543,6 +543,6 @@ def test_a_dumped_configuration_loads_as_itself(write):
 
 
 def test_every_key_of_the_built_in_files_is_used():
-    """A built-in file says what differs from the defaults, in keys that exist."""
+    """A built-in file lists only differences from the defaults, in existing keys."""
     for path in BUILT_IN:
         assert set(yaml.safe_load(path.read_text())) <= set(config.Config.model_fields)

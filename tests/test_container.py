@@ -33,7 +33,7 @@ def test_hadolint_finds_nothing():
     assert (done.stdout, done.returncode) == ("", 0)
 
 
-def test_whatever_is_copied_reaches_the_builder():
+def test_the_docker_context_holds_exactly_the_copied_sources():
     ignored = (ROOT / ".dockerignore").read_text().splitlines()
     sent = {line[1:] for line in ignored if line.startswith("!")}
     copied = re.findall(r"^COPY (?!--from)(.+) \S+$", INSTRUCTIONS, re.MULTILINE)
@@ -48,7 +48,7 @@ def test_every_base_is_pinned():
     assert all(base in STAGES or re.search(r":[\w.-]*\d", base) for base in bases)
 
 
-def test_what_the_images_install_is_pinned():
+def test_packages_in_the_images_are_pinned():
     pinned = set(re.findall(r"^([\w-]+)==", (ROOT / "docker/constraints.txt").read_text(), re.M))
     of_ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]
     wanted = {
@@ -60,7 +60,7 @@ def test_what_the_images_install_is_pinned():
     assert wanted <= pinned
 
 
-def test_the_image_runs_as_nobody_in_particular_and_is_asked_how_it_is():
+def test_the_image_runs_without_root_and_has_a_health_check():
     stage = STAGES["edge"]
     assert "\nUSER 10001" in stage
     assert "\nSTOPSIGNAL SIGTERM" in stage
@@ -84,7 +84,7 @@ def test_the_health_check_asks_healthz(status):
     assert '"ok"' in done.stdout
 
 
-def test_the_health_check_fails_where_nobody_answers():
+def test_the_health_check_fails_without_an_answer():
     with serve({}, "127.0.0.1", 0) as port:
         pass
     done = healthy(port)

@@ -21,7 +21,7 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 SHIPPED = "mini-house-256x320-int8-cpu"
 
 
-def test_every_place_it_names_is_there():
+def test_every_path_in_the_page_exists():
     named = set(re.findall(r"`((?:edge|tests|docs|models|perf|exporters)/[\w./]*)`", PAGE))
     named |= set(re.findall(r"\]\(([\w./]+)\)", PAGE))
     assert len(named) > 20
@@ -55,8 +55,8 @@ def test_a_model_is_a_card_and_a_file(card, capsys):
     loop.close()
 
 
-def test_what_ci_installs_is_pinned():
-    """Otherwise a release of others fails a change of ours."""
+def test_packages_installed_by_ci_are_pinned():
+    """Otherwise a new release of a package fails our changes."""
     files = ("docker/constraints.txt", ".ci/constraints.txt")
     pins = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)
     ours = [Requirement(line) for line in metadata.requires("edge-vln") or ()]

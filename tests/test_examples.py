@@ -1,4 +1,4 @@
-"""Every example in a docstring of `edge` runs and gives what it shows."""
+"""Every example in a docstring of `edge` runs with the shown result."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def named(node: ast.AST) -> str:
 
 
 def separators(nodes: list[ast.AST]) -> set[int]:
-    """Pieces of formatted texts, and what texts are split at: `::` also parts names of types."""
+    """Return parts of formatted texts, and separators: `::` also occurs in type names."""
     formatted = (node for node in nodes if isinstance(node, ast.JoinedStr))
     pieces = {id(value) for node in formatted for value in node.values}
     calls = (node for node in nodes if isinstance(node, ast.Call) and named(node.func) == "split")
@@ -78,7 +78,7 @@ def defaults(schema: dict, name: str = "") -> Iterator[tuple[str, object]]:
             yield from defaults(value, key)
 
 
-def test_every_address_is_this_machines_own_by_default():
+def test_every_address_is_local_by_default():
     found = [
         (name, default)
         for name, default in defaults(Config.model_json_schema())

@@ -83,7 +83,7 @@ def test_quaternions_at_the_branches(T, q):
 
 
 @pytest.mark.parametrize("q", [(0, 0, 0, 0), (0, 0, 0, math.nan), (math.inf, 0, 0, 1)])
-def test_what_is_no_rotation_is_refused(q):
+def test_an_invalid_quaternion_is_refused(q):
     with pytest.raises(ValueError, match="not a rotation"):
         geometry.se3_from_quaternion((0, 0, 0), q)
 
@@ -149,7 +149,7 @@ def test_camera_from_its_field_of_view(width, height, hfov):
         ((640, 480, 525.0, 525.0, math.inf, 239.5), "principal point"),
     ],
 )
-def test_a_camera_is_what_a_camera_can_be(camera, wrong):
+def test_an_impossible_camera_is_refused(camera, wrong):
     if not wrong:
         assert CameraModel(*camera).width_px == camera[0]
         return
@@ -162,7 +162,7 @@ angles_deg = st.floats(-179.0, 179.0)
 
 @given(metres, metres, st.floats(0.01, 3.0), angles_deg, st.floats(-89.0, 89.0), angles_deg)
 def test_a_mount_is_the_pose_that_the_configuration_says(x, y, z, roll, pitch, yaw):
-    """There and back; the camera looks where a LiDAR of the same mount points."""
+    """A mount survives a round trip; its camera looks along a LiDAR of the same mount."""
     mount = {"x_m": x, "y_m": y, "z_m": z, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
     T = Lidar(**mount).T_base_mount()
     assert T[:3, 3].tolist() == [x, y, z]
@@ -177,7 +177,7 @@ def test_a_mount_is_the_pose_that_the_configuration_says(x, y, z, roll, pitch, y
 
 
 @given(st.floats(0.5, 8.0), st.floats(0, 319), planar)
-def test_a_pixel_lies_where_its_bearing_says(depth, u, pose):
+def test_a_back_projected_pixel_has_its_bearing(depth, u, pose):
     """Lifting a pixel and looking at it from the robot agree (VL-Nav eq. 2)."""
     camera = CameraModel.from_hfov(320, 256, 1.3)
     T = pose.matrix() @ geometry.to_optical(geometry.se3(0.0, 0.0, 0.6))

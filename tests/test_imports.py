@@ -1,4 +1,4 @@
-"""The house rules of `edge`: who may import whom."""
+"""The house rules of `edge`: permitted imports."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LAYERS = (
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
 MOST_AT_THE_TOP = 12
-# Only who makes a model reads what the exporters need.
+# Only code that makes a model may import the exporters' packages.
 NEVER = {"exporters", "torch", "transformers", "ultralytics"}
 
 
@@ -130,12 +130,12 @@ def test_the_loop_loads_no_zenoh():
     assert "zenoh" not in reached
 
 
-def test_what_runs_on_the_robot_imports_no_exporter():
+def test_the_robot_code_imports_no_exporter():
     reached = {t.split(".")[0] for targets in imports().values() for t in targets}
     assert not reached & NEVER
 
 
-def test_only_lab_imports_what_lab_installs():
+def test_only_lab_imports_packages_of_the_lab_extra():
     outside = sorted(
         f"{module} -> {target}"
         for module, targets in imports().items()
@@ -157,7 +157,7 @@ def test_edge_run_loads_no_lab():
 
 
 @pytest.mark.parametrize("package", sorted(p.parent for p in ROOT.rglob("__init__.py")), ids=str)
-def test_every_package_says_what_lives_there(package):
+def test_every_package_has_a_docstring(package):
     assert ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
 
 

@@ -42,7 +42,7 @@ def load(tmp_path, monkeypatch):
     sys.modules.pop(path.stem, None)
 
 
-def test_a_kernel_is_loaded_from_disk_or_compiled_again_if_its_classes_are_gone(load):
+def test_a_kernel_is_recompiled_if_its_classes_are_gone(load):
     compiled = []
     for second, name in enumerate(("Before", "Before", "After")):
         # The second module is the same as the first, and numba compares size and time.

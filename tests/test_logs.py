@@ -47,7 +47,7 @@ SAID = (
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
+def test_quoted_text_forges_no_line_and_no_escape_code(as_json):
     out = io.StringIO()
     logs.setup("info", as_json, stream=out)
     logging.getLogger("edge.loop.goal").warning("%s", SAID)
@@ -60,7 +60,7 @@ def test_what_a_message_quotes_forges_no_line_and_drives_no_terminal(as_json):
         assert len(line) < logs.MAX_MESSAGE + 100
 
 
-def test_a_traceback_has_lines_of_its_own_and_no_control_characters():
+def test_a_traceback_is_indented_without_control_characters():
     out = io.StringIO()
     logs.setup("info", stream=out)
     try:
@@ -75,7 +75,7 @@ def test_a_traceback_has_lines_of_its_own_and_no_control_characters():
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_text_that_is_no_unicode_is_logged(as_json):
+def test_invalid_unicode_is_logged(as_json):
     out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     logs.setup("info", as_json, stream=out)
     logging.getLogger("edge").warning("file \udc80 and 🪑")

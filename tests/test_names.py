@@ -21,7 +21,7 @@ from edge.errors import UserError
         ("b" * 201, f"'{'b' * 59}…' is no name: it has more than 200 characters"),
     ],
 )
-def test_what_is_no_name_is_refused_with_the_reason(word, why):
+def test_an_invalid_name_is_refused_with_the_reason(word, why):
     assert not names.is_name(word)
     assert not names.is_known(word)
     with pytest.raises(names.NotANameError) as caught:
@@ -63,7 +63,7 @@ def test_what_is_no_name_is_refused_with_the_reason(word, why):
         ("twelfth floor", "floor 12"),
     ],
 )
-def test_one_word_for_one_thing(word, expected):
+def test_synonyms_share_one_canonical_name(word, expected):
     assert names.canonical(word) == expected
 
 
@@ -92,7 +92,7 @@ def test_model_names_of_simulated_houses(model, expected):
     assert names.canonical(model) == expected
 
 
-def test_every_alias_stands_once_and_is_normalised():
+def test_every_alias_is_unique_and_normalised():
     everything = [n for name, others in names.ALIASES.items() for n in (name, *others)]
     assert len(everything) == len(set(everything))
     assert all(names.normalise(n) == n for n in everything)
@@ -115,7 +115,7 @@ def test_any_text_is_a_lower_case_name_or_refused(word):
 
 
 @given(odd)
-def test_what_is_made_of_a_name_are_names_or_it_is_refused(word):
+def test_parts_of_a_name_are_valid_names(word):
     try:
         parts = [names.head_phrase(word), *names.head_nouns(word), *names.names_of(word)]
     except names.NotANameError:
@@ -123,7 +123,7 @@ def test_what_is_made_of_a_name_are_names_or_it_is_refused(word):
     assert all(map(names.is_name, parts))
 
 
-def test_every_name_and_alias_leads_to_its_canonical_name_and_stays_there():
+def test_every_alias_leads_to_its_canonical_name():
     for name, others in names.ALIASES.items():
         for other in (name, *others, name.upper(), f"the {name}"):
             assert names.canonical(other) == name, other
@@ -158,7 +158,7 @@ def test_a_kind_has_one_broader_word():
         assert {names.hypernym(f"the {kind}") for kind in of_it} == {broader}
 
 
-def test_what_is_near_or_broader_stands_under_its_own_name():
+def test_broader_and_near_words_are_canonical():
     for table in (names.BROADER, names.NEAR):
         for name, others in table.items():
             for word in (name, *others):
@@ -183,7 +183,7 @@ def test_names_of_one_object(a, b, akin, near):
     assert names.look_alike(a, b) == names.look_alike(b, a) == near
 
 
-def test_what_is_outside_is_no_target_and_no_kind_of_one():
+def test_non_targets_leave_out_targets_and_their_kinds():
     assert names.non_targets((), ("chair",)) == ()
     words = ("couch", "sofa", "armchair", "lamp", "dining chairs")
     assert names.non_targets(words, ("chair",)) == ("sofa", "table lamp")

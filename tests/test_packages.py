@@ -36,13 +36,13 @@ def test_the_version_is_one_constant():
         ),
     ],
 )
-def test_a_package_that_is_not_there_is_one_line(name, arguments, code, message):
+def test_a_missing_package_is_an_error_of_one_line(name, arguments, code, message):
     done = subprocess.run([PACKAGES / name, *arguments], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (code, "")
     assert re.fullmatch(rf"(packages/{name}: )?{message}\n", done.stderr)
 
 
-def test_an_engine_that_is_not_there_is_one_line():
+def test_a_missing_engine_is_an_error_of_one_line():
     environ = {**os.environ, "ENGINE": "no-such-engine"}
     done = subprocess.run([PACKAGES / "try-image"], capture_output=True, text=True, env=environ)
     assert (done.returncode, done.stdout) == (os.EX_UNAVAILABLE, "")

@@ -45,7 +45,7 @@ def test_jitter_about_a_point_is_stuck():
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 0.1, 5.0])
-def test_a_pause_neither_counts_nor_restarts_the_wait(pause_s):
+def test_a_pause_suspends_the_stuck_timer(pause_s):
     detector, paused = StuckDetector(2.0, 0.05), int(10 * pause_s)
     told = [True] * 16 + [False] * paused + [True] * 30
     said = [detector.update(HERE, moving, k * S // 10) for k, moving in enumerate(told)]
@@ -68,7 +68,7 @@ def test_time_going_back_is_not_stuck():
 
 
 @pytest.mark.parametrize(("gap_s", "stuck"), [(0.9, True), (1.1, False), (10.0, False)])
-def test_time_in_which_nobody_looked_is_no_standstill(gap_s, stuck):
+def test_a_gap_in_observations_is_not_a_standstill(gap_s, stuck):
     detector = StuckDetector(2.0, 0.05)
     assert not any(run(detector, [HERE] * 15))
     begun_ns = 14 * S // 10 + int(gap_s * S)

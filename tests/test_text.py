@@ -26,7 +26,7 @@ def test_one_line(said, shown):
 
 
 @given(st.text(max_size=500), st.integers(1, 300))
-def test_it_is_printable_short_and_says_no_more_the_second_time(text, limit):
+def test_one_line_is_printable_short_and_stable(text, limit):
     line = one_line(text, limit)
     assert line.isprintable()
     assert len(line) <= limit
@@ -50,7 +50,7 @@ def deep(levels: int) -> list:
     [None, True, 0, -1.5, "a", "it's", b"\x00", [], (), {}, [1, "b", None], (1, 2), {"a": [1]},
      {1: {"b": (2.5, "c")}}, {3}, {"k": -1}],
 )  # fmt: skip
-def test_what_is_short_is_shown_as_it_is(value):
+def test_short_values_are_shown_unchanged(value):
     assert bounded_repr(value) == repr(value)
 
 
@@ -108,7 +108,7 @@ def test_secrets_are_looked_for_however_deep():
         ([1, True, {"a": ("http://x?y", 2.5)}], [1, True, {"a": ["http://x?***", 2.5]}]),
     ],
 )
-def test_what_a_url_hides_is_not_shown(said, shown):
+def test_secrets_in_urls_are_redacted(said, shown):
     assert redact(said) == shown
     assert redact(shown) == shown
 
@@ -117,7 +117,7 @@ NO_OBJECTS = [b"", b"\xff\x00", b"[" * 100_000, b"3", b'"x"', b"[1]", b'{"a": 1}
 
 
 @pytest.mark.parametrize("data", NO_OBJECTS)
-def test_what_is_no_json_object_of_the_size_is_one_line(data):
+def test_an_invalid_json_object_is_refused_in_one_line(data):
     says = r"^(not JSON|not a JSON object|8 bytes, at most 7 are accepted)$"
     with pytest.raises(ValueError, match=says):
         read_json_object(data, 100_000 if len(data) > 8 else 7)

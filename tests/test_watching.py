@@ -66,8 +66,8 @@ def selectors(node) -> Iterator[promql.VectorSelector]:
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, set[str]]:
-    """Sample → names of its labels, from a scrape of a service that runs."""
+def reported() -> dict[str, set[str]]:
+    """Return the label names of each sample in a scrape of a running service."""
     port, stop = free_port(), threading.Event()
     config = simulated({
         "zenoh": {"endpoint": f"tcp/127.0.0.1:{free_port()}", "shared_memory": False},
@@ -86,7 +86,7 @@ def told() -> dict[str, set[str]]:
         finally:
             connection.close()
 
-    warm_up(config)  # what is compiled here takes longer than anybody waits below
+    warm_up(config)  # compilation takes longer than the waits below
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(run_service, config, stop, False, None)
         try:
@@ -112,23 +112,23 @@ def test_there_is_something_to_check():
 
 
 @pytest.mark.parametrize("expression", EXPRESSIONS)
-def test_every_expression_asks_for_what_a_service_reports(told, expression):
+def test_expressions_use_only_metrics_of_the_service(reported, expression):
     found = list(selectors(promql.parse(expression)))
     named = set(re.findall(r"\b(?:edge|process)_\w+|\bup\b", expression))
     assert {selector.name for selector in found} == named
     for selector in found:
-        assert selector.name in (told | TOLD_BY_PROMETHEUS)
-        labels = told.get(selector.name, set()) | TARGET_LABELS
+        assert selector.name in (reported | TOLD_BY_PROMETHEUS)
+        labels = reported.get(selector.name, set()) | TARGET_LABELS
         asked = {matcher.name for matcher in selector.matchers.matchers}
         assert asked <= labels
 
 
-def test_every_metric_is_on_the_dashboard_or_there_is_a_reason():
+def test_every_other_metric_is_on_the_dashboard():
     asked = {s.name for e in EXPRESSIONS for s in selectors(promql.parse(e))}
     asked = {re.sub(r"_(bucket|count|sum)$", "", name) for name in asked}
     unseen = {metric.name for metric in METRICS} - asked
     assert unseen <= {
-        "edge_build_info",  # whose robots the dashboard lists
+        "edge_build_info",  # the dashboard lists robots by it
         "edge_stage_over_budget_total",  # percentiles say it better
         "edge_detector_invalid_boxes_total",
         "edge_mission_elapsed_seconds",
@@ -159,7 +159,7 @@ def test_the_dashboard_loads_as_grafana_has_it():
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
-def test_every_alert_says_what_it_means_and_what_to_do(rule):
+def test_every_alert_has_a_severity_and_texts(rule):
     assert re.fullmatch(r"Edge[A-Z][A-Za-z]+", rule["alert"])
     assert rule["labels"]["severity"] in ("critical", "warning", "info")
     notes = rule["annotations"]
@@ -176,7 +176,7 @@ def test_the_page_names_every_metric_and_no_other():
     assert [one for one in patterns if not any(fnmatch(name, one) for name in names)] == []
 
 
-def test_the_ready_scrape_configuration_is_for_these_alerts_and_asks_with_a_token():
+def test_the_prometheus_configuration_fits_the_alerts():
     text = (CONFIG / "prometheus/prometheus.yml").read_text(encoding="utf-8")
     config = yaml.safe_load(text)
     assert [CONFIG / "prometheus" / name for name in config["rule_files"]] == [
@@ -276,7 +276,7 @@ def test_every_alert_is_tried():
 
 
 @promtool
-def test_every_alert_fires_for_the_robot_that_has_it_and_for_no_other(tmp_path):
+def test_every_alert_fires_only_for_its_robot(tmp_path):
     tests = [
         {
             "name": alert,

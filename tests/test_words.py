@@ -151,6 +151,22 @@ def test_no_function_has_a_name_of_the_old_dialect():
     assert found == []
 
 
+QUESTION = re.compile(
+    r"def (test_(?:what|where|who|whose|how|whether|those|of)_\w+"
+    r"|test_\w*_(?:what|where|who|whose|nobody|somebody|ones_own)(?:_\w+)?)\("
+)
+"""The name of a test that opens like a question, or has a relative pronoun in place of a noun."""
+
+
+def test_test_names_state_a_fact():
+    found = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sources("perf", "tests")
+        for name in QUESTION.findall(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
 def test_the_glossary_names_classes_that_exist():
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     table = page.split("## Words")[1].split("## Rules")[0]
@@ -168,7 +184,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_what_a_page_names_exists(page):
+def test_names_in_a_page_exist(page):
     text = page.read_text(encoding="utf-8")
     paths = re.findall(r"`((?:edge|exporters|tests|perf|config|models|docs)/[\w./-]+)`", text)
     assert [p for p in paths if p not in ELSEWHERE and not (ROOT / p).exists()] == []

@@ -171,7 +171,7 @@ def train_tokenizer(special: list[str], letters: str = "ABCDEFGHJ") -> Tokenizer
 
 
 class Graph:
-    """Collects nodes and weights; each method returns the name of what it makes."""
+    """Builder of nodes and weights; each method returns the name of its output."""
 
     def __init__(self, rng: np.random.Generator, dtype: int) -> None:
         self.rng, self.dtype = rng, dtype

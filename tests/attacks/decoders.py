@@ -1,4 +1,4 @@
-"""Everything that reads what others send over the network, with a few valid messages for each."""
+"""All decoders of network data, with a few valid messages for each."""
 
 from __future__ import annotations
 

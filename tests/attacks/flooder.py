@@ -1,6 +1,6 @@
 """Sends valid messages without a pause: `python flooder.py ENDPOINT odometry | goal_status`.
 
-At a low priority: what it floods is attacked by messages, not for want of a core."""
+It runs at a low priority, so that the messages do the harm and not a missing core."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def test_every_reader_of_payloads_is_here():
 
 
 @pytest.mark.parametrize("name", DECODERS)
-def test_nothing_is_refused_and_what_is_valid_is_read(name):
+def test_an_empty_input_is_refused_and_valid_seeds_are_read(name):
     decoder = DECODERS[name]
     assert not reads_or_refuses(decoder, b"")
     assert all(reads_or_refuses(decoder, seed) for seed in decoder.seeds)
@@ -55,10 +55,10 @@ def test_changed_messages(name, chance, data):
 
 
 @pytest.mark.parametrize("name", DECODERS)
-def test_a_length_that_lies_allocates_nothing(name):
+def test_a_false_length_allocates_nothing(name):
     decoder = DECODERS[name]
     lies = [lie for seed in decoder.seeds for lie in lengths_that_lie(seed)]
-    for seed in decoder.seeds:  # what is imported or compiled at the first message is not the lie's
+    for seed in decoder.seeds:  # do not count imports and compilation
         reads_or_refuses(decoder, seed)
     tracemalloc.start()
     try:
@@ -82,7 +82,7 @@ def test_hundreds_of_thousands_of_changed_messages(name):
         payload = mutate(chance.choice(corpus), chance)
         if reads_or_refuses(decoder, payload):
             read += 1
-            # What was read leads deeper than what was refused.
+            # Valid messages reach deeper code than refused ones.
             if len(corpus) < 256 and len(payload) < 4096:
                 corpus.append(payload)
     assert 0 < read < rounds

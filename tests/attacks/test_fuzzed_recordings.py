@@ -112,7 +112,7 @@ def replayed(path: Path) -> bool:
     return reads_or_refuses(read)
 
 
-def test_nothing_is_refused_and_what_is_whole_is_read(folder, run):
+def test_an_empty_file_is_refused_and_a_whole_one_read(folder, run):
     empty = folder / "edge-empty.mcap"
     empty.write_bytes(b"")
     assert look_at(empty) == [False] * 3

@@ -66,7 +66,7 @@ def test_an_error_without_a_home_names_the_variable_to_set(as_stranger, temporar
     assert list(temporary.iterdir()) == []
 
 
-def test_kernels_that_can_be_kept_nowhere_are_compiled_with_a_warning(as_stranger, temporary):
+def test_without_a_kernel_cache_kernels_compile_with_a_warning(as_stranger, temporary):
     for environ in ({}, {"HOME": "/"}):
         done = as_stranger("mission", "explain", "go to the bed", **environ)
         assert done.returncode == 0, done.stderr
@@ -74,7 +74,7 @@ def test_kernels_that_can_be_kept_nowhere_are_compiled_with_a_warning(as_strange
     assert list(temporary.iterdir()) == []
 
 
-def test_one_folder_is_all_that_a_user_without_a_home_needs(as_stranger, temporary):
+def test_a_user_without_a_home_needs_only_one_folder(as_stranger, temporary):
     done = as_stranger("mission", "explain", "go to the bed", EDGE_CACHE_DIR=str(temporary))
     assert (done.returncode, done.stderr) == (0, "")
     assert {entry.name for entry in temporary.iterdir()} == {"kernels", "sha256.json"}
@@ -91,7 +91,7 @@ def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, co
     assert "ready:" not in service.output
 
 
-def test_a_quit_stops_in_order_and_a_look_at_the_threads_stops_nothing(edge, config, tmp_path):
+def test_sigquit_stops_in_order_and_sigusr1_only_shows_threads(edge, config, tmp_path):
     report = tmp_path / "report"
     service = edge("run", config, "--report", report).says("ready:")
     service.process.send_signal(signal.SIGUSR1)

@@ -27,7 +27,7 @@ hostile_models = pytest.importorskip("hostile_models")
 
 ENDLESS = {
     "always": {"over": -1.0},
-    "for camera images": {"over": 0.6},  # what is tried first is darker
+    "for camera images": {"over": 0.6},  # the trial images are darker
 }
 LYING = {
     "scores of 1e30": {"score": "1e30"},
@@ -49,7 +49,7 @@ def children() -> int:
 
 
 @pytest.mark.parametrize("how", [ENDLESS["always"], *LYING.values()], ids=str)
-def test_models_check_refuses_it_in_one_line(put, capsys, how):
+def test_models_check_refuses_a_hostile_model_in_one_line(put, capsys, how):
     put("hostile", **how)
     before = children()  # another test of this process may have left one that compiles
     assert main(["models", "list", "--check", "hostile", "--timeout", "5"]) == 1
@@ -84,7 +84,7 @@ def test_models_check_of_an_endless_model_ends_at_a_signal(put, number):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [*ENDLESS, "scores of 1e30"])
-def test_it_is_not_swapped_in_and_the_next_one_is(put, tmp_path, how):
+def test_a_hostile_model_is_not_swapped_in(put, tmp_path, how):
     for name, settings in {"first": {}, "hostile": {**ENDLESS, **LYING}[how], "good": {}}.items():
         put(name, **settings)
     words = hostile_models.put_words(tmp_path / "words.npz")

@@ -214,7 +214,7 @@ def test_scripts_keep_nothing_for_the_next(functions):
     )
 
 
-def test_what_was_given_is_the_hosts_own(functions):
+def test_later_changes_in_a_script_do_not_alter_the_trajectory(functions):
     code = """
 way = [(0, 0), (1, 0)]
 give_trajectory([way])
@@ -233,7 +233,7 @@ except ValueError as error:
     check(functions.trajectory, GROUND, LIMITS)
 
 
-def test_a_trajectory_of_a_script_that_fails_later_is_not_driven():
+def test_a_trajectory_of_a_failed_script_is_not_driven():
     code = "```python\ngive_trajectory([(0, 0), (1, 0)])\nwhile True: pass\n```"
     with serving(saying(code)) as server:
         config = TasksConfig(planner=WriterModel(url=server.url, max_attempts=2))
@@ -261,7 +261,7 @@ ORDERS = (
     ],
 )
 def test_a_model_that_obeys_a_sign_moves_nothing(caption, obeying, host):
-    """The words on it are in the prompt, quoted; what a model makes of them is checked."""
+    """The prompt quotes the words on the sign; the answer of the model is checked."""
     scene = street(*STREET, Thing("sign", 3.0, 2.0, (0.2, 0.2), caption), picture=True)
     said = []
     with serving(saying(f"As the sign says:\n```python\n{obeying}\n```")) as server:

@@ -90,7 +90,7 @@ def port() -> Iterator[Port]:
 
 
 class _Served:
-    """A queue whose loop comes by right after each query."""
+    """Request queue that is served right after each query."""
 
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue
@@ -100,7 +100,7 @@ class _Served:
         self._queue.serve(0)
 
 
-def test_nothing_at_all_is_no_trouble(port):
+def test_an_empty_connection_does_no_harm(port):
     assert port.say(b"") == b""
     port.is_running()
 

@@ -150,7 +150,7 @@ def fetch(address: str, folder, limits: DownloadLimits, scheme: str = "http") ->
 
 
 @pytest.mark.parametrize("how", HEADS)
-def test_a_download_whose_head_does_not_come_ends(tmp_path, how):
+def test_a_download_without_a_complete_head_times_out(tmp_path, how):
     with serving(after_hearing(HEADS[how])) as address:
         with pytest.raises(FetchError, match=rf"/w\.pt: no answer within {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_HEAD)
@@ -160,7 +160,7 @@ def test_a_download_whose_head_does_not_come_ends(tmp_path, how):
 
 
 @pytest.mark.parametrize("how", BODIES)
-def test_a_download_whose_content_does_not_end_ends(tmp_path, how):
+def test_a_download_with_an_endless_body_is_ended(tmp_path, how):
     with serving(after_hearing(BODIES[how])) as address:
         with pytest.raises(FetchError, match=rf"{_TOO_MUCH}|only \d+ bytes came in {_SHORT_S} s$"):
             fetch(address, tmp_path, HASTY_BODY)
@@ -170,7 +170,7 @@ def test_a_download_whose_content_does_not_end_ends(tmp_path, how):
 
 
 @pytest.mark.parametrize("scheme", ["http", "https"])
-def test_a_proxy_or_a_handshake_that_drips_counts_too(tmp_path, monkeypatch, scheme):
+def test_a_slow_proxy_or_handshake_times_out(tmp_path, monkeypatch, scheme):
     """Over https a dripping proxy is asked to connect; without one, TLS drips."""
     with serving(lambda line: line.drip(OK + b"A: b\r\n" * 10_000)) as proxy:
         monkeypatch.delenv("no_proxy")
@@ -222,7 +222,7 @@ def test_a_wrong_length_is_reported(tmp_path, told, message):
     assert not (tmp_path / "w.pt").exists()
 
 
-def test_a_pull_goes_on_with_the_next_source(tmp_path, monkeypatch, capsys):
+def test_a_pull_continues_with_the_next_source(tmp_path, monkeypatch, capsys):
     def honest(line: Line) -> None:
         line.hear()
         line.say(OK + f"Content-Length: {len(CONTENT)}\r\n\r\n".encode() + CONTENT)

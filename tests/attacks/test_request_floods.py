@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 KEY = "edge/mission/request"
 FLOODERS = 3
 PAUSES = 16
-A_SECOND = 250  # requests, of each flooder, where the machine can
+A_SECOND = 250  # requests of each flooder, if the machine is fast enough
 FLOODS = {
     "new": [{"do": "new", "formula": "F chair"}, {"do": "new", "instruction": "find the bed"}],
     "stop and go": [{"do": "pause"}, {"do": "resume"}, {"do": "status"}],

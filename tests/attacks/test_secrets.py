@@ -94,7 +94,7 @@ def asked(port: int) -> str:
     return body.decode()
 
 
-def is_told(text: str) -> list[str]:
+def lines_with_secret(text: str) -> list[str]:
     """Return the lines that contain the secret in any encoding."""
     return [line for line in text.splitlines() if any(shape in line for shape in SHAPES)]
 
@@ -155,6 +155,6 @@ def test_no_secret_is_shown(edge, config, tmp_path, environ, say):
         assert words in said[name], f"{name}: {said[name]}"
     assert (report / "report.html").exists()
     for name, text in said.items():
-        assert is_told(text) == [], name
+        assert lines_with_secret(text) == [], name
     for text in files_of(report):
-        assert is_told(text) == []
+        assert lines_with_secret(text) == []

@@ -47,5 +47,5 @@ def test_two_floods_of_answers_leave_the_loop_its_ticks():
             service.is_resumed(TICKS)
         assert max(looks) == 64
         assert service.running.service.error_boundary.failures == {}
-        # What other processes say costs no memory that they could fill.
+        # Messages of other processes must not fill the memory.
         assert len(service.running.sinks[0]._worker._waiting) <= 300

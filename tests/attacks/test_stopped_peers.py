@@ -93,7 +93,7 @@ class Ears:
             self.silences[key] = max(self.silences[key], beats + 1)
 
 
-def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_viewer):
+def test_a_stopped_viewer_delays_nothing_else(edge, endpoint, tmp_path, start_viewer):
     """Before it is let go, for its silence, all else flows on and requests are answered."""
     config = write_config(
         tmp_path,
@@ -129,7 +129,7 @@ def test_a_stopped_viewer_costs_only_itself(edge, endpoint, tmp_path, start_view
             assert not ordering.done(), ordering.exception()
         ordering.result(PATIENCE_S)
         assert paused == [n % 2 == 0 for n in range(len(paused))]
-        # Without a stopped viewer 2; where one is waited for, 50 to 100.
+        # It is 2 without a stopped viewer, and 50 to 100 if the service waits for one.
         assert max(ears.silences.values()) < 40, ears.silences
     second = start_viewer()
     second.send_signal(signal.SIGSTOP)

@@ -74,7 +74,7 @@ def reported(capsys):
     return tell
 
 
-def test_a_mission_goes_on_without_its_detectors_server(server, tmp_path, monkeypatch, reported):
+def test_a_mission_continues_without_its_detectors_server(server, tmp_path, monkeypatch, reported):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     card = load_card(MODEL).model_dump(mode="json", exclude={"file", "sha256", "path"})
     card |= {"name": "far", "server": {"url": server.url, "model": "m"}}

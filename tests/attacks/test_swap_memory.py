@@ -1,4 +1,4 @@
-"""Swapping models again and again: what a swap takes is given back."""
+"""Memory after many model swaps: each swap returns all that it used."""
 
 from __future__ import annotations
 

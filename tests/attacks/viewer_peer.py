@@ -18,7 +18,7 @@ KEY = "edge/mission/request"
 
 
 def main(endpoint: str) -> None:
-    # As on another machine: there, what is large does not pass by in shared memory.
+    # As on another machine: no large message goes through shared memory.
     session = open_session(ZenohConfig(endpoint=endpoint, shared_memory=False), "connect")
     ends = [
         session.liveliness().declare_token(ALIVE),

@@ -43,11 +43,11 @@ def why(endpoint: str) -> str | None:
 
 
 @pytest.mark.parametrize("place", ["tcp/127.0.0.1:{}", "tls/127.0.0.1:{}", "quic/127.0.0.1:{}"])
-def test_nobody_refuses(place):
+def test_a_port_without_a_server_gives_no_refusal(place):
     assert why(place.format(free_port())) is None
 
 
-def test_who_speaks_no_zenoh_takes_no_session(port, monkeypatch):
+def test_a_server_that_does_not_speak_zenoh_is_reported(port, monkeypatch):
     for limit in ("PROBE_S", "_NAME_S"):
         monkeypatch.setattr(refusal, limit, PATIENCE_S)
     assert "refuses the session" in why(f"tcp/127.0.0.1:{port}")

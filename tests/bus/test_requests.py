@@ -90,7 +90,7 @@ class Asking:
         return str(caught.value)
 
 
-def test_the_loop_may_refuse_and_only_its_first_word_counts(session, serve):
+def test_only_the_first_answer_or_refusal_counts(session, serve):
     server, asking = serve(), Asking(session, do="resume")
     request = taken(server)
     request.refuse("not paused:\n  nothing to resume")
@@ -123,13 +123,13 @@ def test_a_request_that_a_busy_service_dropped_is_sent_again(session, n_dropped)
 
 
 @pytest.mark.parametrize("answer", [{"a": object()}, {"cost": float("inf")}, {(1, 2): 3}])
-def test_an_answer_that_is_not_json_is_an_error_to_the_client_only(session, serve, answer):
+def test_an_answer_that_is_not_json_is_an_internal_error(session, serve, answer):
     server, asking = serve(), Asking(session, do="status")
     taken(server).answer(answer)
     assert "internal error" in asking.refusal
 
 
-def test_a_mission_that_cannot_be_prepared_never_comes_to_the_loop(session, serve, caplog):
+def test_a_mission_that_cannot_be_prepared_is_refused(session, serve, caplog):
     def prepare(instruction: str) -> object:
         raise {"x": UserError("not understood: 'x'"), "y": ZeroDivisionError("bug")}[instruction]
 
@@ -141,7 +141,7 @@ def test_a_mission_that_cannot_be_prepared_never_comes_to_the_loop(session, serv
     assert server.poll() is None
 
 
-def test_while_one_mission_is_prepared_other_requests_pass_and_few_wait(session, serve):
+def test_other_requests_pass_while_a_mission_is_prepared(session, serve):
     begun, go = threading.Semaphore(0), threading.Event()
 
     def prepare(instruction: str) -> str:
@@ -233,7 +233,7 @@ def begin_all(server: RequestServer, number: int) -> list[str]:
         ("aabbaaa", "aba"),
     ],
 )
-def test_equal_new_missions_one_after_the_other_are_one(session, serve, given_texts, begun):
+def test_equal_consecutive_missions_are_begun_once(session, serve, given_texts, begun):
     preparing = Preparing()
     server = serve(preparing)
     asked = give(server, session, given_texts)
@@ -271,9 +271,7 @@ def test_a_refusal_reports_a_loop_that_does_not_run(session, serve):
     assert server.poll() is None
 
 
-def test_a_refusal_reports_a_loop_that_takes_a_request_without_an_answer(
-    session, serve, monkeypatch
-):
+def test_a_request_without_an_answer_is_refused(session, serve, monkeypatch):
     server = serve()
     asking = Asking(session, do="pause")
     request = taken(server)
@@ -342,9 +340,7 @@ def waiting(server: RequestServer, session: zenoh.Session, verbs: Iterable[str])
         ("resume cancel pause cancel status status", "resume cancel pause status"),
     ],
 )
-def test_equal_requests_are_one_for_the_loop_and_the_last_word_stands(
-    session, serve, arrived, done
-):
+def test_equal_requests_reach_the_loop_once(session, serve, arrived, done):
     server = serve()
     asked = waiting(server, session, arrived.split())
     for verb in done.split():
@@ -356,7 +352,7 @@ def test_equal_requests_are_one_for_the_loop_and_the_last_word_stands(
 
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
-def test_what_stops_the_robot_stops_new_missions_that_were_given_before(session, serve, do):
+def test_a_stop_request_cancels_new_missions_sent_before_it(session, serve, do):
     preparing = Preparing(quick="ade")
     server = serve(preparing)
     before = give(server, session, "aabcc")
@@ -401,7 +397,7 @@ class Flood:
     def undeclare(self) -> None: ...
 
 
-def test_requests_that_come_faster_than_they_are_received_are_noticed(session, serve, caplog):
+def test_a_flood_of_requests_is_counted_as_overruns(session, serve, caplog):
     server = serve()
     asking = Asking(session, do="status")
     taken(server).answer({})
@@ -414,7 +410,7 @@ def test_requests_that_come_faster_than_they_are_received_are_noticed(session, s
     assert len([line for line in caplog.messages if line.startswith("edge/flooded: ")]) == 1
 
 
-def test_what_stops_the_robot_always_finds_a_place(session, serve):
+def test_a_full_queue_still_accepts_stop_requests(session, serve):
     server = serve()
     flood = ["pause", "resume"] * 8
     asked = waiting(server, session, flood[: request_queue._MAX_WAITING])
@@ -429,7 +425,7 @@ def test_what_stops_the_robot_always_finds_a_place(session, serve):
     assert [a.answer["did"] for a in asked[request_queue._MAX_WAITING :]] == ["pause", "cancel"] * 2
 
 
-def test_closing_refuses_what_is_open_and_does_not_wait_for_a_translation(session, serve):
+def test_closing_refuses_open_requests_without_waiting_for_a_translation(session, serve):
     begun, go = threading.Event(), threading.Event()
 
     def prepare(**texts: str) -> None:
@@ -461,7 +457,7 @@ def test_a_session_that_is_closed_first_ends_the_server_too(session, serve, capl
     assert server.poll() is None
 
 
-def test_the_loop_serves_a_few_of_which_one_was_prepared(session):
+def test_serve_handles_refusals_errors_and_prepared_missions(session):
     def handle(request: Request, now_ns: int) -> dict:
         if request.do == "pause":
             raise UserError("not now")

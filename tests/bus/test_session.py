@@ -40,7 +40,7 @@ def value(config: zenoh.Config, key: str):
         ("client", "connect", "client", False, True),
     ],
 )
-def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects):
+def test_mode_and_role_set_the_endpoints_of_a_session(mode, role, zenoh_mode, listens, connects):
     endpoint = "tcp/127.0.0.1:17447"
     settings = ZenohConfig(endpoint=endpoint, mode=mode)
     config = bus.session_config(settings, role)
@@ -65,7 +65,9 @@ def test_who_listens_and_who_connects(mode, role, zenoh_mode, listens, connects)
         (1, None, [1, 1, 1], 0),
     ],
 )
-def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken, overruns, caplog):
+def test_one_read_takes_at_most_a_ring_and_reports_overruns(
+    kind, kept, sent, taken, overruns, caplog
+):
     payloads = repeat(b"") if sent is None else repeat(b"", sent)
     ring = kind(Flooded("edge/odom", payloads), "edge/odom", kept)
     assert [len(ring.take()) for _ in taken] == taken
@@ -73,7 +75,7 @@ def test_a_look_takes_a_rings_worth_and_notices_a_flood(kind, kept, sent, taken,
     assert len([r for r in caplog.records if "edge/odom" in r.getMessage()]) == min(overruns, 1)
 
 
-def test_who_connects_waits_until_somebody_comes(free_endpoint):
+def test_a_client_waits_until_a_listener_appears(free_endpoint):
     settings, opened, told = ZenohConfig(endpoint=free_endpoint), [], []
     thread = threading.Thread(
         target=lambda: opened.append(bus.open_session(settings, "connect", tell=told.append)),
@@ -97,8 +99,8 @@ def test_who_connects_waits_until_somebody_comes(free_endpoint):
         "tcp/[::1:7447", "tcp:127.0.0.1:7447", "carrier-pigeon/home:1", "http://127.0.0.1:7447",
     ],
 )  # fmt: skip
-def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint, role):
-    """To who connects Zenoh would not say so: it would wait for ever."""
+def test_an_invalid_endpoint_is_named_in_one_line(endpoint, role):
+    """Without this check, a connecting Zenoh client would wait without an error."""
     with pytest.raises(bus.BusError) as caught:
         bus.open_session(ZenohConfig(endpoint=endpoint, mode="client"), role)
     assert str(caught.value).startswith(f"zenoh.endpoint: cannot {role}")
@@ -106,7 +108,7 @@ def test_an_endpoint_that_is_none_is_named_in_one_line(endpoint, role):
     assert "\n" not in str(caught.value)
 
 
-def test_a_host_without_an_address_is_not_waited_for_without_end(monkeypatch):
+def test_an_unresolvable_host_is_given_up(monkeypatch):
     settings, told = ZenohConfig(endpoint="tcp/no.such.host.invalid:7447", mode="client"), []
     why = "zenoh.endpoint: tcp/no.such.host.invalid:7447: no address is known for "
     stop = threading.Event()
@@ -147,13 +149,13 @@ def test_only_the_tick_of_lockstep_may_wait_for_a_slow_peer():
 
 
 @pytest.mark.parametrize(("exact", "wait_s"), [(False, zenoh_file.BLOCKED_S), (True, 5.0)])
-def test_a_peer_that_takes_nothing_is_let_go(exact, wait_s):
+def test_a_blocked_peer_is_disconnected_after_a_limit(exact, wait_s):
     config = bus.session_config(ZenohConfig(), "listen", exact)
     key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
     assert value(config, key) == wait_s * 1e6
 
 
-def test_closing_waits_only_so_long_for_a_peer_that_takes_nothing(monkeypatch, caplog):
+def test_closing_gives_up_on_a_blocked_peer(monkeypatch, caplog):
     go = threading.Event()
     stuck = SimpleNamespace(close=lambda: go.wait(PATIENCE_S))
     monkeypatch.setattr(bus, "open_session", lambda *_: stuck)
@@ -173,14 +175,14 @@ builtins.opened.__enter__()
 """
 
 
-def test_an_interpreter_ends_though_nobody_left_its_session(free_endpoint):
+def test_the_interpreter_exits_with_an_open_session(free_endpoint):
     subprocess.run([sys.executable, "-c", LEFT_OPEN, free_endpoint], check=True, timeout=PATIENCE_S)
 
 
-def test_a_message_over_the_limit_is_left_out_and_its_sender_stays(free_endpoint):
+def test_an_oversized_message_is_dropped_but_its_sender_stays_connected(free_endpoint):
     settings = ZenohConfig(endpoint=free_endpoint, shared_memory=False)
     with (
-        # `keep_zenoh_timeout`: who is only slow is not let go.
+        # `keep_zenoh_timeout`: a slow peer is not disconnected.
         bus.open_session(
             settings, "listen", keep_zenoh_timeout=True, most_bytes=1_000_000
         ) as service,

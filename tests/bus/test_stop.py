@@ -56,7 +56,7 @@ def test_any_request_to_stop_stops(latch, settings, payload):
     assert latch.reason == "by request"
 
 
-def test_a_stop_passes_a_full_queue_that_nobody_serves(latch, settings, monkeypatch):
+def test_a_stop_works_while_the_request_queue_is_full(latch, settings, monkeypatch):
     def fail(*_: object) -> None:
         raise OSError(errno.EIO, "broken disk")
 

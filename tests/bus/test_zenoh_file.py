@@ -57,7 +57,7 @@ def test_endpoints_add_up(settings, role, more, listens, connects):
 
 
 @pytest.mark.parametrize("key", zenoh_file.DEFAULTS)
-def test_what_the_file_says_counts_more_than_our_defaults(settings, key):
+def test_the_zenoh_file_overrides_our_defaults(settings, key):
     ours = zenoh_file.DEFAULTS[key]
     theirs = not ours if isinstance(ours, bool) else ours + 1
     text = json.dumps(theirs)
@@ -78,14 +78,12 @@ def test_what_the_file_says_counts_more_than_our_defaults(settings, key):
         ("{timestamping: {enabled: false}}", "connect", "peer", False),
     ],
 )
-def test_clients_stamp_what_they_send_unless_the_file_says_otherwise(
-    settings, text, role, mode, stamps
-):
+def test_clients_add_timestamps_unless_the_file_decides(settings, text, role, mode, stamps):
     assert of(settings(text, mode=mode), role, "timestamping/enabled") is stamps
 
 
 @pytest.mark.parametrize(("here", "there"), [(True, False), (False, True), (True, True)])
-def test_shared_memory_is_off_where_either_says_so(settings, here, there):
+def test_shared_memory_needs_both_the_key_and_the_file(settings, here, there):
     said = settings(
         f"{{transport: {{shared_memory: {{enabled: {json.dumps(there)}}}}}}}", shared_memory=here
     )
@@ -109,7 +107,7 @@ def test_a_tls_handshake_ends_in_time(endpoint, listens):
     assert of(ZenohConfig(endpoint=endpoint), "connect", "connect/endpoints") == [endpoint]
 
 
-def test_the_client_has_its_own_file_or_that_of_the_service(settings, tmp_path):
+def test_the_client_file_overrides_the_file_of_the_service(settings, tmp_path):
     own = tmp_path / "client.json5"
     own.write_text('{namespace: "of/the/client"}')
     said = settings('{namespace: "of/the/service"}')
@@ -142,7 +140,7 @@ PASSWORD = '{transport: {auth: {usrpwd: {user: "me", password: "SENTINEL"%s}}}}'
         ),
     ],
 )
-def test_the_error_of_an_unusable_file_is_one_line_without_its_secrets(settings, text, says):
+def test_an_unusable_file_is_refused_without_its_secrets(settings, text, says):
     said = settings(text)
     with pytest.raises(ConfigError) as caught:
         session_config(said, "listen")
@@ -155,7 +153,7 @@ def test_the_error_of_an_unusable_file_is_one_line_without_its_secrets(settings,
 
 
 @pytest.mark.parametrize("key", ["file", "client_file"])
-def test_a_file_that_is_not_there_is_named(key, tmp_path):
+def test_a_missing_file_is_named(key, tmp_path):
     settings = ZenohConfig(**{key: str(tmp_path / "gone.json5")})
     with pytest.raises(ConfigError, match=rf"^zenoh\.{key}: .*gone\.json5: no such file$"):
         session_config(settings, "listen" if key == "file" else "connect")
@@ -176,7 +174,7 @@ def test_a_private_key_in_the_endpoint_is_refused_and_not_shown():
         ("{access_control: {enabled: true}}", "ACL rules/subjects/policies"),
     ],
 )
-def test_the_error_names_what_is_missing_in_one_line(settings, text, says):
+def test_the_error_names_the_missing_part_in_one_line(settings, text, says):
     with pytest.raises(BusError) as caught:
         open_session(settings(text, endpoint="tls/127.0.0.1:0"), "listen")
     assert says in str(caught.value)
@@ -206,7 +204,7 @@ USERS = '{transport: {auth: {usrpwd: {dictionary_file: "users.txt"}}}}'
         (OURS, f'{{listen: {{endpoints: ["{OPEN_TCP}"]}}}}', [OPEN_TCP]),
     ],
 )
-def test_what_is_open_to_strangers(settings, endpoint, text, open_):
+def test_endpoints_open_to_any_client_are_listed(settings, endpoint, text, open_):
     assert open_addresses(session_config(settings(text, endpoint=endpoint), "listen")) == open_
 
 
@@ -220,7 +218,7 @@ def secret_paths(settings: ZenohConfig, role: str = "listen") -> list[str]:
     return exposed_secrets(session_config(settings, role), "zenoh.file", settings.file)
 
 
-def test_secrets_that_others_can_read(settings, tmp_path):
+def test_secrets_readable_by_others_are_listed(settings, tmp_path):
     for name in ("service.key", "users.txt"):
         (tmp_path / name).touch(0o600)
     (tmp_path / "service.crt").touch(0o644)
@@ -233,7 +231,7 @@ def test_secrets_that_others_can_read(settings, tmp_path):
 @pytest.mark.parametrize(
     "text", [PASSWORD % "", '{transport: {link: {tls: {connect_private_key_base64: "SENTINEL"}}}}']
 )
-def test_a_file_with_a_secret_in_it_is_one(settings, text):
+def test_a_file_that_contains_a_secret_counts_as_one(settings, text):
     said = settings(text)
     os.chmod(said.file, 0o604)
     assert secret_paths(said, "connect") == [said.file]
@@ -241,9 +239,7 @@ def test_a_file_with_a_secret_in_it_is_one(settings, text):
     assert secret_paths(said, "connect") == []
 
 
-def test_what_the_service_manager_hands_over_is_taken_in_the_place_of_files(
-    settings, tmp_path, monkeypatch
-):
+def test_credentials_of_the_service_manager_replace_the_files(settings, tmp_path, monkeypatch):
     said = settings(KEYS.replace("{at}", "/root/only"))
     copies = tmp_path / "copies"
     copies.mkdir()

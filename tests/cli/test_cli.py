@@ -58,7 +58,7 @@ def test_every_command_explains_itself(command, capsys, monkeypatch):
     assert all(len(line) < 81 for line in text.splitlines())
 
 
-def test_no_command_looks_for_garbage_before_it_ends(capsys, monkeypatch):
+def test_a_command_skips_garbage_collection_at_its_end(capsys, monkeypatch):
     at_the_end = []
     monkeypatch.setattr("atexit.register", at_the_end.append)
     assert main(["config", "demo"]) == 0
@@ -96,7 +96,7 @@ def fails(capsys, *words: str, code: int) -> str:
         "soak",
     ],
 )
-def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, monkeypatch, capsys):
+def test_without_the_lab_extra_a_command_names_it_first(command, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     error = fails(capsys, *command.split(), code=os.EX_UNAVAILABLE)
     assert error == (
@@ -105,7 +105,7 @@ def test_without_the_extra_lab_a_command_that_needs_it_says_so_first(command, mo
 
 
 @pytest.mark.parametrize("command", ["run", "demo", "sim", "config", "bench", "doctor"])
-def test_a_configuration_that_is_not_there(command, capsys):
+def test_a_missing_configuration_lists_the_built_in_ones(command, capsys):
     error = fails(capsys, command, "nowhere.yaml", code=os.EX_CONFIG)
     assert error.startswith("nowhere.yaml: no such file (built-in configurations: ")
     assert "cpu, demo" in error
@@ -119,7 +119,7 @@ def test_a_report_that_cannot_be_written_fails_before_the_run(words, tmp_path, c
     assert "cannot write the report" in error
 
 
-def test_an_address_in_use_fails_before_anything_is_loaded(tmp_path, monkeypatch, capsys):
+def test_an_address_in_use_fails_before_the_detector_loads(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("edge.launch.make_detector", None)
     monkeypatch.setattr("edge.launch.warm_up", None)
     with socket.socket() as taken:
@@ -132,7 +132,7 @@ def test_an_address_in_use_fails_before_anything_is_loaded(tmp_path, monkeypatch
         assert "is in use" in fails(capsys, "run", str(path), code=os.EX_UNAVAILABLE)
 
 
-def test_a_recording_that_is_not_there(capsys):
+def test_a_missing_recording_is_an_error(capsys):
     words = ("bench", "demo", "--recording", "nowhere.mcap")
     assert "no such file" in fails(capsys, *words, code=os.EX_IOERR)
 
@@ -147,7 +147,7 @@ def test_a_recording_that_is_not_there(capsys):
         ("eval", "episodes", "demo", "--jobs", "-1"),
     ],
 )
-def test_a_number_that_makes_no_sense(words, capsys):
+def test_an_invalid_number_is_a_usage_error(words, capsys):
     with pytest.raises(SystemExit) as caught:
         main(list(words))
     assert caught.value.code == os.EX_USAGE
@@ -201,7 +201,7 @@ def test_the_demos_house_has_a_scorer_for_each_policy(
     ("option", "code"),
     [("--target", os.EX_CONFIG), ("--mission", os.EX_CONFIG), ("--formula", os.EX_DATAERR)],
 )
-def test_an_empty_mission_is_not_taken_for_none(option, code, tmp_path, monkeypatch, capsys):
+def test_an_empty_mission_is_refused(option, code, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert fails(capsys, "demo", "demo", option, "", code=code)
 
@@ -294,7 +294,7 @@ def test_the_demos_page_is_at_one_port_and_stays(
         (KeyboardInterrupt(signal.SIGTERM), 143),
     ],
 )
-def test_what_a_command_ends_with_says_how(outcome, code, monkeypatch):
+def test_the_exit_code_reports_how_a_command_ended(outcome, code, monkeypatch):
     def run_service(*_):
         if isinstance(outcome, int):
             return outcome
@@ -317,7 +317,7 @@ def test_a_stopped_service_does_not_fail_with_its_mission(once, phase, code, mon
     assert run_commands.run_service(simulated(), threading.Event(), once, None) == code
 
 
-def test_output_that_nobody_reads_on_is_no_error():
+def test_a_closed_output_pipe_is_no_error():
     command = f"{sys.executable} -m edge.cli config --schema | head -c 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("{", "")

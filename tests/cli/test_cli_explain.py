@@ -18,7 +18,7 @@ from edge.errors import UserError
 from edge.mission.spec import prepare
 from edge.text import MAX_CHARS
 
-LONGEST = 1200  # of a refusal: the parts of a contradiction, and what to do
+LONGEST = 1200  # of a refusal with the parts of a contradiction and the remedy
 
 ODD = ["\0", "\x1b[2J", "\x9b", "\u202e", "\ud800", "\n", "\u2028", "\u00a0", "_", "€", "椅子", '"']
 ODD += ["a" * 201, "\\", "(", ")", "…", "²"]
@@ -122,7 +122,7 @@ def test_any_text_is_a_target_or_refused_by_the_configuration(text):
     ],
     ids=lambda value: value[:20],
 )
-def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
+def test_an_invalid_formula_is_refused_in_one_short_line(text, says):
     assert_refused(text, formula=True, says=says)
 
 
@@ -140,14 +140,14 @@ def test_a_formula_that_cannot_be_is_refused_in_one_short_line(text, says):
     ],
     ids=lambda value: value[:20],
 )
-def test_an_instruction_that_cannot_be_is_refused_in_one_short_line(text, says):
+def test_an_invalid_instruction_is_refused_in_one_short_line(text, says):
     assert_refused(text, formula=False, says=says)
 
 
 @pytest.mark.parametrize(
     "text", ["!" * 500 + "F a", "F a & " * 100 + "F a"], ids=lambda value: value[:20]
 )
-def test_of_a_formula_however_long_a_line_is_shown(text):
+def test_a_long_formula_is_cut_to_one_line(text):
     lines = explained(text, formula=True)
     shown = lines[1].removeprefix("formula:     ")
     assert len(shown) <= MAX_CHARS

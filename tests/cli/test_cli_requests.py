@@ -42,7 +42,7 @@ from edge.cli.mission import add_arguments, as_text
          ["answers:     1, the newest: x is no name"]),
     ],
 )  # fmt: skip
-def test_what_a_person_is_shown(answer, lines):
+def test_answers_are_printed_as_lines(answer, lines):
     assert as_text(answer).splitlines() == lines
 
 

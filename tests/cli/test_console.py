@@ -34,7 +34,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def wall(monkeypatch) -> SimpleNamespace:
-    """Stands for the module `time`; stands still unless the test sets it."""
+    """Fake of the module `time`; it stands still unless the test sets it."""
     wall = SimpleNamespace(now_ns=0)
     wall.monotonic_ns = lambda: wall.now_ns
     monkeypatch.setattr(console, "time", wall)
@@ -49,7 +49,7 @@ def latency() -> LatencyRing:
     return ring
 
 
-def test_a_robot_on_its_way():
+def test_the_status_line_of_a_driving_robot():
     line = status_line(
         result(
             status=MissionStatus("couch", "approaching", elapsed_s=61.26),
@@ -76,7 +76,7 @@ def test_a_robot_on_its_way():
     ],
 )
 @pytest.mark.parametrize("phase", ["searching", "failed"])
-def test_the_line_names_the_target_and_what_comes_after_it(formula, ahead, phase):
+def test_the_line_names_the_target_and_the_next_ones(formula, ahead, phase):
     line = status_line(of(formula, phase))
     assert (ahead if phase == "searching" else "chair |") in line
 

@@ -1,4 +1,4 @@
-"""`edge doctor`: every lack is named with what to do, and fails only what needs it."""
+"""`edge doctor`: each problem is named with a remedy, and fails only its dependants."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_python(monkeypatch, version, level):
     assert levels(machine_checks.check_python) == [level]
 
 
-def test_how_fast_this_computer_is(cache):
+def test_the_doctor_reports_the_speed_of_this_computer(cache):
     (unknown,) = machine_checks.check_speed(SIM)
     assert (unknown.level, "edge bench --calibrate" in unknown.todo) == ("warn", True)
     cache.mkdir()
@@ -215,7 +215,7 @@ def test_an_endpoint_that_is_taken():
         assert levels(bus_checks.check_endpoint, settings) == ["warn"]
 
 
-def test_who_may_come_in(tmp_path):
+def test_the_doctor_warns_of_open_endpoints_and_readable_passwords(tmp_path):
     assert levels(bus_checks.check_access) == []
     open_ = simulated({"zenoh": {"endpoint": "tcp/0.0.0.0:7447"}})
     (finding,) = bus_checks.check_access(open_)
@@ -254,7 +254,7 @@ def test_the_token_of_the_pages_is_looked_at(tmp_path):
     assert levels(bus_checks.check_access, settings) == []
 
 
-def test_a_zenoh_file_that_cannot_be_used_is_one_failure():
+def test_an_unusable_zenoh_file_is_reported_once():
     settings = simulated({"zenoh": {"file": "gone.json5"}})
     findings = [f for f in doctor.examine(settings) if "gone.json5" in f.what]
     assert [finding.level for finding in findings] == ["fail"]
@@ -280,7 +280,7 @@ def test_onnxruntime(monkeypatch, installed, probed, settings, expected):
     assert all(finding.todo for finding in findings if finding.level != "ok")
 
 
-def test_an_onnxruntime_that_crashes_is_one_line(monkeypatch):
+def test_a_crashing_onnxruntime_is_reported_in_one_line(monkeypatch):
     """And nothing that would have it crash in this process is tried after that."""
     dead = ProbeResult("1.23", (CPU,), (), f"crashes (SIGSEGV) when it runs a model on {CPU}")
     monkeypatch.setattr(model_checks, "probe", lambda: dead)
@@ -319,7 +319,7 @@ def test_only_the_configured_model_must_be_there(monkeypatch, tmp_path):
     assert "made-up" in finding.what
 
 
-def test_models_that_are_neither_here_nor_named_are_only_counted(cache):
+def test_absent_unused_models_are_only_counted(cache):
     """Models of the package are present; a similarity card has no file."""
     *here, others = model_checks.check_models(SIM)
     assert {f.level for f in (*here, others)} == {"ok"}
@@ -398,7 +398,7 @@ def test_scorers(perception, expected, words):
     assert all(words in finding.what and finding.what.isprintable() for finding in findings)
 
 
-def test_a_choice_scorers_server_is_looked_for():
+def test_the_server_of_a_choice_scorer_is_checked():
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
         settings = simulated(
@@ -428,7 +428,7 @@ def test_the_mission_is_checked(mission, level, words):
 
 
 @pytest.mark.parametrize(("kind", "level"), [("rules", "warn"), ("model", "fail")])
-def test_an_interpreter_that_is_missing_is_missed_by_a_model(monkeypatch, kind, level):
+def test_a_missing_interpreter_fails_only_for_a_model_planner(monkeypatch, kind, level):
     (found,) = doctor.check_tasks(SIM)
     assert (found.level, "pydantic-monty" in found.what) == ("ok", True)
     monkeypatch.setitem(sys.modules, "pydantic_monty", None)

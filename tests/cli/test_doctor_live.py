@@ -31,7 +31,7 @@ Change = Callable[[dict], object]
 
 
 class Scripted:
-    """A source that shows a floor and a wall, or what a test makes of that."""
+    """Source that shows a floor and a wall, or a test's change of them."""
 
     change: Change = staticmethod(lambda fields: None)
     rows: tuple[InputStatus, ...] = ()
@@ -94,7 +94,7 @@ def heard(monkeypatch) -> Callable[..., list[tuple[str, str]]]:
     return listened
 
 
-def test_nothing_that_comes_is_a_failure(heard):
+def test_silent_sensors_are_a_failure(heard):
     assert heard(lambda fields: None, ()) == [
         (
             "fail",
@@ -169,7 +169,7 @@ def test_each_input_is_a_line(heard, row, level, says):
 
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 1), ("fail", 1)])
-def test_whatever_needs_doing_gives_exit_code_1(monkeypatch, capsys, level, code):
+def test_any_warning_gives_exit_code_1(monkeypatch, capsys, level, code):
     monkeypatch.setattr(
         doctor,
         "check_live_sensors",

@@ -1,4 +1,4 @@
-"""The systemd unit: what is in it, what systemd itself makes of it, and whom it would not serve."""
+"""The systemd unit: its content, systemd's own checks of it, and refused installations."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def installations() -> list:
 
 @ANALYZE
 @pytest.mark.parametrize(("user", "loop"), installations())
-def test_systemd_finds_nothing_wrong_with_it(user, loop, tmp_path, anywhere):
+def test_systemd_verifies_the_unit_without_complaints(user, loop, tmp_path, anywhere):
     done = analyze("verify", unit(settings(**loop), "edge", user), tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
@@ -71,7 +71,7 @@ def test_systemd_finds_nothing_wrong_with_it(user, loop, tmp_path, anywhere):
 @ANALYZE
 @pytest.mark.parametrize(("user", "loop"), installations())
 @pytest.mark.parametrize("homes", [False, True])
-def test_it_is_little_exposed(user, loop, homes, tmp_path, anywhere):
+def test_the_unit_has_a_low_exposure_score(user, loop, homes, tmp_path, anywhere):
     config = settings("/home/me/robot.yaml" if homes else "/etc/edge/robot.yaml", **loop)
     text = unit(config, "edge", user)
     done = analyze("security", text, tmp_path, "--offline=yes", "--no-pager")
@@ -82,7 +82,7 @@ def test_it_is_little_exposed(user, loop, homes, tmp_path, anywhere):
     assert float(found[1]) <= MOST_EXPOSED
 
 
-def test_it_runs_this_installation_with_that_configuration(anywhere):
+def test_the_unit_runs_this_installation_with_its_configuration(anywhere):
     text = unit(settings(), "rover-2", None)
     (command,) = lines(text, "ExecStart")
     assert command == f"{sys.executable} -m edge.cli run /etc/edge/robot.yaml"
@@ -95,7 +95,7 @@ def test_it_runs_this_installation_with_that_configuration(anywhere):
         assert breaks not in text
 
 
-def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
+def test_permanent_failures_are_not_restarted(anywhere):
     (codes,) = lines(unit(settings(), "edge", None), "RestartPreventExitStatus")
     assert tuple(map(int, codes.split())) == PERMANENT
     assert set(PERMANENT) < EXIT_CODES.keys()
@@ -106,7 +106,7 @@ def test_what_a_restart_would_not_mend_is_not_restarted(anywhere):
 @pytest.mark.parametrize(
     ("priority", "key", "value"), [(0, "RestrictRealtime", "yes"), (20, "LimitRTPRIO", "20")]
 )
-def test_the_right_to_real_time_is_given_where_it_is_wanted(priority, key, value, anywhere):
+def test_real_time_rights_need_a_priority(priority, key, value, anywhere):
     assert lines(unit(settings(priority=priority), "edge", None), key) == [value]
 
 
@@ -119,7 +119,7 @@ def test_the_right_to_real_time_is_given_where_it_is_wanted(priority, key, value
         ('/a"b\\.yaml', '"/a\\"b\\\\.yaml"'),
     ],
 )
-def test_a_path_is_one_word_whatever_is_in_it(path, word, anywhere):
+def test_any_path_is_quoted_as_one_word(path, word, anywhere):
     (command,) = lines(unit(settings(path), "edge", None), "ExecStart")
     assert command.endswith(f" run {word}")
 
@@ -140,7 +140,7 @@ def private(tmp_path, monkeypatch) -> Path:
     return file
 
 
-def test_what_its_user_cannot_read_is_refused_with_what_to_do(private):
+def test_a_configuration_unreadable_to_the_service_user_is_refused(private):
     with pytest.raises(
         UserError,
         match=r"cannot be read by the user that systemd creates.*; put it where all "
@@ -174,14 +174,14 @@ def test_unreadable_parts_of_the_installation_are_reported(private, monkeypatch,
     assert "--user" in str(caught.value)
 
 
-def test_what_lies_in_a_folder_that_is_another_to_the_service_is_refused(private, monkeypatch):
+def test_a_configuration_in_tmp_is_refused(private, monkeypatch):
     me = pwd.getpwuid(os.getuid()).pw_name
     monkeypatch.setattr(install_service, "_TEMPORARY", (str(private.parent),))
     with pytest.raises(UserError, match=r"robot.yaml: the service has its own /tmp"):
         unit(settings(private), "edge", me)
 
 
-def test_a_user_who_is_not_there_is_refused():
+def test_an_unknown_user_is_refused():
     with pytest.raises(UserError, match=r"^--user: no user 'no-such-user' on this machine; "):
         unit(settings(), "edge", "no-such-user")
 
@@ -214,7 +214,7 @@ def test_secrets_are_handed_over_and_stay_roots(secure, tmp_path, anywhere):
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_what_is_no_secret_must_be_readable(secure, tmp_path, monkeypatch):
+def test_only_files_that_are_not_secret_must_be_readable(secure, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(install_service, "_check_readable", lambda paths, user: asked.extend(paths))
     unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
@@ -235,7 +235,7 @@ def test_relative_paths_are_the_services_own(secure, anywhere):
         unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
 
 
-def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
+def test_a_missing_secret_is_named(secure, tmp_path, anywhere):
     (tmp_path / "http.token").unlink()
     with pytest.raises(UserError, match=r"^http.token_file: .*http.token: no such file"):
         unit(simulated(secure, "/etc/edge/robot.yaml"), "edge", None)
@@ -245,7 +245,7 @@ def test_a_secret_that_is_not_there_is_named(secure, tmp_path, anywhere):
     ("checkpoint", "is_taken"),
     [("mission.json", True), ("/var/lib/edge/mission.json", True), ("/data/mission.json", False)],
 )
-def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken, anywhere):
+def test_the_checkpoint_must_be_in_the_services_state_folder(checkpoint, is_taken, anywhere):
     config = simulated({"mission": {"checkpoint": checkpoint}}, "/etc/edge/robot.yaml")
     if is_taken:
         unit(config, "edge", None)
@@ -254,7 +254,7 @@ def test_a_checkpoint_must_lie_where_the_service_can_write(checkpoint, is_taken,
         unit(config, "edge", None)
 
 
-def test_the_command_writes_it_and_says_what_comes_next(private, tmp_path, capsys):
+def test_the_command_writes_the_unit_and_prints_the_next_step(private, tmp_path, capsys):
     me, out = pwd.getpwuid(os.getuid()).pw_name, tmp_path / "edge.service"
     words = ["run", "--install", str(private), "--user", me, "--out"]
     assert main([*words, str(out)]) == 0

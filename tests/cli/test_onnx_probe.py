@@ -55,7 +55,7 @@ def test_the_real_one_runs_a_model():
     assert CPU in probed.ran
 
 
-def test_it_is_not_installed(monkeypatch):
+def test_a_missing_onnxruntime_gives_no_result(monkeypatch):
     monkeypatch.setattr(onnx_probe.util, "find_spec", lambda name: None)
     assert probe.__wrapped__() is None
 
@@ -87,11 +87,11 @@ def test_it_is_not_installed(monkeypatch):
     ],
     ids=["dies-at-import", "dies-at-a-session", "no-import", "no-code-for-the-gpu", "both-run"],
 )
-def test_what_became_of_it(source, expected, tmp_path, monkeypatch):
+def test_the_probe_reports_how_onnxruntime_fails_or_runs(source, expected, tmp_path, monkeypatch):
     assert probe_of(source, tmp_path, monkeypatch) == expected
 
 
-def test_one_that_hangs(tmp_path, monkeypatch):
+def test_a_hanging_onnxruntime_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(onnx_probe, "LIMIT_S", 0.5)
     probed = probe_of("import time; time.sleep(3600)", tmp_path, monkeypatch)
     assert probed == ProbeResult("", (), (), "fails when it is imported: no answer within 0.5 s")

@@ -34,7 +34,7 @@ def config(tmp_path) -> str:
 
 @pytest.fixture
 def play(capsys):
-    """Run the command; its exit code, what it printed, and what it said of errors."""
+    """Run the command; return its exit code, its output and its errors."""
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["--log-level", "error", "play", *map(str, words)])
@@ -57,15 +57,15 @@ def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path,
     code, told, _ = play(folder, config, *pace, "--report", report)
     assert code == os.EX_OK
     lines = [line.split() for line in told.splitlines()]
-    assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # what is played
-    assert ["odom", "/odom", str(N), "-"] in lines  # what became of it
+    assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # played inputs
+    assert ["odom", "/odom", str(N), "-"] in lines  # and their outcome
     n = int(re.search(r"(\d+) observations", told)[1])
     assert n == N or (n > 0 and "--rate" in pace)  # this computer may be busy
     assert int(told.partition("map: ")[2].split()[0]) > 0
     assert {path.name for path in report.iterdir()} == {"report.png", "report.html"}
 
 
-def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
+def test_playing_publishes_nothing_and_writes_no_checkpoint(play, tmp_path):
     """The robot drives and then stands for a long time without a goal."""
     kept = tmp_path / "checkpoint.json"
     mission = {"target": "chair", "checkpoint": str(kept), "stuck_s": 0.5, "time_limit_s": 0.5}
@@ -82,7 +82,7 @@ def test_nothing_is_published_or_kept_and_nobody_is_held_up(play, tmp_path):
     assert not (tmp_path / "sink").exists()
 
 
-def test_a_log_of_carmen_makes_a_map(play, tmp_path):
+def test_a_carmen_log_becomes_a_map(play, tmp_path):
     """A robot drives along a corridor of 4 m."""
     beams = " ".join("2.0" for _ in range(180))
     lines = [f"FLASER 180 {beams} {0.1 * k} 0 0 {0.1 * k} 0 0 {0.2 * k} host {0.2 * k}"
@@ -99,7 +99,7 @@ def test_a_log_of_carmen_makes_a_map(play, tmp_path):
     assert int(told.partition("map: ")[2].split()[0]) >= 8
 
 
-def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
+def test_a_covered_camera_is_named_by_the_bench(config, tmp_path):
     grey = np.full((12, 16, 3), 90, np.uint8)
     sent = [
         (topic, kind, ns, messages.encode_image(ns, OPTICAL, grey) if topic == RGB else payload)
@@ -110,7 +110,7 @@ def test_a_bench_of_a_covered_camera_says_so(config, tmp_path):
         bench.run_bench(load(config), path, 20.0, threading.Event())
 
 
-def test_other_commands_name_it(tmp_path, capsys):
+def test_replay_of_a_robot_recording_names_the_play_command(tmp_path, capsys):
     path = write_mcap(tmp_path / "robot.mcap", plain())
     assert main(["--log-level", "error", "replay", str(path)]) == os.EX_IOERR
     assert "`edge play FILE CONFIG`" in capsys.readouterr().err

@@ -144,7 +144,7 @@ def test_config_and_run_refuse_the_same_with_the_same_line(sections, says, capsy
     assert line_of("run", sections, capsys) == (code, line)
 
 
-def test_a_target_that_the_detector_does_not_know_is_refused_by_both(capsys, monkeypatch):
+def test_config_and_run_refuse_an_unknown_target_alike(capsys, monkeypatch):
     monkeypatch.setattr(launch, "warm_up", None)
     sections = {**perception(detector=ONNX), "mission": {"target": "unicorn"}}
     sections["zenoh"] = {"endpoint": f"tcp/127.0.0.1:{free_port()}"}
@@ -181,14 +181,14 @@ def test_all_faults_are_reported_at_once(capsys):
         ),
     ],
 )
-def test_a_missing_extra_fails_before_anything_is_loaded(package, sections, says, monkeypatch):
+def test_a_missing_extra_fails_before_the_start(package, sections, says, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(UserError) as caught:
         check(simulated(sections))
     assert says in str(caught.value)
 
 
-def test_what_cannot_be_opened_fails_before_kernels_are_compiled(monkeypatch):
+def test_a_sink_that_cannot_open_fails_before_kernels_are_compiled(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", None)
     monkeypatch.setattr(launch, "make_detector", None)
     config = launch.with_free_port(simulated({"sinks": [f"{__name__}:Fails"]}))
@@ -221,7 +221,7 @@ def test_what_cannot_be_opened_fails_before_kernels_are_compiled(monkeypatch):
         ),
     ],
 )
-def test_the_configured_mission_is_checked_where_that_takes_no_server(mission, refused):
+def test_the_configured_mission_is_checked_if_no_server_is_needed(mission, refused):
     config: Config = simulated({"mission": mission})
     if not refused:
         check_mission(config)

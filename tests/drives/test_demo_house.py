@@ -45,14 +45,14 @@ def trash_can_m(loop: ClosedLoop, tall: bool) -> float:
     ("phrase", "tall"),
     [("tall white trash can", True), ("white bin", True), ("green trash can", False)],
 )
-def test_of_two_of_a_kind_it_drives_to_the_one_that_was_named(phrase, tall):
+def test_the_robot_drives_to_the_described_one_of_two_objects(phrase, tall):
     loop = run(phrase, KITCHEN, 60)
     assert trash_can_m(loop, tall) <= 1.0
     assert trash_can_m(loop, tall) < trash_can_m(loop, not tall)
 
 
 @pytest.mark.slow
-def test_it_finds_the_one_of_two_that_was_named_from_afar():
+def test_the_robot_finds_a_described_object_from_afar():
     loop = run("tall white trash can")
     assert trash_can_m(loop, True) <= 1.0
 

@@ -48,7 +48,7 @@ def test_no_room_is_known_before_the_first_tick():
         ask(loop, do="set", kind="keep_out", room="kitchen")
 
 
-def test_the_robot_finds_a_room_of_a_kind_and_goes_inside(in_kitchen):
+def test_the_robot_finds_the_kitchen_and_drives_inside(in_kitchen):
     loop = in_kitchen
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)
@@ -121,7 +121,7 @@ def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
 CLOSED = Zone("annexe", "keep_out", ((6.0, -1.0), (12.0, -1.0), (12.0, 5.0), (6.0, 5.0)))
 
 
-def test_a_mission_to_a_room_that_a_zone_closes_is_refused(in_kitchen):
+def test_a_mission_to_a_closed_room_is_refused(in_kitchen):
     service, mission = in_kitchen.service, in_kitchen.config.mission
     service.change_site(Site((CLOSED,)), 0)
 
@@ -139,7 +139,7 @@ def test_a_mission_to_a_room_that_a_zone_closes_is_refused(in_kitchen):
     begin("go to the kitchen")
 
 
-def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason():
+def test_a_mission_to_an_undiscovered_closed_room_fails():
     loop = driven("go to the canteen", CLOSED, RoomName("canteen", KITCHEN))
     assert loop.service.status.phase == "failed", loop.notes.events
     assert loop.service.status.reason == "a zone closes the canteen, room 2"
@@ -155,7 +155,7 @@ def test_a_mission_to_a_closed_room_that_is_not_known_yet_fails_with_the_reason(
         ((6.0, 12.0), True, True),
     ],
 )
-def test_a_room_is_no_kitchen_to_go_to_if_zones_close_what_shows_it(
+def test_a_zone_over_the_refrigerator_closes_the_kitchen(
     in_kitchen, x_m, closed, closed_to_a_kitchen
 ):
     service, (low, high) = in_kitchen.service, x_m
@@ -168,14 +168,14 @@ def test_a_room_is_no_kitchen_to_go_to_if_zones_close_what_shows_it(
     assert not is_closed(kitchen, service.map, "kitchen")
 
 
-def test_an_empty_room_is_no_guess(tmp_path, monkeypatch):
+def test_an_empty_room_is_not_taken_for_a_kitchen(tmp_path, monkeypatch):
     monkeypatch.setitem(HOUSE, "objects", HOUSE["objects"][:1])  # the sofa: the other room is empty
     loop = driven("go to the kitchen", seconds=120.0, folder=tmp_path)
     assert loop.service.status.phase == "failed", loop.notes.events
     assert "found no kitchen" in loop.service.status.reason
 
 
-def test_the_next_room_is_one_that_was_not_visited():
+def test_the_next_room_is_an_unvisited_one():
     loop = driven("go to the next room", seconds=60.0)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)

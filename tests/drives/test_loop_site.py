@@ -33,7 +33,7 @@ def there_and_back() -> ClosedLoop:
     return driven("go to the dock and come back", FAR)
 
 
-def test_it_goes_to_a_place_that_it_has_not_seen_and_comes_back(there_and_back):
+def test_the_robot_drives_to_a_place_and_back(there_and_back):
     loop = there_and_back
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.service.mission.sets.reached == ("dock", "here")
@@ -73,7 +73,7 @@ def test_a_place_is_named_listed_used_and_removed(there_and_back):
         ('{"do": "remove"}', "name: expected text"),
     ],
 )
-def test_what_is_no_request_is_refused(payload, message):
+def test_an_invalid_site_request_is_refused(payload, message):
     with pytest.raises((ValueError, UserError), match=message):
         read_request(payload.encode(), SITE_VERBS)
 
@@ -85,7 +85,7 @@ def test_a_place_that_cannot_be_reached_fails_with_the_reason(tmp_path):
     assert "no path to roof" in status.reason
 
 
-def test_it_drives_around_a_zone_and_the_way_is_longer():
+def test_driving_around_a_zone_makes_the_path_longer():
     def path_m(*items) -> float:
         loop = driven("go to the dock", FAR, *items)
         assert loop.service.status.phase == "reached", loop.notes.events
@@ -98,21 +98,21 @@ def test_it_drives_around_a_zone_and_the_way_is_longer():
 @pytest.mark.parametrize(
     "at_m", [START, (START[0] + 1.07, START[1])], ids=["in the middle", "at the edge"]
 )
-def test_it_leaves_a_zone_that_it_is_in_and_says_so(at_m):
+def test_the_robot_leaves_a_zone_that_it_starts_in(at_m):
     loop = driven("go to the dock", FAR, Zone("rug", "keep_out", square(*at_m, 0.8)))
     assert "inside a zone: leaving it by the shortest way" in loop.notes.events
     assert "left the zone" in loop.notes.events
     assert loop.service.status.phase == "reached"
 
 
-def test_it_stays_inside():
+def test_the_robot_stays_inside_a_zone():
     loop = driven("find the bed", Zone("area", "stay_inside", square(*START, 1.5)))
     assert loop.service.status.phase == "failed"
     pose = loop.drive.motion.pose
     assert max(abs(pose.x_m - START[0]), abs(pose.y_m - START[1])) < 1.5 - 0.2
 
 
-def test_it_explores_and_knows_more_than_when_it_only_looked_around(tmp_path):
+def test_the_robot_explores_the_house_and_comes_back(tmp_path):
     loop = driven("explore the house, then come back", folder=tmp_path)
     assert loop.service.status.phase == "reached", loop.notes.events
     area_m2 = BOX[2][0] * BOX[2][1]
@@ -121,7 +121,7 @@ def test_it_explores_and_knows_more_than_when_it_only_looked_around(tmp_path):
     assert loop.drive.motion.pose.distance_to(*HOUSE["start"][:2]) < 0.6
 
 
-def test_it_patrols():
+def test_the_robot_patrols_two_places():
     loop = driven("patrol the dock and the start 2 times", FAR, seconds=280.0)
     reached = [
         e.split()[1] for e in loop.notes.events if e.startswith("reached: ") and "m from" in e

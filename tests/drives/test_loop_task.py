@@ -60,7 +60,7 @@ def at_the_oven() -> ClosedLoop:
     return closed(TO_THE_OVEN).run(200)
 
 
-def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
+def test_a_task_finds_its_object_then_drives_the_trajectory(at_the_oven):
     loop = closed(TO_THE_OVEN)
     loop.step()
     facts = loop.service.result().task()
@@ -77,7 +77,7 @@ def test_what_it_names_is_looked_for_first_and_reached_by_no_look(at_the_oven):
 
 
 @pytest.mark.parametrize("task", OVENS[:2])
-def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch):
+def test_an_unconfirmed_destination_is_rejected_and_the_search_continues(task, monkeypatch):
     loop = closed(task)
     tracker = loop.service.map.tracker
     monkeypatch.setattr(tracker, "confirmed", lambda one: False)
@@ -93,7 +93,7 @@ def test_what_it_stops_at_is_made_sure_of_or_left_for_another(task, monkeypatch)
     )
 
 
-def test_what_is_too_far_off_to_make_sure_of_is_taken_for_it():
+def test_a_destination_too_far_to_verify_is_accepted():
     loop = closed(TO_THE_OVEN, perception={"confirm_range_m": 0.2}).run(200)
     assert not loop.service.map.tracker.of("oven", only_confirmed=True)
     assert any("too far to verify, accepted" in event for event in loop.notes.events)
@@ -115,7 +115,7 @@ def ambiguous(loop: ClosedLoop, monkeypatch, states: tuple[str, ...]) -> None:
     monkeypatch.setattr(plan_worker, "write_trajectory", write)
 
 
-def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
+def test_an_ambiguous_tentative_object_is_looked_at_from_nearby(monkeypatch):
     loop = closed(TO_THE_OVEN)
     ambiguous(loop, monkeypatch, ("tentative",))
     loop.run(200)
@@ -125,7 +125,7 @@ def test_what_it_may_be_any_of_is_looked_at_from_near_by(monkeypatch):
     assert loop.service.mission.sets.reached == ()
 
 
-def test_what_it_may_be_any_of_when_all_are_known_ends_it(monkeypatch):
+def test_a_task_ambiguous_between_known_objects_fails(monkeypatch):
     loop = closed(TO_THE_OVEN)
     ambiguous(loop, monkeypatch, ("tentative", "confirmed"))
     loop.run(200)
@@ -150,7 +150,7 @@ def first_plan(task: str, monkeypatch) -> tuple[plan_worker.PlanRequest, plan_wo
     return plans[-1]
 
 
-def test_what_is_avoided_is_avoided_when_the_path_is_refined_again(monkeypatch):
+def test_an_object_to_avoid_is_still_avoided_after_refinement(monkeypatch):
     _, near = first_plan(TO_THE_OVEN, monkeypatch)
     request, away = first_plan(f"{TO_THE_OVEN}, avoiding the sink", monkeypatch)
     (sink,) = (one for one in request.instances if one.label == "sink")
@@ -173,7 +173,7 @@ def task_steps(loop: ClosedLoop) -> dict[str, int]:
     return metric.read(SimpleNamespace(service=loop.service))
 
 
-def test_the_first_steps_are_driven_before_what_a_later_one_names_is_seen():
+def test_the_first_steps_are_driven_before_later_targets_are_seen():
     loop = until(closed(f"{STRAIGHT}, then {TO_THE_OVEN}"), "driving")
     facts = loop.service.result().task()
     assert (facts.missing, states(loop)) == (("oven",), ["under way", "looked for"])
@@ -194,7 +194,7 @@ def test_the_first_steps_are_driven_before_what_a_later_one_names_is_seen():
     assert len(kinds) > 2, "it was searched for in between"
 
 
-def test_a_step_counts_as_driven_while_the_next_is_under_way():
+def test_a_finished_step_counts_as_driven_during_the_next():
     loop = until(closed("go straight for 1 metre, then straight for 1 metre"), "driving")
     seen = [states(loop)]
     while not loop.service.status.done:
@@ -206,7 +206,7 @@ def test_a_step_counts_as_driven_while_the_next_is_under_way():
     assert loop.service.result().task().refinements == 1, "of one trajectory"
 
 
-def test_what_is_nowhere_fails_with_what_was_missed():
+def test_a_task_fails_with_the_name_of_the_missing_object():
     task = f"{STRAIGHT}, then go to the surfboard"
     loop = closed(task, mission={"search_limit_s": 5.0}).run(30)
     status = loop.service.status
@@ -215,7 +215,7 @@ def test_what_is_nowhere_fails_with_what_was_missed():
     assert states(loop) == ["driven", "not driven"]
 
 
-def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
+def test_a_task_is_requested_and_replaced_like_a_mission():
     loop = closed(None).run(0.2)
     answer = ask(loop, "new", task=STRAIGHT, id="7")
     assert (answer["instruction"], answer["id"]) == (STRAIGHT, "7")
@@ -227,7 +227,7 @@ def test_a_task_is_asked_for_as_a_mission_is_and_gives_way_to_one():
     assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
 
 
-def test_a_pause_has_the_robot_stand_and_resume_drive_on():
+def test_pause_stops_a_task_and_resume_continues_it():
     loop = until(closed(), "driving")
     for _ in range(5):
         loop.step()
@@ -255,7 +255,7 @@ def test_a_pose_jump_voids_the_trajectory_and_another_is_written():
     assert loop.service.result().task().refined is not before
 
 
-def test_what_blocks_the_way_is_driven_around():
+def test_the_robot_drives_around_an_obstacle_on_the_trajectory():
     loop = until(closed("go straight for 3 metres"), "driving")
     pose, now_ns = loop.drive.motion.pose, loop.drive.motion.stamp_ns
     loop.service.map.grid.bumps.close(pose, pose.ahead(1.5), 0.2, now_ns)
@@ -286,7 +286,7 @@ def test_a_model_writes_once_the_robot_has_turned_round():
     assert any(event.startswith("answer 1 of the model: ") for event in loop.notes.events)
 
 
-def test_after_a_restart_a_task_goes_on_with_the_first_step_that_was_not_driven(tmp_path):
+def test_a_restarted_task_continues_with_the_first_undriven_step(tmp_path):
     task = f"{STRAIGHT}, then {TO_THE_OVEN}"
     loop = until(until(closed(task), "driving"), "looking")
     config = loop.config

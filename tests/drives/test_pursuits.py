@@ -44,7 +44,7 @@ def steps(loop: ClosedLoop, seconds: float) -> None:
         loop.step()
 
 
-def test_it_waits_for_the_given_time_without_moving(tmp_path):
+def test_the_robot_waits_for_the_given_time_without_moving(tmp_path):
     loop = loop_of(tmp_path, 'F "wait 3 s"')
     steps(loop, 1.5)
     status = loop.service.status
@@ -56,7 +56,7 @@ def test_it_waits_for_the_given_time_without_moving(tmp_path):
     assert not [goal for goal in loop.notes.goals if goal.kind != "spin"]
 
 
-def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
+def test_a_wait_without_a_time_ends_on_request(tmp_path):
     loop = loop_of(tmp_path, "F (wait & F start)", time_limit_s=2.0)
     steps(loop, 4.0)
     assert loop.service.status.reason == "waiting until told to go on"
@@ -71,7 +71,7 @@ def test_a_wait_ends_when_a_person_says_so_and_has_no_limit(tmp_path):
     assert loop.service.mission.target == "start"
 
 
-def test_exploring_ends_with_its_time_and_reports_what_was_found(tmp_path):
+def test_exploring_ends_after_its_time_and_lists_the_objects(tmp_path):
     loop = loop_of(tmp_path, 'F "explored for 6 s"', time_limit_s=3.0).run(60)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -91,13 +91,13 @@ def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
     assert min(o.distance_m(*at_m) for o in loop.world.objects if o.label == "bed") < 0.5
 
 
-def test_a_check_for_what_is_not_there_answers_no(tmp_path):
+def test_a_check_for_an_absent_object_answers_no(tmp_path):
     status = loop_of(tmp_path, 'F "check surfboard"').run(280).service.status
     assert status.phase == "reached", status
     assert status.reason.startswith("no, there is no surfboard: explored all reachable space")
 
 
-def test_a_check_goes_to_where_the_thing_was_and_does_not_trust_its_memory(tmp_path):
+def test_a_check_looks_again_at_the_remembered_place(tmp_path):
     loop = loop_of(tmp_path, 'F "check piano"')
     at_m = np.array([6.5, 3.2, 0.5], np.float32)
     points_m = at_m + np.float32([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0.1]])
@@ -123,7 +123,7 @@ def in_rooms(folder: Path, formula: str) -> ClosedLoop:
     return loop
 
 
-def test_exploring_a_room_stays_inside_and_reports_what_is_there(tmp_path):
+def test_exploring_a_room_stays_inside_and_lists_its_objects(tmp_path):
     loop = in_rooms(tmp_path, 'F "explored workshop"').run(100)
     status = loop.service.status
     assert status.phase == "reached", status
@@ -147,7 +147,7 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
 
 
 @pytest.mark.parametrize(("thing", "phase"), [("sofa", "reached"), ("bed", "failed")])
-def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
+def test_an_object_in_a_named_room_is_sought_only_there(thing, phase, tmp_path):
     den = Site((RoomName("den", (2.0, 2.0)),))
     loop = loop_of(tmp_path, "F start")
     loop.service.change_site(den, loop.drive.motion.stamp_ns)
@@ -157,7 +157,7 @@ def test_a_thing_in_a_named_room_is_only_that(thing, phase, tmp_path):
     assert loop.service.status.phase == phase, loop.service.status
 
 
-def test_a_check_that_finds_nothing_reports_where_the_object_was_before(tmp_path):
+def test_a_failed_check_reports_the_last_known_place(tmp_path):
     loop = in_rooms(tmp_path, 'F "check bed in bedroom"').run(100)
     assert loop.service.status.reason.startswith("yes")
     formula, now_ns = 'F "check bed in workshop"', loop.drive.motion.stamp_ns
@@ -167,13 +167,13 @@ def test_a_check_that_finds_nothing_reports_where_the_object_was_before(tmp_path
     assert "before: bed: in the bedroom, at (" in reason
 
 
-def test_it_patrols_rooms(tmp_path):
+def test_the_robot_patrols_rooms(tmp_path):
     loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
     steps(loop, 60.0)
     assert loop.service.mission.round >= 2, loop.notes.events
 
 
-def test_it_comes_to_the_caller(tmp_path):
+def test_the_robot_drives_to_the_caller(tmp_path):
     config = loop_of(tmp_path, "F start").config.mission
     fields = mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": [3, 2, 1.5]})
     assert fields["caller"] == SE2(3.0, 2.0, 1.5)
@@ -186,7 +186,7 @@ def test_it_comes_to_the_caller(tmp_path):
     assert loop.drive.motion.pose.distance_to(3.0, 2.0) < 0.8
 
 
-def test_it_patrols_for_some_time_and_reports_the_round(tmp_path):
+def test_a_timed_patrol_reports_its_round(tmp_path):
     loop = loop_of(tmp_path, "F start")
     site = Site((Place("dock", SE2(3.0, 2.0, 0.0)), Place("shelf", SE2(1.5, 1.0, 0.0))))
     fields = mission_verbs(prepare)["new"].read({"formula": "F (dock & F shelf)", "for_s": 40})
@@ -214,7 +214,7 @@ NEVER_SURE = {"confirm_mean": 0.99}  # the bed is seen well, but never confirmed
         ("ask", "failed", r"probably, 0\.\d\d: bed; nobody confirmed it within 60 s$"),
     ],
 )
-def test_an_object_that_was_never_confirmed_is_probable(probable, phase, reason, tmp_path):
+def test_an_unconfirmed_object_is_handled_as_configured(probable, phase, reason, tmp_path):
     status = loop_of(tmp_path, "F bed", NEVER_SURE, probable=probable).run(250).service.status
     assert status.phase == phase, status
     assert re.match(reason, status.reason), status.reason
@@ -223,7 +223,7 @@ def test_an_object_that_was_never_confirmed_is_probable(probable, phase, reason,
 @pytest.mark.parametrize(
     "limit", [{"path_limit_m": 6.0}, {"time_limit_s": 25.0}, {"search_limit_s": 25.0}]
 )
-def test_it_goes_back_to_a_probable_object_before_a_limit_ends_the_search(limit, tmp_path):
+def test_a_probable_object_is_visited_before_a_limit(limit, tmp_path):
     status = (
         loop_of(tmp_path, "F bed", NEVER_SURE, probable="accept", **limit).run(60).service.status
     )
@@ -287,18 +287,18 @@ def test_a_person_confirms_a_probable_object(tmp_path):
     ("field", "value"),
     [("rounds", 0), ("rounds", "3"), ("rounds", 1e9), ("for_s", -1), ("for_s", float("nan"))],
 )
-def test_an_end_that_is_none_is_refused(field, value):
+def test_an_invalid_end_of_a_patrol_is_refused(field, value):
     with pytest.raises(ValueError, match=f"{field}: expected"):
         mission_verbs(prepare)["new"].read({"formula": "F a & F b", field: value})
 
 
 @pytest.mark.parametrize("pose", [[1, 2], "here", [1, 2, True], [1, 2, 1e9], [1, 2, float("nan")]])
-def test_a_pose_that_is_none_is_refused(pose):
+def test_an_invalid_caller_pose_is_refused(pose):
     with pytest.raises(ValueError, match=r"from_pose: expected \[x_m, y_m, yaw_rad\]"):
         mission_verbs(prepare)["new"].read({"formula": "F caller", "from_pose": pose})
 
 
 @pytest.mark.parametrize("formula", ['F bed & G !"wait 3 s"', "F bed & G !explored"])
-def test_what_cannot_be_forbidden_is_refused(formula, tmp_path):
+def test_a_wait_or_exploration_cannot_be_forbidden(formula, tmp_path):
     with pytest.raises(UserError, match="cannot be forbidden; leave it out"):
         prepare(loop_of(tmp_path, "F start").config.mission, formula=formula)

@@ -54,7 +54,7 @@ def begin(loop: ClosedLoop, formula: str) -> ClosedLoop:
     raise AssertionError(loop.service.status)
 
 
-def test_what_is_not_there_is_given_up_after_looking_again_at_what_was_seen_from_afar(tmp_path):
+def test_an_absent_target_is_given_up_after_a_second_look(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F (surfboard | piano)"), colour=False).run(200)
     status, views = loop.service.status, loop.service.goals.views
     assert status.phase == "failed"
@@ -66,13 +66,13 @@ def test_what_is_not_there_is_given_up_after_looking_again_at_what_was_seen_from
     assert max(xs) > 5.5  # all along the room
 
 
-def test_a_later_mission_finds_in_an_explored_house_what_was_never_looked_for(tmp_path):
+def test_a_later_mission_finds_an_object_that_was_not_sought(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(100)
     assert loop.service.status.phase == "reached"
     begin(loop, "F toilet")
     assert loop.service.status.phase == "reached", loop.service.status
     assert loop.distance_m("toilet") <= 1.0
-    # And back to what was reached before, though the camera was on it while it was not sought.
+    # Then back to the first target, which the camera saw while it was not sought.
     begin(loop, "F desk")
     path_m = loop.drive.motion.pose.distance_to(2.5, 0.6)
     begin(loop, "F armchair")
@@ -103,8 +103,8 @@ def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
 
 
 @pytest.mark.parametrize("formula", ["F bed", "F television & F sofa"])
-def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passing(formula):
-    """The ablation "w/o IBTP" of VL-Nav: what may be the target does not attract."""
+def test_without_instance_points_only_confirmed_instances_become_goals(formula):
+    """The ablation "w/o IBTP" of VL-Nav: possible targets do not attract."""
     mission = {"instruction": formula, "translator": {"kind": "ltl"}}
     config = {
         "loop": {"lockstep": True},
@@ -128,7 +128,7 @@ def test_without_instance_points_an_episode_ends_at_what_was_confirmed_in_passin
 
 
 @pytest.mark.parametrize("mount", [{"yaw_deg": 40.0, "roll_deg": 8.0}, {"yaw_deg": -60.0}])
-def test_a_camera_that_looks_aside_finds_its_target_all_the_same(mount):
+def test_a_sideways_camera_finds_its_target(mount):
     sensors = {"camera": {"width_px": 160, "height_px": 128, **mount}}
     loop = ClosedLoop(
         simulated({"mission": {"target": "television"}, "sensors": sensors}), colour=False

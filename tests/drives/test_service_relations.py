@@ -45,7 +45,7 @@ def test_only_objects_that_fit_the_relation_are_candidates(target, prompts, ids)
     here.close()
 
 
-def test_the_vase_on_the_cabinet_is_found_and_the_choice_reported():
+def test_the_vase_on_the_cabinet_is_found_with_a_report():
     """It takes some seconds, since the robot drives through the house."""
     data = {
         "mission": {"instruction": 'go to the "vase on the cabinet"'},

@@ -25,7 +25,7 @@ def begin(loop: ClosedLoop, formula: str) -> None:
     handle_mission(loop.service, Request("new", prepared=spec), loop.drive.motion.stamp_ns)
 
 
-def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
+def test_an_object_seen_as_context_becomes_a_target_at_once(found_a_bed):
     loop = found_a_bed
     assert loop.service.status.phase == "reached"
     assert loop.service.map.tracker.of("sofa") == []
@@ -48,7 +48,7 @@ def test_what_was_seen_as_context_is_driven_to_at_once(found_a_bed):
     assert loop.drive.motion.path_m - driven_m < 12.0
 
 
-def test_policies_see_what_was_seen_and_cannot_write_there(found_a_bed):
+def test_policies_read_detected_objects_but_cannot_write_them(found_a_bed):
     seen = found_a_bed.service.map.objects.read_only
     assert {"bed", "sofa", "carpet"} <= {seen.words[w] for w in seen.word[: seen.n]}
     with pytest.raises(ValueError, match="read-only"):

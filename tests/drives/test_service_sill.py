@@ -16,7 +16,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.mapping import layers as ly
 from edge.types import GoalStatus
 
-# Over what the simulated robot drives across (0.05 m), under what the map shows (0.10 m).
+# Too high for the simulated robot (0.05 m), too low for the map (0.10 m).
 SILL_M = 0.085
 
 
@@ -64,7 +64,7 @@ def held_up(loop: ClosedLoop) -> list[str]:
 
 
 @pytest.mark.parametrize("policy", ["hvl", "nearest_frontier"])
-def test_it_goes_another_way_after_one_bump(tmp_path, policy):
+def test_the_robot_takes_another_path_after_one_bump(tmp_path, policy):
     loop = closed_loop(tmp_path, way_round=True, policy=policy).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert loop.distance_m("bed") <= 1.0
@@ -73,14 +73,14 @@ def test_it_goes_another_way_after_one_bump(tmp_path, policy):
 
 
 @pytest.mark.parametrize(("width_m", "most"), [(2.0, 3), (4.0, 4)])
-def test_a_long_sill_is_not_felt_out_from_end_to_end(tmp_path, width_m, most):
+def test_a_long_sill_is_given_up_after_a_few_bumps(tmp_path, width_m, most):
     loop = closed_loop(tmp_path, way_round=True, width_m=width_m).run(100)
     assert loop.service.status.phase == "reached", (loop.service.status, loop.notes.events)
     assert 2 <= loop.drive.motion.collisions <= most
     assert loop.service.status.elapsed_s < 70
 
 
-def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_path):
+def test_a_blocked_only_path_ends_the_mission_with_the_reason(tmp_path):
     loop = closed_loop(tmp_path, way_round=False).run(200)
     status = loop.service.status
     assert status.phase == "failed"
@@ -94,8 +94,8 @@ def test_where_no_other_way_leads_it_tries_twice_more_and_says_why_it_ends(tmp_p
 
 
 @pytest.mark.parametrize("reach_cells_per_tick", [8000, 500])
-def test_what_held_it_up_may_go(tmp_path, monkeypatch, reach_cells_per_tick):
-    """As a person does who stood in the only doorway, or a door that is opened.
+def test_a_removed_obstacle_lets_the_robot_through(tmp_path, monkeypatch, reach_cells_per_tick):
+    """The obstacle is a person in the only doorway, or a door that opens.
 
     All was looked at, so that no other view gives the reach field time to lead there.
     """
@@ -120,7 +120,9 @@ def test_what_held_it_up_may_go(tmp_path, monkeypatch, reach_cells_per_tick):
     [(0.2, 0, True), (50.0, 0, False), (0.2, -5_000_000, False)],
     ids=["present goal", "another frame", "old goal"],
 )
-def test_any_controller_may_say_where_the_robot_is_held_up(tmp_path, away_m, stamp_by, closes):
+def test_a_controller_reports_a_nearby_obstacle_for_the_present_goal(
+    tmp_path, away_m, stamp_by, closes
+):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
@@ -158,7 +160,7 @@ def stand(loop: ClosedLoop, fails_after_s: float, seconds: float) -> int:
     [(1000.0, 3.0), (5.0, 18.0), (9.0, 18.0)],
     ids=["says nothing", "fails soon", "fails late"],
 )
-def test_a_robot_that_ignores_commands_teaches_the_map(tmp_path, fails_after_s, within_s):
+def test_a_stuck_robot_marks_an_obstacle_ahead(tmp_path, fails_after_s, within_s):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
@@ -170,7 +172,7 @@ def test_a_robot_that_ignores_commands_teaches_the_map(tmp_path, fails_after_s, 
     assert stuck_s - 1.0 <= stood_ns / 1e9 <= stuck_s + within_s
 
 
-def test_a_controller_that_finds_no_way_at_all_teaches_the_map_nothing(tmp_path):
+def test_a_controller_without_a_path_marks_no_obstacle(tmp_path):
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
@@ -178,8 +180,8 @@ def test_a_controller_that_finds_no_way_at_all_teaches_the_map_nothing(tmp_path)
     assert held_up(loop) == []
 
 
-def test_who_stands_there_for_ever_does_not_explain_it_for_ever(tmp_path):
-    """Under the thing that the map shows there may be one that it does not, a little nearer."""
+def test_a_known_obstacle_explains_a_standstill_only_for_a_time(tmp_path):
+    """Below the mapped obstacle there may be a nearer one that the map does not show."""
     loop = closed_loop(tmp_path, way_round=False)
     while loop.drive.motion.v_mps < 0.2:
         loop.step()

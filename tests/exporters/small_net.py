@@ -1,4 +1,4 @@
-"""A small network in the way of a detector, for tests of what exporters do to a graph."""
+"""A small network like a detector's, to test how exporters change a graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The export of a real card from real weights: what the file takes, gives and is recorded as."""
+"""The export of a real card from real weights: inputs, outputs and record of the file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_contract_of_a_detector(cache, name, prompts):
     assert ((scores >= 0) & (scores <= 1)).all()
 
 
-def test_the_sidecar_belongs_to_the_file(cache):
+def test_the_sidecar_has_the_hash_and_size_of_the_file(cache):
     from exporters.files import sha256_of
 
     sidecar = json.loads((cache / f"{NAME}.onnx.json").read_text())
@@ -74,7 +74,7 @@ def test_the_parity_is_measured(cache):
     assert fp32["recall"] == fp32["precision"] == 1.0
 
 
-def test_int8_sees_what_fp32_sees(cache, photos, vocabulary):
+def test_int8_finds_the_same_boxes_as_fp32(cache, photos, vocabulary):
     from exporters.images import list_images, load_text_embeddings
     from exporters.parity import measure
 
@@ -98,7 +98,7 @@ def test_the_export_is_the_same_twice(cache, weights, tmp_path):
     assert again.read_bytes() == (cache / f"{NAME.replace('int8-cpu', 'fp32')}.onnx").read_bytes()
 
 
-def test_a_checkpoint_that_is_not_the_cards_is_not_loaded(weights, tmp_path, capsys):
+def test_a_checkpoint_with_a_wrong_hash_is_not_loaded(weights, tmp_path, capsys):
     from exporters.__main__ import main
 
     false = tmp_path / "weights.pt"
@@ -111,7 +111,7 @@ def test_a_checkpoint_that_is_not_the_cards_is_not_loaded(weights, tmp_path, cap
     assert not list(tmp_path.glob("*.onnx"))
 
 
-def test_int8_without_images_says_so(weights, tmp_path, capsys):
+def test_int8_needs_calibration_images(weights, tmp_path, capsys):
     from exporters.__main__ import main
 
     assert main([NAME, "--weights", str(weights), "--cache", str(tmp_path)]) == 1
@@ -160,7 +160,7 @@ def small(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.mark.parametrize("name", ["fp16", "int8-cpu"])
-def test_a_variant_of_the_fp32_that_is_here_needs_no_weights(small, name, capsys, monkeypatch):
+def test_a_variant_of_an_existing_fp32_needs_no_weights(small, name, capsys, monkeypatch):
     import yaml
 
     from exporters.__main__ import main

@@ -116,7 +116,7 @@ def test_from_a_published_folder_to_the_running_service(
     assert run.process.poll() is None
 
 
-def test_what_cannot_be_quantized_is_one_line(edge, pictures, tmp_path):
+def test_an_unsuitable_model_is_refused_in_one_line(edge, pictures, tmp_path):
     """Each before anything is read of a model."""
     models = tmp_path / "models"
     models.mkdir()

@@ -41,13 +41,13 @@ def views_of(rows: list[dict]) -> Views:
     )  # fmt: skip
 
 
-def test_no_views_have_no_labels():
+def test_without_views_there_are_no_labels():
     empty = views_of([])
     assert labels.marks_of(empty).shape == (0, MAX_MARKS, MARK_FIELDS)
     assert labels.is_asked(empty).shape == labels.scene(empty).shape == (0, 1)
 
 
-def test_marks_are_shares_of_the_image_and_zeros_where_there_is_none():
+def test_marks_are_image_fractions_padded_with_zeros():
     found = labels.marks_of(views_of([{"left": [2.0], "path": [1.0]}]))
     np.testing.assert_allclose(found[0, 0], [0.5, 0.5, 0.1, 3.0, 1.0, 2.0, 1.0], rtol=1e-6)
     assert not found[0, 1:].any()
@@ -63,7 +63,7 @@ def test_marks_are_shares_of_the_image_and_zeros_where_there_is_none():
         ({"left": [INF], "path": [1.0], "else_m": 4.0}, True),
     ],
 )
-def test_what_is_worth_asking(row, asked):
+def test_views_with_a_known_or_absent_target_are_skipped(row, asked):
     assert labels.is_asked(views_of([row])).item() is asked
 
 
@@ -76,13 +76,13 @@ def test_what_is_worth_asking(row, asked):
         ([2.0, 2.0 + labels.SOFT_M], INF, [1 / (1 + np.exp(-1)), 1 / (1 + np.e), 0.0]),
     ],
 )
-def test_directions_by_what_is_left(left, else_m, expected):
+def test_directions_are_weighted_by_the_distance_left(left, else_m, expected):
     found = labels.directions(np.array(left), np.array(else_m))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 @given(hnp.arrays(np.float64, st.integers(2, 9), elements=st.floats(0, 100)))
-def test_directions_sum_to_one_and_the_shortest_is_likeliest(each_m):
+def test_directions_sum_to_one_and_favour_the_shortest(each_m):
     found = labels.directions(each_m[:-1], each_m[-1])
     assert found.sum() == pytest.approx(1.0, abs=1e-5)
     assert found[each_m.argmin()] == found.max()
@@ -99,12 +99,12 @@ def test_directions_sum_to_one_and_the_shortest_is_likeliest(each_m):
         ({"left": [8.0], "path": [9.0], "here_m": 12.0, "else_path_m": 10.0}, False),
     ],
 )
-def test_the_scene_leads_there_where_a_mark_lies_near_a_shortest_way(row, leads):
+def test_the_scene_leads_to_marks_near_a_shortest_path(row, leads):
     assert labels.scene(views_of([row])).item() is leads
 
 
 @pytest.mark.parametrize("text", ["", "5", "3:3", "a:b", "0:2,", "-3:2", "1:2:3"])
-def test_seeds_that_are_no_ranges_are_refused(text):
+def test_invalid_seed_ranges_are_refused(text):
     with pytest.raises(ExportError, match=r"--houses: got .*; give ranges such as 0:60"):
         seeds("--houses", text)
 

@@ -1,4 +1,4 @@
-"""The net of the choice scorer: what it may depend on."""
+"""The network of the choice scorer: which inputs change its outputs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def answer(net, images, *rest):
     return net(net.read(*images), *rest)
 
 
-def test_a_place_is_read_from_its_cells_with_weights_that_sum_to_one():
+def test_bilinear_weights_of_a_place_sum_to_one():
     centres = cell_centres()
     torch.testing.assert_close(bilinear_weights(centres), torch.eye(CELLS), atol=1e-5, rtol=0.0)
     between = bilinear_weights((centres[:1] + centres[1:2]) / 2)
@@ -56,7 +56,7 @@ def test_a_place_is_read_from_its_cells_with_weights_that_sum_to_one():
     torch.testing.assert_close(outside.sum(-1), torch.ones(1))
 
 
-def test_without_marks_only_elsewhere_is_left(net):
+def test_without_marks_elsewhere_has_all_probability(net):
     images, target, text, marks, others = asked()
     logits, scene = answer(net, images, target, text, torch.zeros_like(marks), others)
     assert logits.shape == (2, 3, 5)
@@ -64,7 +64,7 @@ def test_without_marks_only_elsewhere_is_left(net):
     torch.testing.assert_close(logits.softmax(-1)[..., -1], torch.ones(2, 3))
 
 
-def test_marks_that_are_not_there_change_nothing(net):
+def test_absent_marks_change_nothing(net):
     images, target, text, marks, others = asked()
     fewer, scene = answer(net, images, target, text, marks[:, :2], others)
     marks[:, 2:] = 0.0
@@ -73,7 +73,7 @@ def test_marks_that_are_not_there_change_nothing(net):
     torch.testing.assert_close(scene, same, atol=1e-5, rtol=1e-4)
 
 
-def test_the_order_of_marks_views_and_targets_is_only_an_order(net):
+def test_permuted_inputs_permute_the_outputs(net):
     images, target, text, marks, others = asked()
     logits, scene = answer(net, images, target, text, marks, others)
     turned = tuple(x.flip(0) for x in images)
@@ -92,7 +92,7 @@ def test_elsewhere_goes_by_the_frontiers_without_a_mark(net):
     assert not torch.allclose(logits[..., -1], more[..., -1], atol=1e-3)
 
 
-def test_marks_that_are_left_out_become_frontiers_without_a_mark():
+def test_hidden_marks_count_as_unmarked_frontiers():
     marks = np.zeros((3, 2, MARK_FIELDS), np.float32)
     marks[:, :, 4:] = [[3.0, 9.0, 1.0], [5.0, 2.0, 1.0]]  # path, gain, there
     others = np.array([[0, 0, 0], [2, 4, 5], [0, 0, 0]], np.float32)

@@ -85,7 +85,7 @@ def test_rank_agreement_counts_pairs(reference, candidate, share):
     assert rank_agreement(np.array(reference), np.array(candidate)) == pytest.approx(share)
 
 
-def test_without_inputs_or_a_pair_there_is_nothing_to_say():
+def test_empty_or_invalid_embeddings_cannot_be_compared():
     assert np.isnan(rank_agreement(np.ones((1, 3)), np.ones((1, 3))))
     with pytest.raises(ExportError, match="no pictures or texts to compare"):
         compare(np.empty((0, 4)), np.empty((0, 4)))
@@ -128,7 +128,7 @@ def test_texts_embed_as_the_original_embeds_them(models, folders, kind):
 
 
 @pytest.mark.parametrize("kind", ["clip", "siglip"])
-def test_an_image_embeds_as_the_original_embeds_it(models, folders, kind, rgb):
+def test_image_embeddings_agree_with_the_original(models, folders, kind, rgb):
     encoder = ClipImageEncoder(load_card(f"my-{kind}-image-fp32"), ("CPUExecutionProvider",), 1)
     from edge.perception.embedding.clip import pixels_of
 
@@ -138,7 +138,7 @@ def test_an_image_embeds_as_the_original_embeds_it(models, folders, kind, rgb):
     np.testing.assert_allclose(encoder.embed(rgb), wanted[0], atol=2e-6)
 
 
-def test_siglip_sees_what_fills_a_text_up_and_only_lower_case(models):
+def test_siglip_ignores_case_and_attends_to_padding(models):
     card = load_card("my-siglip-text-fp32")
     encoder = ClipTextEncoder(card)
     np.testing.assert_array_equal(encoder.encode(["CHAIR"]), encoder.encode(["chair"]))
@@ -147,7 +147,7 @@ def test_siglip_sees_what_fills_a_text_up_and_only_lower_case(models):
     assert moved[0, 0] < 0.999
 
 
-def test_the_matrices_of_int8_are_int8_and_nothing_else(models):
+def test_int8_quantizes_only_the_large_matrices(models):
     graph = onnx.load(models / "my-clip-image-int8-cpu.onnx").graph
     types = {init.name: init.data_type for init in graph.initializer}
     made_by = {name: node for node in graph.node for name in node.output}
@@ -205,10 +205,10 @@ def test_a_tower_of_the_detectors_family_encodes_its_prompts(folders, tmp_path, 
     assert encoder.embed(["a chair", "sofa"]).shape == (1, 2, 48)
 
 
-# -- what goes wrong ---------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------
 
 
-def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
+def test_an_unusable_folder_is_an_error_of_one_line(folders, tmp_path, capsys):
     def fails(*words, name="x"):
         code = main([name, "--weights", *map(str, words), "--cache", str(tmp_path / "cache")])
         (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
@@ -229,7 +229,7 @@ def test_a_folder_that_cannot_be_used_is_one_line(folders, tmp_path, capsys):
     assert says in fails(folders["clip"], "--precision", "int4")
 
 
-def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys):
+def test_missing_weights_are_an_error(folders, tmp_path, capsys):
     from safetensors.torch import load_file, save_file
 
     folder = shutil.copytree(folders["clip"], tmp_path / "cut")
@@ -241,7 +241,7 @@ def test_weights_that_are_missing_are_not_left_random(folders, tmp_path, capsys)
 
 
 @pytest.mark.parametrize("kind", ["clip", "idefics3"])
-def test_a_tokenizer_of_another_model_is_one_line(folders, tmp_path, capsys, kind):
+def test_a_foreign_tokenizer_is_an_error(folders, tmp_path, capsys, kind):
     folder = tiny_folders.write_vlm(tmp_path / kind, kind) if kind == "idefics3" else None
     folder = folder or shutil.copytree(folders[kind], tmp_path / kind)
     told = (folder / "tokenizer.json").read_text()

@@ -36,7 +36,7 @@ def test_no_module_imports_a_script():
 
 
 def test_no_packages_form_a_circle_at_any_depth():
-    """A package's own modules are what its parent's siblings see of it: `training.mini` is one."""
+    """A package's modules are visible to its parent's siblings: `training.mini` is one."""
     for depth in range(1, 4):
         graph: dict[str, set[str]] = {}
         for module in MODULES:

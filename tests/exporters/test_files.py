@@ -1,4 +1,4 @@
-"""Digests, atomic writes, image folders, vocabularies, ONNX versions: what users get wrong."""
+"""Digests, atomic writes, image folders, vocabularies, ONNX versions: errors of users."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Float16 models: what stays in float32, and that the ends do."""
+"""Float16 models: the nodes, inputs and outputs that stay float32."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_convolutions_are_float16_and_the_recipes_nodes_are_not(pair):
     assert types["big"] == types["boxes"] == types["scores"] == single
 
 
-def test_what_stays_float32_meets_without_a_detour_over_float16(pair):
+def test_float32_nodes_connect_without_casts_through_float16(pair):
     nodes = {node.name: node for node in onnx.load(pair[1]).graph.node}
     assert nodes["head/text"].input[0] == "txt_feats"
     assert nodes["head/mul"].output[0] == "boxes"
@@ -72,7 +72,7 @@ def test_without_images_there_is_nothing_to_see(tmp_path):
     assert not (tmp_path / "fp16.onnx").exists()
 
 
-def test_a_recipe_that_fits_no_node_and_a_family_without_one(tmp_path):
+def test_a_recipe_must_exist_and_match_a_node(tmp_path):
     model = onnx.load(build(tmp_path / "fp32.onnx"))
     assert nodes_like(model, ()) == []
     with pytest.raises(ExportError, match="no node has a name like /model"):

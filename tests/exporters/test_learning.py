@@ -52,7 +52,7 @@ def steps(model, learner, n: int) -> None:
         learner.step(model(torch.randn(4, 3)).square().mean(), 5.0)
 
 
-def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_path):
+def test_a_resumed_run_matches_an_uninterrupted_one(tmp_path):
     model, learner = learner_of(tmp_path / "whole.pt")
     steps(model, learner, 10)
     first, begun = learner_of(tmp_path / "parts.pt")
@@ -67,7 +67,7 @@ def test_a_run_that_stopped_goes_on_as_if_it_had_not_and_another_does_not(tmp_pa
         torch.testing.assert_close(one, other, rtol=0.0, atol=0.0)
 
 
-def test_of_tables_nothing_decays(tmp_path):
+def test_embedding_tables_have_no_weight_decay(tmp_path):
     model, learner = learner_of(tmp_path / "a.pt", decay=0.5, tables=True)
     before = [p.detach().clone() for p in model.parameters()]
     learner.step(sum(0.0 * p.sum() for p in model.parameters()), 5.0)

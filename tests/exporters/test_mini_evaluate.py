@@ -53,7 +53,7 @@ def test_average_precision(found, count, ap):
     assert _average_precision(found, count) == pytest.approx(ap)
 
 
-def test_two_of_a_kind_are_asked_for_by_what_differs():
+def test_questions_tell_two_objects_apart_by_their_difference():
     assert _questions(things()) == []
     pair = things((CHAIR, (0, 0, 40, 40), "red", "tall"), (CHAIR, (60, 0, 100, 40), "blue", "tall"))
     asked = [(q.kind, tuple(q.phrase), q.right, q.wrong) for q in _questions(pair)]
@@ -64,19 +64,19 @@ def test_two_of_a_kind_are_asked_for_by_what_differs():
 @pytest.mark.parametrize(
     ("x1", "kind"), [(100, "size"), (WIDTH_PX, "cut_off_size")], ids=["whole", "cut off"]
 )
-def test_sizes_are_asked_apart_where_a_thing_is_cut_off(x1, kind):
+def test_size_questions_about_cut_off_objects_have_their_own_kind(x1, kind):
     pair = things((CHAIR, (10, 10, 40, 90), None, "tall"), (CHAIR, (60, 10, x1, 50), None, "short"))
     assert [(q.kind, q.right, q.wrong) for q in _questions(pair)] == [(kind, 0, 1), (kind, 1, 0)]
 
 
-def test_small_and_hidden_things_do_not_count():
+def test_small_and_hidden_objects_do_not_count():
     some = things((CHAIR, (0, 0, 11, 40), "red", None), (CHAIR, (0, 0, 12, 40), "red", None))
     assert _does_count(some).tolist() == [False, True]
     some["visible"] = 0.49
     assert not _does_count(some).any()
 
 
-def test_a_second_box_on_a_thing_is_wrong_and_one_on_a_maybe_is_left_out():
+def test_a_second_box_is_wrong_and_a_maybe_is_ignored():
     some = things(
         (CHAIR, (0, 0, 40, 40), "red", None), (ARMCHAIR, (100, 100, 140, 140), "red", None)
     )
@@ -122,7 +122,7 @@ def test_without_questions_no_share_is_reached():
 
 
 def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
-    """One about colour and one about the size of what is cut off, of the same two things."""
+    """One question about colour and one about the size of a cut-off object."""
     pair = things(
         (CHAIR, (10, 10, 40, 90), "red", "tall"),
         (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),

@@ -26,7 +26,7 @@ def house_frames():
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
-def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
+def test_objects_stay_inside_the_house_and_below_the_ceiling(seed):
     house, appearances = random_house(seed)
     assert len(appearances) == len(house.objects) > 0
     xs = [x for room in house.rooms for x in room.rect[::2]]
@@ -39,7 +39,7 @@ def test_a_house_keeps_its_things_inside_and_below_the_ceiling(seed):
         assert list(assemblies.CATEGORIES)[look.category - 1] == thing.category
 
 
-def test_what_stands_on_something_has_a_support_below_it():
+def test_raised_objects_stand_on_a_support():
     raised = 0
     for seed in range(6):
         things = random_house(seed)[0].objects
@@ -90,7 +90,7 @@ def test_between_two_colours_both_are_unsure():
         max_size=8,
     ),
 )
-def test_saying_more_of_a_thing_never_makes_a_no_a_yes(rgb, style, category, rows):
+def test_a_longer_phrase_never_turns_a_no_into_yes(rgb, style, category, rows):
     phrases = np.array(rows)
     less = phrases.copy()
     less[:, 1] = 0
@@ -128,7 +128,7 @@ def test_pictures_of_a_seed_are_the_same_again(house_frames):
     np.testing.assert_array_equal(rgb, again)
 
 
-def test_a_thing_whose_colour_cannot_be_seen_has_no_colour(monkeypatch):
+def test_an_object_with_invisible_colour_has_no_colour_label(monkeypatch):
     rgb = np.zeros((3, views.HEIGHT_PX, views.WIDTH_PX, 3), np.uint8)
     monkeypatch.setattr(views, "COLORED", 1.01)
     objects = np.concatenate(views.render_house(0, len(rgb), rgb))
@@ -149,7 +149,7 @@ def test_frames_are_made_once(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "change", ["seeds", "code"], ids=["other seeds of the same ends", "other code"]
 )
-def test_frames_of_other_houses_are_not_taken_for_these(tmp_path, monkeypatch, change):
+def test_frames_of_other_houses_are_not_reused(tmp_path, monkeypatch, change):
     def paint(seed, count, out_rgb):
         out_rgb[:] = seed
         return [np.zeros(1, views.OBJECT)] * count
@@ -166,7 +166,7 @@ def test_frames_of_other_houses_are_not_taken_for_these(tmp_path, monkeypatch, c
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
-def test_pictures_that_nobody_finished_are_made_again(tmp_path, monkeypatch):
+def test_unfinished_frames_are_rendered_again(tmp_path, monkeypatch):
     def stop(*args, **named):
         raise KeyboardInterrupt
 
@@ -195,7 +195,7 @@ def test_two_commands_make_the_same_frames_at_once(tmp_path, monkeypatch):
     np.testing.assert_array_equal(frames.objects, within[0].objects)
 
 
-def test_a_full_disk_is_an_error_that_says_how_much_is_needed(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_with_the_needed_space(tmp_path, monkeypatch):
     def full(*args):
         raise OSError(errno.ENOSPC, "No space left on device")
 

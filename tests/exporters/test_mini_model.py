@@ -1,4 +1,4 @@
-"""The small detector as it is shipped: its cards, and what it sees in a house it never saw."""
+"""The small detector as it is shipped: its cards, and its detections in a new house."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_files_are_those_of_the_cards_and_small():
     assert load_card("mini-house-similarity").detector == NAME
 
 
-def test_the_card_says_what_the_model_was_measured_to_do():
+def test_the_card_holds_the_measured_figures():
     measured = load_detector_card(NAME).measured
     assert set(measured) >= {"training", "held-out houses"}
     assert measured["held-out houses"]["first_seed"] >= HELD_OUT
@@ -57,7 +57,7 @@ def test_the_encoder_knows_the_worlds_categories_by_unit_rows():
     assert rows[0, 0] @ rows[0, 1] < 0.999
 
 
-def test_a_strange_adjective_is_warned_of_once(caplog):
+def test_an_unknown_adjective_warns_once(caplog):
     encoder = AttributeEncoder(load_card("mini-house-text"))
     for _ in range(3):
         assert encoder.resolve("shiny red chair") == "red chair"
@@ -65,7 +65,7 @@ def test_a_strange_adjective_is_warned_of_once(caplog):
     assert "shiny" in caplog.text
 
 
-def test_it_finds_most_of_what_is_plain_to_see(held_out):
+def test_the_model_finds_most_clearly_visible_objects(held_out):
     rgb, found = held_out
     detector = OnnxDetector(config.DetectorOnnx(model=NAME, tau_vl=0.1), looks.CATEGORIES)
     seen = total = 0

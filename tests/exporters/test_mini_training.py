@@ -1,4 +1,4 @@
-"""The small detector learns, its ONNX files say what the network says, and only good ones ship."""
+"""The small detector learns, its ONNX files match the network, and only good ones ship."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_an_empty_picture_has_no_owner_and_a_finite_loss():
     assert torch.isfinite(total)
 
 
-def test_anchors_inside_a_box_answer_for_it_and_no_others():
+def test_anchors_inside_a_box_are_assigned_to_it():
     there = truth([[20.0, 20.0, 60.0, 70.0]])
     decoded = torch.cat([POINTS - 2 * STRIDE, POINTS + 2 * STRIDE], -1)[None]
     owner, quality = loss.assign(torch.full((1, len(POINTS), 1), 0.1), decoded, POINTS, there)
@@ -70,7 +70,7 @@ def test_anchors_inside_a_box_answer_for_it_and_no_others():
     assert 0 < quality.max() <= 1
 
 
-def test_an_unsure_answer_teaches_nothing():
+def test_an_unsure_answer_adds_no_loss():
     unsure = truth([[20.0, 20.0, 60.0, 70.0]], -1)
     decoded = torch.cat([POINTS - 2 * STRIDE, POINTS + 2 * STRIDE], -1)[None]
     logits = torch.zeros(1, len(POINTS), 1, requires_grad=True)
@@ -105,7 +105,7 @@ def test_a_few_steps_lower_the_loss(frames, tmp_path):
     assert last < 0.7 * first
 
 
-def test_training_goes_on_where_it_stopped(frames, tmp_path, monkeypatch):
+def test_training_resumes_from_its_checkpoint(frames, tmp_path, monkeypatch):
     whole = training.train(frames, plan(10), tmp_path / "whole.pt")
     stream = training.batches
     with monkeypatch.context() as cut_off:
@@ -155,7 +155,7 @@ def run_of(frames, tmp_path_factory):
         ({}, {"device": "cuda"}, "device is cpu there and cuda now"),
     ],
 )
-def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
+def test_a_run_with_other_settings_is_not_resumed(run_of, plan_change, change, says):
     path, run = run_of
     other = {**run, **change, "plan": {**run["plan"], **plan_change}}
     assert checkpoint.resume(path.with_name("none.pt"), other) is None
@@ -173,7 +173,7 @@ def test_a_run_does_not_go_on_as_another(run_of, plan_change, change, says):
         (None, "not a readable checkpoint"),
     ],
 )
-def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
+def test_an_invalid_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(b"PK") if kept is None else torch.save(kept, path)
     with pytest.raises(ExportError, match=says) as caught:
@@ -190,9 +190,7 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path, kept, says):
         (["--houses", "1", "--seed", "4"], "use another --out"),
     ],
 )
-def test_what_cannot_be_trained_is_one_line_before_anything_is_rendered(
-    run_of, capsys, monkeypatch, options, says
-):
+def test_invalid_options_are_refused_before_rendering(run_of, capsys, monkeypatch, options, says):
     monkeypatch.setattr(views, "make_frames", None)
     assert main(["--out", str(run_of[0].parent), "--device", "cpu", *options]) == 1
     (error,) = capsys.readouterr().err.splitlines()
@@ -282,9 +280,7 @@ def test_a_model_that_does_not_pass_leaves_the_shipped_one(trained, out, map50, 
         assert shipped(out) != before
 
 
-def test_a_model_is_put_in_place_files_before_cards_that_say_what_was_measured(
-    trained, out, monkeypatch
-):
+def test_model_files_are_replaced_before_their_cards(trained, out, monkeypatch):
     replace, order = Path.replace, []
 
     def record(self, target):
@@ -304,7 +300,7 @@ def test_a_model_is_put_in_place_files_before_cards_that_say_what_was_measured(
     assert held_out["bytes"] == (out / card["file"]).stat().st_size
 
 
-def test_what_cannot_be_written_whole_is_not_put_in_place_at_all(trained, out, monkeypatch):
+def test_a_failed_write_leaves_the_shipped_files_unchanged(trained, out, monkeypatch):
     """The disk is full after three of the five."""
     before, write, written = shipped(out), Path.write_bytes, []
 

@@ -107,7 +107,7 @@ def test_the_service_scores_and_places_boxes_as_transformers(models, folder, rgb
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_every_precision_is_a_sound_model_with_its_own_text_encoder(models, precision):
+def test_every_precision_is_sound_with_its_own_text_encoder(models, precision):
     card = load_card(f"my-owl-{precision}")
     assert (card.license, card.preprocess.letterbox_at, card.input.width) == ("mit", "corner", 48)
     parity = made_parity(card)
@@ -120,7 +120,7 @@ def test_every_precision_is_a_sound_model_with_its_own_text_encoder(models, prec
         check_model(one)
 
 
-def test_fewer_bits_are_in_the_backbone_and_not_in_the_decoding(models):
+def test_only_the_backbone_is_quantized(models):
     half = onnx.load(models / "my-owl-fp16.onnx")
     types = {i.name: i.data_type for i in half.graph.initializer}
     products = {n.name: n.input[1] for n in half.graph.node if n.op_type == "MatMul"}

@@ -74,14 +74,14 @@ def test_compare_counts_lost_new_and_moved_scores():
     ],
 )
 def test_a_model_with_values_that_are_not_finite_is_refused(candidate, says):
-    """Also where all that the reference sees is still found."""
+    """This also holds if every box of the reference is found."""
     sound = model([A, FAR], [[0.9, 0.1], [0.0, 0.0]])
     for pair, which in (((sound, candidate), "candidate"), ((candidate, sound), "reference")):
         with pytest.raises(ExportError, match=f"the {which}'s {says}"):
             compare(*pair, [IMAGE], TEXT)
 
 
-def test_a_card_gets_no_score_error_if_there_is_none():
+def test_a_missing_score_error_is_none_in_the_card():
     assert report(score_error=NAN).for_card("fp32")["score_error"] is None
     assert report().for_card("fp32")["score_error"] == 0.1
 
@@ -104,7 +104,7 @@ def report(**changed: float) -> ParityReport:
         ({"max_abs_diff": NAN}, {"max_abs_diff": 0.1}, "max_abs_diff nan > 0.1"),
     ],
 )
-def test_limits_say_what_is_worse(changed, more, text):
+def test_the_parity_error_names_the_violated_limit(changed, more, text):
     limits = {**INT8_LIMITS, **more}
     check_parity(report(), limits, "card")
     with pytest.raises(ExportError, match="card: ") as caught:

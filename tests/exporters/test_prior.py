@@ -61,7 +61,7 @@ def test_a_plan_of_a_house():
     assert not read_plan(house(door=None)).doors
 
 
-def test_what_lies_in_another_thing_is_hidden():
+def test_an_object_inside_another_is_left_out():
     inside = house(("bed", 6, 3), ("pillow", 6, 3))
     inside["objects"][1]["size"] = [0.1, 0.1, 0.1]
     assert read_plan(inside).words == ("bed",)
@@ -77,7 +77,7 @@ def test_kinds_are_counted():
     assert counted["doors"] == [[0, 2], [2, 0]]
 
 
-def test_a_searcher_sees_what_is_in_sight():
+def test_an_explorer_sees_only_objects_in_line_of_sight():
     plan = read_plan(house(("toilet", 1, 3), ("bed", 7, 0.6)))
     explorer = Explorer(plan, cell(plan, 1, 1), np.random.default_rng(0))
     for _ in range(5):
@@ -140,7 +140,7 @@ def test_weights_are_found_again():
         assert abs(math.log(said)) < abs(math.log(true)) + 0.1  # it is shy, never bold
 
 
-def test_of_chance_there_is_no_opinion():
+def test_random_data_gives_no_opinion():
     rng = np.random.default_rng(1)
     samples = samples_of(rng.random((2000, 6)) < 0.3, rng.random(2000) < 0.2)
     fit = learn.cross_fit(samples, 0)

@@ -82,7 +82,7 @@ def test_the_table_is_the_count_of_the_training_houses():
         (gzip.compress(b"{}" * 100, mtime=0)[:-9], "end-of-stream"),
     ],
 )
-def test_main_names_what_is_wrong(tmp_path, capsys, content, words):
+def test_main_names_the_file_and_the_fault(tmp_path, capsys, content, words):
     file = tmp_path / "houses.jsonl.gz"
     if content is not None:
         file.write_bytes(content)

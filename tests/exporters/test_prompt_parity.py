@@ -160,14 +160,14 @@ def test_a_text_is_the_same_tokens(both, layout, text):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_nothing_is_no_token(both, layout):
+def test_empty_text_gives_no_tokens(both, layout):
     one = both[layout]
     assert one.ours.ids("").dtype == np.int64
     assert one.ours.ids("").tolist() == one.theirs("", add_special_tokens=False)["input_ids"] == []
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_special_tokens_are_one_token_each(both, layout):
+def test_special_tokens_are_single_tokens(both, layout):
     one = both[layout]
     for special in SPECIAL[one.family]:
         (token,) = one.ours.ids(special)
@@ -195,7 +195,7 @@ def test_a_chat_is_the_same_text(both, layout, target, marks, view):
 @pytest.mark.parametrize("hw", [(32, 32), (48, 64), (64, 48), (30, 100), (96, 128)])
 @pytest.mark.parametrize("layout", ["smolvlm", "qwen2-vl"])
 def test_a_picture_is_the_same_tokens_and_numbers(both, layout, hw):
-    """By the families' processors: what stands in the picture's place, and the picture."""
+    """Compare the image tokens and the pixels with the families' processors."""
     one, question = both[layout], direction_question(3, "bed")
     rgb = np.random.default_rng(0).integers(0, 256, (*hw, 3), np.uint8)
     picture = make_prepare(one.files, one.ours.image_token, one.card.image_tokens)(rgb)

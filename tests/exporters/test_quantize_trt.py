@@ -1,4 +1,4 @@
-"""INT8 for TensorRT: what it demands of a graph, and that the result stays."""
+"""INT8 for TensorRT: the quantized graph, and its results."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_every_zero_point_is_int8_zero(graph):
         assert (scale > 0).all()
 
 
-def test_only_what_goes_into_convolutions_is_quantized(graph):
+def test_only_inputs_of_convolutions_are_quantized(graph):
     made_by = {name: node for node in graph.node for name in node.output}
     constants = {i.name for i in graph.initializer}
     for node in graph.node:
@@ -85,7 +85,7 @@ def test_the_result_stays(pair):
             assert np.abs(got - exact).mean() < 0.05 * np.abs(exact).mean()
 
 
-def test_what_cannot_bear_a_symmetric_range_stays_float(tmp_path):
+def test_excluded_layers_stay_float(tmp_path):
     fp32, int8 = build(tmp_path / "fp32.onnx"), tmp_path / "int8.onnx"
     quantize(fp32, int8, feeds(), replace(RECIPE, not_symmetric=("^trunk/1/",)), "int8-trt")
     nodes = {node.name: node for node in onnx.load(int8).graph.node}
@@ -96,7 +96,7 @@ def test_what_cannot_bear_a_symmetric_range_stays_float(tmp_path):
 @pytest.mark.parametrize(
     ("precision", "count", "says"), [("int4", 8, "int4"), ("int8-trt", 3, "3 images")]
 )
-def test_what_cannot_be_quantized(tmp_path, precision, count, says):
+def test_a_wrong_precision_or_too_few_images_are_refused(tmp_path, precision, count, says):
     fp32 = build(tmp_path / "fp32.onnx")
     with pytest.raises(ExportError, match=says):
         quantize(fp32, tmp_path / "int8.onnx", feeds(count), RECIPE, precision)
@@ -108,8 +108,8 @@ def histogram(values: np.ndarray) -> Histogram:
     return Histogram(low, high, np.histogram(values, BINS, (low, high))[0].astype(float))
 
 
-def test_ranges_keep_even_values_and_cut_what_is_lost_anyway():
-    """Symmetric ones a lonely value, and those into SiLU what SiLU forgets."""
+def test_ranges_keep_even_values_and_cut_outliers():
+    """Symmetric ranges cut single outliers; ranges before SiLU cut large negative values."""
     even, far = np.linspace(-1, 3, 10_000), np.full(500, -100.0)
     assert least_loss_limit(histogram(np.zeros(10))) > 0
     assert least_loss_limit(histogram(even)) == pytest.approx(3, abs=0.1)
@@ -121,7 +121,7 @@ def test_ranges_keep_even_values_and_cut_what_is_lost_anyway():
 
 
 @pytest.mark.parametrize("corrected", [True, False])
-def test_a_bias_makes_up_for_what_clipping_takes_on_average(tmp_path, corrected):
+def test_the_bias_correction_compensates_for_clipping(tmp_path, corrected):
     """Images in 0..1 clipped at 0.4: a convolution's output would be too small on average."""
     model, limit, samples = onnx.load(build(tmp_path / "fp32.onnx")), 0.4, feeds(12)
     convs = [node for node in model.graph.node if node.name == "trunk/0/conv"]

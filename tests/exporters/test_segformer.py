@@ -107,7 +107,7 @@ def test_other_classes_are_kinds_of_ground_by_their_names(folder, tmp_path, monk
     assert card.ground == {"grass": "lawn", "path": "path", "Road": "road"}
 
 
-def test_what_cannot_be_exported_is_one_line(folder, tmp_path, capsys):
+def test_an_impossible_export_is_refused_in_one_line(folder, tmp_path, capsys):
     nothing = shutil.copytree(folder, tmp_path / "nothing")
     settings = json.loads((nothing / "config.json").read_text())
     settings["id2label"] = dict.fromkeys(settings["id2label"], "cat")

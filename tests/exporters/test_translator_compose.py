@@ -13,7 +13,7 @@ PHRASES = load()
 THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
 
 
-def test_every_phrase_can_be_said() -> None:
+def test_every_phrase_can_be_filled_in() -> None:
     """No slot is missing, nothing is left of the notation, and every name has its thing."""
     composer = Composer(PHRASES, Random(0))
     for family in PHRASES.families:
@@ -34,13 +34,13 @@ def _said(letters: list[str]) -> str:
     return " ".join(f"${letter}" for letter in letters)
 
 
-def test_names_are_numbered_as_they_are_named() -> None:
+def test_names_are_numbered_in_order_of_mention() -> None:
     pair = delexicalised("don't go to $b before $a", ["W", "!", "b", "a"])
     assert pair.words == ("do", "not", "go", "to", "<0>", "before", "<1>")
     assert pair.tokens == ("W", "!", "<0>", "<1>")
 
 
-def test_pairs_are_formulas_over_what_is_named() -> None:
+def test_formulas_name_only_objects_of_their_sentence() -> None:
     composer = Composer(PHRASES, Random(1))
     pairs = [composer.pair() for _ in range(500)]
     assert pairs == [c.pair() for c in [Composer(PHRASES, Random(1))] for _ in range(500)]

@@ -38,7 +38,7 @@ WORDS = vocabulary_of(PHRASES, 0)
 PLAN = replace(COMPOSED, steps=4, pairs=4, keep_every=2)
 
 
-def test_what_people_wrote_becomes_pairs() -> None:
+def test_human_sentences_become_training_pairs() -> None:
     cases = [
         TranslationCase("", "go to b by a", parse("F (a & F b)")),
         TranslationCase("", "never visit c until a", parse("!c U a")),
@@ -62,7 +62,7 @@ def test_vocabularies_grow_at_their_end() -> None:
     assert words.tolist()[0][0] == grown.tokens.index(UNKNOWN)
 
 
-def test_batches_have_both_directions_but_for_what_is_refused() -> None:
+def test_refused_pairs_are_trained_in_one_direction_only() -> None:
     rng = Random(0)
     batcher = Batcher(WORDS)
     batch = next(batcher.batches(Source(Composer(PHRASES, rng), [], 0.0, rng), 64))

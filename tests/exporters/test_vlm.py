@@ -143,7 +143,7 @@ def test_every_step_keeps_its_parity(cache, kind, precision):
     assert figures["cosine"] > 0.999
 
 
-def test_tiles_and_pixels_that_are_not_there(cache, originals):
+def test_tiles_may_be_half_empty(cache, originals):
     """Several squares an image, one of them half empty; only one was traced."""
     original, _ = originals["idefics3"]
     random = np.random.default_rng(1)
@@ -172,7 +172,7 @@ def test_a_picture_of_another_grid_than_the_traced_one(cache, originals, hw, kin
     np.testing.assert_allclose(found, shown.features, atol=2e-5)
 
 
-def test_places_of_a_text_and_of_a_picture_in_it():
+def test_position_ids_of_text_and_image_tokens():
     ids = np.array([[5, 9, 9, 9, 9, 6]])
     np.testing.assert_array_equal(position_ids_of(ids, 9, None, 1), [range(6)])
     threefold = position_ids_of(ids, 9, np.array([[1, 4, 4]]), 2)
@@ -186,7 +186,7 @@ def test_places_of_a_text_and_of_a_picture_in_it():
 def ends_of(path):
     """{name: (type, shape)} of inputs and of outputs; a free size by its name."""
 
-    def told(values):
+    def ends(values):
         return {
             v.name: (
                 v.type.tensor_type.elem_type,
@@ -196,11 +196,11 @@ def ends_of(path):
         }
 
     graph = onnx.load(path).graph
-    return told(graph.input), told(graph.output)
+    return ends(graph.input), ends(graph.output)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_inputs_and_outputs_are_the_published_ones(cache, kind):
+def test_inputs_and_outputs_match_the_published_models(cache, kind):
     single, whole = onnx.TensorProto.FLOAT, onnx.TensorProto.INT64
     vision, embedding, decoder = (ends_of(path) for path in files_of(cache, kind, "fp32"))
     second = "grid_thw" if kind.startswith("qwen") else "pixel_attention_mask"
@@ -254,7 +254,7 @@ def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
         assert card["image_tokens"] > 0
 
 
-def test_weights_that_one_file_does_not_hold_are_next_to_it(
+def test_large_weights_are_saved_next_to_the_network(
     cache, originals, rgb, folders, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(vlm_files, "ONE_FILE_BYTES", 10_000)
@@ -273,7 +273,7 @@ def test_weights_that_one_file_does_not_hold_are_next_to_it(
 
 
 def test_the_weights_digest_is_of_files_of_any_size(tmp_path):
-    """Published ones are longer than what is read into memory elsewhere."""
+    """Published files are larger than the limit that applies elsewhere."""
     from exporters.hugging_face import weights_sha256
 
     file = tmp_path / "model.safetensors"
@@ -321,10 +321,10 @@ def test_the_service_answers_as_the_model(cache, folders, originals, monkeypatch
     service.close()
 
 
-# -- what goes wrong ---------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_made_is_one_line(folders, tmp_path, capsys):
+def test_an_unavailable_precision_names_the_command_to_run(folders, tmp_path, capsys):
     def fails(*words):
         start = ["x", "--weights", str(folders["idefics3"]), "--cache", str(tmp_path / "cache")]
         assert main([*start, *words]) == 1

@@ -32,7 +32,7 @@ def detic(tmp_path):
     return tmp_path
 
 
-def test_a_folder_that_is_no_clone(tmp_path, capsys):
+def test_a_folder_without_the_tables_is_an_error(tmp_path, capsys):
     assert main([str(tmp_path), "--out", str(tmp_path / "v.npz")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "lvis_v1_train_cat_info.json: cannot be read (No such file" in line
@@ -58,7 +58,7 @@ def test_every_word_has_its_row_and_the_first_table_wins(detic, tmp_path):
         (TABLES[0][0].with_name(TABLES[0][2]), b"no table", "Error"),
     ],
 )
-def test_a_table_that_is_none_is_one_line(detic, tmp_path, capsys, file, content, message):
+def test_a_damaged_table_is_an_error_of_one_line(detic, tmp_path, capsys, file, content, message):
     (detic / file).write_bytes(content)
     assert main([str(detic), "--out", str(tmp_path / "v.npz")]) == 1
     (line,) = capsys.readouterr().err.splitlines()

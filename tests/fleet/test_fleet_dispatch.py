@@ -1,4 +1,4 @@
-"""The dispatcher's patience with robots that are gone, silent, or forget what they took."""
+"""The dispatcher's patience with absent, silent and forgetful robots."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Fleet:
     """A roster with given robots, and a dispatcher that reads it.
 
     Attributes:
-        robots: who is there; None: the router is gone.
-        accepts: whether robots answer what they are told to do.
+        robots: the present robots; None: the router is gone.
+        accepts: True if robots accept their orders.
     """
 
     def __init__(self, *parts: MissionPart, accepts: bool = False) -> None:
@@ -68,7 +68,7 @@ class Fleet:
 
 @pytest.mark.parametrize("missing", [(FREE,), (FREE, MUTE)])
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
-def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, between):
+def test_patience_counts_from_the_first_failed_look(missing, between):
     fleet = Fleet(BED)
     assert fleet.given_to(0.0, FREE, AT_IT) == []
     assert fleet.given_to(100.0, *missing) == []  # not since it was last seen
@@ -94,9 +94,7 @@ def test_patience_counts_from_the_look_that_first_misses_a_robot(missing, betwee
     ],
 )
 @pytest.mark.parametrize("between", ["nothing", "it is back", "the router is gone"])
-def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
-    part, there, reason, between
-):
+def test_a_part_fails_only_after_the_patience(part, there, reason, between):
     """One look may lack a robot that is there."""
     fleet = Fleet(part)
     over = fleet.dispatcher._is_over
@@ -118,7 +116,7 @@ def test_a_part_is_lost_only_after_no_other_robot_came_for_the_patience(
     assert last.outcomes["m.1"].reason == reason
 
 
-def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
+def test_a_robot_that_forgets_its_part_loses_it_to_another():
     liar, other = robot("liar", bed=0.0), robot("other")
     fleet = Fleet(BED, accepts=True)
     assert fleet.given_to(0.0, liar, other) == ["liar"]
@@ -137,7 +135,7 @@ def test_a_robot_that_forgets_what_it_took_does_not_keep_it_from_others():
         (MUTE,),
     ],
 )
-def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
+def test_a_forgetful_robot_gets_a_limited_number_of_tries(between):
     """Whatever it reports in between, and even without another robot."""
     fleet = Fleet(BED, accepts=True)
     gives, now_s = 0, 0.0
@@ -153,7 +151,7 @@ def test_a_robot_that_forgets_again_and_again_gets_no_more(between):
     }
 
 
-def test_a_mission_is_resumed_while_a_part_is_under_way_though_one_look_finds_another_lost():
+def test_a_mission_with_a_running_part_is_resumed():
     spec = prepare(LIMITS, instruction="go to the bed and the sofa")
     first = plan(spec, {}, share=True)
     bed, sofa = (part.id for part in first.parts)

@@ -35,7 +35,7 @@ def given(*args, **options) -> dict[str, str]:
     return {give.id: give.robot for give in orders(*args, **options).give}
 
 
-def test_nobody_and_nothing():
+def test_without_robots_or_parts_no_orders_are_given():
     none = orders([])
     assert (none.outcomes, none.under_way, none.give, none.cancel) == ({}, {}, (), ())
     alone = orders([BED])
@@ -47,14 +47,14 @@ def test_nobody_and_nothing():
     [
         # One part a robot; ties go by the order of parts and names.
         ([robot("b"), robot("a")], {"m.1": "a", "m.2": "b"}),
-        # Who knows where it is, and is nearer.
+        # The robot that knows the object and is nearer.
         ([robot("a"), robot("b", bed=9.0)], {"m.1": "b", "m.2": "a"}),
-        # Who is not free gets nothing.
+        # A busy robot gets nothing.
         ([robot("a", "other", "searching"), robot("b")], {"m.1": "b"}),
         ([robot("a", "", "paused"), robot("b", "other", "reached")], {"m.1": "b"}),
         ([robot("a", problems=("no usable observations",))], {}),
         ([Robot("a", problem="no answer within 2 s")], {}),
-        # Who failed at a part does not get it again; who was doubled may, by another name.
+        # A robot does not get a failed part again; a duplicate may, under another name.
         ([robot("a", past=(("m.1", "failed", "no bed"),)), robot("b")], {"m.2": "a", "m.1": "b"}),
         ([robot("a", "m.1", "failed", reason=DUPLICATE_REASON)], {"m.1~1": "a"}),
         ([robot("a", "m.1", "reached"), robot("b", "m.2~1", "paused")], {}),
@@ -65,7 +65,7 @@ def test_parts_go_to_the_free_robot_that_suits_best(robots, expected):
     assert given([BED, SOFA], *robots) == expected
 
 
-def test_a_part_for_one_robot_goes_to_no_other():
+def test_a_part_for_one_robot_goes_to_no_other_robot():
     mine = MissionPart("m.1", "F bed", "", ("bed",), only="b")
     assert given([mine], robot("a", bed=1.0), robot("b")) == {"m.1": "b"}
     assert given([mine], robot("a"), robot("b", "x", "searching")) == {}
@@ -74,18 +74,18 @@ def test_a_part_for_one_robot_goes_to_no_other():
     assert orders([mine], robot("a"), away={"m.1": "b"}).under_way == {"m.1": "b"}
 
 
-def test_a_robot_that_is_gone_keeps_its_part_for_a_while():
+def test_an_absent_robot_keeps_its_part_for_a_while():
     assert given([BED], robot("b"), away={"m.1": "a"}) == {}
     assert given([BED], robot("b")) == {"m.1": "b"}
 
 
-def test_what_a_person_cancelled_is_given_to_nobody():
+def test_a_cancelled_part_is_not_given_to_another_robot():
     end = orders([BED, SOFA], robot("a", "m.1", "failed", reason="cancelled"), robot("b"))
     assert end.outcomes == {"m.1": PartOutcome("failed", "a", "cancelled")}
     assert end.give == ()
 
 
-def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
+def test_a_settled_part_keeps_its_outcome():
     stopped = {"m.1": PartOutcome("failed", "a", "cancelled")}
     end = decide([BED, SOFA], {"b": robot("b")}, {}, {}, stopped)
     assert (end.outcomes, end.give) == (stopped, ())
@@ -95,5 +95,5 @@ def test_what_is_settled_stays_so_whatever_becomes_of_the_robots():
     assert [(give.id, give.robot) for give in on.give] == [("m.2", "c")]
 
 
-def test_who_refused_comes_last():
+def test_a_robot_that_refused_is_asked_last():
     assert given([BED], robot("a"), robot("b"), refused={("m.1", "a"): 1}) == {"m.1": "b"}

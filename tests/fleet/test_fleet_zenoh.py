@@ -36,7 +36,7 @@ THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.setattr(dispatch, "POLL_S", 0.05)
-    # Who is only slow to answer is not gone.
+    # A slow robot is not gone.
     for module in (roster, presence):
         monkeypatch.setattr(module, "ANSWER_S", 20.0)
     # Commands run in this process, whose signal handlers they must leave alone.
@@ -98,7 +98,7 @@ class Sharing:
         self._thread.join()
 
     def ended(self) -> dict[str, tuple[str, str]]:
-        """(phase, by whom), by target."""
+        """Return (phase, robot) by target."""
         self._thread.join(PATIENCE_S)
         assert self.outcomes is not None, self.told
         words = {part.id: part.words[0] for part in self.mission.parts}
@@ -109,7 +109,7 @@ def targets(*robots: FakeRobot) -> set[str]:
     return {robot.mission.target for robot in robots if not robot.mission.done}
 
 
-def test_nobody_is_there(port, capsys):
+def test_commands_report_that_no_robot_was_found(port, capsys):
     assert main(["fleet", "list", f"tcp/127.0.0.1:{port}"]) == 0
     assert capsys.readouterr().out == "no robot found (Zenoh keys robots/*)\n"
     assert main(["mission", "pause", "--fleet", f"tcp/127.0.0.1:{port}"]) == 69
@@ -127,7 +127,7 @@ def test_robots_are_stopped_and_asked_by_command(port, robots, capsys):
 
     with open_roster(settings_of(port, "any")) as seen:
         seen.send("anna", {"do": "new", "formula": "F bed"}, PATIENCE_S)
-    code, said = fleet("pause")  # bob has nothing to pause, which is no fault where he is not named
+    code, said = fleet("pause")  # bob has nothing to pause; that is an error only if he is named
     assert (code, anna.mission.paused, bob.mission.paused) == (0, True, False)
     assert "anna:\n  instruction: F bed" in said
     assert "bob:\n  refused: no mission is running: no mission was given yet" in said
@@ -172,7 +172,7 @@ def test_a_mission_in_three_parts_is_done_by_three(port, robots):
     assert all(robot.mission.spec.automaton.propositions[-1] == "toilet" for robot in three)
 
 
-def test_a_part_that_all_robots_fail_is_reported_with_their_reasons(port, robots):
+def test_a_part_that_all_robots_fail_lists_their_reasons(port, robots):
     anna, bob = robots("anna"), robots("bob", blind_to=frozenset({"bed"}))
     sharing = Sharing(port, "go to the bed", patience_s=0.5, share=False)
     eventually(lambda: not anna.mission.done)
@@ -184,7 +184,7 @@ def test_a_part_that_all_robots_fail_is_reported_with_their_reasons(port, robots
     assert bob.mission.idle
 
 
-def test_a_dispatcher_that_was_killed_goes_on_when_it_is_run_again(port, robots):
+def test_a_restarted_dispatcher_resumes_its_mission(port, robots):
     anna, bob = robots("anna", known={"bed": 1.0}), robots("bob", known={"sofa": 1.0})
     first = Sharing(port)
     eventually(lambda: targets(anna, bob) == {"bed", "sofa"})
@@ -220,7 +220,7 @@ def test_two_dispatchers_of_one_mission_do_nothing_twice(port, robots):
     assert (anna.service.begun, bob.service.begun) == (2, 1)
 
 
-def test_two_dispatchers_of_different_missions_take_no_robot_from_each_other(port, robots):
+def test_two_dispatchers_with_different_missions_share_the_robots(port, robots):
     both = [robots(name, reaches_in_s=0.1) for name in ("anna", "bob")]
     one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
     assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
@@ -245,7 +245,7 @@ def test_a_robot_that_returns_learns_that_another_has_its_part(port, robots, mon
 
 
 @pytest.mark.parametrize("answer", [b"", b'{"phase": "searching"}', b"\xff" * 1000])
-def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, answer):
+def test_a_robot_with_invalid_answers_is_shown_but_not_used(port, robots, answer):
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "mallory\x1b[2J", answer), open_roster(settings_of(port, "any")) as seen:
         eventually(lambda: len(seen.names()) == 2)
@@ -255,7 +255,7 @@ def test_a_robot_that_answers_garbage_gets_nothing_and_is_shown(port, robots, an
         assert Sharing(port, "go to the bed").ended() == {"bed": ("reached", "bob")}
 
 
-def test_a_robot_that_never_answers_holds_nobody_up(port, robots, monkeypatch):
+def test_a_silent_robot_does_not_delay_the_others(port, robots, monkeypatch):
     monkeypatch.setattr(roster, "ANSWER_S", 0.2)
     robots("bob", reaches_in_s=0.0)
     with Liar(port, "late", None), open_roster(settings_of(port, "any")) as seen:
@@ -314,9 +314,7 @@ def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
         assert not anna.mission.done
 
 
-def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
-    port, robots, caplog
-):
+def test_a_second_service_with_the_same_prefix_is_refused(port, robots, caplog):
     robots("anna")
     with pytest.raises(BusError, match=r"^zenoh.prefix: another service at tcp/.* robots/anna: "):
         robots("anna")
@@ -326,7 +324,7 @@ def test_of_two_services_with_one_prefix_the_second_is_refused_and_both_say_so(
 
 
 @pytest.mark.parametrize("order", ["together", "lower last"])
-def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatch, order):
+def test_one_of_two_services_started_at_once_stays(port, robots, monkeypatch, order):
     monkeypatch.setattr(presence, "_YIELD_S", PATIENCE_S if order == "together" else 0.2)
     if order == "together":  # on a busy machine a token takes longer to be seen
         monkeypatch.setattr(presence, "_SETTLE_S", 2.0)
@@ -349,7 +347,7 @@ def test_of_two_that_start_at_the_same_moment_one_stays(port, robots, monkeypatc
         eventually(lambda: seen.ask_status().get("anna", Robot("anna")).status_reply)
 
 
-def test_two_services_that_came_together_later_are_shown(port, robots):
+def test_two_services_with_one_name_are_shown(port, robots):
     robots("anna")
     with open_session(settings_of(port, "anna"), "listen") as other:
         token = other.liveliness().declare_token("robots/anna/alive/other")
@@ -389,7 +387,7 @@ def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
     assert {part["by"] for part in told["parts"]} <= {"anna", "bob"}
 
 
-def test_a_router_that_is_killed_and_comes_back_costs_nothing(tmp_path, monkeypatch):
+def test_a_mission_survives_a_restarted_router(tmp_path, monkeypatch):
     from edge.host.ports import free_port
 
     port = free_port()

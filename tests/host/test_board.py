@@ -128,7 +128,7 @@ GARBAGE = [
         (f"{HWMON}/hwmon1/curr1_input", "power_w"),
     ],
 )
-def test_a_sensor_that_holds_garbage_costs_its_own_figure_only(tmp_path, file, garbage, lost):
+def test_an_unreadable_sensor_loses_only_its_own_value(tmp_path, file, garbage, lost):
     whole = read_board(put(tmp_path / "whole", ORIN))
     damaged = read_board(put(tmp_path / "damaged", {**ORIN, file: garbage}))
     for name in BoardReading.__slots__:
@@ -140,7 +140,7 @@ def test_a_sensor_that_holds_garbage_costs_its_own_figure_only(tmp_path, file, g
 
 
 @pytest.mark.parametrize("gone", sorted(ORIN))
-def test_a_file_that_vanishes_or_is_a_folder_raises_nothing(tmp_path, gone):
+def test_a_missing_file_raises_nothing(tmp_path, gone):
     root = put(tmp_path, ORIN)
     (root / gone).unlink()
     assert isinstance(read_board(root), BoardReading)
@@ -171,5 +171,5 @@ WARM = replace(
          0.0, "the board throttles, it draws too much current (oc1)"),
     ],
 )  # fmt: skip
-def test_distress_is_what_slows_the_board_down_or_soon_will(board, before, margin_c, why):
+def test_throttling_reason_reports_heat_and_overcurrent(board, before, margin_c, why):
     assert throttling_reason(board, before, margin_c) == why

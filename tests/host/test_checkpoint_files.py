@@ -109,7 +109,7 @@ def x_of(content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("saved", [Checkpoint(Note("")), BEGUN])
-def test_what_is_saved_is_loaded(tmp_path, saved):
+def test_a_saved_checkpoint_is_loaded_unchanged(tmp_path, saved):
     path = tmp_path / "note"
     assert load(path, NOTE) == (None, "")
     save(path, BEGUN, NOTE)
@@ -129,7 +129,7 @@ def test_what_is_saved_is_loaded(tmp_path, saved):
         ({"arrays": {"x": np.array([{}])}}, "Python objects"),
     ],
 )
-def test_what_could_not_be_loaded_is_not_saved(tmp_path, change, text):
+def test_a_state_that_could_not_be_loaded_is_not_saved(tmp_path, change, text):
     path = tmp_path / "note"
     save(path, BEGUN, NOTE)
     with pytest.raises(ValueError, match=text) as caught:
@@ -177,7 +177,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_file_is_set_aside_with_one_line_and_little_memory(tmp_path, caplog, name):
+def test_a_damaged_file_is_set_aside_with_little_memory(tmp_path, caplog, name):
     path, (content, text) = tmp_path / "note", DAMAGED[name]
     path.write_bytes(content)
     (tmp_path / "note.damaged-1").write_text("of the day before")
@@ -239,7 +239,7 @@ def test_damage_anywhere_is_found(data):
 
 
 @given(st.binary(max_size=300), st.binary(max_size=100))
-def test_any_bytes_are_no_checkpoint(content, state):
+def test_random_bytes_are_not_a_checkpoint(content, state):
     assert wrong(content) == "not a complete note"
     assert wrong(forged(state, content))
     assert wrong(x_of(content))
@@ -273,7 +273,7 @@ FITS = {
         ("name", np.frombuffer(b"\xff" * 8, "<U1")),
     ],
 )
-def test_arrays_of_a_file_are_held_to_those_that_a_part_writes(name, array):
+def test_loaded_arrays_must_have_the_saved_names_and_shapes(name, array):
     rows = {("id", "name"): 8, ("seen_ns",): 3, ("cell",): 3}
     check_arrays(FITS, LIKE, rows, {"kind": 3}, ("id",))
     state = {key: a for key, a in {**FITS, name: array}.items() if a is not None}
@@ -289,7 +289,7 @@ def test_arrays_of_a_file_are_held_to_those_that_a_part_writes(name, array):
         *(("write", name) for name in ("missing/note", "note/note")),
     ],
 )
-def test_a_place_that_can_hold_no_file_is_the_users_to_mend(tmp_path, use, name):
+def test_an_unusable_path_is_a_user_error(tmp_path, use, name):
     (tmp_path / "folder").mkdir()
     (tmp_path / "note").write_text("")
     os.mkfifo(tmp_path / "pipe")
@@ -366,7 +366,7 @@ print(writer.close())
 """
 
 
-def test_a_disk_that_fills_up_costs_only_the_checkpoints(tmp_path):
+def test_a_full_disk_stops_only_the_checkpoints(tmp_path):
     path = tmp_path / "note"
     save(path, BEGUN, NOTE)
     done = run(FULL_DISK, path)
@@ -411,7 +411,7 @@ def test_a_period_is_counted_from_the_last_posted_state(tmp_path):
     writer.close(30)
 
 
-def test_a_writer_that_is_not_used_leaves_the_half_file_of_another_process(tmp_path):
+def test_an_unused_writer_keeps_the_temporary_file_of_others(tmp_path):
     half = tmp_path / ".note.tmp"
     half.write_bytes(WHOLE[:100])
     assert CheckpointWriter(tmp_path / "note", NOTE).close(30)

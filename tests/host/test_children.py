@@ -30,7 +30,7 @@ def test_nothing_is_imported_from_the_working_directory(tmp_path, monkeypatch):
     assert (done.stdout, done.stderr) == ("ours __main__ one --two\n", "")
 
 
-def test_it_looks_for_no_garbage_before_it_ends(tmp_path, monkeypatch):
+def test_a_child_skips_garbage_collection_at_its_end(tmp_path, monkeypatch):
     (tmp_path / "program.py").write_text("""
 class Told:
     def __del__(self):
@@ -45,7 +45,7 @@ del told
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_every_child_is_started_so(monkeypatch):
+def test_every_child_process_is_started_as_a_module(monkeypatch):
     started = []
 
     def start(command, **_):

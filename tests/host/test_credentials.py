@@ -33,7 +33,7 @@ def test_a_copy_of_that_name_is_taken_in_its_place(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("mode", "open_"), [(0o600, False), (0o640, False), (0o604, True)])
-def test_who_can_read_it(tmp_path, mode, open_):
+def test_a_file_readable_by_others_is_detected(tmp_path, mode, open_):
     file = tmp_path / "secret"
     assert not is_open_to_others(file)
     file.touch()
@@ -55,13 +55,13 @@ def test_who_can_read_it(tmp_path, mode, open_):
         ("Bearer \xe9\udcff", False),
     ],
 )
-def test_who_bears_it(header, known):
+def test_only_a_bearer_header_with_the_token_matches(header, known):
     token = BearerToken(SECRET.encode())
     assert token.matches(header) is known
     assert SECRET not in f"{token} {token!r}"
 
 
-def test_it_is_the_one_line_of_a_file_or_of_its_copy(tmp_path, monkeypatch):
+def test_a_token_is_read_from_its_file_or_copy(tmp_path, monkeypatch):
     (tmp_path / "token").write_text(f"{SECRET}\n")
     assert read_token("http.token_file", str(tmp_path / "token")).matches(f"Bearer {SECRET}")
     (tmp_path / "http.token_file").write_text(SECRET[::-1])
@@ -80,7 +80,7 @@ def test_it_is_the_one_line_of_a_file_or_of_its_copy(tmp_path, monkeypatch):
         (f"{SECRET}é", "one word of 16"),
     ],
 )
-def test_what_is_no_token_is_refused_and_not_quoted(tmp_path, text, says):
+def test_an_invalid_token_is_refused_without_being_quoted(tmp_path, text, says):
     file = tmp_path / "token"
     if text is not None:
         file.write_text(text)

@@ -19,7 +19,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
+def test_the_calibrate_command_measures_and_saves(capsys, monkeypatch):
     monkeypatch.setattr(calibration, "ROUNDS", 1)
     assert main(["bench", "--calibrate"]) == 0
     kept = calibration.load()
@@ -37,7 +37,7 @@ def test_a_command_measures_and_keeps_it(capsys, monkeypatch):
         (0.5, "2.0 times faster than the reference computer"),
     ],
 )
-def test_it_is_shown_in_words(slowdown, words):
+def test_a_slowdown_is_described_in_words(slowdown, words):
     assert str(SpeedCalibration("m", slowdown, {})) == words
 
 
@@ -62,12 +62,12 @@ GOOD = {"machine": "", "slowdown": 1.8, "parts": {}}
         ),
     ],
 )  # fmt: skip
-def test_what_is_not_sound_is_as_if_it_was_not_there(content):
+def test_an_invalid_calibration_counts_as_none(content):
     calibration.path().write_bytes(content)
     assert calibration.load() is None
 
 
-def test_where_it_cannot_be_kept(cache, monkeypatch):
+def test_a_calibration_that_cannot_be_saved_is_an_error(cache, monkeypatch):
     (cache / "file").touch()
     monkeypatch.setenv("EDGE_CACHE_DIR", str(cache / "file"))
     assert calibration.load() is None
@@ -76,7 +76,7 @@ def test_where_it_cannot_be_kept(cache, monkeypatch):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 1.0])
-def test_the_flood_goes_where_edges_lead(share):
+def test_the_flood_fill_agrees_with_opencv(share):
     free = np.random.default_rng(1).random((65, 65)) < share
     free[32, 32] = True
     seen, queue = np.zeros_like(free), np.zeros(free.size, np.int32)

@@ -1,4 +1,4 @@
-"""Files are read at once and written whole, or not at all; what is no file is one line."""
+"""Files are read at once and written whole, or not at all; other paths are an error of one line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from edge.sources import recording
 from exporters.files import ExportError, check_sha256
 from exporters.images import load_input, load_text_embeddings
 
-pytestmark = pytest.mark.timeout(60)  # what opens a pipe without a writer would wait for ever
+pytestmark = pytest.mark.timeout(60)  # opening a pipe without a writer never ends
 
 
 def make_pipe(path: Path) -> Path:
@@ -47,7 +47,7 @@ def make_pipe(path: Path) -> Path:
     ],
     ids=["missing", "folder", "pipe", "device", "long"],
 )
-def test_anything_else_is_an_error_at_once(tmp_path, make, message):
+def test_a_path_that_is_not_a_file_fails_at_once(tmp_path, make, message):
     with pytest.raises(OSError, match=message) as caught:
         read_regular(make(tmp_path), 100)
     assert caught.value.strerror.startswith(message)
@@ -84,7 +84,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_pipe_in_the_place_of_a_file_is_one_line(tmp_path, monkeypatch, name):
+def test_a_pipe_instead_of_a_file_fails_in_one_line(tmp_path, monkeypatch, name):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     file, read = READERS[name]
     (tmp_path / "a").mkdir()
@@ -108,7 +108,7 @@ def test_exporters_wait_for_no_pipe_either(tmp_path, read):
 
 
 @pytest.mark.parametrize("beside", [None, ".half"])
-def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, beside):
+def test_a_file_is_replaced_atomically(tmp_path, beside):
     folder = tmp_path / "new"
     file = folder / "model.onnx"
     write_atomically(file, b"old")

@@ -1,4 +1,4 @@
-"""Cutting a request's connection; what failures are called is held by the chat client's tests."""
+"""Cutting a request's connection; the chat client's tests check the error messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 
 @pytest.mark.parametrize("event", CONNECTED)
 @pytest.mark.parametrize("cut_first", [False, True])
-def test_a_waiting_reader_gets_the_end_of_a_cut_connection(event, cut_first):
+def test_cutting_a_connection_wakes_its_reader(event, cut_first):
     mine, others = socket.socketpair()
     with mine, others:
         connection = CuttableConnection()
@@ -53,5 +53,5 @@ def test_a_closed_connection_may_be_cut():
         (httpx.RemoteProtocolError("two\nlines"), "does not speak HTTP (two lines); check the URL"),
     ],
 )
-def test_a_failure_is_one_line(error, said):
+def test_a_failure_is_described_in_one_line(error, said):
     assert failure_reason(error) == said

@@ -16,7 +16,7 @@ def stop() -> threading.Event:
     return threading.Event()
 
 
-def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
+def test_the_result_or_exception_of_the_step_is_passed_on(stop):
     assert run_unless_stopped(lambda: 7, stop) == 7
     with pytest.raises(ZeroDivisionError):
         run_unless_stopped(lambda: 1 // 0, stop)
@@ -26,7 +26,7 @@ def test_it_returns_what_the_step_returns_and_raises_what_it_raises(stop):
             too_late(stop)
 
 
-def test_a_step_that_never_ends_is_abandoned_when_stop_is_set(stop):
+def test_an_endless_step_is_abandoned_at_a_stop(stop):
     over, threads = threading.Event(), []
 
     def work() -> None:

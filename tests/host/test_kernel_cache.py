@@ -16,7 +16,7 @@ VARIABLES = ("NUMBA_CACHE_DIR", "EDGE_CACHE_DIR", "XDG_CACHE_HOME")
 
 @pytest.fixture
 def places(tmp_path, monkeypatch):
-    """`free`, where folders can be made, and `closed`, where none can, not even by root."""
+    """Return a folder with `free`, where folders can be made, and `closed`, where none can."""
     for name in VARIABLES:
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "closed").touch()
@@ -33,14 +33,14 @@ def chosen() -> str | None:
 
 
 @pytest.mark.parametrize("variable", ["HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"])
-def test_where_numba_finds_one_by_itself_nothing_is_changed(variable, places, monkeypatch, caplog):
+def test_a_writable_numba_cache_is_left_alone(variable, places, monkeypatch, caplog):
     monkeypatch.setenv(variable, str(places / "free"))
     assert chosen() == os.environ.get("NUMBA_CACHE_DIR")
     assert not caplog.records
 
 
 @pytest.mark.parametrize("ours", [None, "closed/cache"])
-def test_else_it_is_a_temporary_folder_with_a_warning(ours, places, monkeypatch, caplog):
+def test_without_a_cache_folder_a_temporary_one_is_used(ours, places, monkeypatch, caplog):
     if ours is not None:
         monkeypatch.setenv("EDGE_CACHE_DIR", str(places / ours))
     folder = chosen()
@@ -50,7 +50,7 @@ def test_else_it_is_a_temporary_folder_with_a_warning(ours, places, monkeypatch,
     assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in record.getMessage()
 
 
-def test_without_any_folder_the_remedy_is_the_error(places, monkeypatch):
+def test_without_any_folder_the_error_names_the_remedy(places, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(places / "closed"))
     with pytest.raises(ConfigError, match="set EDGE_CACHE_DIR"):
         chosen()

@@ -39,7 +39,7 @@ def no_smi(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
 
 
-def test_where_nothing_can_be_read_there_is_still_a_description(tmp_path):
+def test_an_unreadable_system_still_gets_a_description(tmp_path):
     found = machine.describe(tmp_path)
     assert found["cpu"] == found["architecture"]
     assert not {"memory_gb", "cpu_clock", "gpus", "jetson"} & set(found)
@@ -91,14 +91,14 @@ def test_power_mode(status, conf, mode):
         ("echo '[N/A]'", [], None),
     ],
 )
-def test_what_nvidia_smi_says(tmp_path, script, names, memory_mb):
+def test_nvidia_smi_output_is_read_or_ignored(tmp_path, script, names, memory_mb):
     put(tmp_path, {"bin/nvidia-smi": f"#!/bin/sh\n{script}\n"})
     (tmp_path / "bin/nvidia-smi").chmod(0o755)
     assert [gpu["name"] for gpu in machine.nvidia_smi()] == names
     assert machine.gpu_memory_mb() == memory_mb
 
 
-def test_busy_time_counts_what_the_host_took_but_not_waiting(tmp_path, monkeypatch):
+def test_busy_time_counts_steal_time_but_not_waiting(tmp_path, monkeypatch):
     put(tmp_path, {"proc/stat": "cpu  100 10 50 9999 888 5 5 30 7 0\ncpu0 1 2\n"})
     monkeypatch.setattr(machine.os, "sysconf", lambda _: 100)
     assert machine.busy_s(tmp_path) == pytest.approx(2.0)

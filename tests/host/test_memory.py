@@ -32,18 +32,18 @@ with memory.trim_memory_periodically(every_s=0.01):
 """
 
 
-def test_what_was_freed_between_blocks_goes_back():
+def test_memory_freed_between_blocks_is_returned():
     subprocess.run([sys.executable, "-c", HOLES], check=True, timeout=240)
 
 
-def test_nothing_is_left_of_it():
+def test_the_thread_ends_with_the_block():
     before = threading.active_count()
     with memory.trim_memory_periodically():
         assert threading.active_count() == before + 1
     assert threading.active_count() == before
 
 
-def test_another_c_library_has_nothing_to_trim(monkeypatch):
+def test_another_c_library_starts_no_thread(monkeypatch):
     monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
     before = threading.active_count()
     with memory.trim_memory_periodically():

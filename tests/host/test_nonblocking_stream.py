@@ -15,7 +15,7 @@ from edge.host import nonblocking_stream as outlets
 from edge.host.nonblocking_stream import MOST_WAITING, NonBlockingStream, nonblocking_stderr
 
 LINE = "x" * 199 + "\n"
-MUCH = 3 * MOST_WAITING  # lines, many times what a pipe holds
+MUCH = 3 * MOST_WAITING  # lines, many times the size of a pipe
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def all_of(read: int) -> str:
         return reader.read()
 
 
-def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeypatch):
+def test_a_full_pipe_drops_and_counts_lines(pipe, monkeypatch):
     monkeypatch.setattr(outlets, "_END_S", 0.01)
     read, stream = pipe
     outlet = NonBlockingStream(stream)
@@ -59,7 +59,7 @@ def test_a_full_pipe_does_not_block_and_the_lost_lines_are_counted(pipe, monkeyp
 
 
 @pytest.mark.usefixtures("patient")
-def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
+def test_output_to_a_closed_pipe_is_lost_without_an_error(pipe):
     read, stream = pipe
     os.close(read)
     outlet = NonBlockingStream(stream)
@@ -70,7 +70,7 @@ def test_where_nobody_reads_any_more_it_is_lost_and_no_error(pipe):
 
 
 @pytest.mark.usefixtures("patient")
-def test_after_its_end_it_is_the_stream_itself(pipe):
+def test_after_drain_writes_go_to_the_stream(pipe):
     read, stream = pipe
     outlet = NonBlockingStream(stream)
     outlet.write("before, ")
@@ -80,7 +80,7 @@ def test_after_its_end_it_is_the_stream_itself(pipe):
     assert all_of(read) == "before, after"
 
 
-def test_a_stream_without_a_descriptor_stays():
+def test_a_stream_without_a_descriptor_is_left_alone():
     with redirect_stderr(io.StringIO()) as captured:
         with nonblocking_stderr():
             assert sys.stderr is captured
@@ -101,7 +101,7 @@ sys.exit(_exit_now_if_needed(3))
 """
 
 
-def test_a_process_goes_on_and_ends_though_its_log_is_stuck():
+def test_a_process_runs_and_ends_with_a_blocked_log():
     program = [sys.executable, "-c", PROGRAM]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"went on\n"

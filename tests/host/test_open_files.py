@@ -26,7 +26,7 @@ def limited(soft: int, hard: int, command: list[str]) -> subprocess.CompletedPro
 @pytest.mark.parametrize(
     "command", [["run", "demo"], ["demo"], ["sim", "demo"], ["sim", "demo", "--motion-only"]]
 )
-def test_too_few_are_one_line_with_what_is_needed(command):
+def test_a_low_limit_of_open_files_fails_in_one_line(command):
     done = limited(20, 20, [*python_module("edge.cli"), *command])
     assert done.returncode == os.EX_UNAVAILABLE
     assert done.stdout == ""
@@ -34,7 +34,7 @@ def test_too_few_are_one_line_with_what_is_needed(command):
     assert done.stderr.startswith("this process may open 20 files and connections, but needs 256:")
 
 
-def test_a_limit_that_may_be_raised_is():
+def test_a_low_soft_limit_is_raised():
     show = "import resource as r; from edge.host.open_files import raise_open_files_limit"
     show += "; raise_open_files_limit()"
     show += "; print(r.getrlimit(r.RLIMIT_NOFILE)[0])"
@@ -43,7 +43,7 @@ def test_a_limit_that_may_be_raised_is():
             assert limited(soft, hard, [sys.executable, "-c", show]).stdout.strip() == now
 
 
-def test_a_shortage_is_reported_while_it_lasts():
+def test_a_shortage_of_descriptors_is_reported_while_it_lasts():
     assert open_files.open_files_problem() == ""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     taken = []

@@ -7,7 +7,7 @@ from patience import eventually
 from edge.host.periodic import run_periodically
 
 
-def test_it_is_done_again_and_again_until_the_block_ends():
+def test_the_work_repeats_until_the_block_ends():
     done = []
     with run_periodically("work", 1e-4, lambda: done.append(threading.current_thread().name)):
         eventually(lambda: len(done) >= 3)

@@ -1,4 +1,4 @@
-"""Ports for a service of one's own: free, and out of the way of outgoing connections; addresses."""
+"""Free ports outside the range of outgoing connections, and loopback addresses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from edge.host.ports import free_port, is_loopback
 
 
 @pytest.mark.parametrize("text", ["20000 20000", "1024 65535", None, "nonsense", ""])
-def test_where_there_is_no_room_or_nothing_known_a_port_is_found_all_the_same(
-    monkeypatch, tmp_path, text
-):
+def test_a_free_port_is_found_without_a_known_range(monkeypatch, tmp_path, text):
     monkeypatch.setattr(ports, "EPHEMERAL", tmp_path / "range")
     if text is not None:
         ports.EPHEMERAL.write_text(text)
@@ -45,5 +43,5 @@ def test_a_port_that_is_taken_is_not_given(monkeypatch, tmp_path):
         ("", False),
     ],
 )
-def test_which_addresses_are_this_machines_own(host, own):
+def test_loopback_addresses_are_recognised(host, own):
     assert is_loopback(host) is own

@@ -31,7 +31,7 @@ def holder(tmp_path):
         process.kill()
 
 
-def test_the_next_removes_what_a_killed_process_left_and_nothing_else(tmp_path, holder):
+def test_the_folder_of_a_killed_process_is_removed(tmp_path, holder):
     process, folder = holder
     (tmp_path / "edge-testimony").mkdir()
     (tmp_path / "edge-test-file").touch()
@@ -46,7 +46,7 @@ def test_the_next_removes_what_a_killed_process_left_and_nothing_else(tmp_path, 
         assert {path.name for path in tmp_path.iterdir()} == {mine.name} | others
 
 
-def test_many_at_once_take_none_from_each_other(tmp_path):
+def test_parallel_folders_do_not_remove_each_other(tmp_path):
     def work() -> None:
         for _ in range(50):
             with private_folder("edge-test-", str(tmp_path)) as folder:

@@ -14,14 +14,14 @@ from edge.host.processes import Process, descendants, usage
 NOBODY = 1 << 22  # the kernel's largest number, and more
 
 
-def test_there_is_nothing_to_say_of_nobody():
+def test_an_unknown_process_has_no_usage():
     assert usage(NOBODY) is None
     assert descendants(NOBODY) == []
 
 
-def test_usage_is_what_others_count():
+def test_usage_agrees_with_psutil():
     theirs = psutil.Process()
-    # Of other tests, a thread may just be ending.
+    # A thread of another test may just be ending.
     eventually(lambda: usage(theirs.pid).threads == theirs.num_threads())
     ours = usage(theirs.pid)
     assert ours.descriptors == pytest.approx(theirs.num_fds(), abs=2)
@@ -32,7 +32,7 @@ def test_usage_is_what_others_count():
     assert ours.cpu_s == pytest.approx(times.user + times.system, abs=0.5)
 
 
-def test_descendants_are_all_and_end():
+def test_descendants_are_found_at_any_depth():
     child = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'input()'])"
     parent = subprocess.Popen([sys.executable, "-c", child], stdin=subprocess.PIPE)
     try:
@@ -49,7 +49,7 @@ def test_descendants_are_all_and_end():
     eventually(lambda: not found[0].is_running())
 
 
-def test_one_that_nobody_has_asked_for_does_not_live():
+def test_a_dead_unreaped_process_does_not_count():
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
 
     def found() -> list[Process]:

@@ -22,13 +22,13 @@ def at_once(monkeypatch):
     monkeypatch.setattr(progress, "TERMINAL_PERIOD_S", 0.0)
 
 
-def test_work_that_is_soon_done_shows_nothing(capsys):
+def test_quick_work_shows_no_progress(capsys):
     assert list(progress.with_progress("tasks", "abc")) == ["a", "b", "c"]
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("at_once")
-def test_a_log_gets_lines(capsys):
+def test_a_log_gets_progress_lines(capsys):
     assert list(progress.with_progress("tasks", "ab")) == ["a", "b"]
     shown = capsys.readouterr().err
     first, half, whole = shown.splitlines()

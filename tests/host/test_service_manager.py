@@ -44,7 +44,7 @@ def test_every_message(manager):
     assert int(at.removeprefix("MONOTONIC_USEC=")) > 0
 
 
-def test_no_text_can_say_what_only_we_may(manager):
+def test_a_status_text_cannot_inject_other_messages(manager):
     listening, name = manager
     SystemdNotifier({"NOTIFY_SOCKET": name}).status("bed\nSTOPPING=1\nMAINPID=1" + "é" * 9000)
     said = listening.recv(65536).decode()
@@ -62,7 +62,7 @@ def test_no_text_can_say_what_only_we_may(manager):
         ({"WATCHDOG_PID": "1"}, None),
     ],
 )
-def test_how_often_a_sign_of_life_is_due(environ, ping_s):
+def test_the_ping_period_follows_the_watchdog_variables(environ, ping_s):
     environ = {**environ, "NOTIFY_SOCKET": NOBODY, "HOME": "/"}
     assert SystemdNotifier(environ).ping_s == ping_s
     assert environ == {"HOME": "/"}, "a child would speak in our name"

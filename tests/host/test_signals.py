@@ -1,4 +1,4 @@
-"""Each signal does what it is known to do: stop a process, break it off, show where it is."""
+"""Each signal has its usual effect: stop, interrupt, or show the threads."""
 
 from __future__ import annotations
 
@@ -69,20 +69,20 @@ def test_the_first_stops_and_the_second_breaks_off(number, start):
     assert process.wait() == 0
 
 
-def test_a_stop_that_comes_when_it_is_about_to_be_waited_for_is_no_deadlock(start):
+def test_a_stop_just_before_the_wait_does_not_deadlock(start):
     process = start("stop", "held")
     assert process.stdout.readline() == "stopped\n"
 
 
 @pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)
-def test_where_nothing_looks_for_a_stop_the_first_breaks_off(number, start):
+def test_the_first_signal_interrupts_if_nothing_checks_for_stops(number, start):
     process = start()
     process.send_signal(number)
     assert process.stdout.readline() == f"broken off by {int(number)}\n"
 
 
 @pytest.mark.parametrize("number", SHOW, ids=lambda number: number.name)
-def test_a_look_at_the_threads_changes_nothing(number, start):
+def test_showing_the_threads_changes_nothing(number, start):
     process = start("stop")
     process.send_signal(number)
     assert "thread MainThread (most recent call last):\n" in iter(process.stderr.readline, "")
@@ -90,7 +90,7 @@ def test_a_look_at_the_threads_changes_nothing(number, start):
     assert process.stdout.readline() == "stopped\n"
 
 
-def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
+def test_a_closed_stderr_does_not_lose_later_signals(start):
     process = start("stop")
     process.stderr.close()
     process.send_signal(signal.SIGUSR1)
@@ -101,14 +101,14 @@ def test_a_look_that_nobody_reads_costs_no_signal_after_it(start):
     assert process.stdout.readline() == f"broken off by {int(signal.SIGTERM)}\n"
 
 
-def test_a_signal_that_another_thread_gets_breaks_off_what_the_main_thread_waits_for(start):
+def test_a_signal_in_another_thread_interrupts_the_main_thread(start):
     process = start("stop", "elsewhere")
     for line in ("stopped\n", f"broken off by {int(signal.SIGTERM)}\n"):
         process.send_signal(signal.SIGTERM)
         assert process.stdout.readline() == line
 
 
-def test_a_hang_up_that_nohup_has_ignored_stays_so(start):
+def test_a_hangup_ignored_by_nohup_stops_nothing(start):
     process = start("stop", "nohup")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)
@@ -152,7 +152,7 @@ def reloads() -> Iterator[Callable[..., subprocess.Popen]]:
         process.communicate()
 
 
-def test_without_a_terminal_a_hang_up_asks_for_a_reload_each_time_and_stops_nothing(reloads):
+def test_each_hangup_without_a_terminal_requests_a_reload(reloads):
     process = reloads()
     for _ in range(2):
         process.send_signal(signal.SIGHUP)
@@ -162,14 +162,14 @@ def test_without_a_terminal_a_hang_up_asks_for_a_reload_each_time_and_stops_noth
     assert process.wait() == 0, "the hang-ups did not count as first signals to stop"
 
 
-def test_a_hang_up_that_nohup_has_ignored_asks_for_no_reload(reloads):
+def test_a_hangup_ignored_by_nohup_requests_no_reload(reloads):
     process = reloads("nohup")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "stopped\n"
 
 
-def test_a_terminal_that_is_closed_stops_what_runs_in_it():
+def test_closing_the_terminal_stops_its_process():
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", RELOADS])

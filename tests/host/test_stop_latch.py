@@ -20,7 +20,7 @@ def _no_waiting_for_a_loop(monkeypatch):
     monkeypatch.setattr(stop_latch, "WITHDRAWN_S", 0.0)
 
 
-def test_a_latch_without_a_file_is_not_stopped_and_keeps_nothing(tmp_path):
+def test_a_latch_without_a_file_saves_nothing(tmp_path):
     assert StopLatch(tmp_path / "none" / "stop.json").reason == ""
     latch = StopLatch()
     answer = latch.stop("")
@@ -29,7 +29,7 @@ def test_a_latch_without_a_file_is_not_stopped_and_keeps_nothing(tmp_path):
     assert latch.release() == {"stopped": False, "text": "not stopped"}
 
 
-def test_a_stop_is_on_the_disk_before_its_answer_until_its_release(tmp_path, monkeypatch):
+def test_a_stop_is_on_disk_before_it_is_answered(tmp_path, monkeypatch):
     path, written, synced = tmp_path / "state" / "stop.json", [], []
     monkeypatch.setattr(files, "sync", lambda path: synced.append(path.name))
     latch, pwrite = StopLatch(path), os.pwrite
@@ -77,7 +77,7 @@ def test_a_file_that_cannot_be_read_is_a_stop(tmp_path, content):
         assert StopLatch(path).reason == ""
 
 
-def test_a_stop_that_cannot_be_written_holds_and_is_written_later(tmp_path, caplog, monkeypatch):
+def test_an_unsaved_stop_holds_and_is_saved_later(tmp_path, caplog, monkeypatch):
     path = tmp_path / "folder" / "stop.json"
     path.parent.write_text("no folder")
     monkeypatch.setattr(stop_latch, "read_stop", lambda path: "")

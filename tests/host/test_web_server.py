@@ -32,12 +32,12 @@ def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int,
     return answer.status, body
 
 
-def test_without_a_port_there_is_none():
+def test_without_a_port_no_server_starts():
     with serve({}, HERE, None) as port:
         assert port is None
 
 
-def test_pages_are_made_when_they_are_asked_for():
+def test_pages_are_made_on_request():
     counted = iter(range(9))
     pages = {
         "/count": lambda: json_response({"n": next(counted)}),
@@ -54,7 +54,7 @@ def test_pages_are_made_when_they_are_asked_for():
         ask(port, "/down")
 
 
-def test_what_cannot_be_made_is_answered_with_why_and_logged_once(caplog):
+def test_a_failing_page_returns_500_and_logs_once(caplog):
     def broken(*args: bytes) -> HttpResponse:
         raise ValueError("two\nlines")
 
@@ -89,7 +89,7 @@ def test_without_the_token_only_the_status_of_probes_is_returned(path, stranger,
         assert (status, body if known[1] else None) == known
 
 
-def test_those_who_keep_connections_open_lock_nobody_out():
+def test_idle_connections_do_not_lock_out_others():
     with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         idle = [socket.create_connection((HERE, port)) for _ in range(3 * MOST_OPEN)]
         for sock in idle[::2]:
@@ -100,8 +100,8 @@ def test_those_who_keep_connections_open_lock_nobody_out():
 
 
 @pytest.mark.parametrize("silent", [2 * MOST_OPEN, 0])
-def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silent):
-    """Strangers give way first, then those who know the token and wait for nothing."""
+def test_a_running_post_is_not_cut_off_by_others(silent):
+    """Connections without the token are closed first, then idle ones with it."""
     begun, go_on = threading.Event(), threading.Event()
 
     def take(body: bytes) -> HttpResponse:
@@ -120,7 +120,7 @@ def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silen
         assert begun.wait(PATIENCE_S)
         for _ in range(silent):
             opened.enter_context(socket.create_connection((HERE, port)))
-        for _ in range(2 * MOST_OPEN):  # each of those who know the token is let in
+        for _ in range(2 * MOST_OPEN):  # each connection with the token is accepted
             sock = opened.enter_context(socket.create_connection((HERE, port), PATIENCE_S))
             sock.sendall(known)
             assert sock.recv(1 << 16).endswith(b"here")
@@ -128,7 +128,7 @@ def test_a_post_that_is_being_carried_out_is_answered_by_other_connections(silen
         assert posted.result(PATIENCE_S) == (200, b"taken")
 
 
-def test_while_every_connection_has_a_post_under_way_a_new_one_is_closed():
+def test_a_new_connection_is_closed_if_all_are_busy():
     begun, go_on = threading.Semaphore(0), threading.Event()
 
     def take(body: bytes) -> HttpResponse:
@@ -156,13 +156,13 @@ def test_nonsense_is_refused(nonsense):
     with serve({"/": lambda: HttpResponse(b"here", "text/plain")}, HERE, 0) as port:
         with socket.create_connection((HERE, port), PATIENCE_S) as sock:
             sock.sendall(nonsense)
-            with suppress(ConnectionResetError):  # what it has not read, it does not wait for
+            with suppress(ConnectionResetError):  # the server does not wait for unread bytes
                 assert b"here" not in sock.recv(1 << 16)
         assert ask(port, "/") == (200, b"here")
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "x" * 64])
-def test_a_host_that_is_none_is_one_line(host):
+def test_an_unknown_host_is_an_error_of_one_line(host):
     with (
         pytest.raises(UnavailableError, match=rf"^http.port: cannot listen on {host} port "),
         serve({}, host, 0),
@@ -170,7 +170,7 @@ def test_a_host_that_is_none_is_one_line(host):
         pass
 
 
-def test_a_port_that_is_taken_is_one_line_with_what_to_do():
+def test_a_port_in_use_is_reported_with_the_remedy():
     with (
         serve({}, HERE, 0) as port,
         pytest.raises(UnavailableError, match=rf"^http.port: .*{port}.*in use; set http.port"),
@@ -215,7 +215,7 @@ def taken() -> Iterator[tuple[int, list[bytes]]]:
         yield port, bodies
 
 
-def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
+def test_the_page_is_public_but_its_data_need_the_token(taken):
     port, _ = taken
     assert ask(port, "/") == (200, b"here")
     assert ask(port, "/data")[0] == 401
@@ -240,7 +240,7 @@ def test_the_public_page_needs_no_token_and_what_it_asks_for_does(taken):
         (b"{}", {"Origin": "http://[evil"}, 403),
     ],
 )
-def test_what_is_posted_is_taken_whole_or_not_at_all(taken, body, headers, status):
+def test_a_post_is_accepted_whole_or_refused(taken, body, headers, status):
     port, bodies = taken
     assert post(port, body, **headers)[0] == status
     assert bodies == ([body] if status == 200 else [])
@@ -253,7 +253,7 @@ def test_a_page_of_ours_may_post(taken):
     assert bodies == [b"{}"]
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
+def test_an_incomplete_body_times_out(taken, monkeypatch):
     monkeypatch.setattr("edge.host.web_server._PATIENCE_S", 0.2)
     port, bodies = taken
     head = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
@@ -262,8 +262,8 @@ def test_a_body_that_does_not_come_is_not_waited_for(taken, monkeypatch):
     assert bodies == []
 
 
-def test_what_was_refused_is_not_read_as_the_next_request(taken):
-    """A body of a request that may have none, or of a stranger, is no request."""
+def test_a_refused_body_is_not_read_as_a_request(taken):
+    """This holds for the body of a GET, and of a request without the token."""
     port, bodies = taken
     inner = b"POST /form HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer right\r\n"
     inner += b"Content-Type: application/json\r\nContent-Length: 0\r\n\r\n"
@@ -299,7 +299,7 @@ def test_without_a_token_the_request_must_name_this_machine(host, status):
         assert ask(port, "/", Host=host.format(port=port))[0] == status
 
 
-def test_what_one_has_already_is_not_sent_again():
+def test_an_unchanged_page_returns_304():
     page = HttpResponse(b"here", "text/plain", etag="7")
     with serve({"/": lambda: page}, HERE, 0) as port:
         assert ask(port, "/", **{"If-None-Match": '"6"'}) == (200, b"here")
@@ -322,7 +322,7 @@ def test_what_one_has_already_is_not_sent_again():
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_every_answer_says_what_a_page_may_do(request_head, status):
+def test_error_responses_have_the_security_headers(request_head, status):
     with serve({}, HERE, 0) as port:
         # A line that is too long is cut there: unread bytes would lose the answer.
         end = b"" if len(request_head) > LONGEST_LINE else b"\r\n\r\n"

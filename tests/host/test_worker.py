@@ -56,7 +56,7 @@ def test_nothing_submitted_nothing_done(inline):
     assert (got, worker.stats) == ([], host.WorkerStats())
 
 
-def test_what_was_submitted_before_a_forget_is_void(gate):
+def test_discard_all_drops_submitted_items_and_results(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     worker.submit("waits")
@@ -74,7 +74,7 @@ def test_what_was_submitted_before_a_forget_is_void(gate):
     worker.close()
 
 
-def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(gate):
+def test_the_newest_item_and_result_win(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     for item in "abc":
@@ -93,7 +93,7 @@ def test_the_newest_item_and_the_newest_result_win_and_the_others_are_dropped(ga
     assert dropped == ["a", "b", "late"]
 
 
-def test_the_newest_of_a_key_wins_and_queued_items_all_leave_in_order(gate):
+def test_the_newest_of_a_key_wins_in_queue_order(gate):
     worker = stuck(gate, finish_on_close=True)
     worker.submit("map 1", key="map")
     worker.enqueue("tick 1")
@@ -118,7 +118,7 @@ def test_the_queue_is_bounded_and_the_newest_stay(gate, monkeypatch):
     assert gate.got == ["first", "map", 2, 3, 4]
 
 
-def test_closing_drops_what_waits_and_waits_no_longer_than_it_may(gate):
+def test_closing_drops_queued_items_within_its_time_limit(gate):
     dropped, unread = [], []
     worker = stuck(gate, drop=dropped.append, drop_result=unread.append)
     worker.submit("waiting")
@@ -130,7 +130,7 @@ def test_closing_drops_what_waits_and_waits_no_longer_than_it_may(gate):
     assert worker.poll() is None
 
 
-def test_the_worker_survives_a_failure_and_logs_each_kind_once_in_one_line(caplog):
+def test_failures_are_survived_and_logged_once_per_kind(caplog):
     done: list = []
 
     def work(item):
@@ -177,7 +177,7 @@ def test_inline_items_go_by_after_a_failure(caplog):
     assert len(caplog.records) == 2  # another row
 
 
-def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
+def test_failures_are_followed_by_growing_pauses(gate):
     gate.open.set()
     worker = Worker("test", gate, pause_s=0.5)
     pauses = []
@@ -194,7 +194,7 @@ def test_after_a_failure_it_takes_nothing_up_for_a_bounded_while(gate):
     assert len(gate.got) == 1
 
 
-def test_it_rests_after_a_result_which_is_there_at_once(gate):
+def test_the_worker_rests_after_a_result(gate):
     gate.open.set()
     worker = Worker("test", gate, rest_s=3600)
     worker.submit("a")
@@ -205,7 +205,7 @@ def test_it_rests_after_a_result_which_is_there_at_once(gate):
     assert gate.got == ["a"]
 
 
-def test_a_beat_comes_while_nothing_else_does_and_may_fail(caplog):
+def test_the_periodic_callback_may_fail(caplog):
     beats = threading.Semaphore(0)
 
     def beat() -> None:

@@ -17,7 +17,7 @@ from edge.bus.session import open_session
 from edge.config import ZenohConfig
 
 ROS = ("ros2/odom", "ros2/edge/path", "ros2/navigate_to_pose/_action/status")
-"""Some of what passes by the adapter."""
+"""Some keys of the adapter."""
 KEYS = (*(topic.key for topic in topics.ALL), *ROS)
 
 

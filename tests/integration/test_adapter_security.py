@@ -33,7 +33,7 @@ def key_of(topic: str) -> str:
 
 
 class Client:
-    """The Zenoh side of the adapter's node (`passing.py`, `action.py`); it says who it is."""
+    """The Zenoh side of the adapter's node (`passing.py`, `action.py`); it sends its name."""
 
     def __init__(self, session: zenoh.Session, who: str) -> None:
         self.who = who.encode()
@@ -100,8 +100,8 @@ def took(subscription: Ros2Subscription) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kind", ["certificates", "passwords"])
-def test_nobody_but_the_adapter_speaks_for_ros(etc, kind):
-    """Also to a service that was started again, which asks for what was said before."""
+def test_only_the_adapter_may_publish_for_ros(etc, kind):
+    """This also holds for a restarted service, which asks for earlier messages."""
     of = settings_of(etc, kind, free_port())
     clients: list[Client] = []
     with ExitStack() as stack:

@@ -74,12 +74,12 @@ def test_probabilities_over_the_letters(scorer, target, n_marks, capsys):
         print(f"\n{target}: {ways}, elsewhere {choice.elsewhere:.2f}, scene {choice.scene:.2f}")
 
 
-def test_what_was_seen_matters(scorer):
+def test_detected_objects_change_the_scene_score(scorer):
     several = [put_to(scorer, view("chair", 3, seen)) for seen in ((), SEEN, SEEN[::-1])]
     assert len({choice.scene for choice in several}) == 3
 
 
-def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monkeypatch):
+def test_the_second_question_reuses_the_prompt_cache(scorer, monkeypatch):
     timings = []
     read = scorer._client._parse_log_probabilities
 
@@ -93,14 +93,14 @@ def test_the_second_question_reuses_what_was_computed_for_the_first(scorer, monk
     assert second["cache_n"] > second["prompt_n"]
 
 
-def test_an_image_for_a_model_without_eyes_is_one_clear_line(url):
+def test_an_image_for_a_text_model_is_an_error(url):
     blind = make_server_scorer(ChoiceOpenai(url=url, model="default", time_limit_s=PATIENCE_S))
     with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
         put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))
     assert "\n" not in str(raised.value)
 
 
-def test_the_robot_goes_on_when_the_server_is_killed():
+def test_the_robot_continues_when_the_server_is_killed():
     with serving_llm() as (url, server):
         choice = {"kind": "text", "url": url, "model": "default", "time_limit_s": PATIENCE_S}
         loop = ClosedLoop(

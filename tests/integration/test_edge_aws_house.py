@@ -66,7 +66,7 @@ WORDS = (
 
 
 def test_a_mission_with_a_choice_and_a_prohibition(environ, endpoint, tmp_path):
-    """In lockstep, so that a loaded machine sees what an idle one does."""
+    """Run in lockstep, so that the load of the machine does not matter."""
     extra = {
         **environ,
         "EDGE__ZENOH__ENDPOINT": endpoint,

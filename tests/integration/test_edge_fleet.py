@@ -15,7 +15,7 @@ FAST = {**LOCKSTEP, "EDGE__SIM__STEP_S": "0.2"}
 
 
 @pytest.mark.slow
-def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endpoint, tmp_path):
+def test_three_robots_finish_a_mission_although_one_is_killed(edge, endpoint, tmp_path):
     zenoh = {"mode": "client", "endpoint": endpoint}
     config = write_config(tmp_path, zenoh=zenoh, mission={"on_request": True})
     edge("fleet", "router", endpoint).says("router: ready")
@@ -36,7 +36,7 @@ def test_three_robots_share_a_mission_and_one_is_killed_in_the_middle(edge, endp
     )
     for name in NAMES:
         services[name].says("target: ")
-    sharing.says("carl gets: ")  # else its answer is lost, and its start stays unknown
+    sharing.says("carl gets: ")  # otherwise its answer is lost and its start stays unknown
     services["carl"].process.send_signal(signal.SIGKILL)
     sharing.says("carl is offline; another robot gets the part unless it is back within 3 s")
     assert sharing.wait() == 0, sharing.output

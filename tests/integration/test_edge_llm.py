@@ -69,14 +69,14 @@ def test_the_server_keeps_to_the_grammar(url):
 def test_the_grammar_admits_only_formulas_about_the_objects(url, instruction):
     client = ChatClient(url, "default", time_limit_s=MODEL_S)
     objects = objects_in(instruction)
-    # Warm, so that the model says more than what it finds likeliest.
+    # A high temperature, so that the model gives unlikely answers too.
     for seed in range(2):
         options = {"temperature": 1.5, "seed": seed, **constraint("gbnf", objects)}
         try:
             answer = client.ask(conversation(instruction), **options)
         except TokenLimitError:
             continue
-        formula_in(answer, objects)  # raises what a user would see
+        formula_in(answer, objects)  # raises the error that a user would see
 
 
 def test_translations(url, capsys):

@@ -50,7 +50,7 @@ class Holds:
 """
 
 
-def test_a_mission_goes_on_where_kill_9_cut_it_off(edge, endpoint, tmp_path):
+def test_a_mission_resumes_after_kill_9(edge, endpoint, tmp_path):
     kept = tmp_path / "mission.json"
     words = "Clean either the chair or the sofa, then turn on the tv, then go to the trash can."
     mission = {"instruction": words, "checkpoint": str(kept), "search_limit_s": 100}
@@ -103,7 +103,7 @@ def test_requests_by_command(edge, endpoint, tmp_path, request_of):
     assert (code, "paused" in said) == (0, True), said
     code, said = request_of("resume", config)
     assert code == 0, said
-    # What is refused leaves the running mission as it was.
+    # A refused request does not change the running mission.
     for bad, part in [
         (("new", config, "frobnicate the chair"), "frobnicate"),
         (("new", config, "F a & G !a", "--formula"), "contradiction"),

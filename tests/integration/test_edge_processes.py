@@ -52,7 +52,7 @@ def test_the_demo_ends_with_reached_and_a_report(edge, tmp_path):
     check_report(tmp_path / "report", "reached")
 
 
-def test_a_demo_that_is_stopped_leaves_a_report_and_no_process(edge, config, tmp_path):
+def test_a_stopped_demo_leaves_a_report_and_no_process(edge, config, tmp_path):
     demo = edge("demo", config, "--target", "bed", "--report", "here").says("ready:")
     assert len(demo.children()) == 2
     demo.says("frontier")
@@ -87,7 +87,7 @@ def test_a_demo_ends_when_its_simulator_does(edge, config):
     assert not demo.orphans()
 
 
-def test_a_killed_demo_takes_its_children_along_and_leaves_no_files(edge, config, tmp_path):
+def test_a_killed_demo_ends_its_children_and_leaves_no_files(edge, config, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     demo = edge("demo", config, TMPDIR=str(temporary)).says("ready:")

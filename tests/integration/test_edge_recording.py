@@ -19,7 +19,7 @@ def pages(path: Path) -> int:
 
 
 @pytest.mark.slow
-def test_what_was_on_the_disk_at_kill_9_is_recovered_and_replays(edge, endpoint, tmp_path):
+def test_a_recording_cut_off_by_kill_9_replays(edge, endpoint, tmp_path):
     folder = tmp_path / "recordings"
     mcap = {"kind": "mcap", "options": {"folder": str(folder), "sync_s": 0.5}}
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, sinks=["zenoh", mcap])
@@ -44,7 +44,7 @@ def test_what_was_on_the_disk_at_kill_9_is_recovered_and_replays(edge, endpoint,
     assert recovered.wait() == os.EX_OK, recovered.output
     whole = left.with_name(left.name.removesuffix(PARTIAL))
     assert pages(whole) == there
-    left.unlink()  # else it were a part of the run too
+    left.unlink()  # otherwise it would be a part of the run too
     replayed = edge("replay", whole)
     assert replayed.wait() == os.EX_OK, replayed.output
     assert "identical in every tick" in replayed.output

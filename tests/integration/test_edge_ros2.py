@@ -30,7 +30,7 @@ from edge.bus.wire import messages
 from edge.geometry import SE2
 
 SUCCEEDED, ABORTED = 4, 6
-# What simulator and controller call what ROS knows by another name; the truth stays where it is.
+# Keys of simulator and controller for topics with another name in ROS; the truth keeps its key.
 HIDDEN = {
     name: f"robot/{name}"
     for name in ("camera/rgb", "camera/depth", "camera/info", "lidar/scan", "odom", "goal", "map",
@@ -39,7 +39,7 @@ HIDDEN = {
 
 
 class RosRobot:
-    """Publishes what the simulator sends, and drives by its controller to Nav2's goals."""
+    """Publisher of the simulator's data, which drives to Nav2's goals by the controller."""
 
     def __init__(self, session: zenoh.Session, port: int, name: str, dialect: Dialect) -> None:
         settings, body = builtin_config(name).ros2, ROBOTS[name]
@@ -97,7 +97,7 @@ class RosRobot:
             goal_id, goal = self.nav2.goals[self._taken]
             self._taken += 1
             if self._goal is not None:
-                self._settle(ABORTED)  # as Nav2 ends what it is driven away from
+                self._settle(ABORTED)  # as Nav2 ends a replaced goal
             at, stamp = goal.pose.pose, goal.pose.header.stamp
             yaw = 2 * np.arctan2(at.orientation.z, at.orientation.w)
             stamp_ns = stamp.sec * 10**9 + stamp.nanosec

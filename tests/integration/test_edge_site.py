@@ -41,7 +41,7 @@ def test_places_and_zones_by_command(edge, endpoint, tmp_path, command):
     code, said = command("mission", "new", config, "go to the shelf, then to the dock")
     assert code == 0, said
     eventually(lambda: "dock" in kept.read_text())
-    # Nothing is known where the robot has not looked; by then it may have seen something.
+    # The robot knows only the places that it has seen; by then it may have seen something.
     code, said = command("memory", "find", config, "unicorn")
     assert (code, said) == (1, "no unicorn has been seen: the detector is not looking for it\n")
     eventually(lambda: command("memory", "list", config)[1] != "none\n")

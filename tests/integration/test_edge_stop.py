@@ -23,9 +23,7 @@ pytestmark = pytest.mark.slow
 TOKEN = "a-token-of-a-test"
 
 
-def test_a_stop_survives_kills_and_only_a_release_ends_it(
-    edge, endpoint, command, tmp_path, monkeypatch
-):
+def test_a_stop_survives_kills_until_it_is_released(edge, endpoint, command, tmp_path, monkeypatch):
     (tmp_path / "token").write_text(TOKEN)
     port = free_port()
     config = write_config(
@@ -48,7 +46,7 @@ def test_a_stop_survives_kills_and_only_a_release_ends_it(
         def ask(key: str, **request: object) -> dict:
             return send_request(session, f"edge/{key}/request", request, PATIENCE_S, "test")
 
-        def stands() -> bool:
+        def is_still() -> bool:
             """Return True if the robot did not move in its last 20 poses."""
             newest = [messages.decode_odometry(payload).T_map_base for payload in poses[-20:]]
             return len(newest) == 20 and abs(newest[0] - newest[-1]).max() < 1e-4
@@ -60,10 +58,10 @@ def test_a_stop_survives_kills_and_only_a_release_ends_it(
             eventually(lambda: len(statuses) >= enough)
             return set(goals)
 
-        eventually(lambda: goals and not stands())
+        eventually(lambda: goals and not is_still())
         code, said = command("stop", config, "--why", "red button")
         assert (code, said.split(";")[0]) == (0, "stopped: red button")
-        eventually(stands)
+        eventually(is_still)
         assert len(sent()) <= 1  # the goal to stand still
         assert command("mission", "status", config)[1].count("stopped: red button") == 1
 
@@ -76,7 +74,7 @@ def test_a_stop_survives_kills_and_only_a_release_ends_it(
             assert "waits for `edge release`" in answer["reason"]
             ask("mission", do="resume")
             assert len(sent()) <= 1
-            assert stands()
+            assert is_still()
         assert json.loads(statuses[-1])["stopped"] == "red button"
         assert "stop: the robot is stopped" in command("doctor", config)[1]
         page = f"http://127.0.0.1:{port}"
@@ -89,7 +87,7 @@ def test_a_stop_survives_kills_and_only_a_release_ends_it(
 
         code, said = command("release", config)
         assert (code, said.strip()) == (0, "not stopped")
-        eventually(lambda: goals and not stands())
+        eventually(lambda: goals and not is_still())
 
         def press(token: str) -> dict:
             stop = urllib.request.Request(
@@ -102,7 +100,7 @@ def test_a_stop_survives_kills_and_only_a_release_ends_it(
         with pytest.raises(urllib.error.HTTPError, match="401"):
             press("wrong-token-of-a-test")
         assert press(TOKEN)["kept"]
-        eventually(stands)
+        eventually(is_still)
         ask("release")
         service.stop(signal.SIGKILL)
         service = edge("run", config).says("ready:")

@@ -56,7 +56,7 @@ def is_edge(process: psutil.Process) -> bool:
 
 
 @pytest.mark.slow
-def test_an_episode_is_the_same_though_its_processes_are_held_up(tmp_path: Path):
+def test_an_episode_is_the_same_with_delayed_processes(tmp_path: Path):
     (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     first = run_episode(column, there, over_zenoh)
     with held_up() as held:
@@ -86,7 +86,7 @@ def test_an_episode_with_two_cameras(mapped):
     assert outcome.detected > 0
 
 
-def test_an_episode_that_is_stopped_before_it_begins_has_no_outcome():
+def test_an_episode_stopped_before_its_start_has_no_outcome():
     (there,), (column,) = plan(CONFIG, [], ["sofa"], 1, 0, 3.0), make_arms(CONFIG, {})
     stop = threading.Event()
     stop.set()

@@ -36,7 +36,7 @@ def etc(tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monkeypatch):
+def test_a_robot_sees_itself_and_the_operator_sees_all(etc, monkeypatch):
     monkeypatch.setattr(presence, "ANSWER_S", PATIENCE_S)
     port = free_port()
     section = parse_yaml(page_section("robots/anna\n  file", etc, PAGE))["zenoh"]
@@ -67,7 +67,7 @@ def test_a_robot_has_to_do_with_itself_alone_and_the_operator_with_all(etc, monk
         heard = {who: put_by_all(sessions, who) for who in ROBOTS}
         assert heard == {who: {who} for who in ROBOTS}
         keys = {who: settings(who).key(topics.MISSION_REQUEST) for who in ROBOTS}
-        for who in ROBOTS:  # the router may hear of who answers after it heard of who is there
+        for who in ROBOTS:  # the router may learn of queryables after the tokens
             for asker in (who, "client"):
                 eventually(
                     lambda a=asker, w=who: asked(sessions[a], keys[w]) == {}, f"{asker}: {who}"
@@ -127,7 +127,7 @@ def asked(session: zenoh.Session, key: str) -> dict | str:
         return str(error)
 
 
-def test_the_page_names_what_is_there():
+def test_the_page_links_only_to_existing_files():
     named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
     assert named
     assert [name for name in named if not (ROOT / name).exists()] == []

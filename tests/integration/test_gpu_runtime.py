@@ -101,7 +101,7 @@ def options(cache, half, told):
 
 @pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("provider", [CUDA, ORT_TENSORRT, TENSORRT])
-def test_a_gpu_says_what_the_cpu_says(gpu, model, tmp_path, provider, half):
+def test_gpu_scores_agree_with_the_cpu(gpu, model, tmp_path, provider, half):
     needs(provider)
     path, told = model(half), []
     cpu = open_session(path, ["CPUExecutionProvider"], 2)

@@ -141,7 +141,7 @@ def live(endpoint, tmp_path, monkeypatch) -> Callable:
 PATIENT = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S}
 
 
-def test_loop_and_map_go_on_over_a_hang_and_ends_until_the_limit_and_beyond(live, monkeypatch):
+def test_loop_and_map_continue_while_the_model_hangs_or_ends(live, monkeypatch):
     for name, value in {"BACKOFF_S": 0.01, "MOST_ENDS": 1, "WINDOW_S": 1e6}.items():
         monkeypatch.setattr(supervised, name, value)
     with live(**PATIENT) as (life, script):

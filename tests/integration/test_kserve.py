@@ -193,7 +193,7 @@ def detector(model: str):
     return make_detector(config.PerceptionConfig(detector=chosen), PROMPTS)
 
 
-def test_a_real_server_finds_what_is_found_here_and_may_come_and_go(server, capsys):
+def test_a_kserve_server_gives_the_same_boxes_and_may_restart(server, capsys):
     start, binary = server
     rgb = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
     seen = Observation(0, 0, np.eye(4), rgb=rgb)

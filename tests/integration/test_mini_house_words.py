@@ -74,7 +74,7 @@ def looks(house, thing: WorldObject) -> Iterator[Observation]:
 
 
 @pytest.mark.parametrize("word", BACKGROUND)
-def test_it_is_found_where_it_stands_in_plain_view(house, word):
+def test_a_background_object_is_found_at_its_place(house, word):
     config, world, _, _, detector = house
     detector.set_prompts([word])
     sightings, lifter = ObjectTracker(config.perception), BackProjector(config.perception)

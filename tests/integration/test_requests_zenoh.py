@@ -86,21 +86,21 @@ def status(session: zenoh.Session) -> dict:
 
 
 def test_the_life_of_a_mission(config, service, command):
-    def said(verb: str, *more: str) -> dict:
+    def reply(verb: str, *more: str) -> dict:
         code, out, _ = command(verb, config, *more, "--json")
         assert code == 0
         return json.loads(out)
 
-    assert said("status")["formula"] == "F chair"
-    assert said("new", "F (bed & F tv)")["formula"] == "F (bed & F tv)"
-    assert said("pause")["paused"] is True
-    assert said("status")["paused"] is True
-    assert said("resume")["paused"] is False
-    assert said("new", "[] !bed", "--formula")["formula"] == "G !bed"
-    assert said("cancel")["phase"] == "cancelled"
+    assert reply("status")["formula"] == "F chair"
+    assert reply("new", "F (bed & F tv)")["formula"] == "F (bed & F tv)"
+    assert reply("pause")["paused"] is True
+    assert reply("status")["paused"] is True
+    assert reply("resume")["paused"] is False
+    assert reply("new", "[] !bed", "--formula")["formula"] == "G !bed"
+    assert reply("cancel")["phase"] == "cancelled"
 
 
-def test_where_somebody_is_that_takes_no_requests(endpoint):
+def test_a_request_without_a_service_is_an_error(endpoint):
     settings = ZenohConfig(endpoint=endpoint)
     nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
     with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
@@ -116,7 +116,7 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
 
 
-def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, session):
+def test_a_killed_service_answers_again_after_its_restart(start, endpoint, service, session):
     send_request(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
@@ -133,7 +133,7 @@ def test_a_service_that_is_killed_and_comes_back(start, endpoint, service, sessi
     eventually(answers)
 
 
-def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(session, service):
+def test_a_new_mission_replaces_one_still_being_translated(session, service):
     def slow(thing: str) -> dict:
         return {"do": "new", "instruction": f"slow F {thing}"}
 
@@ -157,7 +157,7 @@ def test_while_a_mission_is_being_understood_others_pass_and_a_stop_ends_it(sess
     assert status(session)["formula"] == "F bed"
 
 
-def test_a_client_that_is_killed_while_it_waits(start, config, service, session):
+def test_a_request_outlives_its_killed_client(start, config, service, session):
     client = start("request", "new", config, "slow F sofa")
     assert service.stdout.readline() == "slow\n"
     client.kill()

@@ -49,7 +49,7 @@ class Graph:
             yield session
 
     def settings(self, file: str) -> ZenohConfig:
-        """As the page says for the service, with another client's file where it is another."""
+        """Configure a client as the page describes, with its own file."""
         section = page_section("7448", self.etc).replace(
             "robot.local:7448", f"127.0.0.1:{self.outside}"
         )
@@ -96,7 +96,7 @@ def until(nodes: list[Ros2Node], done: Callable[[], bool], otherwise: str) -> No
     eventually(look, otherwise)
 
 
-def test_the_service_sees_drives_and_draws_and_does_nothing_else(graph):
+def test_the_service_has_only_the_rights_it_needs(graph):
     with ExitStack() as stack:
         robot = stack.enter_context(node(stack.enter_context(graph.robot()), "robot"))
         service = stack.enter_context(

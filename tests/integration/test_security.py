@@ -44,7 +44,7 @@ from edge.host.ports import free_port
 PEER = Path(__file__).with_name("secure_peer.py")
 IDLE = 120  # more than Zenoh's own limit of 100
 
-# What each may send, ask and hear, of all keys of the project, below the prefix.
+# The keys below the prefix that each client may send, ask and hear.
 REQUESTS = set(topics.REQUESTS)
 EVERY = set(KEYS)
 BY_SENSORS = {t.key for t in topics.ALL if t.writer in ("sensors", "simulator")}
@@ -125,7 +125,7 @@ def service(settings: ZenohConfig) -> Iterator[Service]:
     ("kind", "prefix"),
     [("certificates", "edge"), ("passwords", "edge"), ("certificates", "robots/a")],
 )
-def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind, prefix, tmp_path):
+def test_each_client_has_exactly_its_permissions(etc, kind, prefix, tmp_path):
     if prefix != "edge":
         etc = shutil.copytree(etc, tmp_path / "etc")
         page_commands(etc, "sed -i")
@@ -140,14 +140,14 @@ def test_each_client_may_do_what_it_is_for_and_nothing_else(etc, kind, prefix, t
                 attempt = partial(tried_all, session, prefix, who)
                 eventually(lambda attempt=attempt: attempt() and may <= running.reached)
                 attempt()
-        time.sleep(0.2)  # for what must not come
+        time.sleep(0.2)  # for messages that must not come
         reached = running.end()
     assert reached == may
     assert heard == MAY_HEAR
 
 
 def tried_all(session: zenoh.Session, prefix: str, who: str) -> bool:
-    """Put and ask all that there is; whether what it may ask was answered, and nothing else."""
+    """Send and ask every key; return True if exactly the permitted queries were answered."""
     for key in EVERY:
         session.put(f"{prefix}/{key}", who)
     answered = {
@@ -227,7 +227,7 @@ def test_strangers_are_refused_with_a_reason(etc, elsewhere, tmp_path):
         assert running.end() == {("query", "edge/mission/request", "{}")}
 
 
-def test_the_certificate_of_a_client_makes_no_service(etc, tmp_path):
+def test_a_client_certificate_cannot_identify_a_service(etc, tmp_path):
     port = free_port()
     known = settings_of(etc, "certificates", port)("operator")
     posing = tmp_path / "posing.json5"
@@ -269,7 +269,7 @@ def test_a_client_without_permission_gets_no_answer(etc):
 
 
 @pytest.mark.parametrize("kind", ["certificates", "passwords"])
-def test_idle_connections_keep_nobody_out(etc, kind):
+def test_idle_connections_do_not_lock_out_others(etc, kind):
     port = free_port()
     settings = settings_of(etc, kind, port)("operator")
     with service(settings), ExitStack() as idle:
@@ -284,7 +284,7 @@ def test_idle_connections_keep_nobody_out(etc, kind):
 
 @pytest.mark.slow
 def test_a_robot_is_driven_as_the_documentation_says(etc, edge, tmp_path):
-    """Each process with a certificate of its own; a stranger who lies changes nothing."""
+    """Each process has its own certificate; a stranger with false messages changes nothing."""
     port = free_port()
     section = page_section("0.0.0.0:7447", etc).replace("7447", str(port))
     config = write_config(tmp_path, **parse_yaml(section))
@@ -310,7 +310,7 @@ def test_a_robot_is_driven_as_the_documentation_says(etc, edge, tmp_path):
     assert "is open" not in service.output
 
 
-def test_the_page_names_what_is_there():
+def test_the_page_links_only_to_existing_files():
     named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
     assert named
     assert [name for name in named if not (ROOT / name).exists()] == []

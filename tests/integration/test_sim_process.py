@@ -67,7 +67,7 @@ class Peer:
         self._commands.put(messages.encode_twist_stamped(stamp_ns, v_mps, w_radps))
 
     def read(self) -> Iterator[tuple[str, bytes]]:
-        """(topic key, payload) of what the simulator sends, for as long as `PATIENCE_S`."""
+        """Yield (topic key, payload) of the simulator's messages for up to `PATIENCE_S`."""
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
             sample = self._all.try_recv()
@@ -136,7 +136,7 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
     assert first == second
 
 
-def test_lockstep_repeats_the_first_instant_until_somebody_answers():
+def test_lockstep_repeats_the_first_instant_until_an_answer_comes():
     data = settings(lockstep=True)
     config = parse(data)
     with open_session(config.zenoh, "listen") as session:

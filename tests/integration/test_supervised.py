@@ -127,9 +127,7 @@ def test_from_the_start_to_the_stop(edge, config, manager):
 
 
 @pytest.mark.slow  # a hang takes 10 s to be one
-def test_a_loop_that_hangs_gives_no_sign_of_life_though_its_process_lives(
-    edge, config, manager, tmp_path
-):
+def test_a_hanging_loop_sends_no_watchdog_pings(edge, config, manager, tmp_path):
     port = free_port()
     (tmp_path / "http.token_file").write_text(TOKEN)
     service = supervised(

@@ -249,7 +249,7 @@ raise SystemExit(cli.main([]))
 @pytest.mark.parametrize(
     ("start", "output"), [("start_detached_thread", ""), ("start_other", "cleared up\n")]
 )
-def test_what_is_still_being_loaded_or_compiled_does_not_spoil_the_exit(start, output):
+def test_exit_works_while_models_load_or_compile(start, output):
     """onnxruntime aborts the process when the interpreter goes while it loads."""
     done = subprocess.run(
         [sys.executable, "-c", LEFT_BEHIND.replace("START", start)],

@@ -60,7 +60,7 @@ def config(tmp_path, monkeypatch, endpoint):
     )  # fmt: skip
 
 
-def test_choice_models_are_swapped_under_load_and_the_loop_goes_on(config, tmp_path, capsys):
+def test_choice_models_are_swapped_while_the_loop_runs(config, tmp_path, capsys):
     settings, path = load(str(config)), tmp_path / "tour.mcap"
     record_messages(path, house_drive(settings, SECONDS))
     stop, counted = threading.Event(), []

@@ -89,9 +89,7 @@ def driven(edge: Callable[..., Edge], endpoint, tmp_path) -> Iterator[tuple[Edge
     ],
     ids=["frozen", "backward"],
 )
-def test_a_robot_whose_data_is_tampered_with_stands_and_drives_on_when_it_is_right(
-    driven, alter, why
-):
+def test_tampered_sensor_data_stop_the_robot_until_they_recover(driven, alter, why):
     service, track = driven
     said = len(service.lines)
     track.tamper(alter())

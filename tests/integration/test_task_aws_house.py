@@ -35,7 +35,7 @@ def house(shared_dir, monkeypatch) -> dict[str, str]:
     }  # fmt: skip
 
 
-def test_it_is_driven_around_the_left_of_the_sofa_to_the_desk(house):
+def test_the_robot_passes_left_of_the_sofa_to_the_desk(house):
     """The sofa has to be looked for."""
     loop = ClosedLoop(load("aws-house", {**house, "EDGE__SIM__START": "null"}), task=TASK)
     trail_m = [[], []]  # before there was a trajectory, and on it

@@ -55,7 +55,7 @@ def attempt(
     return f"a trajectory of {len(written.coarse.points_m)} points", written
 
 
-def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys):
+def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys):
     model = WriterModel(url=url, picture=False, max_attempts=2, time_limit_s=LIMIT_S)
     config, lines = TasksConfig(planner=model), []
     for where, instruction in TASKS:
@@ -65,7 +65,7 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
         if written is None:
             assert "\n" not in said
             assert said.isprintable()
-            # What a model said is kept; without any answer it was the server's fault.
+            # Answers of the model are kept; without any answer the server failed.
             assert rounds or "no complete answer" in said
         else:
             check(written.coarse, ground_of(scene, 0.3), config.trajectory)
@@ -84,8 +84,8 @@ def test_a_small_model_writes_what_may_be_driven_or_one_line(url, scenes, capsys
         print("", *lines, sep="\n")
 
 
-def test_a_model_that_takes_no_pictures_is_an_error_of_one_line(url):
-    """A server whose model takes no pictures says so; that is one line, not a crash."""
+def test_an_image_for_a_text_model_is_an_error(url):
+    """The server rejects the picture; that is an error of one line, not a crash."""
     scene = street(*STREET, picture=True)
     config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))
     with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:

@@ -67,7 +67,7 @@ def see(source: ZenohSource, n: int = 3) -> list[Observation]:
     return seen
 
 
-def test_a_robot_that_vanishes_and_comes_back(config, start):
+def test_a_robot_that_vanishes_is_received_again_later(config, start):
     with open_session(config.zenoh, "listen") as session:
         source = ZenohSource(config, session)
         first = start("robot")
@@ -79,12 +79,12 @@ def test_a_robot_that_vanishes_and_comes_back(config, start):
         first.wait()
         gone_ns = time.time_ns()
         start("robot")
-        while see(source, 1)[0].stamp_ns < gone_ns:  # what was still on its way
+        while see(source, 1)[0].stamp_ns < gone_ns:  # messages that were still on their way
             pass
         source.close()
 
 
-def test_a_service_that_vanishes_and_comes_back(config, start):
+def test_a_restarted_service_receives_the_robot_again(config, start):
     start("robot")
     for _ in range(2):
         with open_session(config.zenoh, "listen") as session:
@@ -142,7 +142,7 @@ def test_a_recording_is_played_by_another_process(config, tmp_path):
     path = tmp_path / "drive.mcap"
     recording.record_messages(path, drive())
     again = tmp_path / "again.mcap"
-    # A recording has our own names, whatever they are called where it is made or played.
+    # A recording has our own names, even if the topics are renamed.
     own = ZenohConfig(
         endpoint=config.zenoh.endpoint, topics={"odom": "base/odom", "camera/rgb": "odom"}
     )

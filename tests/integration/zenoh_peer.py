@@ -19,7 +19,7 @@ CAMERA = CameraModel(32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
 def robot(session: zenoh.Session) -> None:
-    """Stands still and sends camera and odometry at 30 Hz, for ever."""
+    """Send the camera and odometry of a standing robot at 30 Hz without end."""
     out = {
         topic.key: declare_publisher(session, topic, SETTINGS)
         for topic in (topics.ODOMETRY, topics.CAMERA_INFO, topics.RGB, topics.DEPTH)

@@ -1,4 +1,4 @@
-"""Rooms against ground truth: who is right, and by how much."""
+"""Rooms compared with the ground truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_nothing_was_measured():
         ),
     ],
 )
-def test_a_kind_is_right_if_it_is_there_and_no_other_was_found(one, shares):
+def test_a_room_kind_is_judged_against_the_truth(one, shares):
     assert values(report([one], []))[:3] == shares
 
 

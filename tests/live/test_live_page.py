@@ -69,7 +69,7 @@ def order(page: Tab, words: str) -> None:
     page.click("#new-ok")
 
 
-def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
+def test_the_page_shows_the_state_and_loads_nothing_external(page, house):
     page.says("#english", "bed")
     page.says("#health", "running, ready")
     page.says("#latency", "tick")
@@ -84,7 +84,7 @@ def test_it_shows_what_there_is_and_asks_nobody_else(page, house):
     assert page.complaints == []
 
 
-def test_while_the_service_starts_it_says_what_it_is_at(tab):
+def test_the_page_shows_the_current_startup_step(tab):
     vitals = ServiceHealth(SystemdNotifier({}))
     view = LiveView(simulated({"mission": {"target": "bed"}}), vitals)
     vitals.starting("loading the detector")
@@ -94,14 +94,14 @@ def test_while_the_service_starts_it_says_what_it_is_at(tab):
         assert tab.text("#phase") == "STARTING"
 
 
-def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
+def test_a_chosen_layer_is_drawn_over_the_map(page):
     page.until("document.getElementById('layer').options.length > 1")
     page.run(
         "(() => { const s = document.getElementById('layer'); s.value = 'looked at';"
         " s.dispatchEvent(new Event('change')); })()"
     )
     page.until(
-        # Yellow, of what was looked at well, over what is free.
+        # Yellow for well seen cells, over free cells.
         """(() => {
           const c = document.getElementById("map");
           const { data } = c.getContext("2d").getImageData(0, 0, c.width, c.height);
@@ -114,7 +114,7 @@ def test_a_layer_is_drawn_over_the_map_when_it_is_chosen(page):
     assert page.complaints == []
 
 
-def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
+def test_pause_stops_the_robot_and_resume_continues(page, house):
     page.click("#pause")
     page.says("#phase", "PAUSED")
     page.says("#banner", "Paused: the robot holds its position")
@@ -126,7 +126,7 @@ def test_pausing_stops_the_robot_and_resuming_sends_it_on(page, house):
     assert not house.service.mission.paused
 
 
-def test_a_new_mission_from_the_page_is_what_the_robot_does(page, house):
+def test_a_mission_from_the_page_reaches_the_robot(page, house):
     order(page, "find the sofa")
     page.until("!document.getElementById('new-dialog').open")
     page.says("#instruction", "find the sofa")
@@ -142,14 +142,14 @@ def test_a_wait_is_shown_and_ends_by_the_button(page, house):
     page.says("#phase", "REACHED")
 
 
-def test_a_request_that_is_not_understood_is_refused_and_changes_nothing(page, house):
+def test_an_unknown_instruction_is_refused_and_changes_nothing(page, house):
     order(page, INSTRUCTION)
     page.until("!document.getElementById('new-error').hidden")
     assert page.run("document.querySelector('#new-error b')") is None
     assert house.service.mission.spec.targets == ("bed",)
 
 
-def test_of_several_readings_the_page_lets_one_choose(page, house):
+def test_the_page_offers_a_choice_between_readings(page, house):
     order(page, "the sofa must be visited before the bed")
     page.until("document.querySelectorAll('#readings button').length === 3")
     page.says("#new-error", "This can be read in several ways. Which one do you mean?")
@@ -160,7 +160,7 @@ def test_of_several_readings_the_page_lets_one_choose(page, house):
     assert house.service.mission.spec.translation.reading == 3
 
 
-def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
+def test_an_uncertain_reading_is_shown_before_it_starts(page, house):
     order(page, "vist the sofa")
     page.until("document.querySelectorAll('#readings button').length === 1")
     page.says("#new-error", "Is this what you mean?")
@@ -171,7 +171,7 @@ def test_what_is_not_sure_is_shown_before_it_is_begun(page, house):
     page.says("#formula", "F sofa")
 
 
-def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
+def test_an_idle_robot_starts_a_mission_from_the_page(tab):
     with open_house(mission={"target": "bed", "on_request": True}, robot=SLOWLY) as house:
         tab.open(house.url)
         tab.run(f"sessionStorage.setItem('edge-token', '{TOKEN}')")
@@ -181,7 +181,7 @@ def test_a_robot_without_a_mission_waits_for_one_from_the_page(tab):
         assert "idle" in tab.run("document.title")
         tab.says("#english", "The robot waits for a mission")
         for part in ("#formula", "#automaton", "#plan", "#note"):
-            assert tab.text(part) == ""  # of the mission that it was made ready for
+            assert tab.text(part) == ""  # the configured mission is not shown
         assert tab.run("document.getElementById('pause').disabled")
         order(tab, "find the sofa")
         tab.says("#formula", "F sofa")
@@ -207,7 +207,7 @@ def choose(tab: Tab, kind: str, name: str) -> None:
     tab.click("#site-add")
 
 
-def test_places_and_zones_are_drawn_on_the_map_and_removed_from_the_list(page, house):
+def test_places_and_zones_are_drawn_and_removed(page, house):
     page.says("#site-list", "start")
     choose(page, "here", "dock")
     page.says("#site-list", "dock")
@@ -247,7 +247,7 @@ def test_escape_ends_the_drawing_and_adds_nothing(page, house):
     assert house.service.site.site.items == ()
 
 
-def test_a_room_is_named_by_a_click_in_it_and_listed(page, house):
+def test_a_click_into_a_room_names_it(page, house):
     page.until("document.querySelector('#rooms-list button') !== null")
     choose(page, "room", "office")
     page.says("#site-hint", "click into the room")
@@ -271,7 +271,7 @@ def test_remembered_objects_are_listed_and_no_markup(page, house):
     assert page.complaints == []
 
 
-def test_the_box_for_words_starts_a_mission_or_says_why_not(page, house):
+def test_the_text_box_starts_a_mission_or_explains_why_not(page, house):
     page.type("#sentence", "find the sofa")
     page.click("#send")
     page.says("#answer", "Started: Reach the sofa.")
@@ -323,7 +323,7 @@ def test_one_click_stops_and_a_release_takes_two(page, house):
 
 
 @pytest.mark.parametrize("button", ["Allow", "Deny"])
-def test_a_person_decides_on_what_an_agent_asks_for(tab, button):
+def test_a_person_allows_or_denies_an_agents_request(tab, button):
     text = "go to the <b>sofa</b>"
     with open_house(mission={"target": "bed", "on_request": True}, mcp={"motion": "ask"}) as house:
         tab.open(house.url)
@@ -339,7 +339,7 @@ def test_a_person_decides_on_what_an_agent_asks_for(tab, button):
         assert house.service.mission.idle == (button == "Deny")
 
 
-def test_what_is_seen_is_approached_and_reached(tab):
+def test_a_seen_target_is_approached_and_reached(tab):
     nearby = {"start": [3.2, 2.3, 2.0]}
     with open_house(token=None, mission={"target": "sofa"}, sim=nearby) as house:
         tab.open(house.url)
@@ -363,7 +363,7 @@ def test_a_second_camera_has_its_picture_next_to_the_first(tab):
         assert left <= right
 
 
-def test_without_sensors_it_says_what_to_look_at(page, house):
+def test_missing_sensor_data_are_shown_with_the_reason(page, house):
     page.says("#camera-note", " × ")
     house.robot.blind = True
     page.says("#banner", "Not ready: no usable observations")
@@ -372,7 +372,7 @@ def test_without_sensors_it_says_what_to_look_at(page, house):
     page.until("document.getElementById('banner').hidden")
 
 
-def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
+def test_the_missing_input_is_named_in_banner_and_health(page, house):
     inputs = TimeSynchronizer(house.closed.config, lambda: 0).inputs
     for name in ("camera/rgb", "camera/info", "odom"):
         inputs.on_message(name)
@@ -388,7 +388,7 @@ def test_the_input_that_is_missing_is_named_in_banner_and_health(page, house):
     house.robot.blind = False
 
 
-def test_a_degraded_loop_is_shown_and_its_text_is_no_markup(page, house):
+def test_a_degraded_loop_is_shown_with_escaped_text(page, house):
     house.brittle.broken = True
     page.says("#banner", "the loop is degraded")
     page.says("#banner", "<b>broken</b>")
@@ -415,7 +415,7 @@ def test_an_error_is_shown_differently_from_no_answer(page, monkeypatch):
         page.says("#phase", "SEARCHING")
 
 
-def test_a_service_that_has_gone_was_last_seen(tab):
+def test_a_service_that_ended_is_shown_as_last_seen(tab):
     with open_house(token=None) as house:
         tab.open(house.url)
         tab.says("#phase", "SEARCHING")
@@ -432,7 +432,7 @@ def test_without_a_token_nothing_can_be_done(tab):
         assert "http.token_file" in tab.text("#readonly")
 
 
-def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
+def test_the_page_asks_until_the_token_is_right(tab, house):
     tab.open(house.url)
     tab.run("sessionStorage.clear()")
     tab.open(house.url)
@@ -448,13 +448,13 @@ def test_the_token_is_asked_for_until_it_is_the_right_one(tab, house):
     assert TOKEN not in tab.run("document.documentElement.outerHTML")
 
 
-def test_a_model_that_is_not_there_is_refused_in_a_line(page):
+def test_an_unknown_model_is_refused_in_one_line(page):
     page.type("#model", "no-such-model")
     page.click("#use")
     page.says("#toast", "no-such-model")
 
 
-def test_the_map_follows_the_robot_until_it_is_dragged(page):
+def test_dragging_the_map_stops_following_the_robot(page):
     page.click("#follow")
     pressed = "document.getElementById('follow').getAttribute('aria-pressed')"
     assert page.run(pressed) == "true"
@@ -466,7 +466,7 @@ def test_the_map_follows_the_robot_until_it_is_dragged(page):
     assert page.run(pressed) == "false"
 
 
-def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(page, house):
+def test_a_task_replaces_the_mission_on_the_page(page, house):
     house.tasked.task = looking()
     page.says("#phase", "LOOKING")
     page.says("#what", "Task")
@@ -487,7 +487,7 @@ def test_a_task_is_shown_where_the_mission_was_and_its_trajectory_on_the_map(pag
     assert page.complaints == []
 
 
-def test_what_a_model_wrote_is_text_and_asked_for_once(page, house):
+def test_text_of_a_model_is_escaped_and_fetched_once(page, house):
     house.tasked.task = by_a_model()
     page.says("#rounds", "<script>alert(1)</script>")
     page.says("#rounds", "give_trajectory([(1, 0)])")

@@ -63,7 +63,7 @@ def test_without_viewers_nothing_expensive_is_requested(sink, clock):
     sink.tick(result(**dear))
 
 
-def test_for_who_looks_it_gathers_once_a_period(sink, clock):
+def test_with_viewers_data_are_collected_once_per_period(sink, clock):
     sink.mark_watched()
     gathered = []
     for _ in range(11):
@@ -74,7 +74,7 @@ def test_for_who_looks_it_gathers_once_a_period(sink, clock):
 
 
 @pytest.mark.parametrize("of", ["objects", "layers", "health"])
-def test_what_is_expensive_is_gathered_once_a_second(sink, clock, of):
+def test_expensive_data_are_collected_once_per_second(sink, clock, of):
     sink.mark_watched()
     gathered = []
     for _ in range(20):
@@ -95,7 +95,7 @@ def test_the_site_has_a_version(sink, clock):
     assert sites == [1, 2, 2, 3]
 
 
-def test_boxes_come_with_the_image_that_they_were_found_in(sink):
+def test_boxes_are_shown_with_their_own_image(sink):
     sink.mark_watched()
     found, newest = (seen(np.full((30, 40, 3), v, np.uint8)) for v in (7, 9))
     around = ContextBoxes(
@@ -129,8 +129,8 @@ def test_each_camera_has_its_newest_image_at_its_own_pace(sink, clock):
     assert {i: shot.rgb.max() for i, shot in sink.shots.items()} == {0: 7, 1: 8}
 
 
-def test_letters_lie_on_the_frontiers_that_are_still_there(sink):
-    """Two metres ahead; what the model was asked about besides is gone, or out of view."""
+def test_letters_are_drawn_on_frontiers_that_still_exist(sink):
+    """One frontier is two metres ahead; the others are gone or out of view."""
     sink.mark_watched()
     there = ScoredCandidates(
         np.array([FRONTIER, FRONTIER, INSTANCE], np.int8), np.array([5, 6, 7]),

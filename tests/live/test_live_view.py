@@ -68,7 +68,7 @@ def full() -> dict:
     }  # fmt: skip
 
 
-def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view):
+def test_the_page_works_before_the_service_starts(view):
     view._health.starting("compiling")
     now = fetch(view, "/live/now")
     assert now["service"] == {"state": "starting", "ready": False, "why": ["starting: compiling"]}
@@ -81,7 +81,7 @@ def test_before_the_service_is_there_the_page_is_and_says_what_it_waits_for(view
     )  # fmt: skip
 
 
-def test_the_page_itself_is_public_and_nothing_else_is(view):
+def test_only_the_page_itself_is_public(view):
     html = view.pages()["/"]().body.decode()
     for path in PUBLIC:
         assert path == "/" or path.startswith("/live/")
@@ -145,7 +145,7 @@ def test_a_request_is_answered_as_over_the_bus(view, body, status, answer):
 
 
 class Served:
-    """A queue whose loop comes by right after each query."""
+    """Request queue that is served right after each query."""
 
     def __init__(self, queue: RequestQueue) -> None:
         self._queue = queue
@@ -173,7 +173,7 @@ def test_a_task_is_encoded_once_and_its_progress_every_time(view):
     assert len(json.dumps(fetch(view, "/live/now"))) < 3000
 
 
-def test_before_it_is_written_it_has_no_lines(view):
+def test_an_unwritten_task_has_no_lines(view):
     view.sink.mark_watched()
     view.sink.tick(result(task=looking))
     script = fetch(view, "/live/task")

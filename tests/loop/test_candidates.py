@@ -104,7 +104,7 @@ def looking(pose: SE2, *boxes) -> RollingMap:
     return grid
 
 
-def test_a_turn_is_one_candidate_that_lasts_and_can_be_left_alone():
+def test_a_spin_is_one_candidate_that_can_be_discarded():
     pose = SE2(0.0, 0.0, 0.0)
     grid, pool = looking(pose, *room(1.5)), CandidatePool(2, 0.5)
 

@@ -21,7 +21,7 @@ def _soon(monkeypatch):
 
 
 class Plant:
-    """A computer: what detect takes on a level, times the load; a step is taken at once."""
+    """Computer model: detect takes the cost of the level times the load; steps are immediate."""
 
     def __init__(self, costs_ms=(20.0, 10.0, 5.0)) -> None:
         self.levels, self.costs_ms = DegradationLevels(len(costs_ms) - 1, BUDGET_MS), costs_ms
@@ -41,14 +41,14 @@ class Plant:
         return self
 
 
-def test_too_slow_for_seconds_is_a_step_down_and_says_why():
+def test_seconds_of_overload_step_down_with_the_reason():
     ((at_s, level, why),) = Plant().run(4, load=2.0).moves
     assert (at_s, level) == (4, 1)
     budget = "perception.swap.budget_ms (33)"
     assert why == f"detect takes 40 ms (median), above {budget}, for over 3 s"
 
 
-def test_a_detector_that_finds_nothing_out_is_no_room():
+def test_a_detector_without_samples_gives_no_headroom():
     levels = DegradationLevels(2, BUDGET_MS)
     levels.arrived(1, 0)
     assert all(levels.update(LoadSample(None), s * S) is None for s in range(1, 1000))
@@ -60,7 +60,7 @@ def test_a_board_that_is_not_cool_has_no_room():
     assert plant.run(62).level == 0
 
 
-def test_steps_up_in_vain_become_rarer():
+def test_useless_steps_up_become_rarer():
     """A board that is cool once something is given up, and hot once it is taken back."""
     plant = Plant(costs_ms=(10.0, 10.0))
     while plant.now_s < 20_000:
@@ -71,7 +71,7 @@ def test_steps_up_in_vain_become_rarer():
     assert all(b >= 1.8 * a for a, b in pairwise(gaps[:MOST_DOUBLINGS]))
 
 
-def test_a_step_that_is_refused_is_tried_again_but_not_at_once():
+def test_a_refused_step_is_retried_later():
     levels, asked = DegradationLevels(2, BUDGET_MS), []
     for s in range(1, 100):
         if levels.update(LoadSample(50.0), s * S) is not None:
@@ -87,7 +87,7 @@ loads = st.lists(
 
 
 @given(loads)
-def test_never_two_steps_within_the_dwell_and_never_more_than_one_level(phases):
+def test_steps_keep_the_dwell_and_move_one_level(phases):
     plant = Plant()
     for seconds, load, hot, cool in phases:
         plant.run(seconds, load, distress="hot" if hot else "", has_headroom=cool)
@@ -98,7 +98,7 @@ def test_never_two_steps_within_the_dwell_and_never_more_than_one_level(phases):
 
 
 @given(loads, st.floats(0.05, 1.0))
-def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load):
+def test_all_levels_are_restored_once_there_is_headroom(phases, load):
     plant = Plant()
     for seconds, heavy, hot, cool in phases:
         plant.run(seconds, heavy, distress="hot" if hot else "", has_headroom=cool)
@@ -106,7 +106,7 @@ def test_whatever_came_before_all_is_taken_back_once_there_is_room(phases, load)
 
 
 @given(st.floats(0.05, 6.0), st.tuples(*[st.floats(0.1, 1.0)] * 2), st.floats(5.0, 60.0))
-def test_under_a_load_that_stays_it_steps_down_and_hardly_ever_up(load, shares, cost_ms):
+def test_a_constant_load_steps_down_and_hardly_ever_up(load, shares, cost_ms):
     """The gain of a level is known after a try; tries come at 16 times `LOW_S` or later."""
     costs_ms = (cost_ms, cost_ms * shares[0], cost_ms * shares[0] * shares[1])
     plant = Plant(costs_ms).run(60 << UNLIKELY_DOUBLINGS, load)

@@ -80,7 +80,7 @@ def test_nothing_seen_proves_nothing(house):
 
 
 @pytest.mark.parametrize("drive", [ahead, turning, around])
-def test_images_from_where_the_robot_is_fit(house, drive):
+def test_images_that_match_the_pose_have_a_low_misfit(house, drive):
     assert Eye(house).worst(drive, drive) < 0.5 * MISFIT
 
 
@@ -105,7 +105,7 @@ def _turned(pose: SE2, yaw_rad: float) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("px_per_tick", [-8, 3, 8])
 @pytest.mark.parametrize("drive", [ahead, around])
-def test_somebody_who_walks_past_the_camera_is_no_contradiction(house, drive, px_per_tick):
+def test_a_passing_person_does_not_contradict_the_pose(house, drive, px_per_tick):
     at_px = [80]
 
     def walks(depth_m: np.ndarray) -> None:
@@ -115,7 +115,7 @@ def test_somebody_who_walks_past_the_camera_is_no_contradiction(house, drive, px
     assert not Eye(house).worst(drive, drive, change=walks) > MISFIT
 
 
-def test_a_pose_that_is_corrected_is_no_motion(house):
+def test_a_corrected_pose_is_not_motion(house):
     eye = Eye(house)
     assert eye.worst(ahead, ahead) < MISFIT
     moved = [
@@ -125,7 +125,7 @@ def test_a_pose_that_is_corrected_is_no_motion(house):
     assert not any(m > MISFIT for m in found)
 
 
-def test_a_robot_that_stands_tries_again_ever_later(house):
+def test_a_standing_robot_retries_at_growing_intervals(house):
     eye, waits = Eye(house), []
     for _ in range(5):
         assert eye.worst(ahead, turning) > MISFIT

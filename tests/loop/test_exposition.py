@@ -48,7 +48,7 @@ def test_every_kind(metric, samples):
 
 
 @pytest.mark.parametrize("text", NASTY)
-def test_a_label_is_one_short_line_and_the_page_stays_whole(text):
+def test_a_label_is_one_short_line(text):
     found = read(
         MetricSpec("a_total", "counter", "h", lambda _: {text: 1}, ("x",)),
         MetricSpec("b", "gauge", "h", lambda _: 2),
@@ -59,7 +59,7 @@ def test_a_label_is_one_short_line_and_the_page_stays_whole(text):
     assert found["b"] == {(): 2}
 
 
-def test_of_a_counter_with_endless_labels_the_rest_is_summed_up():
+def test_endless_labels_of_a_counter_are_summed_up():
     counts = {f"reason {i}": 1 for i in range(10_000)}
     found = read(MetricSpec("a_total", "counter", "h", lambda _: counts, ("x",)))["a_total"]
     assert len(found) == MOST_SERIES + 1
@@ -68,7 +68,7 @@ def test_of_a_counter_with_endless_labels_the_rest_is_summed_up():
     assert found[OTHER,] == 10_000 - MOST_SERIES
 
 
-def test_what_cannot_be_read_fails_the_scrape_and_not_the_next():
+def test_a_read_error_fails_only_its_own_scrape():
     answers = iter([ValueError("no"), 1.0])
 
     def look(_: None) -> float:

@@ -47,7 +47,7 @@ def test_each_kind_is_reported_once_on_one_line_and_counted(faults, told, caplog
 
 
 @pytest.mark.parametrize("nothing", [None, [], False, 0])
-def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
+def test_a_step_without_work_does_not_end_the_degraded_state(faults, nothing):
     def bad() -> None:
         raise ValueError
 
@@ -59,12 +59,12 @@ def test_a_step_that_found_nothing_to_do_has_not_gone_well(faults, nothing):
     assert faults.state == "ok"
 
 
-def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, told):
+def test_repeated_failures_set_degraded_and_success_ends_it(faults, told):
     fail(faults, DEGRADED_AFTER - 1)
     with faults.contain("tick", 6):
         pass
     fail(faults, DEGRADED_AFTER - 1)
-    with faults.contain("orders", 6):  # of another step
+    with faults.contain("orders", 6):  # another step
         pass
     assert faults.state == "ok"
     fail(faults)
@@ -79,7 +79,7 @@ def test_degraded_comes_with_a_row_without_end_and_goes_with_its_end(faults, tol
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
-def test_what_ends_the_process_passes_through(faults, error):
+def test_exceptions_that_end_the_process_are_not_contained(faults, error):
     with pytest.raises(error), faults.contain("tick", 5):
         raise error
     assert faults.failed == 0

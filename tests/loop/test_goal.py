@@ -70,7 +70,7 @@ class Map:
         return arrived
 
     def restart_search(self) -> None:
-        """Nothing was seen badly, but for `view`."""
+        """Do nothing: the only badly seen view is `view`."""
 
     def search(self, reach) -> bool:
         return True
@@ -176,7 +176,7 @@ class Case:
         return self._tick(pose, 0)
 
     def tick(self, *frontiers: tuple[float, float], after_s: float = 0.1, images: int = 0):
-        """One tick with frontiers at these places, which last by where they are."""
+        """Run one tick with frontiers at these places; a place identifies its frontier."""
         self.now_ns += int(after_s * S)
         xy = np.array(frontiers, np.float32).reshape(-1, 2)
         counts = np.ones(len(xy), np.int32)
@@ -258,7 +258,7 @@ def test_a_goal_faces_its_candidate_and_stays_the_same_object():
         # An instance is seen through: its best score counts, not the one of now.
         ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.7)], ("instance", 9)),
         ([chair(9, 3, 0.6)], [chair(9, 3, 0.3), chair(8, -3, 0.8)], ("instance", 8)),
-        # What was chosen has gone.
+        # The chosen candidate has gone.
         ([frontier(1, 3, 0.5)], [frontier(2, -3, 0.1)], ("frontier", 2)),
         ([chair(9, 3, 0.6)], [chair(8, -3, 0.1)], ("instance", 8)),
         ([frontier(1, 3, 0.5)], [], None),
@@ -274,7 +274,7 @@ def test_when_the_goal_changes(before, after, expected):
     ("paths_m", "at_y_m"),
     [((2.0, 2.1), 1.0), ((2.3, 2.0), 1.0), ((4.0, 2.0), -1.0), ((math.inf, 2.0), -1.0)],
 )
-def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
+def test_the_goal_keeps_its_side_of_a_wall(paths_m, at_y_m):
     case = Case()
     case.map.least_m = 9.0  # no free cell is near the chair
     things = frontier(1, 2, 0.5, y=1.0), frontier(2, 2, 0.5, y=-1.0), chair(9, 4, 0.8)
@@ -295,7 +295,7 @@ def test_the_way_to_a_thing_behind_a_wall_is_held(paths_m, at_y_m):
         (None, ": seen at (3.0, 0.0), no way nearer than 5.0 m"),
     ],
 )
-def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
+def test_the_failure_reason_names_an_unreachable_place(nearest_m, place):
     case = Case()
     case.choose(chair(9, 3.0, 0.8))
     cell = None if nearest_m is None else (3.0 - nearest_m, 0.0, 2.0)
@@ -305,7 +305,7 @@ def test_what_cannot_be_got_at_ends_with_its_place(nearest_m, place):
 
 
 @pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
-def test_what_fails_again_is_left_alone_twice_as_long(candidate):
+def test_each_failure_doubles_the_discard_time(candidate):
     case, times_ns = Case(), []
     case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
@@ -316,7 +316,7 @@ def test_what_fails_again_is_left_alone_twice_as_long(candidate):
 
 
 @pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
-def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_alone):
+def test_an_object_with_alternating_stopping_points_is_given_up(side_m, is_left_alone):
     case, discarded = Case(), []
     case.pool.discard = lambda *thing: discarded.append(thing[1])
     for k in range(4):
@@ -328,7 +328,7 @@ def test_a_thing_to_which_the_way_changes_sides_is_left_alone(side_m, is_left_al
     assert (goal is None, discarded) == (is_left_alone, [9] if is_left_alone else [])
 
 
-def test_what_cannot_be_reached_is_passed_over():
+def test_unreachable_candidates_are_skipped():
     case = Case()
     case.map.walled = [(3.0, 0.0)]
     assert who(case.choose(frontier(1, 3.0, 0.9), frontier(2, -3.0, 0.1))) == ("frontier", 2)
@@ -338,7 +338,7 @@ def test_what_cannot_be_reached_is_passed_over():
 
 
 @pytest.mark.parametrize("gone", ["rejected", "forgotten"])
-def test_an_instance_that_is_none_any_more_is_passed_over(gone):
+def test_a_rejected_or_forgotten_instance_is_skipped(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
     case.goals.abandon()
@@ -349,7 +349,7 @@ def test_an_instance_that_is_none_any_more_is_passed_over(gone):
     assert case.goals.choose(case.context(), case.map, case.score, 0) is None
 
 
-def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
+def test_a_frontier_left_three_times_is_kept():
     """Two far frontiers, each the better one from where the way to the other leads."""
     case, chosen = Case(), []
     for k in range(12):
@@ -367,7 +367,7 @@ def test_a_frontier_that_was_left_three_times_for_another_is_seen_through():
 
 
 @pytest.mark.parametrize("sensors_ahead_ns", [0, 10**18, -(10**18)])
-def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_last(
+def test_with_no_candidates_the_robot_spins_three_times(
     sensors_ahead_ns,
 ):
     case, pose = Case(sensors_ahead_ns), HERE
@@ -381,7 +381,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
         pose = goal.pose
     assert case.choose(pose=pose, after_s=1.1) is None
     assert not case.goals.exhausted
-    # What turns up later is gone to, and no reason to turn once more.
+    # A later candidate becomes the goal without another spin.
     late_s = case.now_ns / S
     assert who(case.choose(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
     assert case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
@@ -393,7 +393,7 @@ def test_with_nowhere_to_go_it_turns_three_times_and_what_turns_up_later_has_to_
     assert case.turn().kind == "spin"
 
 
-def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
+def test_without_candidates_or_views_the_search_is_exhausted():
     case = Case()
     case.turn_round()
     assert not case.goals.exhausted
@@ -402,7 +402,7 @@ def test_with_nothing_to_go_to_nor_to_see_it_is_exhausted():
     assert case.goals.views == 0
 
 
-def test_what_was_seen_badly_is_looked_at_again_from_one_view():
+def test_a_badly_seen_view_is_looked_at_again():
     case = Case()
     case.map.view, case.map.camera_yaw_rad = Viewpoint(1.0, 2.0, 0.5), math.pi / 2
     case.turn_round()
@@ -451,7 +451,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
 
 
 @pytest.mark.parametrize(("reach_m", "stop_m"), [(0.9, 0.85), (1.0, 0.85), (0.6, 0.55)])
-def test_the_robot_stops_where_it_has_reached_the_object(reach_m, stop_m):
+def test_the_robot_stops_just_within_reach_of_the_object(reach_m, stop_m):
     case = Case()
     case.goals.reconfigure(simulated({"mission": {"reach_m": reach_m}}))
     case.choose(chair(9, 3.0, 0.8))
@@ -478,7 +478,7 @@ def test_a_frontier_that_vanishes_time_and_again_is_left_alone(explored, chances
     assert case.tick((3.0, 0.0), after_s=60.0) is not None  # nor is this one for ever
 
 
-def test_what_was_discarded_gets_another_chance_before_the_end():
+def test_a_discarded_frontier_is_tried_again_before_the_end():
     case = Case()
     case.tick((3.0, 0.0))
     case.answer("failed", "no way")
@@ -493,7 +493,7 @@ def test_what_was_discarded_gets_another_chance_before_the_end():
 
 
 @pytest.mark.parametrize("path_m", [math.inf, 5.0], ids=["space out of reach", "all in reach"])
-def test_the_search_waits_for_what_came_into_the_way_to_go(path_m):
+def test_the_search_waits_for_moved_obstacles_before_the_end(path_m):
     """Forget arrivals whenever nothing is left, but not on the way to a viewpoint."""
     case = Case()
     case.turn_round()
@@ -519,7 +519,7 @@ def test_the_search_waits_for_what_came_into_the_way_to_go(path_m):
 
 
 @pytest.mark.parametrize("path_m", [math.inf, 5.0])
-def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
+def test_an_obstacle_on_the_only_path_is_forgotten(path_m):
     case = Case()
     case.pool.candidates.path_m[:2] = 2.0, path_m
     case.map.arrived = True
@@ -540,13 +540,13 @@ def test_who_stands_on_the_only_path_to_an_object_may_have_gone(path_m):
     [
         (0.5, "", True, "approaching", ""),
         (0.5, "accepted", True, "approaching", ""),
-        # Passing or stopping beside it is not reaching it: the controller must say so.
+        # Passing or stopping next to it is not enough: the controller must answer "reached".
         (0.5, "failed", True, "approaching", "goal failed: no reason given"),
         (0.5, "reached", True, "verifying", "confirmed, seen in 3 images"),
         (0.5, "reached", False, "verifying", ""),
     ],
 )
-def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
+def test_arrival_needs_the_answer_of_the_controller(away_m, state, confirmed, phase, came_to):
     case = Case()
     case.judge()
     assert case.goals.phase == "searching"
@@ -558,7 +558,7 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
     assert case.goals.phase == phase
     assert (case.mission.arrivals + case.events) == ([came_to] if came_to else [])
     assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
-    # What was settled is left alone, here by a mission that asks for a second chair.
+    # A settled object is not pursued again; this mission asks for a second chair.
     assert (case.goals.goal is None) == bool(came_to)
 
 
@@ -572,9 +572,7 @@ def test_what_counts_as_reached(away_m, state, confirmed, phase, came_to):
         (0.0, 0.0, "accepted", 0.0, False),  # a controller that answers says when it is there
     ],
 )
-def test_an_unanswered_goal_is_reached_where_the_robot_stops(
-    off_m, off_rad, said, steps_m, reached
-):
+def test_an_unanswered_goal_is_reached_when_the_robot_stops(off_m, off_rad, said, steps_m, reached):
     case = Case()
     goal = case.choose(chair(9, 3.0, 0.8)).pose
     if said:
@@ -589,7 +587,7 @@ def test_an_unanswered_goal_is_reached_where_the_robot_stops(
 
 
 @pytest.mark.parametrize(("turned_rad", "done"), [(0.0, False), (2.0, True), (2.6, False)])
-def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done):
+def test_an_unanswered_turn_is_done_after_the_rotation(turned_rad, done):
     case = Case()
     case.turn()
     for _ in range(5):
@@ -597,7 +595,7 @@ def test_an_unanswered_turn_is_done_where_the_robot_has_turned(turned_rad, done)
     assert (case.goals.goal is None) == done
 
 
-def test_what_is_out_of_reach_twice_from_one_place_is_left_alone():
+def test_an_object_out_of_reach_twice_is_given_up():
     case = Case()
     case.things.sure = (9,)
     for x_m, given_up in ((1.0, False), (1.6, False), (1.7, True)):
@@ -633,7 +631,7 @@ def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
     assert case.goals.phase == "verifying"
 
 
-def test_what_is_confirmed_from_one_viewpoint_only_is_rejected_and_probable():
+def test_an_object_confirmed_from_one_viewpoint_is_only_probable():
     case, there = Case(), SE2(2.5, 0.0, 0.0)
     case.things.sure = case.things.one_sided = (9,)
     case.choose(chair(9, 3.0, 0.8))
@@ -664,7 +662,7 @@ def test_every_arrival_is_verified_afresh(between):
     assert "rejected" in [thing.state for thing in case.things.values()]
 
 
-def test_a_stop_next_to_what_must_not_be_reached_is_told_once_before():
+def test_a_goal_next_to_a_forbidden_object_warns_once():
     case, told = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)

@@ -95,7 +95,7 @@ def test_without_a_calibration_only_deadlines_are_reported():
     assert "budget" not in "".join(table)
 
 
-def test_an_abandoned_tick_is_a_drop_and_nothing_else():
+def test_an_abandoned_tick_counts_only_as_a_drop():
     ring = LatencyRing()
     ring.set_drops(MAP, 2)
     ring.begin_tick(1_000)
@@ -120,7 +120,7 @@ def test_marks_share_the_time_of_a_tick_out():
     assert measured == {"ingest": 400, "map": 1_400, "lift": 100, "tick": 2_000}
 
 
-def test_table_is_aligned_and_marks_what_is_over():
+def test_the_table_is_aligned_and_marks_exceeded_budgets():
     ring = LatencyRing(calibration=REFERENCE)
     tick(ring, {INGEST: 100, MAP: 2 * MS, LIFT: 123_456_789}, 200 * MS)
     lines = ring.report().table().splitlines()
@@ -172,7 +172,7 @@ def test_a_tick_allocates_nothing_that_stays():
 @given(
     durations=st.lists(st.integers(0, 10**9), min_size=1, max_size=60), capacity=st.integers(1, 40)
 )
-def test_histograms_hold_all_since_the_start_whatever_the_ring_keeps(durations, capacity):
+def test_histograms_count_all_ticks_since_the_start(durations, capacity):
     ring = LatencyRing(capacity)
     for i, duration in enumerate(durations):
         tick(ring, {MAP: duration}, duration, start_ns=i * 10**8)
@@ -186,7 +186,7 @@ def test_histograms_hold_all_since_the_start_whatever_the_ring_keeps(durations, 
     assert found.interval.sum_s == pytest.approx((len(durations) - 1) * 0.1)
 
 
-def test_spans_follow_each_other_as_they_ran():
+def test_spans_are_listed_in_order():
     ring = LatencyRing(capacity=2)
     for k in range(3):
         begin_ns = 1000 * k

@@ -109,7 +109,7 @@ class Bench:
             camera=CameraModel.from_hfov(8, 8, 1.3),
         )  # fmt: skip
         self.worker.submit(seen)
-        # What it says it took stands for what it took: no clock decides here.
+        # The reported duration replaces a clock.
         self.worker.stats.last_latency_ns = int(self.worker.detector.ms * MS)
 
     def until(self, what) -> Bench:
@@ -146,7 +146,7 @@ def bench(monkeypatch):
         one.close()
 
 
-def test_a_slow_detector_is_relieved_level_by_level_and_comes_back(bench):
+def test_a_slow_detector_steps_down_and_recovers(bench):
     b = bench()
     b.models["large"].ms, b.models["small"].ms = 60.0, 40.0
     b.until(lambda: b.shedder.level == 1)
@@ -170,14 +170,14 @@ def test_a_slow_detector_is_relieved_level_by_level_and_comes_back(bench):
     assert b.shedder.steps == {"down": 2, "up": 2}
 
 
-def test_a_hot_board_is_a_step_down_and_says_which_part(bench):
+def test_a_hot_board_steps_down_and_names_the_sensor(bench):
     b = bench().sees(HOT)
     b.until(lambda: b.shedder.level == 1)
     assert "model small: tj is at 97 C, passive from 99 C, for over 2 s" in b.said[0]
     assert b.shedder.status()["distress"] == "tj is at 97 C, passive from 99 C"
 
 
-def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
+def test_a_damaged_model_is_skipped(bench):
     b = bench()
     b.models["large"].ms, b.models["small"] = 60.0, ModelError("small.onnx: damaged")
     b.until(lambda: b.shedder.level == 2)
@@ -188,7 +188,7 @@ def test_a_model_that_is_not_to_be_had_is_passed_over(bench):
     b.until(lambda: b.shedder.level == 0)
 
 
-def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
+def test_a_model_that_cannot_return_keeps_the_small_one(bench):
     b = bench(levels=LEVELS[:1])
     large = b.models["large"]
     large.ms = 60.0
@@ -199,7 +199,7 @@ def test_a_model_that_cannot_come_back_leaves_the_other_at_work(bench):
     assert (b.shedder.level, b.running) == (1, "small")
 
 
-def test_it_stands_aside_for_a_model_that_somebody_asked_for(bench):
+def test_the_shedder_waits_while_a_requested_model_runs(bench):
     b = bench()
     b.models["own"] = Fake("own", 80.0)
     b.swapper.request("own", True, b.now_ns)
@@ -219,7 +219,7 @@ def test_another_power_mode_is_reported(bench):
     assert b.shedder.status()["power_mode"] == "15W"
 
 
-def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
+def test_an_unreadable_board_sensor_is_ignored(bench):
     b = bench(board=OSError("no such sensor"))
     b.until(lambda: b.reads)
     b.models["large"].ms = 60.0
@@ -227,7 +227,7 @@ def test_a_sensor_that_cannot_be_read_costs_nothing(bench):
     assert b.shedder.status()["power_mode"] is None
 
 
-def test_another_configuration_of_the_detector_starts_again_and_another_budget_does_not(bench):
+def test_another_detector_resets_the_levels_unlike_another_budget(bench):
     b = bench()
     b.models["large"].ms, perception = 60.0, b.config.perception
     b.until(lambda: b.shedder.level == 1)
@@ -250,13 +250,13 @@ def service(lockstep: bool, **load_shedding) -> ClosedLoop:
 @pytest.mark.parametrize(
     ("lockstep", "levels"), [(False, []), (True, LEVELS[1:])], ids=["no levels", "lockstep"]
 )
-def test_there_is_none_without_levels_nor_where_runs_replay(lockstep, levels):
+def test_lockstep_or_no_levels_disable_the_load_shedder(lockstep, levels):
     closed = service(lockstep, levels=levels)
     assert closed.service.load_shedder is None
     assert status_message(closed.service.result())["load_shedding"] is None
 
 
-def test_a_service_reports_each_step_in_its_status_and_to_its_sinks():
+def test_each_step_is_in_the_status_and_the_events():
     closed = service(False, levels=LEVELS[1:])
     shedder = closed.service.load_shedder
     try:

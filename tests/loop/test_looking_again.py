@@ -49,7 +49,7 @@ class Case:
 A, B = Viewpoint(1.0, 2.0, 0.5), Viewpoint(3.0, 4.0, -0.5)
 
 
-def test_a_view_stands_until_it_was_looked_at_often_enough():
+def test_a_view_lasts_until_it_has_enough_images():
     case = Case(A)
     assert case.choose() is A
     case.images = 100
@@ -65,7 +65,7 @@ def test_a_view_stands_until_it_was_looked_at_often_enough():
     assert (case.survey.done, case.survey.views, case.coverage.left) == (True, 1, [])
 
 
-def test_what_shows_less_than_it_seemed_is_no_goal():
+def test_a_view_that_shows_too_little_is_skipped():
     case = Case(A, B)
     case.coverage.shown.add(A)
     assert case.choose() is None

@@ -107,7 +107,7 @@ def test_the_loop_does_not_wait_for_the_network():
     loop.close()
 
 
-def test_the_network_gets_a_picture_once_a_period(monkeypatch):
+def test_the_network_gets_one_image_per_period(monkeypatch):
     monkeypatch.setattr(follow, "GROUND_PERIOD_NS", 2_000_000_000)
     config = settings({"ground": put_network().model_dump()})
     assert wants_colour(config)

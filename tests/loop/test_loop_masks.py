@@ -44,7 +44,7 @@ def seen_by(config):
     return sink.detections, status
 
 
-def test_masks_go_with_the_detections_and_a_run_replays_the_same():
+def test_masks_come_with_detections_and_replay_identically():
     config = settings({"kind": "grabcut"})
     assert wants_colour(config)
     (seen, status), (again, _) = seen_by(config), seen_by(config)

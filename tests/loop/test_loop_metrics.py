@@ -67,7 +67,7 @@ def watched() -> Watched:
     return watched
 
 
-def test_of_a_start_there_is_what_it_is_at_and_the_board():
+def test_metrics_at_startup_show_the_state_and_the_board():
     watched = Watched()
     found = watched.scrape()
     assert found["edge_service_state"]["starting"] == 1
@@ -99,7 +99,7 @@ def test_after_some_ticks(watched):
     assert found["edge_policy_info"] == {loop.config.policy.kind: 1}
 
 
-def test_every_metric_of_the_tables_has_its_name_help_and_kind(watched):
+def test_every_metric_has_its_help_and_type(watched):
     page = watched.page()
     for metric in (*HEALTH_METRICS, *SERVICE_METRICS, *BOARD_METRICS):
         kind = "gauge" if metric.kind == "state" else metric.kind
@@ -127,7 +127,7 @@ def test_no_text_of_others_is_a_label():
     assert 'edge_faults_by_step_total{error="ValueError",step="source"} 1.0' in page
 
 
-def test_sinks_with_a_status_report_what_they_could_not_send():
+def test_sink_statuses_report_failures_and_drops():
     class Slow:
         def __init__(self, **counts: int) -> None:
             self.status = WorkerStats(**counts).status
@@ -150,7 +150,7 @@ def test_sinks_with_a_status_report_what_they_could_not_send():
     assert statuses([]) == {}
 
 
-def test_a_checkpoint_reports_what_was_written(tmp_path):
+def test_checkpoint_metrics_count_writes(tmp_path):
     watched = Watched().watch()
     assert "edge_checkpoint_written_total" not in watched.scrape()
     checkpoint = ServiceCheckpoint(watched.closed.config, tmp_path / "mission.json", None)
@@ -162,7 +162,7 @@ def test_a_checkpoint_reports_what_was_written(tmp_path):
     assert found["edge_checkpoint_failed_total"] == {(): 0}
 
 
-def test_in_the_middle_of_a_reload_and_after_it():
+def test_reloads_are_counted_when_they_end():
     watched = Watched().watch()
     running, asked, read = watched.running, threading.Event(), threading.Event()
 
@@ -184,7 +184,7 @@ def test_in_the_middle_of_a_reload_and_after_it():
     assert watched.scrape()["edge_reloads_total"] == {"switched": 0, "unchanged": 1, "refused": 0}
 
 
-def test_scrapes_from_another_thread_while_the_loop_drives_and_its_pose_jumps():
+def test_metrics_can_be_scraped_while_the_loop_drives():
     watched, stop, failed = Watched().watch(), threading.Event(), []
 
     def scrape() -> None:

@@ -95,7 +95,7 @@ def test_not_through_walls():
 
 
 def test_rooms_change_the_prior_inside_them():
-    """A room of 5 m × 6 m, one end of which holds what only a bathroom does."""
+    """Bathroom objects stand at one end of a room of 5 m × 6 m."""
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
     p = prior("rooms")
     p.step(room, seen(("toilet", 3.5, 2.5), ("sink", 3.5, -2.5)))
@@ -127,7 +127,7 @@ def test_never_out_of_bounds_and_in_any_order(things, by, target):
     assert all(LEAST <= lift <= MOST for lift in found[0])
 
 
-def test_what_changed_is_looked_at_again():
+def test_changed_objects_update_the_prior():
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))
     p.step(view, things)
@@ -157,7 +157,7 @@ def test_its_layer_has_its_value_at_each_place(by):
     assert grid.cells.max() > 128
 
 
-def test_a_layer_is_of_when_it_was_asked_for_and_leaves_the_rest_alone():
+def test_a_layer_is_a_snapshot_of_its_time():
     """As another thread may call for it, while the loop goes on."""
     p, view = prior("both"), walls((2, -2, 2, 2))
     things = seen(("toilet paper", 1, 0))

@@ -123,7 +123,7 @@ def test_a_deep_nest_is_a_value_error(depth):
         assert isinstance(parsed(payload), str)
 
 
-def test_a_request_about_the_model_is_answered_with_how_the_swap_stands():
+def test_a_model_request_is_answered_with_the_swap_state():
     perception = simulated().perception
     worker = DetectorWorker(SimDetector(perception.detector, ["chair"]), inline=True)
     swapper = DetectorSwap(perception, worker, lambda *_: None)

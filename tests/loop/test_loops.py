@@ -32,7 +32,7 @@ from edge.types import GoalStatus, Observation
 
 
 class Source:
-    """Gives out what it was given; a new epoch begins with an observation of `jump_at`."""
+    """Source of given observations; the one at `jump_at` begins a new epoch."""
 
     def __init__(self, observations: list[Observation], jump_at: int = -1) -> None:
         self.counters = Counter(received=0, observations=0)
@@ -94,7 +94,7 @@ def run_out(run: RunningService, seen: list[Observation]) -> None:
     loop(run, stop, each=lambda: None if seen else stop.set())
 
 
-def test_in_lockstep_a_late_second_camera_does_not_set_the_clock():
+def test_in_lockstep_a_late_second_camera_keeps_the_clock():
     """Its stamps are two seconds old; a second of the first one is a second of the loop."""
     run = running(lockstep=True)
     seen = blanks(ClosedLoop(run.config), 21)
@@ -122,12 +122,12 @@ def test_once_ends_though_nothing_is_to_be_seen_any_more(lockstep, frames):
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_once_waits_for_sensors_that_have_not_spoken_yet(lockstep):
     run, stop = running(lockstep, 0, time_limit_s=0.05), threading.Event()
-    end_s = time.monotonic() + 0.5  # ten times what the mission may take
+    end_s = time.monotonic() + 0.5  # ten times the limit of the mission
     status = loop(run, stop, True, lambda: stop.set() if time.monotonic() > end_s else None)
     assert (status.phase, status.elapsed_s) == ("searching", 0.0)
 
 
-def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
+def test_a_changed_wall_clock_does_not_end_a_mission(monkeypatch):
     run, stop, ticks = running(False, time_limit_s=300.0), threading.Event(), []
     monkeypatch.setattr(runner.time, "time_ns", lambda: 10**18 + len(ticks) * 10**13)
 
@@ -141,8 +141,8 @@ def test_a_wall_clock_that_is_set_does_not_end_a_mission(monkeypatch):
 
 
 @pytest.mark.parametrize("steps_s", [(1.0, -400.0, 1.0), (1.0, 1e9, 1.0), (1.0, -3e9, 2.5e9)])
-def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(steps_s):
-    """Else what waits until a time waits for ever, or a mission is over by its limit."""
+def test_a_reset_sensor_clock_does_not_move_lockstep_time(steps_s):
+    """Otherwise a wait never ends, or a mission ends by its time limit."""
     run, stop, times = running(True, time_limit_s=300.0), threading.Event(), []
     run.service.tick = lambda observation, now_ns: times.append(now_ns)
     stamp_ns = 2 * 10**9
@@ -156,7 +156,7 @@ def test_a_sensor_clock_that_is_set_again_neither_turns_lockstep_back_nor_ahead(
     assert [b - a for a, b in pairwise(times)] == [10**9 * (0 < s <= 60) for s in steps_s]
 
 
-def test_the_service_takes_the_stages_in_the_order_of_the_table():
+def test_stages_are_in_the_order_of_the_table():
     from edge.loop import stages
 
     for index, stage in enumerate(STAGES):
@@ -183,7 +183,7 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
 
 
 @pytest.mark.parametrize("stage", [stage.name for stage in STAGES])
-def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch):
+def test_a_failing_stage_loses_only_its_frames(stage, monkeypatch):
     failing, passing = DEGRADED_AFTER + 2, 3
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     seen = blanks(closed, failing + passing)
@@ -210,12 +210,12 @@ def test_a_stage_that_fails_costs_its_frames_and_nothing_else(stage, monkeypatch
     report = service.latency.report()
     assert (report.tick.count, report.tick.drops) == (passing, failing)
     assert report.stage(stage).drops == failing
-    run.worker.close()  # it may still hold what it found last
+    run.worker.close()  # it may still hold its last result
     assert [slot.holds for slot in slots] == [0] * len(slots)
 
 
 @pytest.mark.parametrize("stage", ["map", "plan", "publish"])
-def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeypatch):
+def test_failing_ticks_stop_the_robot_like_missing_images(stage, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "surfboard"}}))
     while not (closed.service.goals.client.driving and closed.drive.motion.v_mps > 0.2):
         closed.step()
@@ -231,7 +231,7 @@ def test_a_robot_whose_ticks_fail_is_stopped_as_if_it_saw_nothing(stage, monkeyp
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])
-def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
+def test_an_exception_that_ends_the_process_ends_the_loop(error, monkeypatch):
     run, slot = running(True, frames=1), Slot(holds=1)
     run.source.observations[0] = replace(run.source.observations[0], slot=slot)
 
@@ -245,7 +245,7 @@ def test_what_ends_the_process_ends_the_loop(error, monkeypatch):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_a_detector_that_fails_at_every_image_is_degraded_until_it_finds_again(inline, monkeypatch):
+def test_a_failing_detector_is_degraded_until_it_works_again(inline, monkeypatch):
     closed = ClosedLoop(simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}))
     failing, passing = DEGRADED_AFTER + 2, 3
     seen = blanks(closed, failing + passing)
@@ -310,7 +310,7 @@ class BadSink:
     tick = broken
 
 
-def test_a_sink_that_fails_costs_the_others_nothing():
+def test_a_failing_sink_does_not_affect_the_others():
     sinks = [BadSink(), Sink()]
     closed = ClosedLoop(
         simulated({"loop": {"lockstep": True}, "mission": {"target": "bed"}}), sinks=sinks
@@ -326,7 +326,7 @@ def test_a_sink_that_fails_costs_the_others_nothing():
 
 
 @pytest.mark.parametrize("stage", ["ingest", "map", "publish"])
-def test_a_frame_that_a_stage_fails_on_is_published_as_handled(stage, monkeypatch):
+def test_a_frame_that_fails_still_counts_as_handled(stage, monkeypatch):
     """In lockstep the simulator's clock stands still until it is."""
     sink = Sink()
     closed = ClosedLoop(
@@ -357,11 +357,9 @@ def ticks(run: RunningService) -> int:
         (True, "mission/request", "serve", "mission/request"),
     ],
 )
-def test_whatever_fails_around_the_ticks_the_loop_goes_on(
-    lockstep, part, method, step, monkeypatch
-):
+def test_the_loop_survives_failures_around_the_ticks(lockstep, part, method, step, monkeypatch):
     run, stop, beats = running(lockstep, frames=1), threading.Event(), []
-    if part == "service":  # idle comes only where there is nothing to be seen
+    if part == "service":  # idle runs only without an observation
         run.source.poll = lambda: run.source.observations.pop() if len(beats) > 2 else None
     owner = run.servers.get(part) or attrgetter(part)(run)
     whole = getattr(owner, method)
@@ -376,7 +374,7 @@ def test_whatever_fails_around_the_ticks_the_loop_goes_on(
     assert run.service.error_boundary.failures == {f"{step}: ZeroDivisionError": min(len(beats), 2)}
 
 
-def test_one_bad_answer_does_not_cost_the_others(monkeypatch):
+def test_one_bad_answer_does_not_affect_the_others(monkeypatch):
     run, heard = running(True, frames=1), []
     answers = [GoalStatus(stamp, "accepted") for stamp in (1, 2, 3)]
 

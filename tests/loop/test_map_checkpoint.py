@@ -99,7 +99,7 @@ class Run(ClosedLoop):
             self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
 
-def told(goal: Goal | None) -> tuple | None:
+def goal_fields(goal: Goal | None) -> tuple | None:
     return None if goal is None else (goal.kind, goal.candidate_id, goal.pose, goal.target)
 
 
@@ -126,7 +126,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
     before = run.service.goal
     for i in range(25):
         one, other = run.both()
-        # What the controller said last was said to the one that is gone: it says it again.
+        # The controller repeats its last answer, which went to the killed service.
         assume(i > 0 or before is None or one.goal is before)
         n = one.map.grid.frontiers.n
         assert n == other.map.grid.frontiers.n
@@ -139,7 +139,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
         np.testing.assert_array_equal(one.perception.scores, other.perception.scores)
-        assert told(one.goal) == told(other.goal)
+        assert goal_fields(one.goal) == goal_fields(other.goal)
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
@@ -171,8 +171,8 @@ def idle(checkpoint: ServiceCheckpoint) -> None:
         time.sleep(0.001)
 
 
-def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_path, monkeypatch):
-    """Even where copying it takes several ticks, in which the robot drives on."""
+def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeypatch):
+    """This holds although copying takes several ticks, while the robot drives."""
     steps, step = [], TileCopier.step
 
     def few(copier: TileCopier, window: Window, planes: LayerTiles, most: int) -> bool:
@@ -201,9 +201,9 @@ def test_the_file_is_the_map_of_one_tick_and_never_older_than_five_seconds(tmp_p
     run.service.checkpoint.close()
 
 
-def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
+def test_an_unwritable_disk_stops_only_the_checkpoint(tmp_path, caplog):
     run = Run(tmp_path / "m.json", config())
-    (tmp_path / ".m.json.map.tmp").mkdir()  # where the file is written before it takes its place
+    (tmp_path / ".m.json.map.tmp").mkdir()  # the temporary file cannot be written
     for _ in range(40):
         run.ticks(1)
         idle(run.service.checkpoint)
@@ -218,7 +218,7 @@ def test_a_disk_that_takes_nothing_costs_only_the_checkpoint(tmp_path, caplog):
     run.service.checkpoint.close()
 
 
-def test_a_bump_and_what_was_given_up_come_back(tmp_path):
+def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     service, now_ns = run.service, run.drive.motion.stamp_ns
     pose = run.drive.motion.odometry
@@ -250,7 +250,7 @@ def test_a_bump_and_what_was_given_up_come_back(tmp_path):
         ({"boot": "another", "moved_m": 3.0, "stamp_s": -1, "localised": True}, True),
     ],
 )
-def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, change, expected):
+def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, change, expected):
     settings = config(source={"localised": change.get("localised", False)})
     run = Run(tmp_path / "m.json", settings).ticks(20)
     known_m2 = run.service.map.grid.known_m2
@@ -270,7 +270,7 @@ def test_the_map_comes_back_where_the_frame_is_the_same(tmp_path, monkeypatch, c
     run.service.checkpoint.close()
 
 
-def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_path):
+def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
     now_ns = run.drive.motion.stamp_ns
     run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
@@ -292,7 +292,7 @@ def test_a_clock_that_was_set_back_cuts_nothing_short_and_stretches_nothing(tmp_
     run.service.checkpoint.close()
 
 
-def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
+def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
     run.service.mission.fail("told to", run.drive.motion.stamp_ns)
     run.ticks(1)
@@ -302,7 +302,7 @@ def test_a_mission_that_is_over_leaves_its_map_to_the_next(tmp_path):
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= known_m2 > 0
     assert len(run.service.map.objects.read_only.id) == things
-    # For the new mission nothing was looked at: only what this one image shows now.
+    # The new mission has looked only at the view of this one image.
     assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
     run.service.checkpoint.close()
 
@@ -335,7 +335,7 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
     run.service.checkpoint.close()
 
 
-def test_a_pose_that_jumps_where_it_is_localised_goes_back_to_what_was_saved(tmp_path):
+def test_a_localised_robot_restores_its_map_after_a_jump(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(40)
     known_m2 = run.service.map.grid.known_m2
     run.killed()

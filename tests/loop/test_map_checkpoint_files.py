@@ -90,7 +90,7 @@ def test_every_array_has_its_dtype_shape_and_limits(tmp_path, saved):
         ("tiles/packed", lambda a: a[:-1]),
     ],
 )
-def test_numbers_that_cannot_be_are_set_aside(tmp_path, saved, name, change):
+def test_impossible_numbers_are_set_aside(tmp_path, saved, name, change):
     array = saved.arrays[name]
     assert array.size
     assert problem(tmp_path, saved, {name: change(array).astype(array.dtype, copy=False)})
@@ -98,7 +98,7 @@ def test_numbers_that_cannot_be_are_set_aside(tmp_path, saved, name, change):
 
 @settings(max_examples=20)
 @given(st.data(), st.integers(0, 1000))
-def test_whatever_numbers_a_file_holds_the_service_goes_on(tmp_path_factory, saved, data, seed):
+def test_the_service_survives_any_numbers_in_a_checkpoint(tmp_path_factory, saved, data, seed):
     random, changes = np.random.default_rng(seed), {}
     arrays = st.sampled_from(sorted(saved.arrays))
     for name in data.draw(st.lists(arrays, min_size=1, max_size=3)):

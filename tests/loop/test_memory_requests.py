@@ -65,7 +65,7 @@ def test_filters_leave_out_objects(loop):
     assert found
 
 
-def test_similar_objects_are_reported_as_such(loop):
+def test_similar_objects_are_marked_as_similar(loop):
     answer = ask(loop, '{"do": "find", "name": "countertop"}')
     assert answer["text"].startswith("no countertop has been seen")
     assert "; a table (similar) " in answer["text"]
@@ -85,7 +85,7 @@ VOCABULARY = ["goblet", "cup", "chair"], np.array([(1.0, 0.0), (0.95, 0.312), (0
         ("nothing known", ["chair"], VOCABULARY, []),
     ],
 )
-def test_similar_words_come_from_the_vocabulary_and_the_table(name, words, vocabulary, similar):
+def test_similar_words_come_from_vocabulary_and_table(name, words, vocabulary, similar):
     class Prior:
         words = PriorWordIndex(load(), vocabulary)
 
@@ -117,7 +117,7 @@ def test_the_picture_of_an_object_is_a_small_jpeg(loop):
         ('{"do": "list", "room": 3}', "room: expected text"),
     ],
 )
-def test_what_is_no_request_is_refused(payload, message):
+def test_an_invalid_memory_request_is_refused(payload, message):
     with pytest.raises(ValueError, match=message):
         read_request(payload.encode(), MEMORY_VERBS)
 

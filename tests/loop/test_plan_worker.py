@@ -29,7 +29,7 @@ from edge.trajectory.pursuit import MotionLimits
     ],
     ids=["nothing", "by its number", "no such thing", "by its label", "too far off"],
 )
-def test_a_thing_that_got_another_number_is_found_again(things, asked, found):
+def test_an_object_with_a_new_id_is_found_again(things, asked, found):
     scene = street(*things)
     for i, one in scene.objects.items():
         scene.objects[i] = replace(one, points_m=one.position_m[None])
@@ -40,9 +40,7 @@ def test_a_thing_that_got_another_number_is_found_again(things, asked, found):
 @pytest.mark.parametrize(
     ("chosen", "drivable"), [({"lawn"}, {2}), ({"road", "lawn"}, {1, 2}), ({"path"}, {1, 2})]
 )
-def test_a_path_keeps_to_its_kinds_of_ground_when_their_regions_get_other_ids(
-    chosen, drivable, monkeypatch
-):
+def test_a_path_keeps_its_kinds_of_ground_under_new_ids(chosen, drivable, monkeypatch):
     """If no ground of these kinds is left, it may use all."""
     scene, limits = street(), MotionLimits(1.0, 1.0, 1.0, 1.0)
     driven = refine(scene, [np.array([[2.0, 0.0]])], {7}, PathMargins(0.3), limits)

@@ -1,4 +1,4 @@
-"""The plausibility stage: a robot whose data is wrong stands, says why, and drives on later."""
+"""The plausibility stage: implausible data stop the robot, with a reason, until they recover."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def driving(**sections: Any) -> ClosedLoop:
 
 
 def tampered(loop: ClosedLoop, tamper: Tamper) -> Callable[[], None]:
-    """Let the loop see other data from now on, until what is returned is called."""
+    """Tamper with the loop's data; return a function that restores them."""
     true = loop.observe
     loop.observe = lambda: tamper(true())
     return lambda: setattr(loop, "observe", true)
@@ -96,7 +96,7 @@ TAMPERED = {
 
 
 @pytest.mark.parametrize(("make", "why"), TAMPERED.values(), ids=TAMPERED)
-def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(make, why):
+def test_implausible_data_stop_the_robot_until_they_recover(make, why):
     loop = driving()
     before, begun_s, path_m, stood = len(loop.notes.events), loop.seconds, 0.0, None
     restore = tampered(loop, make())
@@ -120,8 +120,8 @@ def test_a_robot_with_wrong_data_stands_says_why_and_drives_on_when_it_is_right(
 
 
 @pytest.mark.parametrize("frozen_camera", [0, 1])
-def test_of_two_cameras_the_robot_drives_by_the_first(frozen_camera):
-    """It stands if the first freezes, and drives on, saying so, if the second does."""
+def test_only_a_frozen_first_camera_stops_the_robot(frozen_camera):
+    """The robot stops if the first freezes; it reports the second and drives on."""
     loop = driving(sensors={"camera": SMALL, "second_camera": {**SMALL, "yaw_deg": 180.0}})
     assert loop.service.plausibility.failed == ()
     freeze, begun_s, begun_m = frozen("rgb", "depth_m")(), loop.seconds, loop.drive.motion.path_m
@@ -149,7 +149,7 @@ def test_a_lidar_that_freezes_is_noticed_with_each_camera():
 
 
 @pytest.mark.parametrize(("seed", "begin_s"), [(0, 0.0), (1, 6.0), (2, 6.0)])
-def test_images_that_are_late_under_new_stamps_are_noticed_by_the_motion(seed, begin_s):
+def test_delayed_images_are_noticed_by_their_motion(seed, begin_s):
     """A straight drive proves nothing; the next turn or stop does."""
     world = {"kind": "generated", "seed": seed}
     loop = ClosedLoop(simulated({
@@ -203,7 +203,7 @@ def floor(z_m: float | None) -> dict[str, Any]:
 
 
 class Judge:
-    """A stage, with what it reports."""
+    """A stage and its reports."""
 
     def __init__(self, config: Config = CONFIG) -> None:
         self.said: list[tuple[str, int]] = []
@@ -214,7 +214,7 @@ class Judge:
         self.said.append((text, level))
 
     def see(self, pose: SE2 = HOME, after_ns: int = TICK_NS, **fields: Any) -> str:
-        """Judge the next observation; "" where it is good."""
+        """Judge the next observation; return "" if it is good."""
         self.now_ns += after_ns
         seen = Observation(0, self.now_ns, pose.matrix(), **fields)
         return self.stage.permitted_use(seen, self.now_ns)
@@ -271,7 +271,7 @@ def test_each_check_fails_by_its_own_fault(name, value, check, use):
     assert [f for f in judge.failing() if f != "rgb_dark" or check == f] == [check] * bool(check)
 
 
-def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
+def test_a_missing_floor_makes_the_robot_not_ready():
     judge, known = Judge(), SemanticMap(CONFIG, ("bed",))
     states = []
     for floor_z_m in (None, -2.0, -2.0, None, -2.0, 0.0, 0.0, None):
@@ -285,7 +285,7 @@ def test_without_the_floor_that_the_mount_says_the_robot_is_not_ready():
     assert [line[:13] for line, _ in judge.said] == ["map: no floor", "floor: this c"]
 
 
-def test_a_camera_too_close_to_a_wall_lets_the_robot_turn_away_but_not_drive_on():
+def test_near_a_wall_the_robot_may_only_turn_away():
     judge, near, far = Judge(), room(3.5) | {"rgb": None}, room(2.0) | {"rgb": None}
     empty = near | {"depth_m": np.zeros((48, 64), np.float32)}
     assert judge.see(SE2(3.5, 0, 0), **near) == ""
@@ -321,7 +321,7 @@ def test_frames_that_repeat_while_the_robot_moves_are_frozen(axis, buffers):
     ],
     ids=["jitters", "is corrected"],
 )
-def test_a_robot_that_stands_may_see_the_same_again(poses):
+def test_a_standing_robot_may_repeat_its_images(poses):
     judge = Judge()
     assert [judge.see(pose, **room()) for pose in poses] == [""] * len(poses)
 
@@ -334,14 +334,14 @@ def test_a_robot_that_stands_may_see_the_same_again(poses):
         (np.full((40, 3), (20.0, 0.0, np.inf)), []),  # beams that met nothing
     ],
 )
-def test_clouds_are_judged_where_they_map(cloud_m, check):
+def test_clouds_are_checked_if_they_are_mapped(cloud_m, check):
     judge = Judge(CLOUDS)
     for i in range(20):
         found = judge.see(SE2(0.03 * i, 0, 0), cloud_m=cloud_m.astype(np.float32))
     assert (found, judge.failing()) == ("none" if check else "", check)
 
 
-def test_a_lasting_fault_is_reported_and_again_only_after_a_while():
+def test_a_lasting_fault_is_reported_at_intervals():
     judge = Judge()
     bad = room() | {"depth_m": np.zeros((48, 64), np.float32)}
     judge.see(**bad)

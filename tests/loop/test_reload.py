@@ -1,4 +1,4 @@
-"""Another configuration in the running service: what is switched, and what is refused by name."""
+"""Another configuration in the running service: switched keys, and keys refused by name."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_nothing_is_done_unasked(bench):
     assert bench.reloader.outcome == ""
 
 
-def test_one_that_is_asked_for_during_another_comes_after_it(bench):
+def test_a_reload_requested_during_another_follows_it(bench):
     bench.asked.set()
 
     def reread() -> Config:
@@ -142,9 +142,7 @@ def test_another_network_is_loaded_before_the_present_one_goes(bench, tmp_path, 
         ({"policy": {"kind": "nowhere.at:All"}}, "policy.kind: 'nowhere.at:All'"),
     ],
 )
-def test_what_cannot_be_switched_is_refused_by_name_and_nothing_changes(
-    bench, sections, says, caplog
-):
+def test_a_setting_that_needs_a_restart_is_refused(bench, sections, says, caplog):
     policy, before = bench.service.policy, bench.service.config
     outcome = bench.reload(config(**sections))
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == [
@@ -171,7 +169,7 @@ def test_a_configuration_that_cannot_be_read_is_refused(bench, error, says):
     assert says in outcome
 
 
-def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
+def test_an_unavailable_detector_refuses_the_whole_reload(bench, cards):
     bench.closed.run(1)
     before = bench.service.config
     detector = {"kind": "onnx", "model": "nobody-has-it"}
@@ -182,7 +180,7 @@ def test_a_detector_that_is_not_to_be_had_refuses_all_of_it(bench, cards):
     assert bench.service.config is before
 
 
-def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, monkeypatch):
+def test_a_new_detector_is_tried_before_the_switch(bench, monkeypatch):
     """The swapper's own rules are tested with the swapper; here its verdict is played."""
     said = {"state": "idle", "detail": ""}
     asked = []
@@ -217,9 +215,7 @@ def test_a_new_detector_is_tried_first_and_the_rest_is_switched_with_it(bench, m
         ({"state": "kept", "model": "new"}, ["sim", "new"], "new was swapped in during the reload"),
     ],
 )
-def test_while_another_model_comes_all_may_change_but_the_detector(
-    bench, monkeypatch, swap, at_work, says
-):
+def test_during_a_swap_only_the_detector_cannot_change(bench, monkeypatch, swap, at_work, says):
     """The running model may be rolled back, or may have changed after the reload was prepared."""
     names = chain(at_work, repeat(at_work[-1]))
     monkeypatch.setattr(swapped.DetectorSwap, "status", lambda self: swap)
@@ -231,7 +227,7 @@ def test_while_another_model_comes_all_may_change_but_the_detector(
     assert bench.reload(config(perception={"tau_det": 0.4})) == "switched: perception.tau_det"
 
 
-def test_a_real_detector_is_made_again_next_to_the_one_at_work():
+def test_a_changed_detector_is_rebuilt_next_to_the_old():
     first = load("demo").model_dump(exclude={"path"})
     first["loop"]["lockstep"] = first["sim"]["lockstep"] = True
     first["perception"]["isolation"] = "thread"
@@ -256,7 +252,7 @@ def test_a_real_detector_is_made_again_next_to_the_one_at_work():
     bench.service.close()
 
 
-def test_every_live_key_is_there():
+def test_every_live_key_exists():
     for key in LIVE:
         section = config()
         for name in key.split("."):

@@ -49,7 +49,7 @@ def remote(monkeypatch):
         one.close()
 
 
-def test_ticks_go_on_while_a_server_holds_an_image_and_after_it_is_gone(remote):
+def test_ticks_continue_while_the_detector_server_hangs_or_is_gone(remote):
     gate, holds, stop = threading.Event(), threading.Event(), threading.Event()
 
     def hold(handler):

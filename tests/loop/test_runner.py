@@ -92,7 +92,7 @@ def config(**mission: object) -> Config:
         (None, "F sofa", "F sofa"),
     ],
 )
-def test_an_unfinished_mission_goes_on_unless_another_is_asked_for(
+def test_an_unfinished_mission_resumes_unless_another_is_requested(
     tmp_path, asked, formula, expected
 ):
     save(tmp_path / "mission.json", Checkpoint(UNFINISHED), MISSION)
@@ -115,7 +115,7 @@ NOWHERE = "no_such_module:A"
     ("section", "named"),
     [("policy", {"kind": NOWHERE}), ("source", {"kind": NOWHERE}), ("sinks", [NOWHERE])],
 )
-def test_whatever_is_named_is_looked_up_before_anything_is_begun(monkeypatch, section, named):
+def test_plugins_are_looked_up_before_anything_starts(monkeypatch, section, named):
     monkeypatch.setattr(launch, "prepare_mission", None)
     settings = simulated({section: named})
     with pytest.raises(ConfigError, match=section), open_service(settings, []):
@@ -139,7 +139,7 @@ STEPS = ["prepare_mission", "make_detector", "make_scorers", "warm_up"]
 
 
 @pytest.mark.parametrize("last", STEPS)
-def test_a_stop_while_the_service_starts_ends_that_with_the_step_at_hand(monkeypatch, caplog, last):
+def test_a_stop_during_the_start_ends_after_the_step(monkeypatch, caplog, last):
     caplog.set_level(logging.INFO, "edge")
     stop, made = threading.Event(), []
 

@@ -71,7 +71,7 @@ def test_a_room_is_named_closed_and_opened(loop):
     say(loop, "Forget the ballroom.")
 
 
-def test_stop_is_as_urgent_as_the_verb_for_it():
+def test_a_spoken_stop_is_as_urgent_as_the_verb():
     verbs = mission_verbs(lambda **texts: texts, in_words=True)
 
     def read(said: str) -> str:
@@ -84,7 +84,7 @@ def test_stop_is_as_urgent_as_the_verb_for_it():
     assert read_request(b'{"do": "new", "instruction": "stop"}', plain)[0] == "new"
 
 
-def test_what_is_no_mission_is_handed_to_the_loop():
+def test_a_question_is_handed_to_the_loop():
     def prepare(**texts: str) -> None:
         raise NoMissionError(MemoryQuestion("self"))
 
@@ -93,7 +93,7 @@ def test_what_is_no_mission_is_handed_to_the_loop():
     ) == MemoryQuestion("self")
 
 
-def test_a_wait_of_some_time_is_a_pause_that_ends_by_itself(loop):
+def test_a_timed_wait_is_a_pause_that_ends(loop):
     service = loop.service
     assert say(loop, "Wait here for two minutes, please.")["paused"]
     service.end_pause(119 * 10**9)

@@ -36,12 +36,12 @@ def goals_of(policy: str) -> list[list]:
     loop, goals = ClosedLoop(config), []
     for _ in range(TICKS):
         loop.step()
-        goals.append(told(loop.service.goal))
+        goals.append(goal_fields(loop.service.goal))
     return [[len(list(same)), goal] for goal, same in groupby(goals)]
 
 
-def told(goal: Goal | None) -> list | None:
-    """Stamp, kind, id and target, then pose and candidate to a micrometre."""
+def goal_fields(goal: Goal | None) -> list | None:
+    """Return stamp, kind, id, target, and pose and candidate rounded to a micrometre."""
     if goal is None:
         return None
     at = goal.pose

@@ -56,7 +56,7 @@ def frontiers_in_view(loop: ClosedLoop) -> ClosedLoop:
 
 
 @pytest.mark.parametrize("isolation", ["thread", "process"])
-def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
+def test_a_new_model_is_loaded_in_a_process_first(isolation):
     """A model that never ends could not be killed in a thread."""
     made: list[tuple[str, str, str]] = []
 
@@ -84,7 +84,7 @@ def test_a_model_that_is_swapped_in_is_loaded_in_a_process_first(isolation):
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_what_the_scorer_says_is_used(lockstep):
+def test_the_answer_of_the_scorer_is_used(lockstep):
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep)))
         if lockstep:  # at once, or a run would not replay the same
@@ -104,7 +104,7 @@ def test_what_the_scorer_says_is_used(lockstep):
     assert "surfboard" in server.requests[0][2]["messages"][1]["content"]
 
 
-def test_the_robot_goes_on_when_the_server_never_answers():
+def test_the_robot_continues_when_the_server_never_answers():
     """It finds the television as it would without a scorer; closing waits for no one."""
     with serving(lambda handler: handler.stopping.wait()) as server:
         loop = ClosedLoop(settings(server.url, target="television")).run(240)
@@ -127,7 +127,7 @@ def test_answers_from_before_a_pose_jump_do_not_count():
         assert loop.scorers.answers.choice is None
         loop.scorers.collect_answers(
             loop.service.map.grid.values
-        )  # what was asked about the old frame
+        )  # the question about the old frame
         assert loop.scorers.answers.choice is None
         eventually(lambda: loop.step() or loop.scorers.answers.choice)
         loop.service.begin(prepare(loop.config.mission, "go to the bed"), START_NS)
@@ -135,7 +135,7 @@ def test_answers_from_before_a_pose_jump_do_not_count():
         loop.close()
 
 
-def test_no_one_is_asked_while_the_mission_is_paused_or_over():
+def test_no_question_is_asked_while_paused_or_ended():
     with serving(model()) as server:
         loop = frontiers_in_view(ClosedLoop(settings(server.url, lockstep=True)))
         asked = len(server.requests)
@@ -212,6 +212,6 @@ def test_objects_around_are_in_the_prompt():
 @pytest.mark.parametrize(
     "perception", [{"similarity": "made-up"}, {"similarity": "yolo-world-s-256x320-int8-cpu"}]
 )
-def test_bad_cards_are_one_line_at_the_start(perception):
+def test_bad_cards_fail_at_the_start_in_one_line(perception):
     with pytest.raises(ModelError, match=r"^perception\.similarity: model '[^\n]*$"):
         make_scorers(simulated({"perception": perception}), ("chair",))

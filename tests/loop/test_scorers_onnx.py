@@ -38,7 +38,7 @@ def settings(card="words"):
 
 
 class Failing:
-    """In the place of a model: what it fails with is one line (see tests/perception)."""
+    """Fake model that fails with an error of one line (see tests/perception)."""
 
     name = "words"
 
@@ -58,7 +58,7 @@ def request(loop, **fields):
     return handle_model(swapper, Request(do, fields, prepared=prepared), 0, loop.scorers)
 
 
-def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
+def test_a_model_of_another_family_is_swapped_in(models_dir):
     publish(models_dir, "text", "words")
     publish(models_dir, "smolvlm", "eyes")
     loop = ClosedLoop(settings())
@@ -74,7 +74,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
         loop.step()
 
     def switched():
-        # Of a tick the part that takes the step: the house is explored sooner than it is loaded.
+        # Only a part of the tick: otherwise the house is explored before the model is loaded.
         loop.scorers.collect_answers(loop.service.map.grid.values)
         return request(loop, do="status")["state"] == "on probation"
 
@@ -112,7 +112,7 @@ def test_two_families_answer_swapped_while_the_loop_goes_on(models_dir):
     loop.close()
 
 
-def test_a_model_that_fails_is_counted_and_the_loop_goes_on(models_dir, caplog):
+def test_a_failing_model_is_counted_and_the_loop_continues(models_dir, caplog):
     publish(models_dir, "text", "words")
     loop = ClosedLoop(settings())
     loop.scorers._choice.exchange(Failing())
@@ -123,7 +123,7 @@ def test_a_model_that_fails_is_counted_and_the_loop_goes_on(models_dir, caplog):
     assert len([r for r in caplog.records if "no answer within" in r.getMessage()]) == 1
 
 
-def test_what_cannot_be_paused_or_swapped_is_refused(models_dir):
+def test_requests_without_a_matching_scorer_are_refused(models_dir):
     publish(models_dir, "text", "words")
     loop = ClosedLoop(simulated({"sim": {"lockstep": True}, "loop": {"lockstep": True}}))
     with pytest.raises(UserError, match="no scorers are configured"):

@@ -1,4 +1,4 @@
-"""Scorers write the value maps, with what the camera saw when they were asked."""
+"""Scorers write the value maps, with the camera's view at the time of the question."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Chooser:
         pass
 
 
-def test_a_late_answer_is_written_where_it_was_asked():
+def test_a_late_answer_is_written_at_the_asked_pose():
     """Meanwhile the robot has turned round and the frontiers are others."""
     done = threading.Event()
     case = Case(Scorers(None, Chooser(done), value_source="choice"))
@@ -121,7 +121,7 @@ def test_an_idle_service_ends_the_probation_of_another_model():
     case.scorers.close()
 
 
-def test_what_was_asked_before_the_pose_jumped_is_not_written():
+def test_answers_from_before_a_pose_jump_are_dropped():
     done = threading.Event()
     case = Case(Scorers(None, Chooser(done), value_source="choice"))
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
@@ -150,7 +150,7 @@ def test_every_target_is_asked_about_the_active_one_most(feeds, asked):
     assert case.grid.values.weight.any(axis=(0, 1)).tolist() == [feeds == "choice"] * 3
 
 
-# -- scores by what stands around ----------------------------------------------------------
+# -- scores by related objects -------------------------------------------------------------
 
 
 def detections(targets=(), around=(), prompts=BOTH, observation=None) -> Detections:
@@ -172,7 +172,7 @@ def test_a_view_of_nothing_promises_nothing():
     assert RelatedScores()(detections()).tolist() == [0.0, 0.0]
 
 
-def test_related_things_promise_a_target_by_how_often_they_share_a_room():
+def test_related_objects_raise_the_score_of_a_target():
     score = RelatedScores()
     assert score(detections([("bed", 0.5)]))[0] == pytest.approx(0.5)
     p = p_object_given_word(load(), BOTH, ("pillow", "toilet", "lampion"))
@@ -214,7 +214,7 @@ def test_the_prior_chooses_as_a_model_would(lift, p, elsewhere):
     assert case.best(left, right) == pytest.approx(choice.scene * np.array(p), abs=0.05)
 
 
-def test_without_a_prior_there_is_no_choice_by_it():
+def test_without_a_prior_it_makes_no_choice():
     scorers = Scorers(None, PriorChoice(), value_source="choice")
     case = Case(scorers)
     case.ask(SE2(0.0, 0.0, 0.0), frontiers((3.0, 1.0)))
@@ -233,8 +233,8 @@ BY_PRIOR = {"choice": {"kind": "cooccurrence"}}
     ("policy", "perception"),
     [({"kind": "adaptive"}, RELATED), ({"kind": "adaptive", "by": "choice"}, BY_PRIOR)],
 )
-def test_a_robot_without_any_server_finds_things_by_related_ones(policy, perception):
-    """And what was said of a target is kept by the next mission, not by a jump of the pose."""
+def test_related_objects_guide_a_robot_without_a_server(policy, perception):
+    """The next mission keeps the values of a target; a pose jump clears them."""
     config = simulated(
         {
             "loop": {"lockstep": True}, "sim": {"lockstep": True, "step_s": 0.2},
@@ -265,7 +265,7 @@ def test_a_robot_without_any_server_finds_things_by_related_ones(policy, percept
         ((True, True, False, False), (0.0, 0.0, 0.0)),  # none that a way leads to
     ],
 )
-def test_ways_are_those_to_the_marks_and_the_rest_of_the_frontiers(reaches, others):
+def test_mark_costs_cover_marks_and_other_frontiers(reaches, others):
     candidates = frontiers((4.0, 1.0), (5.0, -1.0), (-6.0, 0.0), (-1.0, 0.0))
     candidates.path_m[:4] = np.where(reaches, (4.5, 7.0, 6.0, 1.0), math.inf)
     candidates.gain_m2[:4] = 2.0, 3.0, 4.0, 9.0

@@ -37,7 +37,7 @@ def config(**sections: dict) -> Config:
     return simulated({**base, **sections})
 
 
-def test_a_first_frame_with_nothing_in_it_is_no_trouble():
+def test_an_empty_first_frame_does_no_harm():
     loop = ClosedLoop(config(), colour=False)
     goal = loop.service.tick(blank_observation(0, START_NS, SE2(0, 0, 0), loop), START_NS)
     assert goal is None
@@ -94,7 +94,7 @@ TOPIC = {"ros2": {"goals": "topic"}, "sinks": ["zenoh", "ros2"]}  # without an a
 
 
 @pytest.mark.parametrize(("answers", "stuck"), [(True, True), (False, False)])
-def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, stuck, caplog):
+def test_a_robot_that_does_not_move_drops_its_goal(answers, stuck, caplog):
     loop = ClosedLoop(config(mission={"target": "surfboard", "stuck_s": 2.0}), colour=False)
     assert status_message(loop.service.result())["controller"] == "silent"
     for i in range(60):
@@ -109,7 +109,7 @@ def test_a_robot_that_does_not_move_drops_its_goal_if_it_was_to_move(answers, st
     assert len(warned) == (0 if answers else 1)
 
 
-def test_a_controller_that_never_answers_gets_the_robot_there():
+def test_the_robot_arrives_without_answers_of_its_controller():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     loop.service.on_goal_status = lambda answer: None
     loop.run(240)
@@ -118,7 +118,7 @@ def test_a_controller_that_never_answers_gets_the_robot_there():
 
 
 @pytest.mark.parametrize("sections", [{}, TOPIC])
-def test_a_robot_that_nobody_answers_for_is_held_up_all_the_same(sections, caplog):
+def test_a_stuck_robot_is_noticed_without_any_controller_answer(sections, caplog):
     settings = config(mission={"target": "surfboard", "stuck_s": 2.0}, **sections)
     loop = ClosedLoop(settings, colour=False)
     loop.service.on_goal_status = lambda answer: None
@@ -147,7 +147,7 @@ def assert_stops(goal: Goal, pose: SE2) -> None:
     assert goal.pose.distance_to(pose.x_m, pose.y_m) < 1e-6
 
 
-def test_a_robot_that_sees_nothing_any_more_is_stopped_where_it_is():
+def test_a_robot_without_images_stops_at_its_pose():
     loop = driving()
     service, notes = loop.service, loop.notes
     seen_ns, before = loop.drive.motion.stamp_ns - TICK_NS, len(notes.goals)
@@ -215,7 +215,7 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_stop_withdraws_the_goal_at_once_and_missions_wait_until_its_release(blind):
+def test_a_stop_withdraws_the_goal_until_its_release(blind):
     loop = driving(time_limit_s=60.0)
     service, notes = loop.service, loop.notes
 
@@ -264,7 +264,7 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
     assert (sent.kind, sent.score) == ("spin", 0.0)
 
 
-def test_a_stop_without_a_mission_sends_one_goal_to_stand_still():
+def test_a_stop_without_a_mission_sends_one_hold_goal():
     loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
     loop.step()
     loop.service.cancel("over", START_NS)
@@ -278,7 +278,7 @@ def test_a_stop_without_a_mission_sends_one_goal_to_stand_still():
 
 
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])
-def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without, stops):
+def test_a_goal_without_a_successor_is_withdrawn(ticks_without, stops):
     loop = driving()
     choose, before = loop.service.goals.choose, len(loop.notes.goals)
     loop.service.goals.choose = lambda *_: loop.service.goals.abandon()
@@ -292,7 +292,7 @@ def test_a_goal_that_nothing_replaces_is_taken_back_after_a_while(ticks_without,
 
 
 @pytest.mark.parametrize("off_ns", [0, 128, -240, 1000])
-def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
+def test_a_rounded_stamp_still_matches_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
     stamp_ns = service.goal.stamp_ns
     service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
@@ -303,8 +303,8 @@ def test_a_stamp_that_went_through_a_double_is_that_of_its_goal(off_ns, caplog):
     assert "goal_status" not in caplog.text
 
 
-def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
-    """It is large: were it garbage until the collector comes, memory would grow by many of them."""
+def test_a_pose_jump_frees_the_old_map_at_once():
+    """The map is large: many uncollected ones would fill the memory."""
     loop = ClosedLoop(config(), colour=False).run(2)
     old = weakref.ref(loop.service.map.grid)
     gc.disable()
@@ -317,7 +317,7 @@ def test_a_map_that_a_pose_jump_ends_is_let_go_without_the_collector():
 
 
 class Late(DetectorWorker):
-    """Returns what it found one tick later, like a worker in the background."""
+    """Worker that returns its result one tick later, like one in the background."""
 
     found: Detections | None = None
 
@@ -326,7 +326,7 @@ class Late(DetectorWorker):
         return found
 
 
-def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
+def test_detections_from_before_a_pose_jump_are_dropped():
     loop = ClosedLoop(
         config(mission={"target": "television"}, perception={"min_hits": 1}), colour=False
     )
@@ -348,7 +348,7 @@ def test_what_was_seen_before_a_pose_jump_is_let_go_and_founds_nothing():
     assert [slot.holds for slot in slots] == [0, 0, 1]
 
 
-def test_a_pose_jump_starts_the_search_over_and_leaves_no_old_goal():
+def test_a_pose_jump_restarts_the_search():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
     chooser = service.goals._chooser
@@ -433,7 +433,7 @@ def test_a_result_has_the_candidates_and_the_path():
         ("both", False, ["looked at", "likely place of bed"]),
     ],
 )
-def test_likely_places_of_a_target_are_a_layer_if_there_is_a_prior(prior, idle, layers):
+def test_likely_places_are_a_layer_if_a_prior_exists(prior, idle, layers):
     loop = ClosedLoop(config(mission={"target": "bed"}, perception={"prior": prior}), colour=False)
     if idle:
         loop.service.mission.set_idle()

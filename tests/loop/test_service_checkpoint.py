@@ -39,7 +39,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "mission.json"
 
 
-def test_which_reading_was_taken_is_saved(path):
+def test_the_chosen_reading_is_saved(path):
     run = run_of(path, "the sofa must be visited before the bed", "grammar").ticks(1)
     before = run.service.mission.spec
     again = run.killed().service.mission.spec
@@ -51,7 +51,7 @@ def test_which_reading_was_taken_is_saved(path):
     run.service.checkpoint.close()
 
 
-def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
+def test_a_mission_resumes_with_its_state_and_objects(path):
     run = run_of(path, "F (sofa & F television)")
     run.service.mission.id = "1f.2"
     while not run.service.mission.sets.reached:
@@ -70,7 +70,7 @@ def test_a_mission_goes_on_from_its_state_and_what_it_had_seen(path):
     assert run.distance_m("television") <= 1.0
 
 
-def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(path):
+def test_a_patrol_resumes_its_round_and_its_wait(path):
     run = run_of(path, 'G F "wait 3 s" & G F "check surfboard"')
     mission = run.service.mission
     mission.round, mission.results = 4, ("no, there is no surfboard",)
@@ -86,8 +86,8 @@ def test_a_patrol_goes_on_in_its_round_and_a_wait_with_the_time_that_is_left(pat
     run.service.checkpoint.close()
 
 
-def test_what_a_checkpoint_says_is_shown_in_one_short_line(path, caplog):
-    """A checkpoint is a file: a user who may write it must not write the log."""
+def test_checkpoint_text_is_shown_in_one_short_line(path, caplog):
+    """A user who can write the checkpoint must not be able to forge log lines."""
     said = "go on\n12:00 error   service: \x1b[31mon fire\u202e" + "!" * 5000
     run = run_of(path, "F bed").ticks(1)
     run.service.checkpoint.close()
@@ -126,7 +126,7 @@ def test_a_restart_that_saw_nothing_loses_no_object(path):
     assert run.service.mission.sets.failed == {"television"}
 
 
-def test_objects_come_back_under_an_order_that_came_before_the_first_image(path):
+def test_objects_are_restored_if_a_mission_comes_first(path):
     run = run_of(path, "F television & F bed")
     while "television" not in run.service.mission.detected:
         run.step()
@@ -140,7 +140,7 @@ def test_objects_come_back_under_an_order_that_came_before_the_first_image(path)
     assert all(hits.get(i.id, 0) >= i.hits for i in before)
 
 
-def test_what_had_failed_is_not_detected_again_by_the_same_instance(path):
+def test_a_failed_target_needs_a_new_instance_after_a_restart(path):
     run = television_given_up(path).ticks(3)
     run.service.checkpoint.close()
     assert run.service.map.tracker.of("television")
@@ -148,7 +148,7 @@ def test_what_had_failed_is_not_detected_again_by_the_same_instance(path):
     assert run.service.mission.target == "bed"
 
 
-def test_an_ended_mission_does_not_go_on(path):
+def test_an_ended_mission_is_not_resumed(path):
     run = run_of(path, "F bed").ticks(1)
     run.service.mission.fail("cancelled", run.drive.motion.stamp_ns)
     checkpoint = run.ticks(1).killed().service.checkpoint

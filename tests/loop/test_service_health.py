@@ -71,7 +71,7 @@ def watched(tmp_path) -> Iterator[Watched]:
         yield Watched(listening, str(tmp_path / "notify"))
 
 
-def test_it_is_ready_once_it_sees(watched):
+def test_the_service_is_ready_after_its_first_observation(watched):
     watched.vitals.ready()
     assert watched.told() == ["READY=1"]
     assert watched.page("/readyz")[1]["why"] == ["no usable observations"]
@@ -84,7 +84,7 @@ def test_it_is_ready_once_it_sees(watched):
     assert watched.page("/readyz")[0] == 503, "the camera is gone"
 
 
-def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
+def test_a_missing_input_is_named_and_logged_once(watched, caplog):
     inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
     watched.running.service.inputs = inputs.rows
     watched.vitals.ready()
@@ -105,7 +105,7 @@ def test_it_says_which_input_is_missing_and_logs_that_once(watched, caplog):
     assert watched.page("/readyz")[0] == 200
 
 
-def test_implausible_data_make_it_not_ready(watched):
+def test_implausible_data_make_the_service_not_ready(watched):
     watched.vitals.ready()
     watched.see()
     watched.beat(1.0)
@@ -116,7 +116,7 @@ def test_implausible_data_make_it_not_ready(watched):
     assert watched.page("/readyz")[1]["why"] == ["floor: not there"]
 
 
-def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched):
+def test_only_loop_beats_send_watchdog_pings(watched):
     watched.vitals.ready()
     watched.told()
     pings = [watched.beat(0.5).count("WATCHDOG=1") for _ in range(16)]
@@ -133,7 +133,7 @@ def test_signs_of_life_come_from_beats_alone_and_no_oftener_than_need_be(watched
     assert watched.page("/healthz")[0] == 200
 
 
-def test_a_loop_or_a_detector_that_fails_again_and_again_is_not_ready(watched):
+def test_repeated_failures_make_the_service_not_ready(watched):
     watched.see()
     watched.vitals.ready()
     assert watched.beat()[-1].startswith("STATUS=searching")
@@ -184,7 +184,7 @@ def test_a_detector_that_hangs_at_an_image_is_noticed(watched):
     assert watched.vitals.problems() == ("no usable observations",)
 
 
-def test_too_many_open_files_are_reported_once_and_make_it_not_ready(watched, monkeypatch, caplog):
+def test_too_many_open_files_make_the_service_not_ready(watched, monkeypatch, caplog):
     short = "no file or connection can be opened (Too many open files; see `ulimit -n`)"
     watched.vitals.ready()
     for why, logged in ((short, short), (short, ""), ("", "can be opened again"), ("", "")):

@@ -62,7 +62,7 @@ def refusal(loop: ClosedLoop, do: str, spec=None, **fields: object) -> str:
     return str(caught.value)
 
 
-def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
+def test_an_idle_robot_stands_and_tests_its_controller():
     loop = ClosedLoop(config("F bed"), colour=False)
     service = loop.service
     service.mission.set_idle()
@@ -78,7 +78,7 @@ def test_who_waits_for_its_first_mission_stands_and_has_tried_its_controller():
     assert service.status.phase == "searching"
 
 
-def test_a_mission_with_a_name_is_known_by_it_now_and_later():
+def test_a_mission_keeps_its_given_id():
     loop = ClosedLoop(config("F television"), colour=False).run(3)
     bed, sofa = (prepare(loop.config.mission, formula=f"F {x}") for x in ("bed", "sofa"))
     assert refusal(loop, "new", bed, id="1", if_free=True).startswith("not free: the last mission ")
@@ -99,7 +99,7 @@ def test_a_mission_with_a_name_is_known_by_it_now_and_later():
     assert json.dumps(answer)
 
 
-def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
+def test_a_new_mission_replaces_the_old_and_keeps_the_map():
     loop = ClosedLoop(config("F television"), colour=False).run(10)
     generation = loop.service.map.grid.travel_cost.generation
     spec = prepare(loop.config.mission, formula="F bed")
@@ -112,7 +112,7 @@ def test_a_new_mission_takes_the_place_of_the_old_and_keeps_the_map():
     assert loop.distance_m("bed") <= 1.0
 
 
-def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes_on(monkeypatch):
+def test_a_mission_the_detector_refuses_keeps_the_old_one(monkeypatch):
     loop = ClosedLoop(config("F bed"), colour=False).run(3)
 
     def refuse(prompts):
@@ -127,7 +127,7 @@ def test_a_mission_that_the_detector_cannot_look_for_is_refused_and_the_old_goes
     assert loop.service.mission is before
 
 
-def test_a_pose_jump_ends_what_was_known_of_distances():
+def test_a_pose_jump_clears_known_distances():
     mission = {"planner": {"kind": "vitl", "weights": "distance"}}
     loop = ClosedLoop(config(CHOICE, mission=mission), colour=False)
     while loop.service.mission.sets.knowledge.distance_m is None:
@@ -138,7 +138,7 @@ def test_a_pose_jump_ends_what_was_known_of_distances():
     loop.service.close()
 
 
-def test_pause_has_the_robot_stand_and_resume_go_on():
+def test_pause_stops_the_robot_and_resume_continues():
     loop = ClosedLoop(config("F bed"), colour=False).run(6)
     assert ask(loop, "pause")["phase"] == "paused"
     for _ in range(15):
@@ -178,7 +178,7 @@ def test_a_goal_from_before_a_pause_is_not_sent_again():
     assert not any("replaced" in answer.reason for answer in loop.notes.answers)
 
 
-def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
+def test_cancel_ends_a_mission_and_leaves_nothing_to_pause():
     loop = ClosedLoop(config("F bed"), colour=False).run(3)
     answer = ask(loop, "cancel")
     assert (answer["phase"], "overtaken" in answer) == ("failed", False)
@@ -189,7 +189,7 @@ def test_cancel_ends_it_and_then_there_is_nothing_to_pause():
 
 
 @pytest.mark.parametrize("do", ["pause", "cancel"])
-def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
+def test_a_stop_reports_the_missions_that_it_prevented(do):
     loop = ClosedLoop(config("F bed"), colour=False)
     ask(loop, "cancel")
     assert "no mission is running" in refusal(loop, do)
@@ -198,7 +198,7 @@ def test_a_stop_that_kept_a_new_mission_from_beginning_is_answered_so(do):
     loop.service.close()
 
 
-def test_a_stop_next_to_what_must_not_be_reached_is_reported_before():
+def test_a_goal_next_to_a_forbidden_object_is_warned_of():
     """The demo house has no such place, so the forbidden object is put next to the goal."""
     loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.log):

@@ -49,7 +49,7 @@ def render(
 
 
 def look(grid: RollingMap, pose: SE2, boxes: Sequence[Box], camera: CameraModel = CAMERA):
-    """One update from what a camera on a robot at `pose` sees."""
+    """Update the map with the view of a camera on a robot at `pose`."""
     T_map_base = pose.matrix()
     depth = render(camera, T_map_base @ T_BASE_CAMERA, boxes)
     return grid.update_depth(depth, camera, T_map_base, T_BASE_CAMERA)
@@ -331,7 +331,7 @@ def set_free(grid: RollingMap, x: int, y: int) -> None:
 
 
 def occupy(grid: RollingMap, x: int, y: int) -> None:
-    """Occupy a cell of the window, where it is not yet."""
+    """Occupy a cell of the window if it is not occupied yet."""
     layers, n, (sx, sy) = writable(grid), grid.window.n, grid.window.shift
     at = (y + sy) % n, (x + sx) % n
     if layers.raw[at] < ly.OCCUPIED:

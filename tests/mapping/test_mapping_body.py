@@ -1,4 +1,4 @@
-"""The robot's own shape in the map: its height, its radius, and what it sees of itself."""
+"""The robot's own shape in the map: its height, its radius, and returns from itself."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ BAR, TABLE_TOP, KNEE = (1.1, 1.3), (0.70, 0.74), (0.2, 0.34)
         (0.15, KNEE, 0),
     ],
 )
-def test_the_robot_passes_under_what_is_higher_than_itself(height_m, thing, state):
+def test_the_robot_passes_under_higher_obstacles(height_m, thing, state):
     grid = RollingMap(of_robot(height_m=height_m).mapping)
     low_m, high_m = thing
     look(grid, ORIGIN, [(1.5, -0.6, low_m, 2.1, 0.6, high_m), *room(2.5)])
     assert grid.state_at(1.52, 0.0) == state
 
 
-def test_an_overhang_does_not_make_what_is_under_it_higher():
-    """Or rays that pass between the two would clear it."""
+def test_an_overhang_does_not_raise_the_obstacle_below_it():
+    """Otherwise rays that pass between the two would clear it."""
     grid = RollingMap(of_robot(height_m=0.4).mapping)
     things = [(1.5, -0.1, 0.0, 1.6, 0.1, 0.2), (1.5, -0.1, 0.7, 1.6, 0.1, 2.0)]
     for x in (*np.arange(0.0, 1.1, 0.1), *[1.05] * 5):
@@ -78,7 +78,7 @@ TILTED = se3(0.0, 0.0, 0.0, roll_rad=0.05, pitch_rad=0.15)
         ({"radius_m": 0.2, "self_filter_m": 0}, (0.29, 0.0), True),
     ],
 )
-def test_what_is_within_the_robots_own_shape_is_the_robot(
+def test_points_within_the_robots_own_shape_are_dropped(
     robot, at_m, closed, T_map_base, T_base_lidar
 ):
     grid, (x, y) = map_of(**robot), at_m
@@ -101,7 +101,7 @@ def test_a_camera_drops_the_robots_own_body_too():
 
 
 @pytest.mark.parametrize("radius_m", [0.2, 0.5])
-def test_where_the_robot_stands_is_free_whatever_was_there(radius_m):
+def test_cells_under_the_robot_become_free(radius_m):
     """A closed cell stays closed if the robot only stands next to it."""
     grid = map_of(radius_m=radius_m, self_filter_m=0)
     look(grid, SE2(-1.0, 0.0, 0.0), [(-0.1, -0.1, 0.0, 0.1, 0.1, 0.5)])

@@ -40,7 +40,7 @@ def bump(grid: RollingMap, place: tuple[float, float], now_ns: int = 0) -> None:
     grid.bumps.close(pose, place, RADIUS_M, now_ns)
 
 
-def test_a_bump_closes_what_the_front_touched_and_no_ray_clears_it():
+def test_a_bump_closes_the_touched_cells_against_rays():
     grid = seen_around()
     bump(grid, PLACE)
     for _ in range(2 * MOST_FLOOR_UPDATES):
@@ -111,7 +111,7 @@ AWAY = SE2(0.0, 0.0, math.pi)
         "a sill", "not looked at", "floor, but touched again",
     ],
 )  # fmt: skip
-def test_a_bump_opens_where_the_sensors_see_floor(looks, touched_before, opens):
+def test_a_bump_opens_after_enough_views_of_floor(looks, touched_before, opens):
     grid = seen_around()
     bump(grid, PLACE)
     if touched_before:
@@ -145,7 +145,7 @@ def layers_at(grid: RollingMap, place: tuple[float, float]) -> tuple[int, int, b
     [((0.6, 0.0), ly.FREE), (PLACE, ly.OCCUPIED), (BEHIND_IT, ly.UNSEEN)],
     ids=["free", "occupied", "unseen"],
 )
-def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
+def test_an_opened_cell_returns_to_its_former_state(place, raw, open_again, times):
     grid = RollingMap(SMALL)
     look(grid, HOME, BOX)
     before = layers_at(grid, place)
@@ -176,7 +176,7 @@ def test_an_opened_cell_is_what_it_was(place, raw, open_again, times):
         (0.82, 2.0, False),  # behind
     ],
 )
-def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, shows):
+def test_an_obstacle_ahead_explains_a_blocked_robot(x_m, yaw_rad, shows):
     empty, grid = RollingMap(SMALL), RollingMap(SMALL)
     look(grid, HOME, BOX)
     pose = SE2(x_m, 0.0, yaw_rad)
@@ -188,7 +188,7 @@ def test_an_obstacle_on_the_way_explains_why_the_robot_is_held_up(x_m, yaw_rad, 
     assert not beside.bumps.explained_by_obstacle(pose, place, 0.2)  # a bump explains nothing
 
 
-def test_bumps_leave_with_the_part_of_the_map_that_rolls_out():
+def test_bumps_outside_the_rolled_window_are_dropped():
     grid = seen_around()
     strip_m = ly.WORD * grid.resolution_m
     left_m = grid.window.origin[0] * grid.resolution_m
@@ -223,7 +223,7 @@ def doorway() -> list[twins.Box]:
 
 
 @pytest.mark.parametrize("y", [-0.1, 0.0, 0.1])
-def test_a_bump_in_a_doorway_cuts_off_what_is_behind_and_does_not_shut_the_robot_in(y):
+def test_a_bump_in_a_doorway_closes_the_room_behind(y):
     grid = RollingMap(SMALL)
     for x in np.arange(-0.6, 0.81, 0.05):
         look(grid, SE2(float(x), y, 0.0), doorway())
@@ -259,7 +259,7 @@ def sill(*ys: float) -> RollingMap:
         ((-0.5, 0.5, 0.0), (-1.7, 1.7)),  # no farther than a metre
     ],
 )
-def test_two_bumps_along_one_line_are_one_sill(ys, closed_y):
+def test_two_bumps_in_line_form_one_sill(ys, closed_y):
     cells = sill(*ys).snapshot(inflated=50)
     column = math.floor((1.02 - cells.origin_xy_m[0]) / cells.resolution_m)
     rows = np.flatnonzero(cells.cells[:, column] == 100)
@@ -267,7 +267,7 @@ def test_two_bumps_along_one_line_are_one_sill(ys, closed_y):
     assert (y.min(), y.max()) == pytest.approx(closed_y, abs=0.06)
 
 
-def test_a_sill_ends_where_something_stands_and_where_the_robot_was():
+def test_a_sill_ends_at_obstacles_and_at_the_trail():
     grid = RollingMap(SMALL)
     for x in np.arange(-0.5, 1.51, 0.05):  # between the sill and the box it went through
         look(grid, SE2(float(x), 0.5, 0.0), [(1.0, -1.2, 0.0, 1.05, -0.82, 1.0)])
@@ -285,7 +285,7 @@ def test_a_sill_ends_where_something_stands_and_where_the_robot_was():
     assert_consistent(grid)
 
 
-def test_the_robot_on_what_was_closed_opens_all_that_the_bump_closed():
+def test_driving_over_a_bump_opens_all_its_cells():
     grid = sill(0.0)
     look(grid, SE2(1.02, 0.15, 0.0), [])
     assert grid.bumps.known_m == []

@@ -47,7 +47,7 @@ def window(grid: RollingMap) -> np.ndarray:
 
 
 def show_twin(raw, looks, x, y, first, between, rays, near, far, enough, then):
-    """Twin of `show` in window coordinates: what is new in each ray; changes `looks`."""
+    """Return the new area of each ray and update `looks`: a twin of `show`, in the window."""
     n, shown, fresh = len(raw), set(), []
     for k in range(rays):
         angle, anew = first + between * k, 0
@@ -94,7 +94,7 @@ def test_nothing_is_sought_before_a_camera_looked():
 
 
 @given(seed=st.integers(0, 2**32 - 1), then=st.sampled_from([KEEP, COUNT, WRITE_OFF]))
-def test_what_a_camera_shows_agrees_with_the_twin(seed, then):
+def test_show_agrees_with_its_twin(seed, then):
     rng, layers, raw, looks, stored, shift, _ = random_world(seed)
     x, y = rng.uniform(-5, 133, 2)
     first, between, rays = rng.uniform(-7, 7), rng.uniform(0.01, 0.2), int(rng.integers(1, 60))
@@ -112,7 +112,7 @@ def test_what_a_camera_shows_agrees_with_the_twin(seed, then):
 
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), work=st.sampled_from([1, 3000, 10**9]))
-def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
+def test_the_best_view_is_independent_of_the_step_size(seed, work):
     n, side = 64, 1 << BITS
     rng, layers, raw, looks, stored, shift, origin = random_world(seed, n)
     reached = (raw == FREE) & (rng.random(raw.shape) < 0.05)
@@ -159,7 +159,7 @@ def test_the_best_view_is_the_best_of_all_however_long_it_takes(seed, work):
 
 
 @pytest.mark.parametrize("how", ["looked from there", "in vain"])
-def test_view_after_view_comes_to_an_end(how):
+def test_the_series_of_views_ends(how):
     grid = explored()
     coverage = grid.coverage
     coverage.on_image(seen_from(SE2(0.0, 0.0, 0.0)), 1.6, 2)
@@ -182,7 +182,7 @@ def test_view_after_view_comes_to_an_end(how):
         assert len(views) < 60
     assert len(views) > 3
     if how == "looked from there":
-        # All the floor but for what is too little to go for.
+        # All the floor except areas too small for a view.
         m = np.arange(-1.6, 1.7, 0.2)
         cells = [place(grid, x, y) for x in m for y in m]
         assert sum(c >= 2 for c in cells) > 0.9 * len(cells)
@@ -210,7 +210,7 @@ def test_a_camera_that_looks_aside_is_turned_there():
     moves=st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=1, max_size=5),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
+def test_rolling_clears_only_cells_that_leave_the_window(moves, seed):
     rng = np.random.default_rng(seed)
     n = 128
     window, m = Window(n, 0.05), n >> BITS

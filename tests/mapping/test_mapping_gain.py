@@ -42,7 +42,7 @@ def test_a_map_without_a_place_shows_nothing():
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_area_is_what_its_rays_show(seed):
+def test_the_area_agrees_with_its_twin(seed):
     rng = np.random.default_rng(seed)
     grid = RollingMap(SMALL)
     grid.window.placed = True
@@ -78,7 +78,7 @@ def test_the_area_is_what_its_rays_show(seed):
         ([0], math.pi / 2, (-1, math.pi / 2 - FOV / 2)),
     ],
 )  # fmt: skip
-def test_a_turn_shows_every_ray_the_shorter_way(rays, ahead, expected):
+def test_a_spin_covers_every_ray_the_shorter_way_round(rays, ahead, expected):
     ray = np.zeros(g.RAYS)
     ray[rays] = 0.5
     turn, sweep, area = g.best_sweep(ray, np.uint64(0), FOV, ahead)

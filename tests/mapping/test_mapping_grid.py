@@ -1,4 +1,4 @@
-"""The rolling map: what an update marks, clears, forgets; bad input; its ceiling of memory."""
+"""The rolling map: marked, cleared and forgotten cells; bad input; its memory limit."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_walking_person_leaves_no_ghost():
     assert len(occupied) > 20, "the walls stay"
 
 
-def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
+def test_an_opened_door_is_free_and_a_closed_one_occupied():
     grid = RollingMap(SMALL)
     door = (1.5, -0.4, 0.0, 1.55, 0.4, 2.0)
     walls = [(1.5, 0.4, 0, 1.55, 2, 2.0), (1.5, -2, 0, 1.55, -0.4, 2.0)]
@@ -81,7 +81,7 @@ def test_a_door_that_opens_is_free_and_one_that_closes_is_not():
         (update.SURELY_FREE + 1, 0.3, False),  # next to the robot
     ],
 )
-def test_only_what_came_to_seen_floor_is_forgotten_unseen(floor_looks, x_m, forgotten):
+def test_only_new_obstacles_on_seen_floor_are_forgotten(floor_looks, x_m, forgotten):
     grid, walls = RollingMap(SMALL), room(2.5)
     assert not grid.forget_arrivals()
     with_person = [*walls, (x_m, -0.15, 0.0, x_m + 0.3, 0.15, 1.7)]
@@ -112,7 +112,7 @@ def test_only_small_obstacles_may_have_been_people(width_m, small_too, state):
     assert grid.state_at(1.52, 0.0) == 100
 
 
-def test_a_low_obstacle_stays_while_it_is_below_the_view():
+def test_a_low_obstacle_stays_below_the_view():
     """Seen from afar, then under the camera's blind zone: nothing flew low enough to clear it."""
     grid = RollingMap(SMALL)
     low = (1.5, -0.1, 0.0, 1.6, 0.1, 0.2)
@@ -186,7 +186,7 @@ def test_a_pose_jump_beyond_the_window_starts_a_new_map():
     )
 
 
-def test_the_map_keeps_what_is_in_the_window_while_it_rolls():
+def test_rolling_keeps_the_cells_inside_the_window():
     grid = RollingMap(SMALL.model_copy(update={"extent_m": 8.0}))
     pillar = (6.5, 0.8, 0.0, 6.7, 1.0, 0.9)
     rolled = 0
@@ -198,18 +198,18 @@ def test_the_map_keeps_what_is_in_the_window_while_it_rolls():
 
 
 @pytest.mark.parametrize("shape", [(120, 161), (160, 120), (0, 0), (120, 160, 1)])
-def test_a_depth_image_of_the_wrong_size_is_an_error_that_says_so(shape):
+def test_a_depth_image_of_the_wrong_size_is_an_error(shape):
     with pytest.raises(ValueError, match="120x160"):
         RollingMap(SMALL).update_depth(np.zeros(shape, np.float32), CAMERA, *STILL)
 
 
 @pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 3, 1)])
-def test_a_cloud_of_the_wrong_shape_is_an_error_that_says_so(shape):
+def test_a_cloud_of_the_wrong_shape_is_an_error(shape):
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
         RollingMap(SMALL).update_cloud(np.zeros(shape, np.float32), *STILL)
 
 
-def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
+def test_a_pose_that_is_not_finite_changes_nothing():
     grid = RollingMap(SMALL)
     look(grid, ORIGIN, [])
     before = twins.states(grid)
@@ -224,7 +224,7 @@ def test_a_pose_that_is_not_finite_is_an_error_and_leaves_the_map_alone():
 
 @given(st.integers(0, 2**32 - 1))
 def test_degenerate_depth_never_breaks_the_layers(seed):
-    """Random images full of holes from random poses: every layer stays what `raw` says."""
+    """Random images full of holes from random poses: every layer agrees with `raw`."""
     rng = np.random.default_rng(seed)
     grid = RollingMap(SMALL)
     camera = CameraModel.from_hfov(32, 24, 1.3)
@@ -315,7 +315,7 @@ def test_nothing_is_compiled_after_warmup(kind):
 @pytest.mark.parametrize("foot_m", [0.0, 0.08])
 @pytest.mark.parametrize("from_m", [-0.5, 0.4], ids=["from afar", "from near by"])
 def test_creeping_up_to_a_bed_does_not_lift_the_floor(foot_m, from_m):
-    """The floor before it is in the blind zone; what is seen lowest climbs up its side."""
+    """The floor in front is in the blind zone; the lowest visible points climb up its side."""
     grid = RollingMap(SMALL)
     bed = [(1.0, -0.8, foot_m, 3.0, 0.8, 0.5)]
     for x in np.arange(from_m, 0.75, 0.01):

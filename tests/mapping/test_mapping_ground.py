@@ -87,8 +87,8 @@ LOW_BED = (0.9, -0.5, 0.0, 2.4, 0.5, 0.35)
     [(TABLE, 0.0, False), (BED, 0.0, False), (LOW_BED, 0.3, True), (LOW_BED, 0.4, True)],
     ids=["only a table", "only a bed", "bed as high as the base", "bed below the base"],
 )
-def test_furniture_at_the_start_is_no_floor(thing, base_m, seen):
-    """The floor is the lowest that is wide; where none is seen, none is known until it is."""
+def test_furniture_at_the_start_is_not_taken_for_floor(thing, base_m, seen):
+    """The floor is the lowest wide surface; it stays unknown until it is seen."""
     grid, floor_z_m = RollingMap(SMALL), 2.0
     for _ in range(3):
         update = see(grid, [thing, *WALLS], floor_z_m, base_m)
@@ -110,7 +110,7 @@ def test_furniture_at_the_start_is_no_floor(thing, base_m, seen):
     ],
     ids=["a lift", "a jump", "lying down and up", "trotting"],
 )
-def test_the_floor_stays_under_a_robot_that_moves_up_and_down(heights):
+def test_the_floor_follows_a_robot_that_moves_up_and_down(heights):
     """(floor, base) in `map` of each update."""
     grid = RollingMap(SMALL)
     for floor_z_m, base_z_m in heights:
@@ -132,7 +132,7 @@ def test_the_floor_of_a_tilted_map_is_floor(lean_deg, base_m):
 
 
 @pytest.mark.parametrize("floor_z_m", [-1.2, -2.5])
-def test_nothing_is_free_where_the_ground_is_far_below_the_base(floor_z_m):
+def test_ground_far_below_the_base_is_not_free(floor_z_m):
     """A mount that is wrong by a metre, or a robot on a gallery: no guess is published."""
     grid = RollingMap(SMALL)
     T = camera()
@@ -145,7 +145,7 @@ def test_nothing_is_free_where_the_ground_is_far_below_the_base(floor_z_m):
 
 
 @pytest.mark.parametrize("z_m", [-0.3, -0.05, 0.05, 0.4])
-def test_a_scan_that_sees_no_floor_shows_walls_from_below_the_base_too(z_m):
+def test_a_scan_without_floor_still_shows_walls(z_m):
     """A level LiDAR of one ring; the base of a legged robot may be over it."""
     grid = RollingMap(SMALL)
     angle = np.linspace(-math.pi, math.pi, 720, endpoint=False)
@@ -201,7 +201,7 @@ def test_a_road_that_climbs_in_the_blind_zone_is_ground(road):
 @pytest.mark.parametrize(
     ("thing", "climb"), [("box", "leans"), ("box", "falls"), ("curb", "climbs")]
 )
-def test_a_low_thing_just_outside_the_blind_zone_is_an_obstacle(thing, climb):
+def test_a_low_obstacle_outside_the_blind_zone_is_occupied(thing, climb):
     """A box in a few sectors, and a curb as long as the road: all the rest agrees on the ground."""
     road = CLIMBS[climb]
     x, y = (4.2, 0.0) if thing == "box" else (0.0, 4.2)
@@ -236,7 +236,7 @@ def unseen(grid: RollingMap, thing: Box, others: list[Box], lost: float = np.nan
         (2.1, 0.9, np.nan),
     ],
 )
-def test_a_thing_without_returns_is_not_free(x_m, high_m, lost):
+def test_an_object_without_returns_is_not_free(x_m, high_m, lost):
     """Black, or glass: the rays that pass over it are as high as it is at least."""
     grid = RollingMap(SMALL.model_copy(update={"inflation_m": 0.0}))
     unseen(grid, (x_m, -0.3, 0.0, x_m + 0.3, 0.3, high_m), WALLS, lost)

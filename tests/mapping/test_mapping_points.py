@@ -1,4 +1,4 @@
-"""Points, polar bins, local ground: kernels against twins, and what they must distinguish."""
+"""Points, polar bins, local ground: kernels against twins, and ground against obstacles."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_the_search_for_the_floor_agrees_with_its_twin(seed, n, floor, base_z):
 
 
 @pytest.mark.parametrize("bad", [np.nan, 0.0, np.inf, -np.inf, -1.0, 1e6, 1e30, 3.4e38])
-def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
+def test_depth_points_agree_with_numpy_and_drop_invalid_pixels(bad):
     camera = CameraModel.from_hfov(40, 30, 1.2)
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.5, 4.0, (30, 40)).astype(F)
@@ -133,7 +133,7 @@ def test_depth_points_agree_with_numpy_and_drop_what_is_no_return(bad):
     assert len({k for _, k in marked} ^ set(bit.tolist())) == 0
 
 
-def test_cloud_points_agree_with_numpy_and_drop_what_is_not_finite():
+def test_cloud_points_agree_with_numpy_and_drop_invalid_points():
     rng = np.random.default_rng(1)
     cloud = rng.uniform(-5, 5, (200, 3)).astype(F)
     cloud[::7, 1] = np.inf
@@ -283,7 +283,7 @@ def test_floor_obstacle_and_overhang_are_distinguished_for_a_tilted_lidar():
     assert grid.state_at(3.0, 0.0) == -1, "hidden behind the obstacle"
 
 
-def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
+def test_a_ramp_is_free_and_an_obstacle_on_it_occupied():
     ramp = lidar_map([], slope=0.15)
     assert not (twins.states(ramp) == 100).any()
     assert ramp.state_at(3.0, 0.0) == 0, "floor is 0.3 m up here"
@@ -291,7 +291,7 @@ def test_a_ramp_is_ground_and_an_obstacle_on_it_is_not():
     assert busy.state_at(2.01, 0.01) == 100
 
 
-def test_rays_stop_where_the_floor_drops():
+def test_rays_stop_at_a_drop_in_the_floor():
     grid = RollingMap(config.MappingConfig(input="cloud", inflation_m=0.0))
     x = np.linspace(0.5, 4.0, 400)
     y = np.linspace(-0.3, 0.3, 40)
@@ -304,7 +304,7 @@ def test_rays_stop_where_the_floor_drops():
 
 @pytest.mark.parametrize("beams", [180, 360, 720])
 @pytest.mark.parametrize(("range_m", "end_m"), [(4.0, 2.0), (5.0, 2.0), (5.0, 12.0)])
-def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range_m, end_m):
+def test_a_beam_without_a_return_only_frees_cells(beams, range_m, end_m):
     """Also between beams that are two degrees apart."""
     angles = 2 * np.pi / beams * np.arange(beams)
     x, y = end_m * np.cos(angles), end_m * np.sin(angles)
@@ -321,7 +321,7 @@ def test_a_beam_that_met_nothing_frees_to_its_end_and_marks_nothing(beams, range
     assert not (twins.states(grid) == 100).any()
 
 
-def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
+def test_beams_without_a_return_free_nothing_behind_obstacles():
     wall = np.radians(np.arange(-20.0, 21.0))
     cloud = np.zeros((360, 3), F)
     angles = np.radians(np.arange(360.0))
@@ -337,8 +337,8 @@ def test_beams_that_met_nothing_free_nothing_behind_what_others_met():
 
 @pytest.mark.parametrize("z_m", [0.1701, 0.2, 0.25, 0.3])
 @pytest.mark.parametrize("behind_m", [2.5, math.inf])
-def test_what_a_planar_lidar_saw_is_cleared_by_beams_at_that_very_height(z_m, behind_m):
-    """Someone who stood there and went on; behind is a wall, or nothing."""
+def test_a_planar_lidar_clears_a_vanished_obstacle(z_m, behind_m):
+    """A person stood there and left; behind is a wall, or nothing."""
     angles = np.radians(np.arange(360.0))
 
     def sweep(grid: RollingMap, r: np.ndarray) -> None:

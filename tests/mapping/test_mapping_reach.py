@@ -88,7 +88,7 @@ def test_a_goal_that_was_blocked_since_is_not_offered():
     assert grid.travel_cost.nearest(1.5, 0.0, 0.05) is None
 
 
-def test_a_robot_inside_inflation_finds_its_way_out():
+def test_a_robot_inside_inflation_finds_a_path_out():
     grid = RollingMap(SMALL)
     look(grid, SE2(0, 0, 0), room(2.0))
     pose = SE2(1.85, 0.0, 0.0)
@@ -99,7 +99,7 @@ def test_a_robot_inside_inflation_finds_its_way_out():
     assert found[2] == pytest.approx(0.85, abs=0.1)
 
 
-def test_what_was_reached_is_still_known_after_the_window_rolled():
+def test_travel_costs_survive_a_rolled_window():
     grid = RollingMap(SMALL)
     for x in np.arange(0.0, 3.0, 0.2):
         look(grid, SE2(x, 0, 0), [])
@@ -116,7 +116,7 @@ def test_what_was_reached_is_still_known_after_the_window_rolled():
     assert grid.travel_cost.distance_m(x - 1.0, 0.0) == pytest.approx(1.0, abs=0.06)
 
 
-def test_lengths_of_many_ways_are_those_of_each():
+def test_many_path_lengths_agree_with_single_ones():
     grid, pose = explored(3)
     out = np.zeros(4, np.float32)
     grid.travel_cost.path_lengths_m(
@@ -137,7 +137,7 @@ def test_lengths_of_many_ways_are_those_of_each():
     assert 5 < np.isfinite(out).sum() < 40
 
 
-def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
+def test_the_stopping_point_is_near_and_in_sight():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.1, 2.5, 1.0), (1.5, 0.3, 0.0, 1.9, 0.7, 0.5)
     surface_m = np.array([[1.5, 0.5, 0.4]], np.float32)
@@ -151,12 +151,12 @@ def test_the_robot_stops_where_a_thing_is_first_near_and_in_sight():
     assert x > 1.1, "not from behind the wall, though that is nearer"
     assert way_m == pytest.approx(grid.travel_cost.distance_m(x, y))
     assert grid.travel_cost.stopping_point(surface_m, 0.1) is None
-    # Of several points the one with the shortest way.
+    # The point with the shortest path is chosen.
     more_m = np.array([[1.5, 0.5, 0.4], [1.5, -1.0, 0.4]], np.float32)
     assert grid.travel_cost.stopping_point(more_m, 0.7)[2] < way_m
 
 
-def test_the_robot_does_not_stop_behind_the_wall_that_a_thing_stands_at():
+def test_the_robot_does_not_stop_behind_a_wall():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.25, 2.5, 1.0), (1.25, 0.3, 0.0, 1.6, 0.7, 0.5)
     for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
@@ -169,7 +169,7 @@ def test_the_robot_does_not_stop_behind_the_wall_that_a_thing_stands_at():
         assert grid.travel_cost.stopping_point(surface_m, 0.85, points)[0] > 1.25, points
 
 
-def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
+def test_a_few_stray_points_do_not_set_the_stop():
     grid = RollingMap(SMALL)
     for x, y in ((0.0, 0.0), (-1.0, 0.0)):
         for yaw in np.arange(0, 6.4, 0.3):
@@ -186,13 +186,13 @@ def test_a_few_points_of_another_thing_are_not_enough_to_stop_at():
     assert grid.travel_cost.stopping_point(surface_m, 0.7, len(surface_m) + 1) is None
 
 
-def test_without_a_field_there_is_no_way():
+def test_without_a_field_there_is_no_path():
     assert RollingMap(SMALL).travel_cost.path_xy_m(0.0, 0.0).shape == (0, 2)
 
 
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_way_goes_back_step_by_step_and_is_as_long_as_the_distance(seed):
+def test_the_path_is_as_long_as_the_distance(seed):
     grid, pose = explored(seed)
     complete(grid, pose)
     rng = np.random.default_rng(seed)

@@ -48,7 +48,7 @@ def test_rooms_part_at_doors(cells, n):
     assert set(np.unique(label)) - {0} == set(range(1, n + 1))
 
 
-def test_the_cut_lies_in_the_door():
+def test_the_border_of_two_rooms_lies_in_the_door():
     label, _ = regions.segment_rooms(two_rooms(9), CELL_M)
     assert len(np.unique(label[1:-1, 1:40])) == len(np.unique(label[1:-1, 43:-1])) == 1
     border = regions.border_lengths(label, 2)
@@ -56,7 +56,7 @@ def test_the_cut_lies_in_the_door():
     assert 9 <= border[1, 2] <= 13
 
 
-def test_what_is_not_known_cuts_nothing():
+def test_unknown_cells_do_not_divide_a_room():
     cells = np.full((40, 40), OPEN, np.uint8)
     cells[18:22, :15] = cells[18:22, 25:] = UNKNOWN
     label, n = regions.segment_rooms(cells, CELL_M)

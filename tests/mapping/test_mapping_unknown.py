@@ -45,7 +45,7 @@ def test_the_ratio_agrees_with_a_search(seed, radius_m):
     assert out[-1] == 7.0, "nothing beyond n is written"
 
 
-def test_a_wall_hides_the_unknown_behind_it():
+def test_unknown_cells_behind_a_wall_do_not_count():
     grid = RollingMap(twins.SMALL)
     for yaw in np.arange(0, 6.4, 0.2):
         twins.look(grid, twins.SE2(0, 0, yaw), twins.room(1.5))

@@ -83,7 +83,7 @@ def test_a_window_that_has_no_place_takes_nothing():
     assert not values.weight.any()
 
 
-def test_other_targets_keep_what_is_known_of_those_that_stay():
+def test_remaining_targets_keep_their_values_when_targets_change():
     values = value_map(("bed", "sofa"))
     values.write_view(sight(), ("bed", "sofa", "lamp"), np.array([0.2, 0.6, 1.0], np.float32))
     sofa = unpacked(values, 1)
@@ -197,7 +197,7 @@ def test_whole_view_scores_are_blended_as_vlfm_does(seed):
     np.testing.assert_allclose(got[0][settled], value[settled], atol=2e-3)
 
 
-# -- what an observation sees --------------------------------------------------------------
+# -- views of an observation ----------------------------------------------------------------
 
 
 def observed(pose: SE2, depth, camera: CameraModel = CAMERA) -> Observation:
@@ -215,7 +215,7 @@ def test_no_camera_sees_nothing_and_no_place_neither():
 
 
 @given(seed=st.integers(0, 10**6))
-def test_how_far_the_floor_is_in_view_is_the_farthest_return_of_each_column(seed):
+def test_the_range_profile_holds_the_farthest_return_per_column(seed):
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.3, 4.0, (CAMERA.height_px, CAMERA.width_px)).astype(np.float32)
     depth[rng.random(depth.shape) < 0.3] = rng.choice([np.nan, 0.0, np.inf, -1.0, 2e6])
@@ -244,7 +244,7 @@ PILLAR = (1.0, -0.3, 0.0, 1.2, 0.3, 2.0)
 
 
 @pytest.mark.parametrize("by_depth", [True, False])
-def test_cells_behind_what_is_in_the_way_are_not_written(by_depth):
+def test_values_are_not_written_behind_obstacles(by_depth):
     """By the depth image, and for a robot with a LiDAR and a camera alone by the map."""
     for boxes, hidden in ((room(2.5), False), ([*room(2.5), PILLAR], True)):
         grid = seen_around(boxes)
@@ -293,7 +293,7 @@ def test_the_best_near_a_place_is_eq_9(seed, radius):
     moves=st.lists(st.tuples(st.integers(0, 1), st.integers(-4, 4)), max_size=6),
     seed=st.integers(0, 10**6),
 )
-def test_rolling_forgets_what_leaves_the_window_and_nothing_else(moves, seed):
+def test_rolling_clears_only_cells_that_leave_the_window(moves, seed):
     rng = np.random.default_rng(seed)
     values = value_map(("bed",))
     m = len(values.value)
@@ -335,7 +335,7 @@ def test_a_snapshot_without_values_is_empty():
 
 
 @pytest.mark.parametrize("origin", [(-64, -64), (0, -128), (64, 320)])
-def test_a_snapshot_lies_where_it_was_written(origin):
+def test_a_snapshot_has_the_positions_of_its_cells(origin):
     values = value_map(("bed", "tv"), origin=origin)
     seen = sight(*((o + 96) * 0.05 for o in origin), yaw=1.0, range_m=2.0)
     values.write_view(seen, ("tv",), np.array([0.5]))

@@ -75,7 +75,7 @@ def test_cells_are_closed_by_their_distance_to_the_polygon(x_m, y_m, half_m, at_
     assert not found[to_m > most].any()
 
 
-def test_no_way_leads_through_a_zone_and_the_way_opens_when_it_is_removed():
+def test_no_path_leads_through_a_zone_until_it_is_removed():
     grid = seen_around(WALLS)
     beyond = (2.0, 0.0)
     complete(grid, ORIGIN)
@@ -93,7 +93,7 @@ def test_no_way_leads_through_a_zone_and_the_way_opens_when_it_is_removed():
     assert grid.travel_cost.distance_m(*beyond) == pytest.approx(2.0, abs=0.2)
 
 
-def test_a_zone_makes_no_frontier_and_takes_those_in_it():
+def test_a_zone_removes_its_frontiers():
     grid = seen_around()
     n = grid.frontiers.n
     assert n > 0
@@ -105,7 +105,7 @@ def test_a_zone_makes_no_frontier_and_takes_those_in_it():
     assert grid.frontiers.n == n
 
 
-def test_a_robot_in_a_zone_may_leave_it_but_not_squeeze_along_walls():
+def test_a_robot_in_a_zone_may_leave_it():
     grid = seen_around(WALLS)
     zone = square(0.0, 0.0, 1.0)
     grid.set_zones((zone,), ())
@@ -118,7 +118,7 @@ def test_a_robot_in_a_zone_may_leave_it_but_not_squeeze_along_walls():
     assert math.isinf(grid.travel_cost.distance_m(0.0, 0.0))
 
 
-def test_the_trail_of_before_leads_through_no_zone():
+def test_the_trail_does_not_open_a_zone():
     grid = seen_around(WALLS)
     for x_m in np.arange(0.0, 2.0, 0.2):
         look(grid, SE2(x_m, 0.0, 0.0), WALLS)
@@ -128,7 +128,7 @@ def test_the_trail_of_before_leads_through_no_zone():
     assert grid.snapshot().cells.max() == 100
 
 
-def test_zones_stay_where_they_are_when_the_window_rolls():
+def test_zones_keep_their_place_when_the_window_rolls():
     polygon = square(12.0, 1.0, 1.0)
     grid = RollingMap(SMALL)
     grid.set_zones((polygon,), ())
@@ -152,7 +152,7 @@ spot = st.floats(-3.0, 3.0)
     steps=st.lists(st.lists(st.tuples(spot, spot), max_size=3), min_size=1, max_size=4),
     at_m=st.sampled_from([(0.0, 0.0), (40.0, -3.0)]),
 )
-def test_a_change_of_zones_closes_what_they_close_at_once(steps, at_m):
+def test_changed_zones_close_the_same_cells_as_new_ones(steps, at_m):
     step_by_step, at_once = RollingMap(SMALL), RollingMap(SMALL)
     for grid in (step_by_step, at_once):
         look(grid, SE2(*at_m, 0.0), ())
@@ -173,7 +173,7 @@ def test_without_zones_the_mask_closes_nothing():
 @given(
     x_m=st.floats(-2, 2), y_m=st.floats(-2, 2), half_m=st.floats(0.05, 1.0), stays=st.booleans()
 )  # fmt: skip
-def test_the_mask_closes_the_cells_that_the_map_closes_and_a_border(x_m, y_m, half_m, stays):
+def test_the_mask_closes_the_same_cells_as_the_map(x_m, y_m, half_m, stays):
     grid, polygon = RollingMap(SMALL), square(x_m, y_m, half_m)
     zones = ZonePolygons((), (polygon,)) if stays else ZonePolygons((polygon,))
     look(grid, ORIGIN, WALLS)

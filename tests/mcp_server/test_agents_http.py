@@ -105,7 +105,7 @@ def test_without_the_token_nothing_is_asked_or_answered(served, headers, method)
 
 
 @pytest.mark.parametrize("header", ["Host", "Origin"])
-def test_a_web_page_of_another_site_is_refused_even_with_the_token(served, header):
+def test_another_site_is_refused_even_with_the_token(served, header):
     headers = {"Authorization": f"Bearer {SECRET}", header: "http://evil.example"}
     headers["Host"] = "evil.example" if header == "Host" else httpx.URL(served.url).netloc.decode()
     before = len(served.asked)
@@ -136,7 +136,7 @@ def test_a_port_needs_a_good_token(tmp_path, content, why):
 
 
 @pytest.mark.parametrize("given", [{"host": "0.0.0.0"}, {"token_file": Path("token")}])
-def test_what_belongs_to_http_needs_a_port(tmp_path, given):
+def test_http_options_need_a_port(tmp_path, given):
     with pytest.raises(UserError, match=r"^mcp: --host and --token-file are of --http PORT"):
         command.run(arguments(tmp_path, **{"http": None, "host": None, **given}))
 

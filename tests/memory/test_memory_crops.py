@@ -60,7 +60,7 @@ def test_a_picture_is_small(store, box):
     assert max(height, width) <= crops.SIDE_PX
 
 
-def test_one_image_gives_a_few_pictures_and_the_next_one_the_others(store):
+def test_one_image_fills_only_a_few_pictures(store):
     objects = [seen(i) for i in range(1, 6)]
     store.observe(objects, image())
     assert len(store) == 3

@@ -50,11 +50,11 @@ SEEN = seen(
         ("armchair", [3]),
     ],
 )
-def test_objects_are_found_by_name_and_kind_if_they_were_seen_often_enough(name, ids):
+def test_objects_are_found_by_name_and_kind(name, ids):
     assert [one.id for one in known_objects(SEEN, NOW_NS, 2, name)] == ids
 
 
-def test_an_armchair_comes_after_the_chairs():
+def test_an_armchair_is_listed_after_the_chairs():
     armchair_first = seen(("armchair", 1.0, 5, 0), ("chair", 2.0, 5, 0), ("chair", 3.0, 5, 0))
     ids = {
         name: [one.id for one in known_objects(armchair_first, NOW_NS, 2, name)]
@@ -64,11 +64,11 @@ def test_an_armchair_comes_after_the_chairs():
 
 
 @pytest.mark.parametrize(("most", "ids"), [(0, []), (1, [1]), (9, [1, 2, 3])])
-def test_of_many_objects_the_most_confident_are_returned(most, ids):
+def test_the_most_confident_objects_are_returned(most, ids):
     assert [one.id for one in known_objects(SEEN, NOW_NS, 2, most=most)] == ids
 
 
-def test_the_answer_says_where_when_and_how_sure():
+def test_the_answer_gives_place_age_and_confidence():
     found = known_objects(SEEN, NOW_NS, 2, "chair")
     assert describe_location("chair", found, POSE, True) == (
         "chair: at (2.0, 0.0), 2.0 m away, seen 60 s ago, confidence 0.80; "
@@ -99,7 +99,7 @@ def test_objects_are_filtered_by_time_number_and_room(filters, ids):
     assert all(one.room == ("kitchen" if one.id == 3 else "") for one in found)
 
 
-def test_a_moved_object_says_from_where():
+def test_a_moved_object_reports_its_old_place():
     moved = seen(("mug", 1.0, 5, 0))
     moved.moves[0], moved.came_from_m[0] = 1, (4.0, 2.0)
     found = known_objects(moved, NOW_NS, 2, "mug")
@@ -109,7 +109,7 @@ def test_a_moved_object_says_from_where():
     assert found[0].to_json()["came_from"] == [4.0, 2.0]
 
 
-def test_similar_objects_are_reported_as_such():
+def test_similar_objects_are_marked_as_similar():
     similar = {"mug": known_objects(SEEN, NOW_NS, 2, "mug")}
     assert describe_similar("goblet", {}, None, True) == "no goblet has been seen"
     assert describe_similar("goblet", similar, None, True) == (

@@ -66,7 +66,7 @@ def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
         ("chair next to the desk near the bed", "a second relation"),
     ],
 )
-def test_what_the_map_cannot_decide_is_refused(text, why):
+def test_a_relation_that_cannot_be_checked_is_refused(text, why):
     with pytest.raises(RelationError, match=why):
         parse_description(text)
 
@@ -114,7 +114,7 @@ def test_a_description_means_these_instances(text, ids):
     assert resolve(text) == ids
 
 
-def test_the_nearest_one_may_be_far_once_the_search_is_over():
+def test_the_nearest_object_may_be_far_after_the_search():
     assert resolve("chair nearest to the window") == []
     assert resolve("chair nearest to the window", last=True) == [3]
 

@@ -84,7 +84,7 @@ def test_nothing_is_known_at_first():
     assert survey_rooms(NO_REGIONS, NO_SURVEY).shapes == ()
 
 
-def test_a_room_has_an_outline_an_area_and_places_to_stand():
+def test_a_room_has_an_outline_an_area_and_standing_places():
     (shape,) = surveyed(cut(LEFT)).shapes
     assert shape.id == 1
     assert shape.area_m2 == pytest.approx(12.0)
@@ -105,7 +105,7 @@ def test_rooms_know_their_doors():
     assert door.width_m == pytest.approx(0.9)
 
 
-def test_what_is_too_small_is_no_room():
+def test_a_small_area_is_not_a_room():
     assert surveyed(cut((0, 0, 12, 12))).shapes == ()
     assert surveyed(cut((0, 0, 1, 400))).shapes == ()
 
@@ -159,7 +159,7 @@ OPEN_PLAN = seen(
 )
 
 
-def test_nothing_speaks_for_the_kind_of_an_empty_room():
+def test_an_empty_room_has_no_evidence_of_its_kind():
     rooms = memory(cut(LEFT))
     xy_m, weights = rooms.evidence(rooms.rooms[0], "kitchen")
     assert (xy_m.shape, weights.shape) == ((0, 2), (0,))
@@ -167,7 +167,7 @@ def test_nothing_speaks_for_the_kind_of_an_empty_room():
 
 
 @pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
-def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
+def test_evidence_for_a_room_kind_lies_at_its_objects(kind, x_m):
     (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
     assert room.kinds == ("kitchen", "living room")
     votes = rooms.votes(room, kind)
@@ -187,7 +187,7 @@ def test_in_an_open_plan_room_a_kind_is_where_its_objects_are(kind, x_m):
         ("stay_inside", ((4, -1), (9, -1), (9, 5), (4, 5)), True),
     ],
 )
-def test_a_room_is_closed_if_zones_close_all_of_it(kind, corners_m, closed):
+def test_a_room_is_closed_if_zones_cover_it(kind, corners_m, closed):
     (room,) = memory(cut(LEFT)).rooms
     assert room.closed_by(UNNAMED) == ""
     assert room.closed_by(Site((Zone("yard", kind, corners_m),))) == ("yard" if closed else "")
@@ -215,7 +215,7 @@ def test_a_robot_is_inside_away_from_the_border():
     assert [room.is_visited for room in rooms.rooms] == [True, False]
 
 
-def test_rooms_keep_ids_over_a_restart_but_not_over_a_new_frame():
+def test_room_ids_survive_a_restart_but_not_a_new_frame():
     rooms, again = memory(cut(LEFT, RIGHT)), RoomMemory(TABLE, WORDS)
     rooms.on_pose(5.0, 2.0)
     again.load_state_dict(rooms.state_dict())

@@ -56,7 +56,7 @@ def test_an_empty_site(tmp_path):
     assert Site().polygons_m("keep_out") == []
 
 
-def test_all_kinds_come_back_from_a_file(tmp_path):
+def test_all_kinds_survive_a_round_trip_through_a_file(tmp_path):
     path = tmp_path / "folder" / "site.geojson"
     write_site(path, ALL)
     assert read_site(path) == ALL
@@ -70,7 +70,7 @@ coordinate = st.floats(-1000, 1000).map(lambda v: round(v, 3))
     x=coordinate, y=coordinate, deg=st.integers(-180, 180),
     name=st.from_regex(r"[b-z][a-z0-9]{0,20}( [a-z0-9]{1,9}){0,2}", fullmatch=True),
 )  # fmt: skip
-def test_a_place_comes_back_as_it_was(x, y, deg, name):
+def test_a_place_survives_a_round_trip(x, y, deg, name):
     place = item_of(feature(name=name, coordinates=[x, y], heading_deg=deg))
     assert item_of(place.feature()) == place
     assert (place.pose.x_m, place.pose.y_m) == (x, y)
@@ -107,7 +107,7 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature(), feature(name="The dock")), "two features have the name 'dock'"),
     ],
 )  # fmt: skip
-def test_what_is_no_site_is_refused_in_one_line(data, message):
+def test_an_invalid_site_is_refused_in_one_line(data, message):
     with pytest.raises(SiteError) as error:
         site_of(data, "here")
     assert message in str(error.value)
@@ -123,7 +123,7 @@ def test_a_damaged_file_is_named(tmp_path, content):
     assert path.read_bytes() == content
 
 
-def test_what_is_unknown_is_refused_with_what_there_is():
+def test_an_unknown_name_is_refused_with_the_known_names():
     with pytest.raises(SiteError, match=r"no place or zone 'door' .known: dock, stairs, office"):
         ALL.without("door")
 
@@ -155,7 +155,7 @@ def test_an_export_of_nothing_is_an_empty_collection():
     assert memory_geojson(Site().geojson(), []) == {"type": "FeatureCollection", "features": []}
 
 
-def test_an_export_has_places_zones_and_objects_with_what_is_known_of_them():
+def test_an_export_has_places_zones_rooms_and_objects():
     mug = KnownObject(7, "mug", (1.0, 2.0, 0.75), 0.625, 3, 4.0)
     outlineless = replace(KITCHEN, polygon_m=np.zeros((0, 2)))
     rooms = [room.to_json() for room in (KITCHEN, outlineless)]
@@ -193,5 +193,5 @@ def test_every_export_can_be_imported(tmp_path, objects, rooms):
 
 
 @pytest.mark.parametrize("data", [None, [], {"features": 3}, collection({"properties": 7}, 5)])
-def test_what_is_no_collection_of_features_stays_as_it_is(data):
+def test_invalid_collections_are_left_unchanged(data):
     assert without_mapped(data) == data

@@ -177,7 +177,7 @@ def steps_of(text, monkeypatch) -> int:
     return made[-1].steps
 
 
-def test_neither_automaton_nor_steps_depend_on_the_hash_seed():
+def test_automata_do_not_depend_on_the_hash_seed():
     formulas = ["F a", CASE_2_WEAK, targets(8), "(F a | F b) <-> (F c U (d | G e))"]
     program = (
         "import sys; from edge.mission.logic.automaton import compile_formula\n"

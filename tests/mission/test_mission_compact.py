@@ -38,13 +38,15 @@ def test_meanings(tokens: str, text: str) -> None:
 
 
 @pytest.mark.parametrize("tokens", ["", "F", "<3>", "F <0> <1>", "& <0>", REFUSED, "F sofa"])
-def test_what_writes_nothing(tokens: str) -> None:
+def test_invalid_prefix_tokens_raise(tokens: str) -> None:
     with pytest.raises(ValueError, match="is not a formula in prefix notation over 3 names"):
         formula_of(tokens.split(), "abc")
 
 
 @given(st.data(), st.integers(1, MOST_NAMES), st.integers(1, 24))
-def test_whatever_is_allowed_ends_in_a_formula(data: st.DataObject, names: int, most: int) -> None:
+def test_any_allowed_token_sequence_ends_in_a_formula(
+    data: st.DataObject, names: int, most: int
+) -> None:
     written: list[str] = []
     while options := [t for t in allowed(written, names, most) if t != REFUSED]:
         written.append(data.draw(st.sampled_from(options)))

@@ -23,12 +23,12 @@ DEBATABLE = {
     "W ! x x W ! x x": "whether 'not c before b, nor b before a' asks for c",
     "G ! x <=": "how far 'while avoiding b' reaches where more is said",
 }
-"""Parts of formulas, names aside, about which people differ; what about."""
+"""Parts of formulas, without names, that people read differently, with the question."""
 UNCLEAR = {"back", "return", "revisit", "destination"}
 """Words that leave the order open, as in 'go to a and back to b'."""
 
 
-def test_what_is_read_in_one_way_is_what_was_meant() -> None:
+def test_unambiguous_readings_have_the_intended_meaning() -> None:
     composer = Composer(load(), Random(11))
     read, wrong = 0, []
     for _ in range(DRAWN):

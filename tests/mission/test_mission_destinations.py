@@ -1,4 +1,4 @@
-"""Destinations: what the text of a proposition means, and their JSON."""
+"""Destinations: the meaning of a proposition's text, and their JSON."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def test_the_text_decides(text, meant):
         ("caller", "caller: the request does not say where the caller is; send from_pose"),
     ],
 )
-def test_what_cannot_be_done_is_refused(text, message):
+def test_an_impossible_destination_is_refused(text, message):
     with pytest.raises(UserError, match=message):
         destination_of(text, SITE)
 
 
-def test_the_caller_is_where_the_request_says():
+def test_the_caller_is_at_the_requested_pose():
     assert destination_of("caller", with_caller(SITE, DOCK)) == PlaceTarget(DOCK)
     assert with_caller(SITE, None) is SITE
 

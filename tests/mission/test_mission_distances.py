@@ -34,7 +34,7 @@ def fill(snapshot, x0, y0, x1, y1, value=100):
     snapshot.cells[rows, round((x0 - ox) / res) : round((x1 - ox) / res)] = value
 
 
-def test_the_way_leads_through_the_door():
+def test_the_path_leads_through_the_door():
     """A wall across the middle with a door at the far end, left open by its inflation."""
     house = room(8, 6)
     fill(house, 0, 2.7, 8, 3.3, 99)
@@ -64,7 +64,7 @@ def test_a_wall_of_one_cell_has_no_gaps(slope):
 
 @pytest.mark.parametrize(("half_m", "found"), [(0.3, True), (1.0, True), (1.5, False)])
 def test_an_object_is_reached_next_to_it(half_m, found):
-    """It stands in the middle of what is occupied."""
+    """It stands in the middle of occupied cells."""
     snapshot = room(8, 4)
     fill(snapshot, 5 - half_m, 2 - half_m, 5 + half_m, 2 + half_m)
     out = d.distances(snapshot, (1.1, 2.1), [at((5.0, 2.0))])
@@ -73,7 +73,7 @@ def test_an_object_is_reached_next_to_it(half_m, found):
         assert out[1, 0] == pytest.approx(5.0 - half_m - 1.1, abs=0.35)
 
 
-def test_an_object_at_a_wall_is_not_reached_from_the_next_room():
+def test_an_object_at_a_wall_has_no_path_from_behind():
     """It stands against the wall, whose other side is hardly farther from its middle."""
     house = room(6, 4)
     fill(house, 2.7, 0, 3.3, 4, 99)

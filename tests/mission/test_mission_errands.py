@@ -1,4 +1,4 @@
-"""Everyday words for errands: what they are spelled out as, and what a robot cannot do."""
+"""Everyday words for errands: their plain wording, and impossible errands."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("patrol the dock and the bed until I call, then wait", "rest afterwards"),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
+def test_an_impossible_errand_is_refused_in_one_line(said, hint):
     with pytest.raises(UnclearError, match=hint) as error:
         spell_out(said, PLACES)
     assert "\n" not in str(error.value)
@@ -190,7 +190,7 @@ def test_what_cannot_be_done_is_refused_in_one_line(said, hint):
         "clean the sofa",
     ],
 )
-def test_driving_is_no_handling(said):
+def test_driving_is_not_handling(said):
     assert spell_out(said)
 
 
@@ -218,5 +218,5 @@ def test_a_length_of_time(span, seconds):
     [("the living room", True), ("room 12", True), ("aisle five", True), ("kitchen table", False),
      ("office chair", False), ("toilet", True), ("dock", False)],
 )  # fmt: skip
-def test_a_room_is_known_by_its_last_word(name, room):
+def test_a_room_is_recognised_by_its_last_word(name, room):
     assert is_room(bare(name)) is room

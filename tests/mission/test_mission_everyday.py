@@ -144,7 +144,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Pause for a sec.", Control("pause")),
     ],
 )
-def test_what_is_no_mission(said, found):
+def test_questions_and_direct_orders_are_recognised(said, found):
     assert understand(said, NAMES) == found
     with pytest.raises(NoMissionError) as error:
         prepare(MissionConfig(), said, site=SITE)
@@ -167,20 +167,20 @@ def test_what_is_no_mission(said, found):
         "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip
-def test_what_is_an_errand_or_not_clear_goes_to_the_translators(said):
+def test_errands_and_unclear_text_go_to_the_translators(said):
     assert isinstance(understand(said, NAMES), MissionOrder)
 
 
 @pytest.mark.parametrize(
     "said", ["Where is the mug? Go there.", "Remember this as the dock, then go to the bed."]
 )
-def test_several_things_at_once_are_refused(said):
+def test_several_orders_at_once_are_refused(said):
     with pytest.raises(TranslationError, match="one thing at a time"):
         understand(said, NAMES)
 
 
 @pytest.mark.parametrize("said", ["Remember the dock.", "save the mug and the bed"])
-def test_an_order_to_remember_must_say_as_what(said):
+def test_an_order_to_remember_needs_a_name(said):
     with pytest.raises(TranslationError, match="unclear what to remember; say 'remember this as"):
         understand(said, NAMES)
 
@@ -234,7 +234,7 @@ def test_speech_is_tidied(said, text, reasons):
         "thank you for not visiting the sofa", "I want to tell you to skip the sofa",
     ],
 )  # fmt: skip
-def test_a_clause_that_may_direct_the_robot_is_no_remark(clause):
+def test_a_clause_that_may_direct_the_robot_counts(clause):
     assert not is_remark(clause)
     assert tidy_up(f"Go to the bed and the sink, {clause}").reasons == ()
 
@@ -270,7 +270,7 @@ def test_a_reason_that_is_left_out_is_reported():
     assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
 
 
-def test_a_formula_is_no_speech():
+def test_a_formula_is_not_read_as_speech():
     config = MissionConfig(translator=TranslatorLtl())
     assert str(translate(config, "F stop").formula) == "F stop"
 

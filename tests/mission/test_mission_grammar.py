@@ -268,7 +268,7 @@ AMBIGUOUS = [  # all readings, and the index of the one that implies the others
 
 
 @pytest.mark.parametrize(("sentence", "formulas", "safer"), AMBIGUOUS)
-def test_reads_in_every_way(sentence: str, formulas: list[str], safer: int | None) -> None:
+def test_every_reading_is_found(sentence: str, formulas: list[str], safer: int | None) -> None:
     got, implied = distinct(readings(sentence))
     assert implied == safer
     for one, expected in zip(got, formulas, strict=True):
@@ -285,7 +285,7 @@ ACCEPTED = [sentence for sentence, _ in (*HOUSEHOLD, *ON_THE_WAY) if '"' not in 
 
 
 @pytest.mark.parametrize("sentence", ACCEPTED)
-def test_no_unknown_word_is_passed_over(sentence: str) -> None:
+def test_no_unknown_word_is_skipped(sentence: str) -> None:
     """In place of any word and between any two; words alone, so no punctuation helps."""
     words = sentence.split()
     for i in range(len(words) + 1):
@@ -371,7 +371,7 @@ def test_each_meaningful_word_counts(clause: str) -> None:
 
 
 @given(sentences(), st.data())
-def test_no_meaningful_word_is_passed_over(sentence: tuple[list[str], list[int]], data) -> None:
+def test_no_meaningful_word_is_skipped(sentence: tuple[list[str], list[int]], data) -> None:
     words, stars = sentence
     at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
     check_counts(words, at, swapped)
@@ -383,7 +383,7 @@ def auto() -> Translator:
 
 
 @given(sentences(), st.data())
-def test_nor_by_the_translator_that_asks_the_network(sentence, data) -> None:
+def test_the_auto_translator_skips_no_meaningful_word(sentence, data) -> None:
     words, stars = sentence
     at, swapped = data.draw(st.sampled_from(stars)), data.draw(st.sampled_from(["", "fridge"]))
     with contextlib.suppress(TranslationError):
@@ -473,7 +473,7 @@ def test_a_refusal_shows_little_of_the_text(text: str) -> None:
 
 
 @given(st.sampled_from(sorted(TABLE)), st.sampled_from(["", " bed", " a", ",", ", then"]))
-def test_repetition_is_no_trap(phrase: tuple[str, ...], between: str) -> None:
+def test_repetition_is_answered_in_time(phrase: tuple[str, ...], between: str) -> None:
     """The same words over and over, as many as are allowed, are answered all the same."""
     text = ((" ".join(phrase) + between + " ") * MAX_WORDS)[:MAX_CHARS]
     with contextlib.suppress(TranslationError):

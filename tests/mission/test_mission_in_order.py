@@ -29,14 +29,14 @@ def test_nothing_to_plan(text, feasible, cost):
     ("text", "knowledge", "steps"),
     [
         ("F b & F a", None, ("b", "a")),
-        ("F b & F a", knowing("a"), ("b", "a")),  # what was seen changes nothing
+        ("F b & F a", knowing("a"), ("b", "a")),  # detected objects change nothing
         (CHOICE, knowing(["couch", "tv"]), ("chair", "tv")),
         (CHOICE, knowing(failed=["chair"]), ("couch", "tv")),
         ("F (a & F b) & !a W c", None, ("c", "a", "b")),  # the constraint comes first
-        (CASE_1, None, ("bed", "plant", "tv")),  # what may come only later is passed over
+        (CASE_1, None, ("bed", "plant", "tv")),  # a target that may only come later is skipped
     ],
 )
-def test_targets_come_in_the_order_of_mention(text, knowledge, steps):
+def test_targets_are_planned_in_the_order_of_mention(text, knowledge, steps):
     plan = planned(text, knowledge)
     assert plan.steps == steps
     assert plan.target == steps[0]
@@ -44,7 +44,7 @@ def test_targets_come_in_the_order_of_mention(text, knowledge, steps):
 
 
 @given(data=st.data(), automaton=automata())
-def test_it_finds_a_way_if_there_is_one(data, automaton):
+def test_a_plan_is_found_if_there_is_one(data, automaton):
     knowledge = data.draw(knowledge_of(automaton.propositions))
     mine = make_planner(PlannerInOrder(), automaton)
     vitl = make_planner(PlannerVitl(), automaton)

@@ -1,4 +1,4 @@
-"""The `llm` backend against a real HTTP server that says what a model might say."""
+"""The `llm` backend against a real HTTP server with answers like a model's."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_wrong_answer_is_sent_back_once(first, fault):
     assert "\n" not in str(raised.value)
 
 
-def test_an_answer_that_was_cut_off_is_no_formula():
+def test_a_cut_off_answer_is_not_a_formula():
     """`F couch` might be all that is left of `F couch & G !bed`."""
     answers = [completion("F couch", "length"), completion("F couch & G !bed")]
     with serving(lambda handler: send(handler, answers.pop(0))) as server:
@@ -98,7 +98,7 @@ def test_an_answer_that_was_cut_off_is_no_formula():
 
 
 @pytest.mark.parametrize("instruction", ["Do not do that!", "...", "go there, then stop", "😀"])
-def test_an_instruction_without_objects_asks_nobody(instruction):
+def test_an_instruction_without_objects_sends_no_request(instruction):
     with serving(saying("F chair")) as server:
         with pytest.raises(TranslationError, match="names no object to reach"):
             translate(server.url, instruction)
@@ -127,7 +127,7 @@ def test_both_attempts_share_one_time_limit(monkeypatch):
 
 
 @pytest.mark.parametrize("constrain", ["none", "gbnf", "guided_grammar"])
-def test_what_is_asked(constrain):
+def test_the_request_holds_conversation_and_grammar(constrain):
     with serving(saying("F couch & !bed W tv")) as server:
         translate(server.url, constrain=constrain, model="tiny")
     request = server.requests[0][2]

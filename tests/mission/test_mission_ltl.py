@@ -1,4 +1,4 @@
-"""Formulas: what is read, how it is written, what it means."""
+"""Formulas: parsing, text and meaning."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ DEEP = 2_000
     ],
     ids=["parentheses", "not", "F", "U", "->", "&", "& in parentheses", "& | in turns"],
 )
-def test_depth_is_no_obstacle(text):
+def test_deep_formulas_are_supported(text):
     f = parse(text)
     assert parse(to_text(f)) == f
     assert hash(parse(text)) == hash(f)

@@ -76,7 +76,7 @@ BELIEVED = [
 
 
 @pytest.mark.parametrize(("said", "written", "sure", "texts"), BELIEVED)
-def test_what_is_believed(
+def test_likely_readings_are_offered_with_their_confidence(
     said: str, written: list[tuple[str, float, float]], sure: bool, texts: list[str] | None
 ) -> None:
     if texts is None:  # nothing to offer that is likely to be right
@@ -144,7 +144,7 @@ READ = [
 
 
 @pytest.mark.parametrize(("said", "text"), READ)
-def test_the_shipped_one_reads_what_people_say(said: str, text: str) -> None:
+def test_the_shipped_model_reads_common_instructions(said: str, text: str) -> None:
     guess = shipped().read(said)
     assert guess.confident
     assert distinguishing_trace(guess.formulas[0], parse(text)) is None
@@ -161,7 +161,7 @@ NOT_READ = [
 
 
 @pytest.mark.parametrize("said", NOT_READ)
-def test_the_shipped_one_takes_no_orders_it_cannot_keep(said: str) -> None:
+def test_the_shipped_model_is_unsure_of_unsupported_orders(said: str) -> None:
     with contextlib.suppress(TranslationError):
         assert not shipped().read(said).confident
 
@@ -176,7 +176,7 @@ CHANGED = [
 
 
 @pytest.mark.parametrize(("said", "word"), CHANGED)
-def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
+def test_a_meaningful_word_changes_the_reading(said: str, word: str) -> None:
     whole = shipped().read(said).formulas[0]
     try:
         less = shipped().read(" ".join(w for w in said.split() if w.strip(",") != word))
@@ -185,7 +185,7 @@ def test_a_word_that_matters_changes_what_is_read(said: str, word: str) -> None:
     assert not less.confident or distinguishing_trace(whole, less.formulas[0]) is not None
 
 
-LEFT_OVER = [  # what the rest of it means is plain; the refusal names a word of it
+LEFT_OVER = [  # the rest has a clear meaning; the refusal names a word of it
     ("go to all sofas, but do not go to the table", "all"),
     ("go to the sofa, but do not go to the table every time", "every time"),
     ("visit the sofa and the bed, avoid the table if you can", "if"),
@@ -204,7 +204,7 @@ def test_a_word_that_is_left_over_is_refused_by_name(said: str, word: str) -> No
     assert word in refused.value.part
 
 
-def test_no_inserted_negation_is_passed_over() -> None:
+def test_no_inserted_negation_is_skipped() -> None:
     passed = []
     for said, _ in READ[:1]:
         meant, words = shipped().read(said).formulas[0], said.split()

@@ -204,7 +204,7 @@ def test_is_refused(sentence: str) -> None:
 
 
 @pytest.mark.parametrize("sentence", CONTRADICTIONS)
-def test_nothing_fulfils_it(sentence: str) -> None:
+def test_contradictions_are_refused(sentence: str) -> None:
     with pytest.raises(TranslationError, match="contradiction"):
         make_translator(TranslatorGrammar()).translate(sentence)
 

@@ -156,7 +156,7 @@ REFUSED = [
     ("visit the sofa twice, then the bed, no revisiting", "no revisiting"),
 ]  # fmt: skip
 
-COMPOSED = [  # what the composer of the small translator's sentences showed to be misread
+COMPOSED = [  # misreadings found with the sentences of the small translator's composer
     ("stop by the sofa. afterwards be careful not to see the bed", "F sofa & G (sofa -> G !bed)"),
     ("only explore the sofa one single time", "F sofa & !F (sofa & F (!sofa & F sofa))"),
     ("you should end up at landmark two after visiting landmark one",
@@ -168,7 +168,7 @@ COMPOSED = [  # what the composer of the small translator's sentences showed to 
 ]  # fmt: skip
 
 
-SAID_OTHERWISE = [  # what people said where a list of examples had not thought of it
+SAID_OTHERWISE = [  # sentences of people that the examples lacked
     ("Drone, find landmark 2", 'F "landmark two"'),
     ("I want you in the kitchen, but the sofa is off limits", "F kitchen & G !sofa"),
     ("go to the kitchen; the robot is forbidden from the hallway", "F kitchen & G !hallway"),
@@ -306,8 +306,8 @@ NO_LONGER_READ = [  # too rare to keep their rules: they are refused, not misrea
 ]
 
 
-def told(sentence: str) -> tuple[Formula, ...]:
-    """All that it may mean."""
+def formulas_of(sentence: str) -> tuple[Formula, ...]:
+    """Return the distinct formulas of the sentence."""
     return distinct(readings(sentence))[0]
 
 
@@ -327,14 +327,14 @@ MEANT = [*((said, [formula]) for said, formula in PLAIN), *ASKED, *ASKED_ABOUT]
 
 @pytest.mark.parametrize(("sentence", "formulas"), MEANT)
 def test_means(sentence: str, formulas: list[str]) -> None:
-    for one, expected in zip(told(sentence), formulas, strict=True):
+    for one, expected in zip(formulas_of(sentence), formulas, strict=True):
         assert distinguishing_trace(one, parse(expected)) is None, f"{one} is not {expected}"
 
 
 @pytest.mark.parametrize(("sentence", "part"), REFUSED)
 def test_refuses(sentence: str, part: str) -> None:
     with pytest.raises(TranslationError) as refusal:
-        told(sentence)
+        formulas_of(sentence)
     assert part in refusal.value.part
 
 

@@ -1,4 +1,4 @@
-"""Places in instructions: by name, and by the words for where the robot was."""
+"""Places in instructions: by name, and by words for the robot's earlier place."""
 
 from __future__ import annotations
 
@@ -73,9 +73,7 @@ def briefed(instruction: str):
         ("visit the sofa and the bed", "F sofa & F bed", [], ("sofa", "bed")),
     ],
 )  # fmt: skip
-def test_a_place_is_a_target_that_the_detector_does_not_look_for(
-    instruction, formula, places, prompts
-):
+def test_a_place_is_a_target_without_a_prompt(instruction, formula, places, prompts):
     spec = briefed(instruction)
     assert str(spec.automaton.formula) == formula
     assert list(spec.translation.destinations) == places
@@ -93,7 +91,7 @@ def test_a_pose_that_is_not_known_yet_is_left_open():
     "instruction",
     ["go to the dock, then frobnicate the chair", "go to the chair, then frobnicate the dock"],
 )
-def test_what_is_not_understood_is_where_it_was_written(instruction):
+def test_an_unknown_word_is_reported_at_its_position(instruction):
     position = instruction.index("frobnicate") + 1
     with pytest.raises(TranslationError, match=f"character {position}: ") as error:
         briefed(instruction)
@@ -119,7 +117,7 @@ def test_a_file_of_places_needs_a_frame_that_lasts():
         ('go to "mug on desk in crypt"', "", ()),
     ],
 )  # fmt: skip
-def test_a_thing_may_be_in_a_room_that_a_person_named(instruction, formula, prompts):
+def test_an_object_may_be_in_a_named_room(instruction, formula, prompts):
     site, config = SITE.with_item(RoomName("den", (4.0, 2.0))), MissionConfig()
     if not formula:
         with pytest.raises(

@@ -97,7 +97,7 @@ def test_failed_objects(text, failed, feasible, blocked_by, target):
     assert math.isinf(plan.cost) == (not feasible)
 
 
-def test_what_was_reached_is_known():
+def test_reached_objects_are_known():
     assert planned("F(a & X F b)", knowing(reached="a")).cost == 1.01
 
 
@@ -140,7 +140,7 @@ def test_reasons(knowledge, reason):
 METRES = PlannerVitl(weights="distance")
 
 
-def test_no_way_leads_back_to_what_was_just_reached_because_a_detour_seems_shorter():
+def test_distances_to_another_instance_make_no_detour():
     """a has a second instance next to b: a path to it is no path to b by the first."""
     distance = np.array([[0, 2.0], [2.0, 0], [0.9, 6.0]])
     planner = make_planner(METRES, compiled("F (a & X b)"))
@@ -163,7 +163,7 @@ def test_the_margin_keeps_the_current_target(current, gain_m, target):
         assert plan.reason == (f"a is kept: b first would save {gain_m:.1f} m, not more than 1.0 m")
 
 
-def test_the_margin_never_keeps_a_failed_target_or_one_that_changes_nothing():
+def test_the_margin_keeps_only_targets_that_make_progress():
     near = np.array([[0, 0.5], [0.5, 0], [0.0, 0.5]])
     failed = knowing("b", failed="a", distance_m=near)
     assert planned("F(a | b)", failed, "a", METRES).target == "b"
@@ -298,7 +298,7 @@ def test_warm_up_runs(weights):
 
 
 class Alphabetical:
-    """A planner of one's own."""
+    """A plugin planner."""
 
     def __init__(self, automaton, instruction, last=False):
         self.letters, self.instruction, self.last = automaton.propositions, instruction, last
@@ -308,7 +308,7 @@ class Alphabetical:
         return TargetPlan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
 
 
-def test_a_planner_of_ones_own_is_given_the_mission_and_its_options():
+def test_a_plugin_planner_gets_the_mission_and_its_options():
     own = PlannerPlugin(kind=f"{__name__}:Alphabetical", options={"last": True})
     plan = make_planner(own, compiled("F a & F b"), "Reach a and b.").plan(0, MissionKnowledge())
     assert (plan.target, plan.reason) == ("b", "Reach a and b.")

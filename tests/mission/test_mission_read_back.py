@@ -14,7 +14,7 @@ from edge.mission.spec import prepare
 @pytest.mark.parametrize(
     "formula", ["true", "G !bed", "F bed | F sofa", "F (bed & F (!bed & F bed))"]
 )
-def test_other_forms_are_no_orders(formula):
+def test_other_formulas_have_no_read_back(formula):
     assert orders_of(parse(formula), {}) == ""
 
 

@@ -53,7 +53,7 @@ def test_the_phrase_at_the_end_is_the_repetition(text, rest, repeat):
 
 
 @pytest.mark.parametrize("phrase", ["zero times", "0 times", "99999 times", "for 30 hours"])
-def test_an_end_that_cannot_be_is_refused(phrase):
+def test_an_invalid_repetition_is_refused(phrase):
     with pytest.raises(UserError, match=r"expected a (number|time)"):
         split_repetition(f"go to a; repeat {phrase}")
 
@@ -68,18 +68,18 @@ def test_an_end_that_cannot_be_is_refused(phrase):
         (PATROL, Repetition(2), PATROL, Repetition(2)),
     ],
 )
-def test_recurrence_is_one_round_that_repeats(formula, given, one_round, repeat):
+def test_recurrence_becomes_one_round_that_repeats(formula, given, one_round, repeat):
     spec = prepare(MissionConfig(), formula=formula, repeat=given, site=SITE)
     assert (str(spec.automaton.formula), spec.translation.repeat) == (one_round, repeat)
 
 
 @pytest.mark.parametrize("formula", ["F dock", "F (dock | shelf)", "F (dock & X F dock)"])
-def test_one_stop_is_no_round(formula):
+def test_one_stop_is_not_a_round(formula):
     with pytest.raises(UserError, match="name at least two things or places"):
         prepare(MissionConfig(), formula=formula, repeat=Repetition(), site=SITE)
 
 
-def test_the_rounds_are_counted_and_the_last_one_ends_it():
+def test_the_last_of_several_rounds_ends_the_mission():
     mission = begun(repeat=Repetition(3))
     assert mission.status("searching").reason == "round 1 of 3"
     assert patrol(mission, 3) == ["dock", "shelf", "dock"]
@@ -92,7 +92,7 @@ def test_the_rounds_are_counted_and_the_last_one_ends_it():
     assert [s.text for s in mission.log if s.kind == "round"] == ["round 2 of 3", "round 3 of 3"]
 
 
-def test_it_ends_when_its_time_is_over_in_any_round():
+def test_the_time_limit_ends_a_patrol_in_any_round():
     mission = begun(repeat=Repetition(limit_s=600.0), time_limit_s=400.0)
     mission.observe(None, 390 * S)
     mission.check_limits(390 * S)
@@ -120,14 +120,14 @@ def test_the_limits_of_a_mission_apply_to_each_round():
     ("repeat", "phase", "reason"),
     [(Repetition(), "reached", "cancelled; 1 round done"), (Repetition(9), "failed", "cancelled")],
 )
-def test_a_person_ends_what_has_no_end(repeat, phase, reason):
+def test_cancelling_an_endless_patrol_counts_as_reached(repeat, phase, reason):
     mission = begun(repeat=repeat)
     patrol(mission, 3)
     mission.cancel("cancelled", S)
     assert (mission.status("searching").phase, mission.reason) == (phase, reason)
 
 
-def test_a_stop_that_fails_is_left_out_and_tried_again_in_the_next_round():
+def test_a_failed_stop_is_retried_in_the_next_round():
     mission = begun(repeat=Repetition(2))
     patrol(mission, 1)
     mission.abandon_target("no path", S)
@@ -136,7 +136,7 @@ def test_a_stop_that_fails_is_left_out_and_tried_again_in_the_next_round():
     assert mission.reason == "2 rounds done"
 
 
-def test_it_fails_when_no_stop_can_be_reached():
+def test_a_patrol_fails_if_no_stop_is_reachable():
     mission = begun(repeat=Repetition())
     mission.abandon_target("no path to dock", S)
     assert mission.target == "shelf"

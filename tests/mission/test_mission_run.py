@@ -43,7 +43,7 @@ def test_a_seen_branch_is_switched_to_at_once():
     assert kinds(mission)[2:] == ["seen", "target"]
 
 
-def test_reaching_the_targets_in_order_fulfils_it():
+def test_reaching_the_targets_in_order_ends_the_mission():
     mission = begun()
     mission.on_detections({"sofa": 1}, S)
     mission.on_reached("seen in 5 images", 2 * S)
@@ -54,7 +54,7 @@ def test_reaching_the_targets_in_order_fulfils_it():
     assert kinds(mission)[-2:] == ["reached", "end"]
 
 
-def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
+def test_a_failed_branch_gives_way_to_the_other():
     mission = begun()
     mission.abandon_target("found no chair", S)
     assert (mission.target, mission.sets.failed) == ("sofa", {"chair"})
@@ -64,7 +64,7 @@ def test_a_failed_branch_gives_way_to_the_other_and_the_last_ends_it():
     assert "found no" in status.reason
 
 
-def test_what_failed_is_tried_again_only_when_another_one_is_seen():
+def test_a_failed_target_is_retried_for_a_new_instance():
     mission = begun()
     mission.on_detections({"chair": 4}, S)
     mission.abandon_target("no way to it", 2 * S)
@@ -75,7 +75,7 @@ def test_what_failed_is_tried_again_only_when_another_one_is_seen():
     assert (mission.target, mission.sets.failed) == ("chair", frozenset())
 
 
-def test_what_failed_before_a_restart_needs_a_newer_instance_too():
+def test_a_target_failed_before_a_restart_needs_a_new_instance():
     mission = begun("F (chair | sofa)")
     config = MissionConfig()
     second = MissionRun(mission.spec, config)
@@ -94,7 +94,7 @@ def test_what_failed_before_a_restart_needs_a_newer_instance_too():
     assert third.target == "chair"
 
 
-def test_a_step_without_anything_reached_is_taken_where_the_formula_asks_for_it():
+def test_an_empty_step_is_taken_if_the_formula_needs_one():
     mission = begun("F (chair & F (!chair & F chair))")
     mission.on_reached("", S)
     assert mission.trace == ("chair", "")
@@ -147,7 +147,7 @@ def test_the_end_is_final():
     assert (mission.status("searching").phase, mission.reason) == ("reached", "confirmed")
 
 
-def test_it_goes_on_where_another_run_of_it_stopped():
+def test_a_restored_mission_resumes_at_the_same_state():
     first = begun()
     first.on_detections({"sofa": 1}, S)
     first.on_reached("", 2 * S)

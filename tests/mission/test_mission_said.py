@@ -1,4 +1,4 @@
-"""Instructions by people who had not seen the grammar: none is misunderstood."""
+"""Instructions by people without knowledge of the grammar: none is misunderstood."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scores() -> list[TranslationScore]:
     return [score(case, translator) for case in custom_cases(SAID)[0]]
 
 
-def test_nothing_is_taken_for_another_thing(scores) -> None:
+def test_no_sentence_gets_a_wrong_object(scores) -> None:
     assert not wrong(scores)
 
 
@@ -34,7 +34,7 @@ def test_most_is_understood(scores) -> None:
     assert right >= 0.77 * len(scores)
 
 
-def test_what_was_once_misread_is_read_or_refused() -> None:
+def test_reported_misreadings_are_read_right_or_refused() -> None:
     """Variants of each misreading that was reported, judged by hand."""
     translator = make_translator(TranslatorAuto())
     scores = [score(case, translator) for case in custom_cases(PROBED)[0]]

@@ -8,7 +8,7 @@ from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import prepare
 
 
-def test_a_bare_target_is_the_mission_to_reach_it():
+def test_a_bare_target_becomes_a_formula():
     spec = prepare(MissionConfig(target="trash can"))
     assert str(spec.automaton.formula) == 'F "trash can"'
     assert spec.targets == ("trash can",)
@@ -32,7 +32,7 @@ def test_a_bare_target_is_the_mission_to_reach_it():
         ("F (a", ["column"]),
     ],
 )
-def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words):
+def test_an_impossible_mission_is_refused_with_the_reason(formula, words):
     with pytest.raises(UserError) as caught:
         prepare(MissionConfig(), formula=formula)
     text = str(caught.value)
@@ -51,16 +51,16 @@ def test_a_mission_that_makes_no_sense_is_refused_with_the_reason(formula, words
         ("go to the please", "expected the name of a thing"),
     ],
 )
-def test_an_article_or_a_filler_is_no_thing(said, hint):
+def test_an_article_or_filler_is_not_an_object(said, hint):
     with pytest.raises(UserError, match=hint):
         prepare(MissionConfig(), said)
 
 
-def test_letters_may_name_things():
+def test_letters_may_name_objects():
     assert str(prepare(MissionConfig(), "go to a, then b").automaton.formula) == "F (a & F b)"
 
 
-def test_what_does_not_matter_is_not_looked_for():
+def test_irrelevant_objects_are_not_targets():
     spec = prepare(MissionConfig(), formula="F (chair & (bed | !bed))")
     assert spec.targets == ("chair",)
     assert spec.warnings == ("does not affect the mission: bed",)
@@ -69,7 +69,7 @@ def test_what_does_not_matter_is_not_looked_for():
 AMBIGUOUS = "the sofa must be visited before the bed"
 
 
-def test_a_person_who_gives_an_instruction_is_asked_and_the_configuration_cannot_be() -> None:
+def test_only_requests_are_asked_about_ambiguity() -> None:
     with pytest.raises(AmbiguousInstructionError) as caught:
         prepare(MissionConfig(), AMBIGUOUS)
     told = caught.value.details["readings"]

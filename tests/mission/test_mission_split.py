@@ -25,7 +25,7 @@ def texts(formula: str) -> list[str]:
         ("F bed & F (sofa & F lamp)", ["F bed", "F (sofa & F lamp)"]),
         ("F bed & F sofa & !F sink", ["F bed & !F sink", "F sofa & !F sink"]),
         ("F bed & F sofa & G !(a | b)", ["F bed & G !(a | b)", "F sofa & G !(a | b)"]),
-        # One that concerns what one part reaches does not bind the others to it.
+        # A ban about the targets of one part does not bind the other parts.
         ("F (bed | a) & G !a & F tv", ["F (bed | a) & G !a", "F tv & G !a"]),
         # Order binds.
         ("F bed & F sofa & !sofa W bed", ["F bed & F sofa & !sofa W bed"]),
@@ -87,7 +87,7 @@ MISSIONS = st.builds(
 
 
 @given(MISSIONS, st.data())
-def test_words_of_the_parts_interleaved_in_any_way_fulfil_the_whole(formula, data):
+def test_words_of_the_parts_fulfil_the_whole_in_any_order(formula, data):
     found = split(formula)
     words = [data.draw(fulfilling(part)) for part in found.parts]
     if any(word is None for word in words):

@@ -46,7 +46,7 @@ def module(name: str, **attributes: object) -> ModuleType:
     ],
     ids=["none", "the other package", "too old", "other buddy"],
 )
-def test_what_is_not_spot_is_told_apart(monkeypatch, modules, says):
+def test_wrong_spot_modules_are_recognised(monkeypatch, modules, says):
     for name, fake in modules.items():
         monkeypatch.setitem(sys.modules, name, fake)
     assert not spot_compiler.available()

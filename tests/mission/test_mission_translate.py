@@ -111,7 +111,7 @@ TOGETHER = [
         "",
         True,
     ),
-    # No guess at a text that is no order, or whose scope is unknown.
+    # The translator does not guess about a text without an order or with an unknown scope.
     (
         "have you been to the bed?",
         _reader("F bed"),
@@ -126,7 +126,7 @@ TOGETHER = [
 
 
 @pytest.mark.parametrize(("said", "small", "large", "wanted", "by", "sure"), TOGETHER)
-def test_auto_takes_what_is_agreed_on(
+def test_auto_takes_the_reading_that_translators_agree_on(
     said: str, small: Backend, large: Backend | None, wanted: object, by: str, sure: bool
 ) -> None:
     read = combined_backend(small, large)
@@ -147,7 +147,7 @@ def test_a_mission_reports_that_the_language_model_did_not_answer() -> None:
     assert (str(found.formula), found.warning) == ("F bed", warning)
 
 
-# Said, what a model makes of it, and what is asked about then; a text: it is refused with that.
+# Instruction, formula of a model, and the question to the user; a text is a refusal.
 BANNED = [
     ("go to both sofas, but do not go to the table", "F sofa & G !table", None),
     ("go to both sofas, but do not go to the table", "F sofa | G !table",
@@ -163,7 +163,7 @@ BANNED = [
 
 
 @pytest.mark.parametrize(("said", "formula", "asked"), BANNED)
-def test_a_models_formula_heeds_the_bans_that_the_rules_read(
+def test_bans_of_the_rules_apply_to_a_models_formula(
     said: str, formula: str, asked: list[str] | str | None
 ) -> None:
     read = ParsedInstruction([parse(formula)], "llm")
@@ -176,7 +176,7 @@ def test_a_models_formula_heeds_the_bans_that_the_rules_read(
     assert [str(one) for one in found.formulas] == (asked or [formula])
 
 
-def test_auto_opens_no_network_for_what_the_grammar_reads() -> None:
+def test_auto_loads_no_network_if_the_grammar_suffices() -> None:
     auto = make_translator(TranslatorAuto(card="none"))
     assert auto.translate("go to the bed").backend == "grammar"
     with pytest.raises(ModelError, match="'none': no such card"):

@@ -110,7 +110,7 @@ def test_nothing_to_check(put_card, capsys):
         ("ground", ("[1,3,64,64] x", "[1,3,64,32] x"), "must have one input"),
     ],
 )
-def test_an_unsound_model_is_one_line(put, task, change, message):
+def test_an_unsound_model_is_an_error_of_one_line(put, task, change, message):
     path = put(task, change)
     with pytest.raises(ModelError) as raised:
         check_model(load_single_file_card(task))
@@ -131,7 +131,7 @@ def test_undecodable_text_of_onnxruntime_becomes_one_line(put, capfd):
     assert "onnxruntime cannot load the model" in err
 
 
-def test_the_others_are_still_checked(put, capsys):
+def test_a_bad_model_does_not_stop_other_checks(put, capsys):
     put("detect", digest="0" * 64)
     put("text")
     code, out, (error,) = check(capsys)

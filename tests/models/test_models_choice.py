@@ -125,12 +125,12 @@ def test_a_card_that_cannot_be(published, capsys, change, says_so):
     assert says_so in says(capsys, "list", "--check", "tiny", code=69)
 
 
-def test_it_has_no_single_file(published, capsys):
+def test_a_model_of_several_files_has_no_single_file(published, capsys):
     said = says(capsys, "list", "--check", "tiny", "--file", str(published / DECODER), code=69)
     assert "tiny': has several files" in said
 
 
-def test_cards_of_the_package_name_what_their_families_need():
+def test_shipped_choice_cards_name_all_their_files():
     cards = [card for card in all_cards() if isinstance(card, ChoiceCard)]
     assert {"smolvlm-256m-q4", "qwen2-vl-2b-q4f16", "smollm2-135m-q4"} <= {c.name for c in cards}
     for card in cards:
@@ -193,7 +193,7 @@ class Corridor:
         (0.0, "lamp", [False] * 3),  # none there
     ],
 )
-def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing, expected):
+def test_the_correct_mark_leaves_the_shortest_path(yaw_rad, thing, expected):
     world, pose = Corridor(thing), SE2(0.0, 0.0, yaw_rad)
     pictures = BenchFrames("one", [], (), None, world, (pose,))
     view = MarkedView(Observation(0, 0, np.eye(4)), "bed", MARKS)
@@ -203,9 +203,7 @@ def test_right_is_the_mark_from_which_the_least_is_left_to_drive(yaw_rad, thing,
     assert not choices.correct_marks(np.array([choices._remaining_m(blind, view)])).any()
 
 
-def test_the_small_scorer_is_listed_next_to_the_detectors_of_its_family(
-    tmp_path, monkeypatch, capsys
-):
+def test_the_small_scorer_is_listed_with_its_family(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     told = says(
         capsys, "bench", "--models", "mini-house", "demo", "--frames", "4", "--providers", "cpu",

@@ -24,7 +24,7 @@ def part(tmp_path, sha256=SHA256, size=None):
 
 
 def left(tmp_path):
-    """Bytes of what lies in the folder, by name."""
+    """Return the sizes of the files in the folder, by name."""
     return {path.name: path.stat().st_size for path in tmp_path.iterdir()}
 
 
@@ -34,14 +34,14 @@ def fetch(server, tmp_path, limits=LIMITS, **expected):
 
 
 @pytest.mark.parametrize("content", [b"", CONTENT])
-def test_a_file_comes_whole(server, tmp_path, content):
+def test_a_file_is_downloaded_completely(server, tmp_path, content):
     server.put("/w.pt", content)
     fetch(server, tmp_path, sha256=hashlib.sha256(content).hexdigest())
     assert (tmp_path / "w.pt").read_bytes() == content
     assert left(tmp_path) == {"w.pt": len(content)}
 
 
-def test_a_broken_connection_is_resumed_where_it_ended(server, tmp_path):
+def test_a_broken_download_resumes_at_its_end(server, tmp_path):
     how = server.put("/w.pt", CONTENT, cut=40_000)
     fetch(server, tmp_path)
     assert [asked.get("range") for asked in how.asked] == [None, "bytes=40000-", "bytes=80000-"]
@@ -59,7 +59,7 @@ def test_a_part_of_an_earlier_run_is_resumed(server, tmp_path):
     assert left(tmp_path) == {"w.pt": len(CONTENT)}
 
 
-def test_a_server_that_cannot_resume_sends_all_of_it_again(server, tmp_path):
+def test_a_server_without_ranges_sends_the_whole_file(server, tmp_path):
     part(tmp_path).path.write_bytes(CONTENT[:5])
     server.put("/w.pt", CONTENT, ranges=False)
     fetch(server, tmp_path)
@@ -67,7 +67,7 @@ def test_a_server_that_cannot_resume_sends_all_of_it_again(server, tmp_path):
 
 
 @pytest.mark.parametrize("earlier", [b"x" * 50, b"x" * 200_000], ids=["other", "longer"])
-def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, earlier):
+def test_a_wrong_partial_file_is_discarded(server, tmp_path, earlier):
     part(tmp_path).path.write_bytes(earlier)
     server.put("/w.pt", CONTENT)
     fetch(server, tmp_path)
@@ -75,7 +75,7 @@ def test_a_part_that_is_no_beginning_of_the_file_is_forgotten(server, tmp_path, 
 
 
 @pytest.mark.parametrize("came", [CONTENT[:50], b"x" * 50], ids=["beginning", "other"])
-def test_what_a_source_left_that_broke_off_is_not_blamed_on_the_next(server, tmp_path, came):
+def test_a_wrong_partial_file_does_not_fail_the_next_source(server, tmp_path, came):
     how = server.put("/w.pt", CONTENT)
     with part(tmp_path) as target:
         target.write(came)
@@ -103,9 +103,7 @@ def test_a_part_that_is_whole_needs_no_server(server, tmp_path):
     ],
     ids=["hash", "long", "short", "huge", "missing", "file", "loop"],
 )  # fmt: skip
-def test_what_is_not_the_file_is_refused_and_leaves_nothing(
-    server, tmp_path, how, expected, message
-):
+def test_a_wrong_file_is_refused_and_leaves_nothing(server, tmp_path, how, expected, message):
     server.put("/w.pt", **how)
     with pytest.raises(FetchError) as error:
         fetch(server, tmp_path, **expected)
@@ -122,7 +120,7 @@ def test_a_server_that_sends_more_than_announced_is_cut_off(tmp_path, server):
     assert left(tmp_path) == {}
 
 
-def test_a_file_that_outgrows_its_size_is_let_go(tmp_path):
+def test_a_file_over_its_size_is_discarded(tmp_path):
     with part(tmp_path, size=10) as target:
         target.write(b"123456789")
         with pytest.raises(FetchError, match="longer than the expected 10 bytes"):
@@ -174,7 +172,7 @@ def test_a_place_that_cannot_be_written(tmp_path):
         pass
 
 
-def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
+def test_a_pipe_instead_of_a_partial_file_is_an_error(tmp_path):
     os.mkfifo(part(tmp_path).path)
     with pytest.raises(ModelError, match=r"part: cannot be written \(Not a regular file\)"):
         part(tmp_path).__enter__()
@@ -182,7 +180,7 @@ def test_a_pipe_in_the_place_of_a_part_is_not_waited_for(tmp_path):
 
 @contextlib.contextmanager
 def full_disk(limit):
-    """No file may grow longer; what does not fit is refused as by a full disk."""
+    """Limit the size of every file; longer writes fail as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
     try:
@@ -197,7 +195,7 @@ def write_in_blocks(tmp_path):
             target.write(CONTENT[begin : begin + 1024])
 
 
-def test_a_full_disk_is_one_line_and_what_fits_is_kept(tmp_path):
+def test_a_full_disk_keeps_the_part_that_fits(tmp_path):
     with full_disk(50_000), pytest.raises(ModelError, match=r"part: cannot be written \(File too"):
         write_in_blocks(tmp_path)
     with part(tmp_path) as target:

@@ -52,7 +52,7 @@ def test_an_encoders_parity_is_that_of_its_embeddings(put_card, capsys):
     assert "cosine 0.999 of torch" in capsys.readouterr().out
 
 
-def test_json_has_all_that_the_cards_say_and_where_files_are(put_card, capsys):
+def test_json_has_the_card_data_and_file_paths(put_card, capsys):
     put_card(TEXT)
     put_card(SCORER)
     resources.models_dir().mkdir(parents=True)

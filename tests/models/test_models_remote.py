@@ -63,7 +63,7 @@ def test_check_reports_an_unusable_model(far, capsys, run, why):
     assert why in line
 
 
-def test_what_needs_a_file_says_that_a_server_has_it(far, capsys):
+def test_a_model_on_a_server_needs_no_file(far, capsys):
     far("http://127.0.0.1:1")
     runs = "the server http://127.0.0.1:1 runs it"
     assert main(["models", "pull", "far"]) == 0
@@ -76,7 +76,7 @@ def test_what_needs_a_file_says_that_a_server_has_it(far, capsys):
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_the_doctor_looks_whether_anything_listens(far, there):
+def test_the_doctor_checks_if_a_server_listens(far, there):
     with serving(KServe(model)) as server:
         far(server.url if there else "http://127.0.0.1:1")
         (found,) = [f for f in model_checks.check_models(simulated()) if "model far" in f.what]

@@ -54,7 +54,7 @@ def test_a_swap_that_is_over_at_once():
     assert followed(Service(swap("refused", "no"))) == [("refused", "no")]
 
 
-def test_the_end_of_another_swap_is_not_reported_as_the_end_of_this_one():
+def test_the_end_of_another_swap_is_not_reported():
     with pytest.raises(RequestError, match="another swap began before this one ended"):
         followed(Service(swap("loading"), swap("kept", number=2)))
 
@@ -70,7 +70,7 @@ def test_patience_has_an_end():
     assert len(service.requests) == 4
 
 
-def test_no_service_is_one_line_and_a_failure(tmp_path, capsys):
+def test_without_a_service_the_command_fails_in_one_line(tmp_path, capsys):
     path = tmp_path / "c.yaml"
     data = {"zenoh": {"endpoint": "tcp/127.0.0.1:1"}, "perception": {"detector": {"kind": "sim"}}}
     path.write_text(json.dumps(data))

@@ -90,9 +90,9 @@ class FakeTensorrt:
 
     Attributes:
         built: shapes that an engine was built for, one entry per build.
-        faults: what the parser finds wrong.
-        refuses: whether the builder makes no engine.
-        unreadable: how many engines are not loaded.
+        faults: errors of the parser.
+        refuses: True if the builder makes no engine.
+        unreadable: number of engines that do not load.
     """
 
     __version__ = "10.3.0"

@@ -1,4 +1,4 @@
-"""A model process for tests: its detector does what the first pixel of an image says.
+"""A model process for tests: the first pixel of an image steers its detector.
 
 Started in place of `edge.perception.serve_detector`. With a model other than `steered` it serves
 that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says

@@ -55,7 +55,7 @@ def test_a_phrase_is_read(prompt, phrase):
 
 
 @pytest.mark.parametrize("prompt", ["elephant", "white", "dish washer", "wine glass", "lamb"])
-def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
+def test_an_unknown_noun_is_refused_with_the_nearest_category(prompt):
     with pytest.raises(PromptError, match=r"only the built-in world's 7 categories \(nearest: \w+"):
         parse(prompt, WORDS)
 
@@ -72,7 +72,7 @@ def test_an_unknown_noun_is_an_error_that_names_what_there_is(prompt):
         ("a non-red chair", "'non' is not understood"),
     ],
 )
-def test_what_cannot_be_is_an_error(prompt, message):
+def test_a_contradictory_phrase_is_refused(prompt, message):
     with pytest.raises(PromptError, match=message):
         parse(prompt, WORDS)
 
@@ -83,7 +83,7 @@ def test_what_cannot_be_is_an_error(prompt, message):
     st.sampled_from(WORDS.categories),
     st.data(),
 )
-def test_every_phrase_is_read_back_in_any_order_and_with_any_alias(size, color, category, data):
+def test_phrases_are_read_in_any_order_with_any_alias(size, color, category, data):
     phrase = Phrase(category, color, size)
     assert parse(str(phrase), WORDS) == phrase
     noun = data.draw(st.sampled_from(names.names_of(category)))
@@ -104,7 +104,7 @@ def test_every_phrase_is_read_back_in_any_order_and_with_any_alias(size, color, 
     st.sampled_from([None, *WORDS.colors]),
     st.sampled_from(WORDS.categories),
 )
-def test_contrasts_differ_in_one_thing_that_the_phrase_says(size, color, category):
+def test_contrasts_differ_in_one_attribute_of_the_phrase(size, color, category):
     phrase = Phrase(category, color, size)
     others = [parse(text, WORDS) for text in contrasting(phrase, WORDS)]
     assert bool(others) == bool(size or color)
@@ -136,12 +136,12 @@ def test_a_vocabulary_survives_json():
      json.dumps({"categories": [1], "colors": [], "sizes": []}),
      json.dumps({"categories": "chair", "colors": [], "sizes": []})],
 )  # fmt: skip
-def test_what_is_no_vocabulary_is_refused(text):
+def test_an_invalid_vocabulary_is_refused(text):
     with pytest.raises(ValueError, match=r"Expecting|not an object|not a list"):
         Vocabulary.from_json(text)
 
 
-def test_the_nearest_words_come_by_alias_too():
+def test_the_nearest_words_include_aliases():
     assert nearest("setee", WORDS)[0] == "sofa"
     assert nearest("bim", WORDS)[0] == "trash can"
     assert 0 < len(nearest("xyzzy", WORDS)) <= 5

@@ -83,7 +83,7 @@ def test_a_bad_card_names_file_and_key(place, changes, message):
 
 
 @pytest.mark.parametrize("text", ["", "- a\n", "name: [", "\x00", "a: 2024-13-45", "[" * 1000])
-def test_what_is_no_card_is_named(place, tmp_path, text):
+def test_an_invalid_card_is_named(place, tmp_path, text):
     (tmp_path / "cards" / "tiny.yaml").write_text(text)
     with pytest.raises(cards.ModelError, match=r"tiny\.yaml: "):
         cards.load_card("tiny")
@@ -110,7 +110,7 @@ LOADERS = {
 
 
 @pytest.mark.parametrize("task", OF_TASK)
-def test_a_card_of_each_task_is_only_given_to_who_asks_for_it(place, tmp_path, task):
+def test_a_card_loads_only_for_its_own_task(place, tmp_path, task):
     (tmp_path / "cards" / "tiny.yaml").write_text(yaml.safe_dump(OF_TASK[task]))
     assert LOADERS[task]("tiny") == cards.load_card("tiny")
     for other in set(LOADERS) - {task}:
@@ -148,7 +148,7 @@ def test_a_bad_card_of_any_task_names_file_and_key(place, tmp_path, task, change
     assert all(line.startswith(str(tmp_path)) for line in str(error.value).splitlines())
 
 
-def test_a_model_shipped_next_to_its_card_comes_before_the_cache(place, tmp_path):
+def test_a_shipped_model_is_preferred_to_the_cache(place, tmp_path):
     place()
     card = put_model()
     shipped = tmp_path / "cards" / "tiny.onnx"
@@ -159,7 +159,7 @@ def test_a_model_shipped_next_to_its_card_comes_before_the_cache(place, tmp_path
         cards.verify_model(card)
 
 
-def test_a_missing_model_says_how_to_make_it(place):
+def test_a_missing_model_names_the_export_command(place):
     place()
     with pytest.raises(cards.ModelError, match=r"tiny\.onnx: .* `edge models export tiny"):
         cards.verify_model(cards.load_card("tiny"))
@@ -179,7 +179,7 @@ def test_a_damaged_model_is_refused(place, content, message):
         cards.verify_model(put_model(content))
 
 
-def test_a_hash_in_the_card_comes_first(place):
+def test_the_hash_in_the_card_is_checked_first(place):
     place(sha256="1" * 64)
     with pytest.raises(cards.ModelError, match="sha256 is not 111111111111"):
         cards.verify_model(put_model())
@@ -246,7 +246,7 @@ def test_a_trusted_cache_is_believed_until_the_file_is_written(place, hashed, mo
         load()
 
 
-def test_what_was_damaged_and_is_whole_again_loads(place):
+def test_a_repaired_model_loads_again(place):
     place()
     card = put_model(DATA[:-1] + b"X")
     written = card.path.stat().st_mtime_ns
@@ -257,7 +257,7 @@ def test_what_was_damaged_and_is_whole_again_loads(place):
     assert cards.verify_model(card) == card.path
 
 
-def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):
+def test_an_unreadable_model_is_an_error_of_one_line(place, monkeypatch):
     place()
 
     def refuse(path):
@@ -269,7 +269,7 @@ def test_a_model_that_cannot_be_read_is_one_line(place, monkeypatch):
         cards.verify_model(put_model())
 
 
-def test_a_broken_memory_of_hashes_does_no_harm(place):
+def test_a_broken_hash_cache_does_no_harm(place):
     place()
     card = put_model()
     (resources.cache_dir() / "sha256.json").write_text("[1, 2")
@@ -282,7 +282,7 @@ def own(name, **changes):
     (resources.models_dir() / f"{name}.yaml").write_text(yaml.safe_dump(card))
 
 
-def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, tmp_path):
+def test_package_cards_come_before_own_cards(place, tmp_path):
     place()
     own("tiny", family="other")
     own("mine")
@@ -294,7 +294,7 @@ def test_own_cards_lie_in_the_cache_and_those_of_the_package_come_first(place, t
 
 
 @pytest.mark.parametrize("function", ["listdir", "stat"])
-def test_a_cache_that_may_not_be_looked_into_hides_nothing_else(place, monkeypatch, function):
+def test_an_unreadable_cache_hides_only_its_own_cards(place, monkeypatch, function):
     place()
     own("mine")
     cache, allowed = str(resources.models_dir()), getattr(os, function)
@@ -310,7 +310,7 @@ def test_a_cache_that_may_not_be_looked_into_hides_nothing_else(place, monkeypat
         cards.verify_model(cards.load_card("tiny"))
 
 
-def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
+def test_a_broken_card_is_one_line_and_others_load(place, caplog):
     place()
     own("broken", input={"height": 65, "width": 63})
     assert [card.name for card in cards.all_cards()] == ["tiny"]
@@ -322,7 +322,7 @@ def test_a_broken_card_is_one_line_and_leaves_the_others(place, caplog):
         cards.load_card("none")
 
 
-def test_list_shows_what_is_there(place):
+def test_the_list_shows_present_models_and_their_parity(place):
     parity = {
         "reference": "tiny-fp32", "images": 40, "recall": 0.97, "precision": 0.9,
         "score_error": 0.1,
@@ -336,7 +336,7 @@ def test_list_shows_what_is_there(place):
     place()
     assert "recall" not in listing.as_table(cards.all_cards())
     sidecar(cards.load_card("tiny")).write_text(json.dumps({"sha256": "0", "parity": parity}))
-    assert "recall 0.970" in listing.as_table(cards.all_cards())  # what the export measured
+    assert "recall 0.970" in listing.as_table(cards.all_cards())  # measured by the export
 
 
 def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
@@ -354,7 +354,7 @@ def test_the_cards_of_this_repository_are_valid(monkeypatch, tmp_path):
         (" ", "{kind: sim}", "mission.target: '' is no name", os.EX_CONFIG),
     ],
 )
-def test_edge_run_says_in_one_line_why_it_cannot_detect(
+def test_edge_run_explains_an_unusable_detector_in_one_line(
     tmp_path, capsys, monkeypatch, target, detector, message, code
 ):
     from edge.cli import main as cli

@@ -1,4 +1,4 @@
-"""Letters on images, and what a chat server makes of them (ViTL eq. 4 to 6)."""
+"""Letters on images, and a chat server's answers about them (ViTL eq. 4 to 6)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ FLOOR = 0.25 * math.exp(-MISSING_NATS)
         ({"A": LOG_HALF, "I": -0.1, "B": LOG_HALF}, "AB", [0.5, 0.5]),
         ({"A": LOG_HALF, "x": LOG_QUARTER}, "AB", [0.5 / (0.5 + FLOOR), FLOOR / (0.5 + FLOOR)]),
         ({"yes": LOG_HALF, "NO": LOG_HALF, "Yes": LOG_QUARTER}, ["Yes", "No"], [0.6, 0.4]),
-        ({"A": math.log(0.99)}, "ABCDE", [0.99, *[0.01 / 4] * 4]),  # they share what is left
+        ({"A": math.log(0.99)}, "ABCDE", [0.99, *[0.01 / 4] * 4]),  # they share the rest
         ({"A": LOG_HALF, " A": LOG_HALF}, "AB", [1.0, 0.0]),
     ],
 )
@@ -77,7 +77,7 @@ def test_no_frontiers_or_no_camera_no_marks(make_observation):
     assert marks_of(seen, (3.0, 0.0)) == ()
 
 
-def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
+def test_a_ray_through_a_mark_hits_its_frontier():
     """Also for a camera that is turned, pitched and off the robot's middle."""
     camera = CameraModel.from_hfov(80, 64, 1.3)
     T_base_camera = to_optical(se3(0.1, 0.2, 0.6, pitch_rad=0.3))
@@ -101,7 +101,7 @@ def test_the_ray_through_a_mark_meets_the_floor_at_its_frontier():
     [(-3.0, 0.0), (0.05, 0.0), (0.9, 0.0), (2.0, 3.0), (2.0, -3.0), (0.0, 2.0)],
     ids=["behind", "under the camera", "below the image", "left", "right", "abeam"],
 )
-def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
+def test_a_frontier_outside_the_image_has_no_mark(make_observation, xy_m):
     assert marks_of(make_observation(), xy_m) == ()
 
 
@@ -117,7 +117,7 @@ def test_what_the_image_does_not_show_has_no_mark(make_observation, xy_m):
         (9.0, True),
     ],
 )
-def test_what_stands_before_a_frontier_hides_it(make_observation, depth_m, seen):
+def test_an_obstacle_in_front_of_a_frontier_hides_it(make_observation, depth_m, seen):
     depth = np.full((64, 80), depth_m, np.float32)
     assert bool(marks_of(make_observation(depth_m=depth), (3.0, 0.0))) == seen
 
@@ -169,7 +169,7 @@ def test_letters_are_drawn_on_a_copy_of_bounded_size(hw, max_px, size):
     st.integers(40, 480),
     st.integers(7, 20),
 )
-def test_no_letter_lies_over_another_or_outside(spots, width, height, radius):
+def test_letters_never_overlap_or_leave_the_image(spots, width, height, radius):
     places = place_discs(spots, (width, height), radius)
     assert len(places) == len(spots)
     found = [at for at in places if at is not None]
@@ -255,7 +255,7 @@ def test_both_questions_make_a_choice(make_observation, kind):
     np.testing.assert_allclose(choice.value, [0.25, 0.125], rtol=1e-5)
 
 
-def test_the_image_is_sent_with_its_letters_and_no_image_is_an_error(make_observation):
+def test_the_image_is_sent_with_its_letters(make_observation):
     rgb = np.full((64, 80, 3), 90, np.uint8)
     with serving(model()) as server:
         asks = scorer_of(server, max_image_px=160)
@@ -294,7 +294,7 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
         (lambda handler: handler.stopping.wait(), "no complete answer within 0.3 s"),
     ],
 )
-def test_a_server_that_lies_is_one_clear_line(make_observation, behave, expected):
+def test_an_invalid_answer_is_an_error_of_one_line(make_observation, behave, expected):
     limit_s = 0.3 if "within" in expected else PATIENCE_S
     with serving(behave) as server:
         asks = scorer_of(server, "text", time_limit_s=limit_s)

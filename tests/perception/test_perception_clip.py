@@ -73,7 +73,7 @@ def test_a_phrase_is_encoded_once(text_card, monkeypatch):
     np.testing.assert_array_equal(encoder.embed(["chair"])[0, 0], first[0, 0])
 
 
-def test_a_phrase_of_more_tokens_than_the_model_reads_is_an_error(text_card):
+def test_too_many_tokens_are_an_error(text_card):
     encoder = ClipTextEncoder(text_card())
     most = "red " * (CONTEXT - 3) + "chair"
     assert encoder.embed([most]).shape == (1, 1, DIM)
@@ -130,7 +130,7 @@ class _Card:
     name, text_encoder, text_dim = "detector", None, DIM
 
 
-def test_the_text_model_is_taken_when_its_file_is_there(text_card, tmp_path):
+def test_the_text_model_is_used_if_its_file_exists(text_card, tmp_path):
     np.savez(tmp_path / "words.npz", names=np.array(["chair"]), emb=np.eye(1, DIM))
     card = text_card()
     assert isinstance(make_text_encoder(_Card, str(tmp_path / "words.npz")), ClipTextEncoder)
@@ -142,7 +142,7 @@ def test_the_text_model_is_taken_when_its_file_is_there(text_card, tmp_path):
     assert "clip_vitb32_vocab.npz" in str(raised.value)
 
 
-def test_a_text_model_of_another_family_is_neither_taken_nor_replaced(text_card, cards, tmp_path):
+def test_a_text_model_of_another_family_is_not_used(text_card, cards, tmp_path):
     """Its embeddings have the same length, and lie elsewhere."""
     words = tmp_path / "words.npz"
     np.savez(words, names=np.array(["chair"]), emb=np.eye(1, DIM))
@@ -160,7 +160,7 @@ def test_a_text_model_of_another_family_is_neither_taken_nor_replaced(text_card,
 
 
 @pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8)])
-def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
+def test_an_image_is_scaled_and_cropped_to_the_middle(hw):
     rgb = np.zeros((*hw, 3), np.uint8)
     rgb[:, hw[1] // 2 :, 0] = 200
     fitted = fit(rgb, SIDE, SIDE, "crop")
@@ -170,7 +170,7 @@ def test_an_image_is_scaled_to_fill_and_cut_to_its_middle(hw):
 
 
 @pytest.mark.parametrize("hw", [(32, 32), (64, 128), (16, 8), (16, 64)])
-def test_an_image_is_squeezed_where_the_card_says_so(hw):
+def test_the_card_can_stretch_an_image_to_fit(hw):
     """Nothing of it is lost: the right quarter is the right quarter still."""
     rgb = np.zeros((*hw, 3), np.uint8)
     rgb[:, hw[1] * 3 // 4 :, 0] = 200

@@ -90,10 +90,8 @@ def test_a_damaged_engine_is_built_again_with_one_line(tmp_path, caplog, harm):
     assert (folder / "model.engine").read_bytes() == b"engine"
 
 
-def test_a_damaged_engine_that_cannot_be_removed_is_an_error_before_the_build(
-    tmp_path, monkeypatch
-):
-    """As another user's is, whose folder may be read but not written to."""
+def test_an_unremovable_damaged_engine_is_an_error(tmp_path, monkeypatch):
+    """The engine may belong to another user, in a folder that is read-only here."""
     build = Builds()
     folder = get_or_build(KEY, tmp_path, build, quiet)
     (folder / "model.engine").write_bytes(b"engin")
@@ -118,7 +116,7 @@ def test_a_build_that_fails_or_dies_leaves_nothing_behind(tmp_path):
     assert not killed.exists()
 
 
-def test_a_build_without_an_engine_and_a_full_disk_are_one_line(tmp_path):
+def test_a_failed_or_unsaved_build_is_an_error(tmp_path):
     with pytest.raises(ModelError, match="the build left no engine"):
         get_or_build(KEY, tmp_path, lambda folder: None, quiet)
 
@@ -142,7 +140,7 @@ def below_a_file(path):
 @pytest.mark.parametrize(
     "place", [file_in_the_way, below_a_file, lambda path: Path("/proc/engines")]
 )
-def test_a_cache_of_no_use_is_an_error_before_the_build(tmp_path, place):
+def test_an_unusable_cache_fails_before_the_build(tmp_path, place):
     build = Builds()
     with pytest.raises(ModelError, match=r"cannot hold engines .*engine_cache") as error:
         get_or_build(KEY, place(tmp_path / "x"), build, quiet)
@@ -158,9 +156,7 @@ def test_a_full_cache_is_an_error_before_the_build(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC])
-def test_an_engine_that_is_there_is_found_where_nothing_can_be_written(
-    tmp_path, monkeypatch, number
-):
+def test_an_existing_engine_is_found_on_a_read_only_disk(tmp_path, monkeypatch, number):
     folder = get_or_build(KEY, tmp_path, Builds(), quiet)
 
     def fail(*_, **__):
@@ -207,7 +203,7 @@ def test_a_build_reports_its_progress():
     assert len(told) == over
 
 
-def test_how_far_nested_phases_are():
+def test_progress_covers_nested_build_phases():
     noted = []
     monitor = make_monitor(FakeTensorrt(FakeCuda()), noted.append)
     monitor.phase_start("Building Engine", None, 4)
@@ -266,7 +262,7 @@ def test_tensorrt_builds_strongly_typed_once_for_all_numbers_of_prompts(
     assert len(gpu.built) == 4
 
 
-def test_what_was_allocated_on_the_gpu_is_freed(gpu, open_tiny):
+def test_gpu_memory_is_freed_with_the_session(gpu, open_tiny):
     session = open_tiny()
     inputs = {"images": np.zeros((1, 3), np.float32), "txt_feats": np.zeros((1, 1, 2), np.float32)}
     for _ in range(3):
@@ -286,7 +282,7 @@ def test_more_prompts_than_the_engine_takes(gpu, open_tiny):
         open_tiny().run(["boxes"], inputs)
 
 
-def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open_tiny):
+def test_an_engine_that_does_not_load_is_kept(gpu, open_tiny):
     """The engine was either built now or found."""
     gpu.unreadable = 2
     for _ in range(2):
@@ -296,7 +292,7 @@ def test_an_engine_that_does_not_load_is_kept_for_when_there_is_memory(gpu, open
     assert len(gpu.built) == 1
 
 
-def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
+def test_a_tensorrt_error_is_one_line_with_its_reason(gpu, open_tiny):
     gpu.refuses = True
     with pytest.raises(ModelError, match="cannot build an engine: no kernel for that"):
         open_tiny()
@@ -308,7 +304,7 @@ def test_what_tensorrt_refuses_is_one_line_with_its_reason(gpu, open_tiny):
     assert "\n" not in str(error.value)
 
 
-def test_no_gpu_is_one_line(gpu, open_tiny):
+def test_a_missing_gpu_is_an_error_of_one_line(gpu, open_tiny):
     with pytest.raises(ModelError, match="device_id: 1, but there are 1 GPUs"):
         open_tiny(device_id=1)
     gpu.cuda.failing = {"cudaGetDeviceCount"}
@@ -380,7 +376,7 @@ def test_no_engine_is_built_of_a_damaged_file(
     tiny,  # noqa: F811
     trusted,
 ):
-    """Else it would be found under the sound file's hash once that is repaired."""
+    """Otherwise it would be found under the sound file's hash after a repair."""
     if trusted:
         monkeypatch.setenv(TRUST_CACHE, "1")
     gpu.context = OnnxContext

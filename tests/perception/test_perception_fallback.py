@@ -1,4 +1,4 @@
-"""A model on a server and one on this computer: who answers, and when the server is asked again."""
+"""A model on a server with a local fallback: answers, and retries of the server."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CHOICE = "mini-house-choice"
 
 
 class Server:
-    """A model that fails when a test wants it to; it keeps what it was asked, and what is held."""
+    """A model that fails on request; it keeps its questions and the held frames."""
 
     def __init__(self) -> None:
         self.fault: Exception | None = None
@@ -66,11 +66,11 @@ def server():
     assert made.held == []
 
 
-def test_nothing_is_asked_of_nobody(server):
+def test_a_new_fallback_asks_no_server(server):
     assert (server.model.detail, server.asked) == ("", [])
 
 
-def test_the_local_model_answers_from_the_first_failure_until_the_server_does(server, caplog):
+def test_the_local_model_answers_until_the_server_returns(server, caplog):
     caplog.set_level(logging.INFO)
     assert server.ask(1) == "far 1"
     server.fault = UserError("no connection")
@@ -90,7 +90,7 @@ def test_the_local_model_answers_from_the_first_failure_until_the_server_does(se
     ]
 
 
-def test_a_server_that_fails_soon_again_is_asked_ever_more_rarely(server):
+def test_an_unreliable_server_is_asked_at_growing_intervals(server):
     pauses = []
     for item in range(8):
         server.fault = UserError("oh no")
@@ -107,7 +107,7 @@ def test_a_server_that_fails_soon_again_is_asked_ever_more_rarely(server):
 
 
 @pytest.mark.parametrize("fault", [ValueError("no image"), MemoryError()])
-def test_what_is_not_the_servers_fault_is_raised(server, fault):
+def test_an_error_not_of_the_server_is_raised(server, fault):
     server.fault = fault
     with pytest.raises(type(fault)):
         server.ask(1)
@@ -137,7 +137,7 @@ def perception(fallback: str | None = SMALL) -> PerceptionConfig:
     return PerceptionConfig(detector=detector)
 
 
-def test_a_detector_goes_on_while_its_server_is_away(cards, make_observation, monkeypatch):
+def test_a_detector_continues_while_its_server_is_away(cards, make_observation, monkeypatch):
     monkeypatch.setattr(module, "PAUSE_S", 0.0)
     monkeypatch.setattr(module, "MAX_PAUSE_S", 0.0)
     session = onnxruntime.InferenceSession(str(load_card(SMALL).path))
@@ -197,7 +197,7 @@ def view(make_observation):
 
 
 @pytest.mark.parametrize("kind", [ChoiceOpenai, ChoiceText])
-def test_a_choice_goes_on_while_its_server_is_away(view, kind, monkeypatch):
+def test_a_choice_continues_while_its_server_is_away(view, kind, monkeypatch):
     monkeypatch.setattr(module, "PAUSE_S", 0.0)
     monkeypatch.setattr(module, "MAX_PAUSE_S", 0.0)
     faults = [500]
@@ -221,7 +221,7 @@ def test_a_choice_goes_on_while_its_server_is_away(view, kind, monkeypatch):
         scorer.close()
 
 
-def test_a_model_that_needs_an_image_does_not_keep_one_that_needs_none_from_answering(view):
+def test_an_image_model_does_not_block_a_text_model(view):
     blind = replace(view, observation=replace(view.observation, rgb=None))
     with chatting(lambda handler: send(handler, likeliest({"A": -0.1, "Yes": -0.1}))) as server:
         choice = ChoiceText(url=server.url, model="m", fallback=CHOICE, time_limit_s=PATIENCE_S)

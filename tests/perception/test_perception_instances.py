@@ -68,7 +68,7 @@ def test_nothing_seen_nothing_there(scene):
     assert s.tracker.get(1) is None
 
 
-def test_only_what_is_over_tau_det_founds_an_instance(scene):
+def test_only_scores_above_tau_det_create_an_instance(scene):
     s = scene(tau_det=0.3)
     assert s.see(("chair", 2, 0, 0.29)) == []
     (chair,) = s.see(("chair", 2, 0, 0.31))
@@ -82,7 +82,7 @@ def test_only_what_is_over_tau_det_founds_an_instance(scene):
     [(("chair", 2.4, 0, 0.6), 1), (("chair", 4.0, 0, 0.6), 2), (("sofa", 2.1, 0, 0.6), 2)],
     ids=["near", "far", "another label"],
 )
-def test_what_merges_and_what_does_not(scene, second, count):
+def test_nearby_boxes_of_a_class_merge(scene, second, count):
     s = scene(merge_m=0.6)
     s.see(("chair", 2, 0, 0.6))
     assert len(s.see(second)) == count
@@ -120,7 +120,7 @@ def test_confirmation(scene, score, x_m, hits, state):
     [(4.0, 0.4, "tentative"), (4.0, 2.3, "confirmed"), (7.0, 2.3, "tentative")],
     ids=["in view from near by", "too high for that", "too far"],
 )
-def test_a_high_object_is_confirmed_from_where_the_camera_sees_it(scene, x_m, z_m, state):
+def test_a_high_object_is_confirmed_from_farther_away(scene, x_m, z_m, state):
     s = scene(confirm_hits=3, confirm_range_m=3.0)
     for _ in range(3):
         (painting,) = s.see(("painting", x_m, 0, 0.5), z_m=z_m)
@@ -128,7 +128,7 @@ def test_a_high_object_is_confirmed_from_where_the_camera_sees_it(scene, x_m, z_
     assert painting.state == state
 
 
-def test_detections_are_views_even_if_the_centre_of_the_object_is_hidden(scene):
+def test_a_detection_counts_as_a_view_if_partly_hidden(scene):
     s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
     (plant,) = s.see(("chair", 2, 0, 0.6))
     for _ in range(9):
@@ -158,7 +158,7 @@ def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, pl
     assert s.tracker.verified(chair, SE2(*at, 0.0)) == verified
 
 
-def test_merged_objects_keep_the_viewpoint_that_their_hits_are_counted_from(scene):
+def test_merged_objects_keep_the_viewpoint_of_their_hits(scene):
     s = scene(confirm_hits=4, merge_m=1.0, confirm_score=0.5)
     s.see(("sofa", 1.5, 0, 0.4))  # the older one has no good hit
     for _ in range(3):
@@ -171,7 +171,7 @@ def test_merged_objects_keep_the_viewpoint_that_their_hits_are_counted_from(scen
     assert not s.tracker.verified(sofa, SE2(0.6, 0.0, 0.0))
 
 
-def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
+def test_repeated_misses_undo_a_confirmation(scene):
     s = scene(confirm_hits=3, confirm_mean=0.3, tau_det=0.01)
     for _ in range(3):
         (chair,) = s.see(("chair", 2, 0, 0.6))
@@ -181,7 +181,7 @@ def test_what_later_looks_do_not_bear_out_is_no_longer_confirmed(scene):
     assert chair.state == "tentative"
 
 
-def test_what_something_else_explains_better_is_rejected(scene):
+def test_a_stronger_competing_class_rejects_an_instance(scene):
     s = scene(confirm_hits=3, tau_det=0.1)
     (desk,) = s.see(("desk", 2, 0, 0.6))
     for _ in range(40):
@@ -208,7 +208,7 @@ def test_mistakes_in_partial_views_do_not_confirm(scene, places):
     assert chair.state == "confirmed"
 
 
-def test_a_rejected_thing_is_never_chased_again(scene):
+def test_a_rejected_object_is_never_pursued_again(scene):
     s = scene(reject_radius_m=0.6, min_hits=1)
     (chair,) = s.see(("chair", 2, 0, 0.6))
     s.tracker.reject(chair.id)
@@ -223,7 +223,7 @@ def test_a_rejected_thing_is_never_chased_again(scene):
     assert s.tracker.get(chair.id) is chair
 
 
-def test_rejecting_takes_its_doubles_along(scene):
+def test_rejecting_an_object_removes_its_duplicates(scene):
     s = scene(merge_m=0.3, reject_radius_m=0.7)
     s.see(("chair", 2, 0, 0.6), ("chair", 2.6, 0, 0.6), ("sofa", 2.3, 0, 0.6))
     s.tracker.reject(1)
@@ -238,7 +238,7 @@ def test_rejecting_takes_its_doubles_along(scene):
     [(8.0, 0.0, 6.0), (2.0, 5.0, 6.0), (0.3, 0.0, 6.0), (3.0, 0.0, 1.0), (-3.0, 0.0, 6.0)],
     ids=["too far", "beside", "under the nose", "hidden", "behind"],
 )
-def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
+def test_an_instance_out_of_view_keeps_its_score(scene, x_m, y_m, depth_m):
     s = scene(back_projection_max_range_m=8.0)
     (chair,) = s.see(("chair", x_m, y_m, 0.6))
     for _ in range(50):
@@ -246,7 +246,7 @@ def test_what_was_not_looked_at_stays(scene, x_m, y_m, depth_m):
     assert chair.score == pytest.approx(0.6)
 
 
-def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
+def test_the_weakest_instances_are_dropped_unless_protected(scene, monkeypatch):
     monkeypatch.setattr("edge.perception.tracking.instances.MAX_INSTANCES", 2)
     s = scene()
     s.see(("chair", 2, 0, 0.4))
@@ -257,7 +257,7 @@ def test_the_weakest_give_way_but_never_a_protected_one(scene, monkeypatch):
     assert s.tracker.dropped == 2
 
 
-def test_looking_for_something_else_wears_nothing_away(scene):
+def test_a_search_for_another_target_lowers_no_score(scene):
     s = scene(confirm_hits=3)
     for _ in range(3):
         (chair,) = s.see(("chair", 2, 0, 0.6))
@@ -269,7 +269,7 @@ def test_looking_for_something_else_wears_nothing_away(scene):
     assert chair.score < before
 
 
-def test_another_mission_may_find_again_what_the_last_one_reached_or_rejected(scene):
+def test_another_mission_can_find_reached_and_rejected_objects_again(scene):
     s = scene(min_hits=1)
     s.see(("chair", 2, 0, 0.6), ("sofa", 4, 0, 0.6), ("desk", 6, 0, 0.6))
     s.tracker.mark_reached(1)
@@ -283,7 +283,7 @@ def test_another_mission_may_find_again_what_the_last_one_reached_or_rejected(sc
     assert [i.state for i in s.tracker.of("sofa")] == ["tentative"]
 
 
-def test_what_was_rejected_may_be_found_again_where_nothing_else_is_left(scene):
+def test_rejected_objects_of_the_target_can_be_found_again(scene):
     s = scene(min_hits=1)
     s.see(("couch", 2, 0, 0.6), ("chair", 4, 0, 0.6))
     s.tracker.reject(1)
@@ -293,7 +293,7 @@ def test_what_was_rejected_may_be_found_again_where_nothing_else_is_left(scene):
 
 
 class Memory(Scene):
-    """A scene whose tracker remembers what else stands where."""
+    """A scene whose tracker remembers context objects."""
 
     def __init__(self, make_observation, **settings):
         super().__init__(make_observation, **settings)
@@ -320,9 +320,7 @@ def memory(make_observation):
     [(0, 0.5, "tentative"), (6, 0.5, "confirmed"), (6, 0.9, "tentative")],
     ids=["never confirmed", "confirmed before", "confirmed before, but another does better"],
 )
-def test_what_was_confirmed_stays_so_while_nothing_does_better(
-    scene, first, competing_score, state
-):
+def test_a_confirmed_instance_stays_until_a_competitor_leads(scene, first, competing_score, state):
     s = scene(confirm_lead=2.0)
     for k in range(first + 20):
         (chair,) = s.see(
@@ -350,7 +348,7 @@ def test_a_word_has_a_score_of_its_own(scene, scores, at, state):
     assert chair.state == state
 
 
-def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
+def test_a_surer_competing_object_prevents_confirmation(memory):
     s = memory()
     for _ in range(10):
         s.look(around=[("sofa", 2, 0, 0.7)])
@@ -369,7 +367,9 @@ def test_a_look_alike_that_is_surer_keeps_a_thing_from_being_confirmed(memory):
     [(0, 0.5, 0.7, False), (20, 0.5, 0.7, True), (20, 0.1, 0.9, False)],
     ids=["never confirmed", "confirmed before", "confirmed before, but far surer another"],
 )
-def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_score, sure):
+def test_a_confirmed_instance_tolerates_a_moderate_competitor(
+    memory, first, desk_score, sofa_score, sure
+):
     s = memory()
     for _ in range(first):
         s.look(("desk", 2, 0, 0.6), around=[("lamp", 2, 3, 0.7), ("sofa", 2, 3, 0.7)])
@@ -383,7 +383,7 @@ def test_what_was_confirmed_takes_more_to_doubt(memory, first, desk_score, sofa_
     [(4.2, 0.6, True), (4.2, 0.95, False), (2.0, 0.6, False)],
     ids=["from afar", "from afar, but far surer another", "from near by"],
 )
-def test_what_was_seen_from_afar_only_is_worth_another_view(memory, x_m, sofa_score, is_candidate):
+def test_a_distant_contested_object_stays_a_candidate(memory, x_m, sofa_score, is_candidate):
     s = memory(confirm_range_m=3.0)
     for _ in range(10):
         tracker = s.look(("desk", x_m, 0, 0.5), around=[("sofa", x_m, 0, sofa_score)])
@@ -400,7 +400,7 @@ def test_what_was_seen_from_afar_only_is_worth_another_view(memory, x_m, sofa_sc
         ("table", 5, []),  # a table need not be a desk
     ],
 )
-def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, states):
+def test_context_objects_are_promoted_to_targets(memory, word, looks, states):
     s = memory()
     for _ in range(looks):
         s.look(around=[(word, 2, 0, 0.6)])
@@ -415,7 +415,7 @@ def test_what_was_seen_as_context_is_recalled_as_a_target(memory, word, looks, s
 
 
 @pytest.mark.parametrize(("score", "state"), [(0.55, "confirmed"), (0.65, "tentative")])
-def test_what_was_seen_as_context_is_confirmed_by_the_score_of_its_word(memory, score, state):
+def test_the_class_threshold_decides_on_a_promoted_object(memory, score, state):
     s = memory(confirm_scores={"desk": score})
     for _ in range(5):
         s.look(around=[("desk", 2, 0, 0.6)])

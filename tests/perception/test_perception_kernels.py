@@ -127,7 +127,7 @@ def test_fold_agrees_with_its_twin(seed, n, names):
 
 
 @given(seed=seeds)
-def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
+def test_kept_boxes_do_not_overlap_and_are_sorted(seed):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, 40)
     anchor, label, score, _, m, _ = found_in(boxes, random.random((40, 2), dtype=np.float32), 2)
@@ -140,7 +140,7 @@ def test_kept_boxes_of_a_class_do_not_overlap_and_come_highest_first(seed):
             assert a == b or label[a] != label[b] or apart
 
 
-def test_boxes_come_back_to_the_image_and_are_clipped():
+def test_boxes_are_mapped_back_to_the_image_and_clipped():
     boxes = np.array([[-10, 8, 160, 128], [0, 0, 320, 4], [40, 18, 50, 28]], np.float32)
     cut = np.zeros(3, np.bool_)
     keep = np.array([2, 0, 1], np.int32)
@@ -220,7 +220,7 @@ def test_surfaces_agree_with_their_twin(seed, n, spread):
 
 
 @given(seed=seeds)
-def test_going_on_agrees_with_its_twin(seed):
+def test_share_beyond_box_agrees_with_its_twin(seed):
     random = np.random.default_rng(seed)
     n = random.integers(0, 20, 4).astype(np.int32)
     beside = random.uniform(-3, 3, (4, 20, 3)).astype(np.float32)
@@ -232,7 +232,7 @@ def test_going_on_agrees_with_its_twin(seed):
     assert ours == pytest.approx(going_on(strips, low, high, T, -0.5))
 
 
-def test_one_view_of_the_wrong_thing_moves_nothing():
+def test_a_single_wrong_view_does_not_move_an_object():
     """A sofa seen thirty times, and a table before it twice."""
     sofa = np.array([[x, 4.0, 0.4] for x in np.arange(0, 2, 0.2)], np.float32)
     table = sofa - np.float32([0, 1.5, 0])

@@ -68,7 +68,7 @@ def test_too_few_returns_are_invalid_not_wrong(make_observation, box, depth_m):
 
 
 @pytest.mark.parametrize("base_m", [0.0, 0.4])
-def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
+def test_the_floor_in_front_is_left_out(make_observation, base_m):
     """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing.
 
     Args:
@@ -92,7 +92,7 @@ def test_the_floor_in_front_is_not_the_thing(make_observation, base_m):
     assert out.surface_m(0)[:, 0].min() > 1.8
 
 
-def test_a_thing_that_lies_flat_on_the_floor_is_still_lifted(make_observation):
+def test_an_object_flat_on_the_floor_is_lifted(make_observation):
     seen = make_observation()
     rows = np.arange(64)[:, None]
     floor = 0.6 * seen.camera.fy_px / np.maximum(rows - seen.camera.cy_px, 1e-3)
@@ -197,7 +197,7 @@ def things(cloud, half_m=0.5):
     return [cloud[which[cell[:, 0], cell[:, 1]] == i] for i in range(1, n)]
 
 
-def test_things_of_a_real_lidar_scan(shared_dir):
+def test_objects_of_a_real_lidar_scan(shared_dir):
     """Trucks, trunks and poles; those with a bush before them may be taken for the bush."""
     folder = shared_dir / "logs" / "semantic_kitti_05"
     if not folder.is_dir():
@@ -256,14 +256,14 @@ def sofa_behind_table(table_left=0, table_right=80):
 
 
 @pytest.mark.parametrize("table", [(0, 80), (25, 55)])
-def test_what_stands_before_the_thing_is_not_the_thing(make_observation, table):
-    """The box around what is seen of the sofa holds much of the table too."""
+def test_an_obstacle_in_front_of_the_box_is_left_out(make_observation, table):
+    """The box around the visible part of the sofa also contains much of the table."""
     out = lift(make_observation(depth_m=sofa_behind_table(*table)), (20, 20, 60, 44))
     assert out.valid.tolist() == [True]
     assert out.center_m[0, 0] == pytest.approx(3.0, abs=0.1)
 
 
-def test_a_thing_on_a_table_before_a_wall_is_still_the_nearest_surface(make_observation):
+def test_an_object_on_a_table_keeps_the_nearest_surface(make_observation):
     """Vase and table top are one surface, and the wall goes on beyond the box as well."""
     depth = np.full((64, 80), 4.0, np.float32)
     depth[20:44, 34:46] = 2.0
@@ -298,7 +298,7 @@ SHELF, CABINET = (39, 5, 61, 57), (9, 21, 61, 57)
         ((CABINET, (np.nan, 0, 1, 1)), 3.0),
     ],
 )
-def test_what_fits_another_box_better_is_not_the_things(make_observation, around, x_m):
+def test_depth_that_fits_another_box_is_left_out(make_observation, around, x_m):
     seen = detect(make_observation(depth_m=shelf_behind_a_cabinet()), SHELF)
     if around is not None:
         boxes = np.array(around, np.float32).reshape(-1, 4)
@@ -313,7 +313,7 @@ def test_what_fits_another_box_better_is_not_the_things(make_observation, around
 
 
 def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
-    """Another box takes the bed's surface; what is left of its own box is the lamp's."""
+    """Another box takes the bed's surface; the rest of its own box is the lamp's."""
     depth = np.tile(np.linspace(5.2, 7.8, 80, dtype=np.float32), (64, 1))
     depth[31:48, 20:60] = 4.5
     depth[2:20, 28:52] = depth[20:64, 32:38] = 0.6  # its shade and its stem
@@ -329,7 +329,7 @@ def test_a_bed_behind_a_lamp_is_not_the_lamp(make_observation):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_samples_of_other_things_are_dropped_one_by_one(seed):
+def test_samples_of_other_objects_are_dropped_one_by_one(seed):
     rng = np.random.default_rng(seed)
     n, view = 60, (None, None, None, 0, 40.0, 40.0, 20.0, 20.0)
     z = rng.uniform(1, 4, n)
@@ -359,7 +359,7 @@ def mask_over(box, shows):
 
 @pytest.mark.parametrize("way", ["depth", "cloud"])
 @pytest.mark.parametrize(("shown_m", "x_m"), [(None, 1.5), (3.0, 3.0), (99.0, 1.5)])
-def test_only_what_lies_on_the_mask_is_the_thing(make_observation, shown_m, x_m, way):
+def test_only_points_on_the_mask_are_used(make_observation, shown_m, x_m, way):
     """An empty mask counts for nothing."""
     depth = shelf_behind_a_cabinet()
     seen = make_observation(depth_m=depth)

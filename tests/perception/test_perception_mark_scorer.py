@@ -1,4 +1,4 @@
-"""Directions by a small network: what it gets of a view, and what is made of its logits."""
+"""Directions by a small network: its inputs from a view, and the choice from its logits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def view(*marks: Mark, rgb: np.ndarray | None = None, target: str = "bed") -> Ma
     return MarkedView(seen, target, tuple(marks), mark_costs=ways(*marks))
 
 
-# -- what the network gets ------------------------------------------------------------------------
+# -- inputs of the network ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_others_are_scaled_to_fit_on_grey(shape, expected):
     assert (inner[0, 0] == 0).all()
 
 
-# -- what is made of its logits -------------------------------------------------------------------
+# -- choices from its logits ----------------------------------------------------------------------
 
 
 class FakeSession:
@@ -115,7 +115,7 @@ def test_without_marks_there_is_nothing_to_choose(monkeypatch):
     assert len(session.feeds) == 1
 
 
-def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
+def test_softmax_covers_present_marks_and_elsewhere(monkeypatch):
     logits = [np.log(2.0), 0.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0, np.log(5.0)]
     session = FakeSession(logits, np.log(3.0))
     scorer = scorer_of(monkeypatch, session)
@@ -140,7 +140,7 @@ def test_softmax_is_over_the_marks_that_are_there_and_elsewhere(monkeypatch):
         (FakeSession(RuntimeError("out of memory")), "out of memory"),
     ],
 )
-def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says):
+def test_unusable_outputs_are_an_error_of_one_line(monkeypatch, session, says):
     scorer = scorer_of(monkeypatch, session)
     with pytest.raises(ModelError, match=says) as error:
         scorer.answer(scorer.prepare(view(mark(1, 1.0))))
@@ -148,7 +148,7 @@ def test_what_cannot_be_used_is_an_error_of_one_line(monkeypatch, session, says)
     assert "\n" not in str(error.value)
 
 
-def test_without_an_image_or_a_map_and_for_an_unknown_target_it_says_so(monkeypatch):
+def test_missing_inputs_and_unknown_targets_are_errors(monkeypatch):
     scorer = scorer_of(monkeypatch, FakeSession([0.0] * 9))
     image = np.zeros((*HW, 3), np.uint8)
     for rgb, says in ((None, "observation 3 has no camera image"), (image, "there is no map yet")):
@@ -171,7 +171,7 @@ def test_a_text_encoder_of_another_length_is_refused(monkeypatch):
         ("mini-house-text", r"perception\.choice\.card: .*task 'text', not 'choice'"),
     ],
 )
-def test_a_card_that_is_none_is_named_with_its_key(card, says):
+def test_an_unusable_card_is_named_with_its_key(card, says):
     with pytest.raises(ModelError, match=says):
         make_view_scorer(ChoiceOnnx(card=card), simulated().perception)
 
@@ -186,7 +186,7 @@ class Slow(FakeSession):
         return super().run(names, feed, options)
 
 
-def test_a_closed_one_gives_up_what_is_asked(monkeypatch):
+def test_a_closed_scorer_aborts_its_answers(monkeypatch):
     scorer = scorer_of(monkeypatch, Slow([0.0] * 9))
     scorer.close()
     with pytest.raises(ModelError, match="fake: aborted"):
@@ -212,7 +212,7 @@ def test_tensorrt_by_itself_is_refused():
         open_view_scorer(ChoiceOnnx(card=NAME, providers=("tensorrt",)))
 
 
-def test_in_a_process_of_its_own_it_says_the_same(shipped):
+def test_an_isolated_scorer_gives_the_same_answers(shipped):
     perception = PerceptionConfig.model_validate(
         {
             "isolation": "process",
@@ -235,7 +235,7 @@ def test_in_a_process_of_its_own_it_says_the_same(shipped):
         there.answer(there.prepare(asked))
 
 
-def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped):
+def test_mark_order_and_image_size_change_little(shipped):
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 255, (*HW, 3), np.uint8)
     marks = [
@@ -256,11 +256,11 @@ def test_the_order_of_the_marks_and_the_size_of_the_image_change_little(shipped)
 # -- TensorRT -------------------------------------------------------------------------------------
 
 
-def test_every_input_has_one_shape_as_tensorrt_wants_it():
+def test_every_input_has_a_fixed_shape():
     check_fixed(verify_model(load_card_of(MarksCard, NAME)), "providers")
 
 
-def test_int8_for_a_cpu_is_none_for_tensorrt():
+def test_int8_for_a_cpu_is_refused_for_tensorrt():
     config = ChoiceOnnx(card=NAME, providers=("TensorrtExecutionProvider",))
     with pytest.raises(ModelError, match="mini-house-choice: quantized for CPUs"):
         open_view_scorer(config)

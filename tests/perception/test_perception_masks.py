@@ -1,4 +1,4 @@
-"""Masks of boxes, and what becomes of a segmenter that fails or is slow."""
+"""Masks of boxes, and a segmenter that fails or is slow."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_no_box_no_mask():
     assert masks_of(picture())[0] == 0
 
 
-def test_what_goes_on_beyond_the_box_is_not_the_thing():
-    """A shelf whose lower left a cabinet hides that goes on beyond its box."""
+def test_a_mask_leaves_out_the_occluding_object():
+    """A cabinet hides the lower left of a shelf and continues beyond its box."""
     rgb = picture((RED, 30, 10, 60, 50), (GREEN, 5, 30, 45, 55))
     box = (29, 9, 61, 51)
     _, (out,) = masks_of(rgb, box)
@@ -88,13 +88,13 @@ def test_what_goes_on_beyond_the_box_is_not_the_thing():
     [(0, 0, 80, 64), (30, 20, 31, 21), (200, 200, 240, 240), (-90, -90, -50, -50)],
     ids=["the whole image", "a pixel", "beyond it", "before it"],
 )
-def test_without_a_background_or_a_thing_the_mask_is_empty(box):
+def test_without_background_or_object_the_mask_is_empty(box):
     done, out = masks_of(picture((RED, 30, 20, 50, 44)), box)
     assert done == 1
     assert not out.any()
 
 
-def test_a_mask_of_a_part_of_the_box_is_not_taken():
+def test_a_mask_of_a_small_part_is_rejected():
     """A lamp on a box is no mask of the box, which spans it."""
     rgb = picture((RED, 36, 28, 44, 36))
     assert not masks_of(rgb, (20, 10, 60, 54))[1].any()
@@ -110,7 +110,7 @@ def test_past_the_deadline_boxes_are_left():
     seed=st.integers(0, 2**32 - 1),
     box=st.tuples(*[st.floats(-200, 300, width=32)] * 2, *[st.floats(0.125, 400, width=32)] * 2),
 )
-def test_any_box_on_any_image_has_a_mask_that_is_always_the_same(seed, box):
+def test_masks_are_repeatable_for_any_box(seed, box):
     rng = np.random.default_rng(seed)
     noise = rng.integers(0, 256, (*rng.integers(1, 40, 2), 3), np.uint8)
     x, y, wide, high = box
@@ -119,11 +119,11 @@ def test_any_box_on_any_image_has_a_mask_that_is_always_the_same(seed, box):
     np.testing.assert_array_equal(one[1], other[1])
 
 
-# -- beside the loop ------------------------------------------------------------------------------
+# -- in the background ----------------------------------------------------------------------------
 
 
 class Fake:
-    """Masks everything, or raises what it is given; `most` boxes are in time."""
+    """Segmenter that masks everything or raises a given error; `most` boxes are in time."""
 
     name = "fake"
 
@@ -214,7 +214,7 @@ class Finder:
 
 
 @pytest.mark.parametrize("error", [None, RuntimeError("no luck")])
-def test_the_detectors_worker_makes_them_and_holds_the_frame_once(seen, error):
+def test_the_detectors_worker_makes_masks_and_holds_the_frame_once(seen, error):
     seen = dataclasses.replace(seen, slot=Slot())
     fake = Fake(error)
     worker = DetectorWorker(Finder(), masker=Masker(fake, GRABCUT))
@@ -222,7 +222,7 @@ def test_the_detectors_worker_makes_them_and_holds_the_frame_once(seen, error):
     eventually(lambda: worker.idle)
     found = worker.poll()
     assert made(found.mask) == [error is None]
-    assert seen.slot.holds == 1  # whose it is that polled
+    assert seen.slot.holds == 1  # held by the caller of poll
     worker.close()
     assert fake.closed
 

@@ -87,7 +87,7 @@ def tiny(tmp_path, monkeypatch, vocabulary):
     return make
 
 
-def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(tiny):
+def test_a_damaged_model_is_noticed_despite_its_timestamp(tiny):
     detector = tiny()
     settings = config.PerceptionConfig(detector=detector.config)
     path = detector.card.path
@@ -96,7 +96,7 @@ def test_damage_under_an_unchanged_time_of_change_keeps_a_model_from_starting(ti
         make_detector(settings, ("chair",))
 
 
-def test_a_trusted_cache_starts_it_all_the_same(tiny, monkeypatch):
+def test_a_trusted_cache_skips_the_hash(tiny, monkeypatch):
     monkeypatch.setenv(TRUST_CACHE, "1")
     detector = tiny()
     path = detector.card.path
@@ -150,7 +150,7 @@ def test_a_background_that_fits_better_is_a_boxs_competing_class(tiny, make_obse
     assert found.not_suppressed().tolist() == [False]
 
 
-def test_each_target_has_its_box_and_the_others_on_its_place_are_its_rivals(tiny, make_observation):
+def test_each_target_has_its_box_and_competing_scores(tiny, make_observation):
     """A chair that also resembles a sofa is detected as both: the tracker weighs many images."""
     seen = make_observation(rgb=image())
     found = tiny(prompts=("sofa", "chair")).detect(seen)
@@ -172,7 +172,7 @@ def test_independent_prompts_compete_only_if_they_are_background(
     assert found.not_suppressed().tolist() == kept
 
 
-def test_a_background_that_the_model_does_not_know_is_left_out_and_reported_once(tiny, caplog):
+def test_an_unknown_background_word_is_reported_once(tiny, caplog):
     detector = tiny(prompts=("sofa",), background=("zebra", "chair", "heron", "couch"))
     detector.set_prompts(["desk"])
     assert detector._prompt_set.classes.n_classes == 3
@@ -197,7 +197,7 @@ def test_a_background_that_the_model_does_not_know_is_left_out_and_reported_once
     ],
     ids=["none", "empty", "grey", "rgba", "float"],
 )
-def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
+def test_a_bad_image_is_an_error_of_one_line(tiny, make_observation, rgb):
     detector = tiny()
     with pytest.raises(ValueError, match=r"observation 0: .*image") as error:
         detector.detect(make_observation(rgb=rgb))
@@ -205,9 +205,7 @@ def test_a_bad_image_is_one_clear_line(tiny, make_observation, rgb):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30, -1e6])
-def test_boxes_that_cannot_be_are_dropped_counted_and_reported_once(
-    tiny, make_observation, caplog, value
-):
+def test_invalid_boxes_are_dropped_and_counted(tiny, make_observation, caplog, value):
     boxes = BOXES.copy()
     boxes[0, 2] = value
     detector = tiny(prompts=("chair", "trash can"), model={"boxes": boxes})
@@ -225,7 +223,7 @@ def test_boxes_that_cannot_be_are_dropped_counted_and_reported_once(
         check_model(detector.card)
 
 
-def test_a_provider_that_is_not_there_is_an_error_that_lists_those_that_are(tiny):
+def test_an_unknown_provider_lists_the_available_ones(tiny):
     with pytest.raises(ModelError, match=r"'NoSuchProvider' is not available .*CPUExecution"):
         tiny(providers=("NoSuchProvider",))
 
@@ -245,9 +243,7 @@ def test_boxes_of_another_rank_are_refused(tiny):
         tiny(model={"boxes": np.zeros(4, np.float32)})
 
 
-def test_text_that_cannot_be_encoded_leaves_the_prompts_as_they_were(
-    tiny, monkeypatch, make_observation
-):
+def test_a_failed_encoding_keeps_the_old_prompts(tiny, monkeypatch, make_observation):
     detector = tiny(prompts=("sofa",))
 
     def fail(*_):
@@ -259,7 +255,7 @@ def test_text_that_cannot_be_encoded_leaves_the_prompts_as_they_were(
     assert detector.detect(make_observation(rgb=image())).prompts == ("sofa",)
 
 
-def test_a_file_that_is_no_model_is_refused(tiny, tmp_path):
+def test_an_invalid_model_file_is_refused(tiny, tmp_path):
     path = tmp_path / "cache" / "models" / "tiny.onnx"
     tiny()
     path.write_bytes(b"not onnx")
@@ -280,7 +276,7 @@ def test_contrasts_are_asked_for_next_to_the_prompts(tiny, monkeypatch, make_obs
     np.testing.assert_allclose(found.competing_score, found.score)
 
 
-def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_observation):
+def test_an_object_has_the_best_score_of_its_names(tiny, monkeypatch, make_observation):
     seen = make_observation(rgb=image())
     alone = tiny(prompts=("bed", "trash can"))
     assert [alone.prompts[k] for k in alone.detect(seen).class_id] == ["trash can"]
@@ -306,7 +302,7 @@ def test_a_thing_scores_what_the_best_of_its_names_does(tiny, monkeypatch, make_
         (("chair",), ("armchair", "trash can"), ("trash can",), ["trash can"]),
     ],
 )
-def test_what_stands_around_has_boxes_of_its_own(
+def test_context_words_have_their_own_boxes(
     tiny, make_observation, prompts, background, words, found
 ):
     seen = make_observation(rgb=image())

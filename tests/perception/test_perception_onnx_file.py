@@ -110,7 +110,7 @@ OUTSIDE = tensor("w", "../../etc/passwd")
         (detector(more=field(7, graph(tensors=(OUTSIDE,)))), "the header is not that of ONNX"),
     ],
 )
-def test_a_file_that_no_session_should_be_made_of(check, content, message):
+def test_a_file_unfit_for_a_session_is_refused(check, content, message):
     with pytest.raises(ModelError) as error:
         check(content)
     assert message in str(error.value)
@@ -118,12 +118,12 @@ def test_a_file_that_no_session_should_be_made_of(check, content, message):
     assert "\n" not in str(error.value)
 
 
-def test_functions_of_the_model_are_no_unknown_operators(check):
+def test_functions_of_the_model_count_as_known_operators(check):
     function = field(1, "F") + field(10, "my.lab") + field(7, node("Identity"))
     check(detector([node("F", "my.lab")], more=field(25, function)))
 
 
-def test_nesting_without_end_is_given_up(check):
+def test_deep_nesting_is_refused(check):
     inside = graph()
     for _ in range(60):
         inside = graph(nodes=(branch(inside),))
@@ -135,7 +135,7 @@ def test_nesting_without_end_is_given_up(check):
     ("limit", "content"),
     [("FIELDS", field(1, 9) * 1001), ("PARTS", field(7, field(1, b"") * 1000))],
 )
-def test_a_file_that_would_take_time_or_memory_without_end_is_given_up(monkeypatch, limit, content):
+def test_a_file_with_too_many_parts_is_refused(monkeypatch, limit, content):
     monkeypatch.setattr(f"edge.perception.runtime.onnx_file.MAX_{limit}", 1000)
     with pytest.raises(NotOnnxError, match=f"more than 1000 {limit.lower()}"):
         parse_onnx(content)
@@ -183,7 +183,7 @@ SOUND = detector(
 
 
 @given(st.data())
-def test_damage_is_reported_or_does_no_harm(data):
+def test_damage_is_reported_or_harmless(data):
     cut = data.draw(st.integers(0, len(SOUND)))
     damaged = bytearray(SOUND[:cut])
     for _ in range(data.draw(st.integers(0, 5)) if damaged else 0):

@@ -1,4 +1,4 @@
-"""The prior's table, what it makes of things near by and of rooms, and which words it knows."""
+"""The prior's table, its ratios for nearby objects and rooms, and its words."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_rooms_with_both(a, b, low, high):
 
 @pytest.mark.parametrize(("both", "lift"), [(20, 22 / 12), (10, 1.0), (0, 2 / 12)])
 def test_small_counts_are_drawn_towards_one(both, lift):
-    """Ten rooms with both by chance, and two more for what was not seen."""
+    """Ten rooms with both by chance, and two more for unseen cases."""
     data = {
         **DATA,
         "things": ["bed", "vase"],
@@ -91,13 +91,13 @@ def test_small_counts_are_drawn_towards_one(both, lift):
         (-1, [1, 1, 1], 1.0),
     ],
 )
-def test_what_stands_near(target, near, lift):
+def test_nearby_objects_change_the_likelihood_ratio(target, near, lift):
     out = np.empty(1, np.float32)
     cooccurrence.likelihood_ratio(TABLE, target, np.array([near], np.float32), out)
     assert out[0] == pytest.approx(lift, rel=1e-5)
 
 
-def test_a_room_is_what_it_holds():
+def test_room_kinds_follow_from_their_objects():
     chance, prior = rooms.object_given_room(TABLE), rooms.room_prior(TABLE)
     assert prior == pytest.approx([0.4, 0.6])
     # 4 rooms more, of which (50 + 0.5) / 101 have a bed.
@@ -153,7 +153,7 @@ def test_nearby_is_its_twin(seed):
     np.testing.assert_array_equal(out, expected)
 
 
-def test_a_wall_hides_what_is_behind_it():
+def test_a_wall_hides_objects_behind_it():
     wall = np.zeros((30, 30), np.bool_)
     wall[:, 15] = True
     xy, out = np.array([[0.5, 1.5]], np.float32), np.empty((1, 1), np.float32)

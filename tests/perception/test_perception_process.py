@@ -30,7 +30,7 @@ from edge.perception.runtime.health import Health, log_progress
 from edge.perception.swap import detector as swaps
 
 FAKE = Path(__file__).parent / "fake_model_process.py"
-# Only where a hang is meant may a slow machine be taken for one.
+# Only a test of a hang may take a slow machine for one.
 QUICK = {"timeout_s": PATIENCE_S, "start_timeout_s": PATIENCE_S}
 SMALL = "mini-house-256x320-int8-cpu"
 
@@ -109,7 +109,7 @@ def back(detector):
     return eventually(lambda: detector.health().state == "ok", "it never came back")
 
 
-def test_an_image_goes_there_and_boxes_come_back(make, seen, place, tmp_path):
+def test_a_detector_in_a_process_returns_boxes(make, seen, place, tmp_path):
     script, told = tmp_path / "script", []
     script.write_text("build")
 
@@ -202,14 +202,14 @@ def test_a_hang_is_ended(make, seen):
         detector.detect(seen())
 
 
-def test_who_waits_for_a_core_is_given_as_long_again(make, seen, monkeypatch):
-    """A stopped process and a clock of its own: at 1.5 s it goes on, at 2 s it is given up."""
+def test_a_process_waiting_for_a_core_gets_more_time(make, seen, monkeypatch):
+    """A stopped process with a fake clock: it continues at 1.5 s, and is given up at 2 s."""
     detector = make(timeout_s=1.0)
     pid = pid_of(detector)
     clock_s, looks = [0.0], []
 
     def queued(now_s, waited_s):
-        """At the first look the time is set; after some more the process is let go."""
+        """Set the time at the first look; let the process continue some looks later."""
 
         def look(pid):
             clock_s[0] = now_s
@@ -242,7 +242,7 @@ def test_only_the_main_thread_waiting_for_a_core_counts(monkeypatch, tmp_path):
     assert link._core_wait_s(7) == 0
 
 
-def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_path):
+def test_a_restarting_process_keeps_its_prompts(make, seen, tmp_path):
     script = tmp_path / "script"
     script.write_text("")
     detector = make(prompts=("chair", "slow"), script=script)
@@ -264,7 +264,7 @@ def test_while_it_is_away_nothing_waits_and_prompts_are_kept(make, seen, tmp_pat
     assert detector.invalid_boxes == 14  # of both processes
 
 
-def test_prompts_that_turn_out_not_to_do_are_what_detect_raises(make, seen, monkeypatch):
+def test_prompts_refused_later_raise_in_detect(make, seen, monkeypatch):
     monkeypatch.setattr(process_detector, "_CHECK_S", 0.05)
     detector = make()
     halt(pid_of(detector))
@@ -305,7 +305,7 @@ def test_ends_between_images_are_noticed_and_too_many_are_degraded(make, seen, c
     assert len([r for r in caplog.records if r.levelno == logging.ERROR]) == 1
 
 
-def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, seen, tmp_path):
+def test_a_model_that_cannot_reload_is_degraded(make, seen, tmp_path):
     """And one that can again is back; it may be closed while it is started again."""
     script = tmp_path / "script"
     script.write_text("")
@@ -334,7 +334,7 @@ def test_a_model_that_cannot_be_loaded_again_is_degraded_with_the_reason(make, s
         ("", PromptError, "'nonsense': not in the vocabulary"),
     ],
 )
-def test_what_never_gets_ready_is_an_error_at_the_start(tmp_path, said, kind, says):
+def test_a_failed_start_is_an_error(tmp_path, said, kind, says):
     (tmp_path / "script").write_text(said)
     limit_s = 0.1 if said == "wait" else PATIENCE_S
     with pytest.raises(kind, match=says) as error:
@@ -342,7 +342,7 @@ def test_what_never_gets_ready_is_an_error_at_the_start(tmp_path, said, kind, sa
     assert type(error.value) is kind
 
 
-def test_a_program_that_cannot_be_started_is_an_error_at_the_start(monkeypatch):
+def test_a_missing_program_is_an_error_at_the_start(monkeypatch):
     monkeypatch.setattr(link, "PROGRAM", ("/nowhere/python",))
     with pytest.raises(ModelProcessError, match=r"cannot be started: .*No such file"):
         steered()
@@ -366,7 +366,7 @@ def test_a_swap_given_up_while_its_process_starts_ends_that(tmp_path, monkeypatc
     assert set(psutil.Process().children()) <= others
 
 
-def test_a_process_that_does_not_listen_is_ended_all_the_same(make, monkeypatch):
+def test_a_stopped_process_is_killed(make, monkeypatch):
     monkeypatch.setattr(link, "_STOP_S", 0.05)
     detector = make()
     halt(pid_of(detector))
@@ -393,7 +393,7 @@ def test_a_process_that_cannot_be_ended_is_left_behind(monkeypatch, caplog):
     thread.join(PATIENCE_S)
 
 
-def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, caplog, tmp_path):
+def test_an_unkillable_starting_process_is_left_behind(monkeypatch, caplog, tmp_path):
     (tmp_path / "script").write_text("wait")
     outlive(monkeypatch)
     with pytest.raises(ModelProcessError, match="not ready after"):
@@ -414,7 +414,7 @@ def test_one_that_cannot_be_ended_while_it_starts_is_left_behind(monkeypatch, ca
         (-35, "ended by signal 35"),
     ],
 )
-def test_how_a_process_ended(code, says):
+def test_the_end_of_a_process_is_described(code, says):
     assert link._end_reason(code) == says
 
 
@@ -430,7 +430,7 @@ sys.stdin.read()
 
 
 @pytest.mark.slow
-def test_a_process_does_not_outlive_who_started_it():
+def test_a_process_does_not_outlive_its_parent():
     paths = [str(FAKE.parent), str(FAKE.parent.parent)]
     parent = subprocess.Popen(
         [sys.executable, "-c", PARENT.format(paths=paths)],
@@ -479,7 +479,7 @@ def tiny(tmp_path, monkeypatch, vocabulary):
 
 
 @pytest.mark.slow
-def test_a_made_up_models_boxes_are_the_same_in_a_process(tiny, monkeypatch, make_observation):
+def test_a_tiny_model_gives_the_same_boxes_in_a_process(tiny, monkeypatch, make_observation):
     inside = tiny(prompts=("sofa", "chair", "trash can"))
     monkeypatch.setenv("EDGE_TEST_CARDS", str(resources.data_dir("models")))
     rules = config.ModelProcessConfig(**QUICK)

@@ -47,7 +47,7 @@ def pid_of(model: ProcessModel) -> int | None:
     return model._link and model._link._process.pid
 
 
-def test_it_says_the_same_and_comes_back(opened):
+def test_an_isolated_model_gives_the_same_answers_and_recovers(opened):
     model, choice = opened("smolvlm")
     here = open_model(choice)
     for seed, hw in [(0, (48, 64)), (1, (240, 320))]:
@@ -70,7 +70,7 @@ def test_it_says_the_same_and_comes_back(opened):
         model.ask(SYSTEM, view, ASKED, PATIENCE_S)
 
 
-def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypatch):
+def test_isolated_text_models_give_the_same_answers(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     resources.models_dir().mkdir(parents=True)
     publish(resources.models_dir(), "text")
@@ -107,7 +107,7 @@ def test_words_go_there_too_where_the_configuration_isolates(tmp_path, monkeypat
         ({"seq": 2, "p": [[0.5, 0.2]]}, "expected 2 probabilities"),
     ],
 )
-def test_a_dying_process_may_say_anything(header, says):
+def test_invalid_answers_of_a_process_are_refused(header, says):
     with pytest.raises(ValueError, match=says):
         _decode([2], 2, header, b"")
     (p,) = _decode([2], 2, {"seq": 2, "p": [[0.25, 0.75]]}, b"")

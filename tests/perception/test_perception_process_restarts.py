@@ -46,7 +46,7 @@ def test_pauses(runs, expected):
 
 
 @given(st.lists(st.floats(0, 200), max_size=60))
-def test_so_many_ends_in_a_row_reach_the_limit_and_only_a_long_run_lifts_it(runs):
+def test_ends_in_a_row_reach_the_limit(runs):
     for k, pause in enumerate(made := pauses(runs)):
         in_a_row = 1
         while in_a_row <= k and runs[k + 1 - in_a_row] <= WINDOW_S:

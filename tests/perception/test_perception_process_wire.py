@@ -49,7 +49,7 @@ def some(n=2, competing_score=True, around=None):
 
 
 @pytest.mark.parametrize("around", [0, 3])
-def test_what_stands_around_arrives_too(around):
+def test_context_boxes_are_transferred(around):
     sent = some(2, around=around)
     came = wire.decode_answer(3, *encode(sent)).found
     assert came.context.words == ("lamp",)
@@ -215,7 +215,7 @@ def test_the_file_has_no_name_that_could_be_left_behind(pair):
     assert os.fstat(file.fd).st_mode & 0o077 == 0
 
 
-def test_memory_that_is_not_there_is_an_error_and_no_signal(pair, monkeypatch):
+def test_missing_memory_is_an_error_not_a_signal(pair, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 

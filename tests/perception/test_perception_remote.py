@@ -113,7 +113,7 @@ def test_an_unknown_prompt_is_reported_without_the_server(far):
     assert there.prompts == PROMPTS
 
 
-def test_a_server_that_comes_later_is_found(model, far, picture):
+def test_a_server_that_starts_later_is_found(model, far, picture):
     port = free_port()
     there = far(f"http://127.0.0.1:{port}")
     with pytest.raises(ServerError, match="no connection: nothing listens there; start the server"):
@@ -130,7 +130,7 @@ def test_a_server_that_comes_later_is_found(model, far, picture):
         assert there.health() == ("ok", "")
 
 
-def test_the_pause_doubles_to_its_limit_and_begins_again(model, far, picture):
+def test_the_pause_doubles_to_its_limit(model, far, picture):
     with serving(KServe(model, behave=lambda h: h.send(b"", 503))) as server:
         there, pauses = far(server), []
         for _ in range(8):
@@ -225,9 +225,7 @@ def limit(there: RemoteDetector, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(("behave", "kind", "why"), BAD)
-def test_a_fault_of_the_server_costs_one_image_and_is_reported(
-    model, far, picture, behave, kind, why, monkeypatch
-):
+def test_a_server_fault_loses_one_image(model, far, picture, behave, kind, why, monkeypatch):
     limit_s = 0.3 if kind == "timeout" else LIMIT_S
     with serving(KServe(model)) as server:
         there = far(server)
@@ -246,7 +244,7 @@ def test_a_fault_of_the_server_costs_one_image_and_is_reported(
         assert there.health() == ("ok", "")
 
 
-def test_a_server_that_comes_back_with_another_model_is_used(model, far, picture):
+def test_a_server_may_return_with_another_model(model, far, picture):
     metadata = {"inputs": [{"name": "images", "datatype": "FP32", "shape": [1, 3, 64, 64]}]}
     with serving(KServe(model)) as server:
         there = far(server)
@@ -265,7 +263,7 @@ def test_a_server_that_comes_back_with_another_model_is_used(model, far, picture
             there.detect(picture)
 
 
-def test_who_closes_it_does_not_wait_for_the_server(model, far, picture):
+def test_closing_does_not_wait_for_the_server(model, far, picture):
     asked = threading.Event()
 
     def hang(handler):
@@ -295,7 +293,7 @@ def _error(there, picture, later_s=0.0) -> str:
     return ""
 
 
-def test_in_the_background_the_newest_image_wins_and_frames_are_let_go(model, far, picture):
+def test_in_the_background_the_newest_image_wins(model, far, picture):
     gate = threading.Event()
 
     def slowly(handler):
@@ -317,9 +315,7 @@ def test_in_the_background_the_newest_image_wins_and_frames_are_let_go(model, fa
         worker.close()
 
 
-def test_a_model_on_a_server_has_no_process_of_its_own_and_needs_no_server_to_start(
-    tmp_path, monkeypatch
-):
+def test_a_server_model_starts_without_server_or_process(tmp_path, monkeypatch):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
     chosen = config.DetectorOnnx(model="far")
     made = make_detector(config.PerceptionConfig(detector=chosen, isolation="process"), PROMPTS)
@@ -348,7 +344,7 @@ def write_card(tmp_path, monkeypatch, url, **change) -> None:
         ({"server": {"url": "http://base"}}, "server.model: missing"),
     ],
 )
-def test_a_card_of_a_server_that_is_none_is_one_line(tmp_path, monkeypatch, change, why):
+def test_an_invalid_server_card_is_an_error_of_one_line(tmp_path, monkeypatch, change, why):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1", **change)
     with pytest.raises(ModelError, match=r"^[^\n]*$") as error:
         load_card("far")
@@ -356,7 +352,7 @@ def test_a_card_of_a_server_that_is_none_is_one_line(tmp_path, monkeypatch, chan
     assert ":p@" not in str(error.value)
 
 
-def test_there_is_no_file_to_look_into(tmp_path, monkeypatch):
+def test_a_server_model_has_no_local_file(tmp_path, monkeypatch):
     write_card(tmp_path, monkeypatch, "http://127.0.0.1:1")
     card = load_card("far")
     assert not card.is_here()

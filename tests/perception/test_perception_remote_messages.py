@@ -26,7 +26,7 @@ def test_nothing_asked_is_nothing_found():
     assert infer_answer(*answer(), {}) == {}
 
 
-def test_a_request_as_the_protocol_wants_it():
+def test_a_request_follows_the_kserve_protocol():
     inputs = {"images": np.ones((1, 2), np.float32), "tokens": np.array([[7]])}
     headers, body = infer_request(inputs, ["boxes"], binary=False)
     assert headers == {"Content-Type": "application/json"}
@@ -46,7 +46,7 @@ def test_a_request_as_the_protocol_wants_it():
 
 
 @given(hnp.arrays(np.float32, hnp.array_shapes(max_dims=3, max_side=4)), st.booleans())
-def test_what_is_sent_comes_back_the_same(array, binary):
+def test_arrays_survive_a_request_and_answer(array, binary):
     headers, body = infer_request({"x": array}, [], binary)
     told = json.loads(body[: int(headers.get(HEADER_LENGTH, len(body)))])
     head = json.dumps({"outputs": told["inputs"]}).encode()
@@ -93,7 +93,7 @@ LIES = [
 
 
 @pytest.mark.parametrize(("body", "length", "why"), LIES)
-def test_whatever_is_not_what_was_asked_for_is_a_lie(body, length, why):
+def test_a_mismatched_answer_is_refused(body, length, why):
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         infer_answer(body, length, {"boxes": (1, None)})
     assert str(error.value).startswith(why)
@@ -112,7 +112,7 @@ json_values = st.recursive(
 
 @given(st.binary(max_size=80) | json_values.map(lambda v: json.dumps(v).encode()),
        st.none() | st.text(max_size=5))  # fmt: skip
-def test_no_answer_raises_anything_else(body, length):
+def test_any_answer_raises_only_value_errors(body, length):
     for read in (
         lambda: infer_answer(body, length, {"boxes": (1, None)}),
         lambda: messages.check_metadata(body, {"x": ("FP32", (1,))}, {}),
@@ -123,7 +123,7 @@ def test_no_answer_raises_anything_else(body, length):
 
 
 @given(json_values)
-def test_no_output_raises_anything_else(value):
+def test_any_output_raises_only_value_errors(value):
     entry = {**ONE, **(value if isinstance(value, dict) else {"data": value}), "name": "boxes"}
     with contextlib.suppress(ValueError):
         found = infer_answer(json.dumps({"outputs": [entry]}).encode(), None, {"boxes": (1, None)})

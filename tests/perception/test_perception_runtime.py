@@ -76,7 +76,7 @@ def test_providers_that_cannot_be(tmp_path, providers, precision, says):
 
 
 @pytest.mark.parametrize("content", [b"", b"not onnx", b"\x08\x07" * 50])
-def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
+def test_an_invalid_model_file_is_an_error_of_one_line(tmp_path, content):
     (tmp_path / "tiny.onnx").write_bytes(content)
     with pytest.raises(ModelError, match="onnxruntime cannot load the model") as error:
         open_session(tmp_path / "tiny.onnx", [CPU], 1)
@@ -91,7 +91,7 @@ def test_a_file_that_is_no_model_is_one_line(tmp_path, content):
         ({"opset": 99}, r"load the model: ONNX Runtime only .*Opset 99"),
     ],
 )
-def test_a_model_that_onnxruntime_cannot_run_is_one_line(tmp_path, change, says):
+def test_an_unsupported_model_is_an_error_of_one_line(tmp_path, change, says):
     path = save_adder(tmp_path, **change)
     with pytest.raises(ModelError, match=says) as error:
         open_session(path, [CPU], 1)
@@ -186,9 +186,7 @@ def test_onnxruntimes_engine_is_built_once_and_then_loaded(fake_ort, tmp_path, m
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
-    fake_ort, tmp_path, monkeypatch, known
-):
+def test_a_damaged_model_gets_no_engine(fake_ort, tmp_path, monkeypatch, known):
     """The file's hash comes from the caller, or was cached."""
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     path, options = tmp_path / "tiny.onnx", engine("fp16", cache=tmp_path / "engines")
@@ -204,7 +202,7 @@ def test_damage_under_an_unchanged_time_of_change_gets_no_engine(
 
 
 @pytest.mark.parametrize("providers", [(ORT_TENSORRT,), ("tensorrt",)])
-def test_tensorrt_that_is_not_there_is_one_line(tmp_path, monkeypatch, providers):
+def test_missing_tensorrt_is_an_error_of_one_line(tmp_path, monkeypatch, providers):
     (tmp_path / "tiny.onnx").write_bytes(b"model")
     monkeypatch.setattr(ort, "get_available_providers", lambda: [ORT_TENSORRT, CPU])
     monkeypatch.setitem(__import__("sys").modules, "tensorrt", None)
@@ -215,7 +213,7 @@ def test_tensorrt_that_is_not_there_is_one_line(tmp_path, monkeypatch, providers
     assert "\n" not in str(error.value)
 
 
-def test_no_driver_and_no_gpu_are_one_line(monkeypatch):
+def test_a_missing_driver_or_gpu_is_an_error(monkeypatch):
     monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
     with pytest.raises(ModelError, match="no CUDA driver"):
         cuda.gpu_of(0)
@@ -256,7 +254,7 @@ def make_device(session, arrays, outputs):
 
 
 @pytest.mark.parametrize("make", [make_host, make_device])
-def test_what_is_live_is_read_before_every_run(adds, make):
+def test_live_inputs_are_read_before_every_run(adds, make):
     arrays = feeds()
     bound = make(adds, arrays, {"twice": (1, 4)})
     np.testing.assert_array_equal(bound.run()[0], [[11, 22, 33, 44]])
@@ -320,7 +318,7 @@ class FakeCudaSession:
 
 
 @pytest.mark.parametrize("provider", ["CUDAExecutionProvider", ORT_TENSORRT])
-def test_on_cuda_only_what_is_live_is_uploaded_again(monkeypatch, provider):
+def test_only_live_inputs_are_uploaded_to_cuda_again(monkeypatch, provider):
     monkeypatch.setattr(ort, "OrtValue", FakeValue)
     session, arrays = FakeCudaSession(provider), feeds()
     bound = binding.bind(session, arrays, {"twice": (1, 4)}, live=("fresh",))
@@ -339,7 +337,7 @@ def test_a_model_that_ran_leaves_nothing_in_the_home_folder(package, tmp_path):
         f"import {package}, onnxruntime\n"
         f"onnxruntime.InferenceSession({str(model)!r}, providers=['CPUExecutionProvider'])"
     )
-    # No more of the environment: what says that this is a CI keeps onnxruntime quiet, too.
+    # Nothing else of the environment: variables of a CI keep onnxruntime quiet, too.
     environ = {"HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     subprocess.run([sys.executable, "-c", code], env=environ, check=True)
     assert [str(path) for path in tmp_path.rglob("*")] == []

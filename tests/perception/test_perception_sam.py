@@ -47,7 +47,7 @@ def bright(x0, y0, x1, y1, hw=(96, 160)):
 
 @pytest.mark.parametrize("hw", [(96, 160), (160, 96), (64, 64)])
 @pytest.mark.parametrize("layout", tiny_sam.LAYOUTS)
-def test_a_mask_lies_where_the_thing_is(put, layout, hw):
+def test_a_mask_covers_its_object(put, layout, hw):
     put(layout)
     rgb, box = bright(20, 10, 40, 40, hw), (20, 10, 60, 40)
     done, out = segment(opened(layout), rgb, box, (0, 50, 20, 60))
@@ -69,12 +69,12 @@ def test_an_image_of_another_size_leaves_nothing_behind(put, layout):
         assert one.any()
 
 
-def test_no_box_costs_no_image(put):
+def test_without_boxes_no_image_is_encoded(put):
     put("nano-sam", slow=True)
     assert segment(opened("nano-sam"), bright(0, 0, 9, 9))[0] == 0
 
 
-def test_an_image_without_end_is_given_up(put):
+def test_a_slow_image_is_given_up_at_the_deadline(put):
     put("nano-sam", slow=True)
     segmenter = opened("nano-sam")
     for deadline in (-1.0, 0.05):
@@ -114,7 +114,7 @@ def test_a_provider_that_cannot_be_had(put, settings, message):
         (lambda card: {"input": {"height": 64, "width": 64}}, "must have one input"),
     ],
 )
-def test_a_file_that_is_no_such_model(put, change, message):
+def test_a_model_with_other_inputs_is_refused(put, change, message):
     put("nano-sam", **change(put("nano-sam")))
     with pytest.raises(ModelError, match=message):
         opened("nano-sam")
@@ -132,7 +132,7 @@ def test_both_files_are_checked(put, capsys):
     assert masks.startswith(f"{layout}: ok (hash, interface, masks (1, ")
 
 
-def test_a_damaged_decoder_is_told(put, capsys):
+def test_a_damaged_decoder_is_reported(put, capsys):
     card = put("nano-sam")
     path = resources.models_dir() / card["decoder"]["file"]
     path.write_bytes(path.read_bytes() + b"\0")
@@ -142,7 +142,7 @@ def test_a_damaged_decoder_is_told(put, capsys):
     assert "damaged or another model" in told
 
 
-def test_what_is_not_here_is_pulled_from_its_sources(put, capsys, tmp_path):
+def test_missing_files_are_pulled_from_their_sources(put, capsys, tmp_path):
     card, sources = put("nano-sam"), []
     for part in (card["encoder"], card["decoder"]):
         path = tmp_path / part["file"]

@@ -67,7 +67,7 @@ def test_nothing_seen_nothing_there(scene):
     assert len(s.seen.of("chair")) == len(s.seen.of("lamp")) == 0
 
 
-def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
+def test_misses_lower_the_confidence_until_the_object_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     fell = [float(s.see().seen.confidence[0]) for _ in range(4)]
     assert (np.diff(fell) < 0).all()
@@ -76,7 +76,7 @@ def test_looking_in_vain_takes_confidence_until_it_is_forgotten(scene):
     assert s.seen.n == 0
 
 
-def test_weak_boxes_count_only_where_something_is(scene):
+def test_weak_boxes_count_only_at_known_objects(scene):
     s = scene().see(("chair", NEAR, 0, 0.2))
     assert s.seen.n == 0
     s.see(("chair", NEAR, 0, 0.6)).see(("chair", NEAR, 0, 0.2))
@@ -105,7 +105,7 @@ def moved(scene):
 
 
 @pytest.mark.parametrize("first", ["elsewhere", "gone"])
-def test_an_object_that_is_seen_elsewhere_while_its_place_is_empty_has_moved(scene, first):
+def test_an_object_seen_elsewhere_has_moved(scene, first):
     s = moved(scene)
     was, first_seen_ns = int(s.seen.id[0]), int(s.seen.first_seen_ns[0])
     if first == "gone":
@@ -166,7 +166,7 @@ def test_the_newest_image_shows_these_objects(scene):
     assert s.tracker.observed == []
 
 
-def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
+def test_ids_continue_after_everything_is_forgotten(scene):
     s = scene().see(("chair", NEAR, 0, 0.6))
     before, generation = int(s.seen.id[0]), s.seen.generation
     s.tracker.clear()
@@ -175,7 +175,7 @@ def test_after_everything_is_forgotten_ids_and_words_go_on(scene):
     assert s.see(("chair", NEAR, 0, 0.6)).seen.id[0] > before
 
 
-def test_who_reads_cannot_write(scene):
+def test_readers_cannot_write(scene):
     seen = scene().see(("chair", NEAR, 0, 0.6)).seen
     with pytest.raises(ValueError, match="read-only"):
         seen.confidence[0] = 1.0
@@ -209,7 +209,7 @@ def test_an_object_with_a_likelier_class_is_tentative(scene, seen, doubtful):
     assert s.tracker.has_competing_object("bed", surface(NEAR), 0.2) == doubtful
 
 
-def test_what_was_restored_is_no_doubt_until_it_is_looked_for_again(scene):
+def test_restored_objects_compete_after_the_first_image(scene):
     before, after = scene().see(("sofa", NEAR, 0, 0.9)), scene()
     after.tracker.load_state_dict(before.tracker.state_dict(), 0)
     assert not after.tracker.has_competing_object("bed", surface(NEAR), 0.2)
@@ -233,7 +233,7 @@ def test_a_broader_word_counts_less_and_a_narrower_nothing(scene, target, around
     assert s.tracker.has_competing_object(target[0], surface(NEAR), 0.2) == doubtful
 
 
-def test_a_row_of_chairs_is_no_sofa_and_a_vase_is_not_its_table(scene):
+def test_small_objects_compete_with_a_large_one_not_vice_versa(scene):
     row = [("chair", NEAR, y, 0.6) for y in (-0.7, 0.0, 0.7)]
     s = scene(merge_m=0.4)
     for _ in range(5):
@@ -267,7 +267,7 @@ def test_the_strongest_competing_class_agrees_with_its_twin(seed, n):
 
 
 @pytest.mark.parametrize(("spread_m", "weight"), [(0.0, 1.0), (0.2, 1.0), (3.0, 0.25)])
-def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
+def test_a_partial_view_of_an_object_counts_less(spread_m, weight):
     points = np.zeros((kernels.POINTS, 3), np.float32)
     points[:] = 2.0, 0.0, 0.6
     points[:, 1] += np.linspace(-spread_m, spread_m, kernels.POINTS, dtype=np.float32)
@@ -278,7 +278,7 @@ def test_a_look_that_shows_a_part_of_a_thing_counts_less(spread_m, weight):
 
 
 @given(seed=st.integers(0, 2**32 - 1), views=st.integers(1, 20))
-def test_a_view_moves_the_centre_by_its_share_and_adds_points_reach_and_cell(seed, views):
+def test_a_view_updates_centre_points_reach_and_cell(seed, views):
     random = np.random.default_rng(seed)
     centers, seen = random.uniform(-4, 4, (2, 3, 3)).astype(np.float32)
     surfaces = (seen[:, None] + random.uniform(-0.3, 0.3, (3, 9, 3))).astype(np.float32)

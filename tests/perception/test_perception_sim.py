@@ -44,9 +44,7 @@ def test_empty_prompts_are_refused(prompts):
         (("lamp", "sofa", "dog chair"), 0),  # the one that there is cannot be seen from here
     ],
 )
-def test_a_name_means_the_things_of_that_name_before_those_of_its_noun(
-    make_observation, labels, boxes
-):
+def test_an_exact_name_matches_before_its_noun(make_observation, labels, boxes):
     found = make(("dog chair",), labels).detect(make_observation(**scene()))
     assert len(found) == boxes
 
@@ -81,7 +79,7 @@ def test_the_same_seed_and_frame_replay_the_same(make_observation):
     assert other != [d.score.tolist() for d in first]
 
 
-def test_misses_and_false_positives_come_at_their_rates(make_observation):
+def test_misses_and_false_positives_have_the_configured_rates(make_observation):
     frames = [make_observation(seq=i, **scene()) for i in range(400)]
     detector = make(miss_rate=0.2)
     seen = sum(len(detector.detect(f)) for f in frames)
@@ -93,7 +91,7 @@ def test_misses_and_false_positives_come_at_their_rates(make_observation):
 
 
 @pytest.mark.parametrize("missing", ["segmentation", "simulator", "depth_m"])
-def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
+def test_without_a_simulator_the_error_names_onnx(make_observation, missing):
     truth = {"segmentation": lambda stamp_ns: None, "simulator": None}
     sim = config.PerceptionConfig(detector=config.DetectorSim())
     detector = make() if missing == "depth_m" else make_detector(sim, ["x"], truth=truth[missing])
@@ -113,7 +111,7 @@ def test_without_a_simulator_it_says_what_to_use(make_observation, missing):
         (("furniture", "chair"), ("armchair", "sofa"), ("sofa",), [0]),
     ],
 )
-def test_what_stands_around_is_context(make_observation, prompts, background, words, classes):
+def test_background_objects_are_context(make_observation, prompts, background, words, classes):
     context = make(prompts, background=background).detect(make_observation(**scene())).context
     assert context.words == words
     assert sorted(context.class_id) == classes

@@ -61,13 +61,13 @@ def perception(similarity, **detector):
         ("tiny-clip-image", r"'tiny-clip-image': is a model of task 'image', not 'similarity'"),
     ],
 )
-def test_an_unknown_card_is_one_clear_line(cards, name, expected):
+def test_an_unknown_card_is_an_error_of_one_line(cards, name, expected):
     write(cards, tiny_clip.BY_DETECTOR, {**tiny_clip.IMAGE, "sha256": "0" * 64})
     with pytest.raises(ModelError, match=rf"^perception\.similarity: model {expected}$"):
         similarity_card(perception(name))
 
 
-def test_a_missing_model_is_one_clear_line(cards, vocabulary):
+def test_a_missing_model_is_an_error_of_one_line(cards, vocabulary):
     write(cards, tiny_clip.BY_DETECTOR, tiny_clip.PAIR)
     for name in ("tiny-by-detector", "tiny-clip-similarity"):
         with pytest.raises(UserError, match="no such card") as raised:
@@ -112,7 +112,7 @@ def test_a_pair_gives_the_cosine_with_vlfms_sentence(pair):
     scores = scorer.score(red_image(), ["chair", "sofa"])
     assert scores.shape == (2,)
     assert scores.dtype == np.float32
-    # Of "like there is a chair ahead" and the end each counts 1; "Seems" is no word to it.
+    # "like there is a chair ahead" and the end count 1 each; "Seems" is unknown.
     np.testing.assert_allclose(scores, [7**-0.5, 0.0], atol=2e-3)
     np.testing.assert_allclose(scorer.score(red_image(0), ["is"]), [2 / 3], atol=1e-3)
     scorer.close()
@@ -165,7 +165,7 @@ def test_a_detectors_class_scores(by_detector):
         by_detector(logits, ["heron"])
 
 
-def test_scores_that_are_no_numbers_are_an_error(by_detector):
+def test_scores_that_are_not_finite_are_an_error(by_detector):
     scorer = by_detector(np.full((2, 512), np.nan, np.float32), ["chair"])
     with pytest.raises(
         ModelError, match=r"model tiny-detector: 2 boxes are not finite, .* outside 0 to 1"

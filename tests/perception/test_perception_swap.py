@@ -1,4 +1,4 @@
-"""A model that takes another's place: what is refused, what is rolled back, and what is kept."""
+"""A model that replaces another: refused, rolled back or kept."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAN = float("nan")
 
 
 class Fake:
-    """Finds one box in every image; from image `from_` on it does what `then` says."""
+    """Fake detector of one box in every image; from image `from_` on it follows `then`."""
 
     def __init__(self, name="new", words=("chair", "bed"), from_=0, **then):
         self.name, self.words, self.closed, self.images = name, words, 0, 0
@@ -140,7 +140,7 @@ def bench(make_observation, monkeypatch):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline):
+def test_a_good_model_replaces_the_old_one(bench, inline):
     b = bench(inline=inline)
     assert b.swap() == ("kept", "5 images, median 5.0 ms")
     assert b.worker.detector is b.new
@@ -179,7 +179,7 @@ def test_a_good_model_takes_the_place_and_the_one_before_is_closed(bench, inline
                            "it anyway"),
     ],
 )  # fmt: skip
-def test_a_model_that_does_badly_next_to_the_running_one_is_refused(bench, new, reason):
+def test_a_bad_model_is_refused_before_the_swap(bench, new, reason):
     b = bench(new)
     assert b.swap() == ("refused", f"{reason}; old goes on")
     assert b.said[1:] == [f"model new: refused: {reason}; old goes on"]
@@ -190,7 +190,7 @@ def test_a_model_that_does_badly_next_to_the_running_one_is_refused(bench, new, 
 
 
 @pytest.mark.parametrize("fails", [True, False])
-def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
+def test_a_model_is_first_tried_in_a_process(bench, fails):
     """A model that never ends could not be killed in a thread."""
     b, made = bench(isolation="thread"), []
     error = RuntimeError("its process was killed")
@@ -220,7 +220,7 @@ def test_for_a_thread_a_model_is_tried_in_a_process_first(bench, fails):
     ],
 )
 @pytest.mark.parametrize("inline", [True, False])
-def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, inline):
+def test_a_model_that_fails_on_probation_is_rolled_back(bench, then, reason, inline):
     tried = 2 + 3 * 2
     b = bench(Fake(from_=tried + 1, **then), inline=inline)
     assert b.swap() == ("rolled back", f"{reason}; old runs again")
@@ -234,11 +234,11 @@ def test_a_model_that_does_badly_at_work_is_rolled_back(bench, then, reason, inl
 
 
 @pytest.mark.parametrize("new", [Fake(ms=50), Fake(box=(40, 40, 60, 60)), Fake(score=0.1)])
-def test_force_takes_what_is_slow_or_finds_other_things(bench, new):
+def test_force_accepts_a_slow_or_different_model(bench, new):
     assert bench(new).swap(force=True)[0] == "kept"
 
 
-def test_force_does_not_take_what_is_not_finite(bench):
+def test_force_rejects_invalid_outputs(bench):
     assert bench(Fake(invalid=1)).swap(force=True)[0] == "refused"
     assert bench(Fake(from_=9, invalid=1)).swap(force=True)[0] == "rolled back"
 
@@ -253,14 +253,14 @@ def test_force_does_not_take_what_is_not_finite(bench):
          "finds 0 of the 2 boxes of old (another family: no reason to refuse it)"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_compared_is_not_held_against_it(bench, monkeypatch, old, related, finding):
+def test_a_model_without_comparable_boxes_is_kept(bench, monkeypatch, old, related, finding):
     b = bench(old=old)
     monkeypatch.setattr(swapped, "same_family", lambda model, running: related)
     assert b.swap()[0] == "kept"
     assert b.said[1].endswith(f"median 5.0 ms on 2 images; {finding}")
 
 
-def test_one_swap_at_a_time_and_none_to_the_model_that_runs(bench):
+def test_only_one_swap_to_another_model_may_run(bench):
     b = bench()
     with pytest.raises(SwapError, match=r"^model old runs already$"):
         b.swapper.request("old", False, 0)
@@ -292,7 +292,7 @@ def test_no_images_no_swap_and_the_wait_for_them_ends(bench, monkeypatch):
     eventually(lambda: b.new.closed)
 
 
-def test_images_that_are_no_images_are_no_fault(bench, make_observation):
+def test_observations_without_an_image_are_not_held_against_a_model(bench, make_observation):
     b = bench()
     b.swapper.request("new", False, 0)
     b.until("on probation")
@@ -327,7 +327,7 @@ def test_the_build_of_an_engine_is_reported(bench):
     assert "building" not in b.swapper.status()["detail"]
 
 
-def test_prompts_that_change_once_it_is_ready_are_its_own_too(bench):
+def test_changed_prompts_reach_a_loaded_model(bench):
     b = bench()
     b.swapper.request("new", False, 0)
 
@@ -341,7 +341,7 @@ def test_prompts_that_change_once_it_is_ready_are_its_own_too(bench):
     assert b.new.prompts == ("bed",)
 
 
-def test_a_mission_that_the_new_model_cannot_look_for_comes_while_it_loads(bench):
+def test_a_model_without_the_new_prompts_is_refused(bench):
     b = bench(Slow())
     b.swapper.request("new", False, 0)
     assert b.new.begun.wait(PATIENCE_S)
@@ -370,7 +370,7 @@ def test_prompts_that_change_on_probation_reach_both(bench):
 
 
 @pytest.mark.parametrize("broken", ["old", "new"])
-def test_prompts_that_one_of_the_two_has_no_room_for_change_neither(bench, monkeypatch, broken):
+def test_prompts_change_in_both_models_or_neither(bench, monkeypatch, broken):
     b = bench()
     b.swapper.request("new", False, 0)
     b.until("on probation")
@@ -384,7 +384,7 @@ def test_prompts_that_one_of_the_two_has_no_room_for_change_neither(bench, monke
     assert b.new.prompts == b.old.prompts == ("chair",)
 
 
-def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, monkeypatch):
+def test_an_image_that_cannot_be_copied_refuses_the_model(bench, monkeypatch):
     def fail(*_):
         raise MemoryError("12 MB")
 
@@ -394,7 +394,7 @@ def test_an_image_that_there_is_no_room_to_copy_speaks_against_the_model(bench, 
     assert b.image() is not None
 
 
-def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(bench, monkeypatch):
+def test_a_refused_loading_model_blocks_the_next_swap(bench, monkeypatch):
     monkeypatch.setattr("edge.perception.swap.base.LOAD_TIMEOUT_S", 9.0)
     b = bench(Slow())
     b.swapper.request("new", False, 0)
@@ -420,7 +420,7 @@ def test_a_model_refused_while_it_loads_is_not_tried_and_no_third_one_comes(benc
     b.until("kept")
 
 
-def test_closing_while_it_loads_does_not_wait_for_it(bench, monkeypatch):
+def test_closing_does_not_wait_for_a_loading_model(bench, monkeypatch):
     monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", 0.01)
     b = bench(Slow())
     b.swapper.request("new", False, 0)
@@ -442,7 +442,7 @@ def test_closing_on_probation_closes_both(bench):
     assert (b.old.closed, b.new.closed) == (1, 1)
 
 
-def test_a_detector_that_still_detects_is_not_closed_under_its_hands(bench):
+def test_a_busy_detector_is_closed_after_its_image(bench):
     b = bench(inline=False)
     b.swapper.request("new", False, 0)
     b.until("on probation")
@@ -508,5 +508,5 @@ def detections(boxes, scores, classes, competing_score=None, prompts=("chair", "
         (detections([BOX, BOX], [0.9, 0.8], [0, 1]), detections([BOX], [0.9], [1]), (2, 1)),
     ],
 )
-def test_which_boxes_count(was, now, expected):
+def test_boxes_found_again_are_counted(was, now, expected):
     assert boxes_found_again([TrialImage(SimpleNamespace(), was)], [now], 0.3) == expected

@@ -46,7 +46,7 @@ class Question:
 
 @pytest.fixture
 def swapping(monkeypatch):
-    """(swap, worker, old, made): what is made waits until its name is among `made`."""
+    """Return (swap, worker, old, give); a model is loaded when `give` names it."""
     monkeypatch.setattr("edge.perception.swap.base.CLOSE_S", 0.01)
     made = {}
     ready = threading.Condition()
@@ -141,7 +141,7 @@ def test_probation_ends_with_the_mission_that_asks(swapping):
     eventually(lambda: old.closed == 1)
 
 
-def test_who_is_being_asked_is_closed_afterwards(swapping):
+def test_a_busy_model_is_closed_after_its_answer(swapping):
     swap, worker, old, give = swapping
     old.go.clear()
     worker.submit(Question())
@@ -165,7 +165,7 @@ def test_who_is_being_asked_is_closed_afterwards(swapping):
         (RuntimeError("no\nluck"), "it fails: RuntimeError: no luck; old runs again"),
     ],
 )
-def test_what_fails_on_probation_gives_its_place_back(swapping, error, says):
+def test_a_failure_on_probation_restores_the_old_model(swapping, error, says):
     swap, worker, old, give = swapping
     swap.request("new")
     new = give("new", Named("new"))
@@ -180,7 +180,7 @@ def test_what_fails_on_probation_gives_its_place_back(swapping, error, says):
     assert old.closed == 0
 
 
-def test_without_an_image_neither_is_to_blame(swapping):
+def test_a_failure_without_an_image_does_not_count(swapping):
     swap, worker, old, give = swapping
     old.error = RuntimeError("of the old one")
     swap.request("new")
@@ -199,7 +199,7 @@ def test_without_an_image_neither_is_to_blame(swapping):
         (RuntimeError("no\nluck"), "it fails: RuntimeError: no luck; old goes on"),
     ],
 )
-def test_what_cannot_be_loaded_changes_nothing(swapping, error, says):
+def test_a_model_that_cannot_load_changes_nothing(swapping, error, says):
     swap, worker, old, give = swapping
     swap.request("bad")
     give("bad", error)

@@ -10,7 +10,7 @@ from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import PromptError, TextEmbeddings, find_vocabulary, words_for
 
 
-def test_an_exports_vocabulary_is_kept_where_the_service_looks(tmp_path, monkeypatch):
+def test_an_exported_vocabulary_is_stored_for_the_service(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     source = tmp_path / "words.npz"
@@ -46,7 +46,7 @@ def test_rows_are_unit_and_in_order(vocabulary):
         ("ReadingDesk", "desk"),
     ],
 )
-def test_words_come_through_the_alias_table_without_a_warning(vocabulary, caplog, prompt, word):
+def test_aliases_resolve_without_a_warning(vocabulary, caplog, prompt, word):
     assert TextEmbeddings(str(vocabulary)).resolve(prompt) == word
     assert not caplog.records
 
@@ -66,7 +66,7 @@ def test_a_phrase_falls_back_to_its_noun_with_a_warning(vocabulary, caplog, phra
     assert word in caplog.text
 
 
-def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_path, caplog):
+def test_an_unknown_kind_is_searched_as_the_broader_word(tmp_path, caplog):
     words = ["potted plant", "mailbox (at home)", "bow (weapon)", "bow (decorative ribbons)"]
     np.savez(tmp_path / "words.npz", names=words, emb=np.eye(4, 512))
     encoder = TextEmbeddings(str(tmp_path / "words.npz"))
@@ -79,7 +79,7 @@ def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_pa
             encoder.resolve(unknown)
 
 
-def test_a_missing_vocabulary_says_what_to_do(tmp_path, monkeypatch):
+def test_a_missing_vocabulary_is_reported_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)
     with pytest.raises(
@@ -113,7 +113,7 @@ def torn_zip(path):
         torn_zip,
     ],
 )
-def test_a_file_with_other_things_is_no_vocabulary(tmp_path, write):
+def test_an_unsuitable_file_is_not_a_vocabulary(tmp_path, write):
     write(tmp_path / "v.npz")
     with pytest.raises(PromptError, match=r"v\.npz: not a vocabulary"):
         TextEmbeddings(str(tmp_path / "v.npz"))
@@ -136,7 +136,7 @@ def test_every_word_must_have_an_embedding(tmp_path, rows, says):
         TextEmbeddings(str(path))
 
 
-def test_words_for_leaves_out_what_is_not_known(vocabulary):
+def test_words_for_omits_unknown_words(vocabulary):
     resolve = TextEmbeddings(str(vocabulary)).resolve
     assert words_for((), resolve) == {}
     assert words_for(("couch", "zebra", "", "bed"), resolve) == {"couch": "sofa", "bed": "bed"}
@@ -154,7 +154,7 @@ def test_without_a_text_model_the_vocabulary_is_taken(cards, vocabulary):
     assert encoder.contrasts("red chair") == []
 
 
-def test_another_models_card_that_is_not_valid_is_passed_over(cards, vocabulary, caplog):
+def test_an_invalid_card_of_another_model_is_skipped(cards, vocabulary, caplog):
     (cards / "broken.yaml").write_text("name: [")
     assert make_text_encoder(_Card, str(vocabulary)).dim == 512
     (record,) = caplog.records
@@ -176,7 +176,7 @@ def test_embeddings_of_another_length_are_refused(cards, vocabulary, monkeypatch
         make_text_encoder(_Card, str(vocabulary))
 
 
-def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
+def test_synonyms_cover_aliases_and_near_words(tmp_path):
     """Prompts include aliases and near words of the embedding, never broader ones.
 
     A near word must be a kind of the class, or no class of its own.
@@ -195,7 +195,7 @@ def test_a_thing_is_asked_for_under_all_its_names(tmp_path):
         text.synonyms("zebra")
 
 
-def test_a_thing_is_asked_for_under_narrower_words_that_are_no_class_of_their_own(tmp_path):
+def test_synonyms_cover_narrower_words_without_their_own_class(tmp_path):
     angles = {"table": 0.0, "kids table": 0.30, "pool table": 0.40, "dining table": 0.40}
     angles |= {"board": 0.40, "far table": 0.50}  # cosine 0.92 at 0.40 rad, 0.88 at 0.50 rad
     rows = [(np.cos(angle), np.sin(angle)) for angle in angles.values()]

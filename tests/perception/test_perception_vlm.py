@@ -1,4 +1,4 @@
-"""Published language models: what they are fed, what of their answers counts, how they fail."""
+"""Published language models: their inputs, their answers and their failures."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_eq_4_is_a_softmax_over_the_answers_of_servers(logits, shift):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_what_is_read_once_says_the_same(models_dir, family):
+def test_the_prompt_cache_does_not_change_answers(models_dir, family):
     """Compare with a model without a cache after any other views and questions."""
     card = publish(models_dir, family)
     model = opened(card)
@@ -238,7 +238,7 @@ def test_a_view_becomes_a_choice(models_dir, make_observation, family):
     )
 
 
-def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_observation):
+def test_a_question_needs_marks_and_an_image(make_observation):
     class Eyes:
         name, takes_images = "eyes", True
 
@@ -249,7 +249,7 @@ def test_without_marks_nothing_is_asked_and_without_an_image_it_cannot_be(make_o
     assert asks.answer(asks.prepare(MarkedView(seen.observation, "lamp", ()))) is None
 
 
-# -- what goes wrong --------------------------------------------------------------------------
+# -- errors ---------------------------------------------------------------------------------
 
 
 def change_json(file, **changes):
@@ -457,7 +457,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", [*BROKEN, *WRONG])
-def test_what_is_wrong_is_reported_in_one_line(models_dir, what):
+def test_a_broken_model_is_reported_in_one_line(models_dir, what):
     card = publish(models_dir, "smolvlm")
     spoil, says = {**BROKEN, **WRONG}[what]
     spoil(card)
@@ -490,7 +490,7 @@ def test_wrong_sizes_of_patches_are_reported_in_one_line(models_dir, told, says)
 
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("provider", ["tensorrt", "TensorrtExecutionProvider"])
-def test_free_shapes_are_none_for_tensorrt(models_dir, family, provider):
+def test_free_shapes_are_refused_for_tensorrt(models_dir, family, provider):
     card = publish(models_dir, family)
     says = r"\.onnx: the input '\w+' has no fixed shape, .* in perception\.choice\.providers"
     with pytest.raises(ModelError, match=says) as raised:
@@ -526,7 +526,7 @@ def sound(tmp_path_factory):
 
 @pytest.mark.parametrize("family", FAMILIES)
 @given(st.randoms(use_true_random=False), st.data())
-def test_changed_files_are_reported_in_one_line_or_do_no_harm(sound, family, chance, data):
+def test_changed_files_are_reported_or_harmless(sound, family, chance, data):
     """Though their hashes are right: nothing but a ModelError is raised, whatever the bytes."""
     card, contents = sound[family]
     file = data.draw(st.sampled_from(sorted(contents)))
@@ -545,7 +545,7 @@ def test_changed_files_are_reported_in_one_line_or_do_no_harm(sound, family, cha
     assert len(told) < 1200
 
 
-def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
+def test_a_card_of_another_task_or_unknown_is_refused(models_dir):
     for name, says in [
         ("none", "no such card"),
         ("mini-house-text", "of task 'text', not 'choice'"),
@@ -554,7 +554,7 @@ def test_a_card_of_another_task_and_one_that_is_not_there(models_dir):
             made(card=name)
 
 
-def test_weights_next_to_a_network_must_be_among_the_cards_files(models_dir):
+def test_external_weights_must_be_listed_in_the_card(models_dir):
     card = publish(models_dir, "text")
     path = card.path_of(card.decoder)
     made = tiny_vlm.decoder(600, np.random.default_rng(0), "text", F32)
@@ -583,7 +583,7 @@ def test_a_question_that_is_too_long_is_not_asked(models_dir):
     assert len(model.ask(SYSTEM, "bed", both_questions(2, "lamp"), PATIENCE_S)) == 2
 
 
-def test_a_word_that_is_the_image_token_shows_no_second_image(models_dir):
+def test_an_image_token_in_a_target_is_an_error(models_dir):
     model = opened(publish(models_dir, "smolvlm"))
     with pytest.raises(ModelError, match=r"shows 2 images .<image>., expected 1"):
         model.ask(SYSTEM, a_view(model), both_questions(2, "<image>"), PATIENCE_S)
@@ -638,7 +638,7 @@ def test_an_answer_that_takes_too_long_is_broken_off(endless):
         endless.ask(SYSTEM, dark, EVERY, 0.0)
 
 
-def test_closing_gives_up_what_is_asked(endless):
+def test_closing_aborts_a_running_question(endless):
     raised = []
 
     def ask():
@@ -656,8 +656,8 @@ def test_closing_gives_up_what_is_asked(endless):
     assert raised == ["model tiny: aborted: the model was closed"]
 
 
-def test_the_card_says_what_is_missing(models_dir):
-    """Read as any other card, and refused where its parts do not go together."""
+def test_the_card_knows_its_files_and_refuses_unknown_keys(models_dir):
+    """It is read like any other card, and refused if its parts do not fit together."""
     publish(models_dir, "smolvlm")
     card = load_card("tiny")
     assert card.is_here()

@@ -60,7 +60,7 @@ def holds(frames):
     return [frame.slot.holds for frame in frames]
 
 
-def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
+def test_the_newest_waiting_image_wins(frames):
     worker = DetectorWorker(fake := Fake())
     worker.submit(frames[0])
     assert fake.started.acquire(timeout=PATIENCE_S)
@@ -73,11 +73,11 @@ def test_the_newest_waiting_image_wins_and_the_others_are_let_go(frames):
     found = worker.poll()
     assert found.observation is frames[3]
     worker.close()
-    assert holds(frames) == [0, 0, 0, 1, 0]  # whose it is that polled
+    assert holds(frames) == [0, 0, 0, 1, 0]  # held by the caller of poll
     assert fake.closed
 
 
-def test_cameras_take_turns_and_detections_come_in_order(make_observation):
+def test_cameras_take_turns(make_observation):
     """Two ticks pass while the detector runs, so the newest image is always of camera 0."""
     rgb = np.zeros((1, 1, 3), np.uint8)
     seen = [make_observation(seq=i, slot=Slot(), rgb=rgb, camera_index=i % 2) for i in range(12)]
@@ -99,9 +99,7 @@ def test_cameras_take_turns_and_detections_come_in_order(make_observation):
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that_is_down(
-    frames, inline, caplog
-):
+def test_failures_in_a_row_end_with_a_result(frames, inline, caplog):
     worker, rows = DetectorWorker(fake := Fake(bad=(0, 1, 3)), inline), []
     fake.gate.release(len(frames))
     for frame in frames:
@@ -120,7 +118,7 @@ def test_a_row_of_failures_ends_with_a_result_and_counts_none_of_a_detector_that
 
 @pytest.mark.parametrize("looks_at", ["rgb", "depth_m"])
 @pytest.mark.parametrize("inline", [False, True])
-def test_what_has_no_picture_is_no_failure(make_observation, looks_at, inline):
+def test_an_observation_without_an_image_is_no_failure(make_observation, looks_at, inline):
     """A LiDAR maps at 10 Hz next to a camera of 5 Hz."""
     fake = Fake(bad=(0, 2))
     fake.looks_at = looks_at
@@ -172,7 +170,7 @@ class StoodStill:
 
 
 class Steered:
-    """A detector, or a scorer, that does what the test says while it is at work."""
+    """A detector or scorer that the test steers while it works."""
 
     name = "steered"
 
@@ -275,7 +273,7 @@ class FakeScorer:
         self.closed.set()
 
 
-def test_one_question_at_a_time_and_its_frame_only_while_it_is_looked_at(frames):
+def test_the_worker_asks_one_question_at_a_time(frames):
     questions = [Question(frame) for frame in frames]
     worker = ScorerWorker("choice", fake := FakeScorer())
     worker.submit(questions[1])
@@ -297,7 +295,7 @@ def test_one_question_at_a_time_and_its_frame_only_while_it_is_looked_at(frames)
     assert holds(frames) == [0] * 5
 
 
-def test_closing_gives_up_what_is_being_answered_which_is_no_failure(frames, caplog):
+def test_closing_discards_a_running_question_without_a_failure(frames, caplog):
     worker = ScorerWorker("choice", fake := FakeScorer())
     worker.submit(Question(frames[0]))
     eventually(lambda: fake.under_way)

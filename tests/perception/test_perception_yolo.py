@@ -44,7 +44,7 @@ def picture(shared_dir, i):
     return np.ascontiguousarray(cv2.imread(str(path))[:, :, ::-1])
 
 
-def test_it_finds_the_chair_and_nothing_else_strong(detector, shared_dir, make_observation):
+def test_the_chair_is_the_only_strong_detection(detector, shared_dir, make_observation):
     for i in range(5):
         found = detector.detect(make_observation(seq=i, rgb=picture(shared_dir, i)))
         assert found.prompts[found.class_id[0]] == "chair"
@@ -55,7 +55,7 @@ def test_it_finds_the_chair_and_nothing_else_strong(detector, shared_dir, make_o
             np.testing.assert_allclose(found.xyxy_px[0], CHAIR, atol=15)
 
 
-def test_an_image_of_the_inputs_size_and_a_larger_one_agree(detector, shared_dir, make_observation):
+def test_large_and_small_images_give_the_same_box(detector, shared_dir, make_observation):
     large = picture(shared_dir, 0)
     small = cv2.resize(large, (320, 240), interpolation=cv2.INTER_AREA)
     a = detector.detect(make_observation(rgb=large))

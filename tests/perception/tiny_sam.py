@@ -175,7 +175,7 @@ def _write_decoder(path: Path, layout: Layout) -> None:
         node("And", ["across", "down"], ["within"]),
         node("Where", ["within", "bright", "outside"], ["one_mask"]),
         node("Mul", ["one_mask", "sign"], ["low"]),
-        # What is not used would be no input of the graph.
+        # An unused input would be dropped from the graph.
         node("ReduceSum", ["point_labels"], ["labels"], keepdims=0),
         node("Sub", ["labels", "labels"], ["nothing"]),
         node("Add", ["iou", "nothing"], ["iou_predictions"]),

@@ -1,4 +1,4 @@
-"""A policy of one's own: the code of docs/policies.md, and what is said when it is wrong."""
+"""A plugin policy: the code of docs/policies.md, and its error messages."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Spy:
 """
 
 
-def test_what_a_policy_sees(written):
+def test_a_policy_sees_a_read_only_context(written):
     written(SEES)
     small = {"extent_m": 8.0, "range_m": 2.5}
     instruction = {"instruction": "F television & F bed", "translator": {"kind": "ltl"}}
@@ -77,7 +77,7 @@ def test_what_a_policy_sees(written):
         grid, res = context.map, context.map.resolution_m
         assert context.observation.rgb is not None
         assert context.targets[context.active] == context.target == loop.service.mission.target
-        # Cells whose state became another lie in the rectangle that is said to have changed.
+        # Cells with another state lie in the reported changed rectangle.
         x0, y0, x1, y1 = context.changed
         for x in range(-40, 40, 3):
             for y in range(-40, 40, 3):
@@ -101,7 +101,7 @@ def test_what_a_policy_sees(written):
     assert len(new) < c.n  # candidates last
 
 
-def test_it_is_told_what_is_void(written):
+def test_a_policy_is_reset_with_the_reason(written):
     from edge.mission.spec import prepare
 
     written(SEES)
@@ -141,7 +141,7 @@ def test_it_is_told_what_is_void(written):
         ),
     ],
 )
-def test_what_is_wrong_with_it_is_one_line(written, code, policy, message):
+def test_an_unusable_policy_is_refused_in_one_line(written, code, policy, message):
     written(code)
     with pytest.raises(ConfigError) as caught:
         make_policy(simulated({"policy": policy}).policy, "f.yaml")

@@ -86,14 +86,14 @@ def test_vl_score_stays_from_first_sight():
     assert scored([(2, 0)], [(0.0, 0.9)], vl=[0.25]).tolist() == [[0.25]]
 
 
-def test_each_target_has_a_score_of_its_own_from_the_same_look():
+def test_each_target_has_its_own_score():
     got = scored([(2, 0), (2, 1)], [(0.0, 0.9, 0), (0.46, 0.5, 1)], targets=3)
     for target, boxes in enumerate(([(0.0, 0.9)], [(0.46, 0.5)], [])):
         np.testing.assert_allclose(got[target], scored([(2, 0), (2, 1)], boxes)[0])
 
 
-def test_of_what_is_no_target_the_box_that_says_most_counts():
-    """Ten pillows say no more of a bed than one, and nothing is taken from what the bed says."""
+def test_only_the_strongest_context_box_counts():
+    """Ten pillows count no more for a bed than one, and the bed's own score is kept."""
     bed, pillows = (0.0, 0.4), [(0.0, 0.3), (0.02, 0.3), (-0.4, 0.9)]
     alone, one = scored([(2, 0)], [bed]), scored([(2, 0)], [bed, pillows[0]], around=1)
     assert one[0, 0] == pytest.approx(alone[0, 0] + 0.3)
@@ -147,7 +147,7 @@ def candidates_of(*entries: tuple[int, float, float]) -> Candidates:
         # Too close to be a goal; an instance there is for the mission to verify.
         ([(FRONTIER, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [1]),
         ([(INSTANCE, 0.2, 0), (FRONTIER, 3, 0)], [0.9, 0.1], [0, 1]),
-        # A turn on the spot is one more way to see what is not known yet.
+        # A spin is one more way to see unknown space.
         ([(FRONTIER, 3, 0), (INSTANCE, 3, 1), (SPIN, 0.3, 0)], [0.1, 0.1, 0.9], [1, 2, 0]),
         # Ties go to the older identity.
         ([(FRONTIER, 2, 0), (FRONTIER, 3, 0)], [0.5, 0.5], [0, 1]),
@@ -159,7 +159,7 @@ def test_ranking_is_algorithm_2(entries, score, expected):
 
 
 @pytest.mark.parametrize(("confirmed_first", "expected"), [(True, [1, 0, 2]), (False, [0, 1, 2])])
-def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, expected):
+def test_confirmed_instances_can_rank_before_higher_scores(confirmed_first, expected):
     candidates = candidates_of((INSTANCE, 2, 0), (INSTANCE, 5, 0), (FRONTIER, 1, 0))
     candidates.confirmed[1] = True
     score = np.array([0.3, 0.2, 0.9], np.float32)
@@ -177,7 +177,7 @@ def test_a_confirmed_instance_may_come_before_what_scores_more(confirmed_first, 
         ((9.0, 6.0), 0),
     ],
 )
-def test_objects_are_visited_in_the_order_of_the_least_expected_path(path_m, best):
+def test_objects_are_visited_by_the_least_expected_path(path_m, best):
     candidates = candidates_of((INSTANCE, 1, 0), (INSTANCE, 0, 1))
     candidates.confirmed[0], candidates.confidence[1] = True, 0.36
     candidates.path_m[:2] = path_m
@@ -233,7 +233,7 @@ def context(
     )  # fmt: skip
 
 
-# Frontiers, one of them out of reach, an instance and a look; what each policy makes of them.
+# Frontiers, one of them out of reach, an instance and a spin, with each policy's scores.
 @pytest.mark.parametrize(
     ("policy", "expected"),
     [
@@ -243,7 +243,7 @@ def context(
     ],
     ids=lambda value: getattr(value, "kind", ""),
 )
-def test_what_a_policy_makes_of_way_and_gain(policy, expected):
+def test_policies_combine_path_length_and_gain(policy, expected):
     candidates = candidates_of(
         (FRONTIER, 4, 0), (FRONTIER, 2, 0), (FRONTIER, 1, 0), (INSTANCE, 9, 0), (SPIN, 1, 0)
     )
@@ -254,7 +254,7 @@ def test_what_a_policy_makes_of_way_and_gain(policy, expected):
     assert got.dtype == np.float32
 
 
-def test_of_two_things_the_nearer_comes_first_unless_it_is_much_less_sure():
+def test_nearer_instances_win_unless_much_less_certain():
     candidates = candidates_of(*[(INSTANCE, x, 0) for x in (1, 4, 2)])
     candidates.confidence[:3] = 0.25, 0.81, 0.04
     candidates.path_m[:3] = 1.0, 4.0, math.inf
@@ -262,12 +262,12 @@ def test_of_two_things_the_nearer_comes_first_unless_it_is_much_less_sure():
     assert got == pytest.approx([0.5 / 2, 0.9 / 5, 0.2 / 3])
 
 
-# By S_VL alone: what is remembered of a frontier is its score.
+# By S_VL alone: the remembered value of a frontier is its score.
 BY_SIGHT = PolicyHvl(heuristics=False)
 BOTH = ("chair", "sofa")
 
 
-def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
+def test_the_first_score_stays_with_its_frontier():
     policy = make_policy(BY_SIGHT)
     first = candidates_of((FRONTIER, 2, 0), (FRONTIER, 2, 1), (FRONTIER, 2, -1))
     bearing = math.atan2(1, 2)
@@ -275,7 +275,7 @@ def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
     chair = scores_of(policy, context(first, BOTH, "chair", boxes)).copy()
     assert (chair[1] > 0.1, chair[2] < 0.01) == (True, True)
     # Another order, one gone, one new in sight of nothing, an instance, and a later image without
-    # any box: it says nothing of what was looked at before.
+    # any box: it does not change earlier scores.
     later = candidates_of((FRONTIER, 0, 9), (FRONTIER, 2, -1), (FRONTIER, 2, 0), (INSTANCE, 1, 0))
     later.id[:4] = 7, 3, 1, 3
     later.first_seen_ns[0] = 5
@@ -289,7 +289,7 @@ def test_what_was_seen_first_stays_with_the_frontier_at_any_place_in_the_list():
 @pytest.mark.parametrize(
     ("why", "kept"), [("mission", False), ("pose", False), ("map rolled", True)]
 )
-def test_what_was_seen_is_forgotten_with_its_mission_or_map(why, kept):
+def test_a_new_mission_or_pose_jump_clears_scores(why, kept):
     policy, one = make_policy(BY_SIGHT), candidates_of((FRONTIER, 2, 0))
     before = float(scores_of(policy, context(one, boxes=[(0.0, 0.5, 0)]))[0])
     assert before == pytest.approx(0.5)
@@ -324,7 +324,7 @@ def test_a_policy_that_does_not_score_every_candidate_is_named(given):
         ([(0.6, 0.8, "pillow")], 1.0, 0.0),
     ],
 )
-def test_hvl_follows_what_has_to_do_with_the_target(around, w_context, expected):
+def test_hvl_is_drawn_to_related_objects(around, w_context, expected):
     policy = make_policy(PolicyHvl(heuristics=False, w_context=w_context))
     one = candidates_of((FRONTIER, 2, 0))
     got = scores_of(policy, context(one, ("bed", "piano"), "bed", [], around=around))

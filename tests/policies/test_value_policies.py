@@ -1,4 +1,4 @@
-"""Policies that go by the value maps: which frontier they take, and what they fall back to."""
+"""Policies that use the value maps: their choice of a frontier, and their fallbacks."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ POLICIES = [PolicyVlfm(), PolicyDirectional(), PolicyAdaptive()]
 
 
 @pytest.mark.parametrize("policy", POLICIES, ids=lambda p: p.kind)
-def test_without_candidates_there_are_no_scores(policy):
+def test_without_candidates_nothing_is_scored(policy):
     assert scored(policy, Valued()).size == 0
 
 
 @pytest.mark.parametrize("policy", POLICIES, ids=lambda p: p.kind)
-def test_where_nothing_was_said_it_is_the_nearest_by_path(policy):
+def test_without_values_the_nearest_frontier_wins(policy):
     around = Valued(path_m={a: 9.0})
     score = scored(policy, around, A, B, C, D)
     assert np.argsort(-score).tolist() == [2, 3, 1, 0]
@@ -89,11 +89,11 @@ def test_where_nothing_was_said_it_is_the_nearest_by_path(policy):
         ({b: 0.3, c: 0.2}, 1),
         ({b: 0.3, c: 0.302}, 2),
         ({b: 0.3, c: 0.3}, 2),  # equals: the nearer
-        ({b: 0.1}, 1),  # of A, C and D nothing is known
+        ({b: 0.1}, 1),  # A, C and D have no value
         ({a: 0.0, b: 0.0, c: 0.0}, 0),
     ],
 )
-def test_the_frontier_with_the_best_value_near_it_is_taken(policy, values, expected):
+def test_the_frontier_with_the_best_nearby_value_wins(policy, values, expected):
     assert first(scored(policy, Valued(values), A, B, C, D)) == expected
 
 
@@ -121,7 +121,7 @@ def test_the_more_nearness_counts_the_nearer_is_taken(kind, nearness, expected):
         ({a: 0.25, b: 0.5, c: 0.0, d: 0.0}, 1),
     ],
 )
-def test_values_are_followed_where_they_tell_frontiers_apart(values, expected):
+def test_adaptive_follows_values_that_stand_out(values, expected):
     assert first(scored(PolicyAdaptive(), Valued(values), A, B, C, D)) == expected
 
 
@@ -136,12 +136,12 @@ def test_values_are_followed_where_they_tell_frontiers_apart(values, expected):
         ({("bed", *b): 3.0, ("bed", *d): 2.9}, 3),
     ],
 )
-def test_the_prior_may_stand_in_for_values(lifts, expected):
+def test_the_prior_can_replace_values(lifts, expected):
     by_prior, prior = PolicyAdaptive(by="prior"), None if lifts is None else Lifts(lifts)
     assert first(scored(by_prior, Valued({c: 0.9}), A, B, C, D, prior=prior)) == expected
 
 
-def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
+def test_the_first_frontier_starts_the_shortest_tour():
     """East lies nearest; west first, and then all of the east, is 2.5 + 8.5 m instead of 14.5."""
     east = [(FRONTIER, x, 0.0) for x in (2.0, 4.0, 6.0)]
     west = (FRONTIER, -2.5, 0.0)
@@ -155,7 +155,7 @@ def test_the_first_leg_is_that_of_the_shortest_tour_not_of_the_nearest():
 
 
 @given(seed=st.integers(0, 10**6), k=st.integers(1, 6))
-def test_the_tour_is_the_shortest_of_all(seed, k):
+def test_shortest_tour_agrees_with_all_permutations(seed, k):
     rng = np.random.default_rng(seed)
     xy_m = rng.uniform(-9, 9, (k, 2)).astype(np.float32)
     path_m = np.hypot(*xy_m.T).astype(np.float64) * rng.uniform(1.0, 3.0, k)

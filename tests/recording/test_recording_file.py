@@ -1,4 +1,4 @@
-"""MCAP files: whole or cut anywhere, what is there is read, by this program and by `mcap`."""
+"""MCAP files: whole or cut anywhere, their messages are read, here and by `mcap`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write(path, n: int, compression: str = "lz4", metadata=None) -> None:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_what_is_written_is_read(tmp_path, compression):
+def test_a_written_recording_is_read_back(tmp_path, compression):
     path = tmp_path / "a.mcap"
     write(path, 12, compression, {"edge": {"a": "1"}})
     reading = McapReader(path)
@@ -71,7 +71,7 @@ def test_at_any_cut_the_beginning_is_read(tmp_path_factory, whole, share):
 
 
 @given(share=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, flip):
+def test_a_damaged_recording_is_read_up_to_the_damage(tmp_path_factory, whole, share, flip):
     path = tmp_path_factory.mktemp("damaged") / "a.mcap"
     at = 40 + int(share * (len(whole) - 40))  # behind the magic and the header
     broken = bytearray(whole)
@@ -80,14 +80,14 @@ def test_what_is_damaged_is_read_up_to_there(tmp_path_factory, whole, share, fli
     reading = McapReader(path)
     n = len(list(reading))
     assert n <= 40
-    if reading.is_complete:  # what follows the messages only helps to find them
+    if reading.is_complete:  # the rest of the file is only an index
         assert n == 40
     else:
         assert reading.truncation.startswith("damaged: ")
 
 
 @pytest.mark.parametrize("content", [b"", b"junk" * 100, b"\x89MCAP1\r\n" + b"0" * 100])
-def test_what_is_no_recording(tmp_path, content):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"a\.mcap: not an MCAP file"):
@@ -108,7 +108,7 @@ def test_a_partial_file_is_recovered_under_its_own_name(tmp_path, whole):
     assert sorted(tmp_path.iterdir()) == [out, path]
 
 
-def test_nothing_that_is_there_is_written_over(tmp_path, whole):
+def test_an_existing_file_is_not_overwritten(tmp_path, whole):
     path = tmp_path / "a.mcap.recovering"
     path.write_bytes(whole)
     with pytest.raises(RecordingError, match=r"a\.mcap\.recovering: exists already"):
@@ -140,7 +140,7 @@ while True:
 """
 
 
-def test_after_a_kill_all_but_the_last_moments_are_there(tmp_path):
+def test_a_kill_loses_only_the_last_moments(tmp_path):
     script = WRITER.format(folder=str(tmp_path))
     writer = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     told = [int(writer.stdout.readline().split()[0]) for _ in range(8)]

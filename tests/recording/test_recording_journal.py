@@ -80,7 +80,7 @@ START = LoopInput(3, "start", {
         ("start", START.fields),
     ],
 )
-def test_an_entry_comes_back(kind, fields):
+def test_an_entry_survives_a_round_trip(kind, fields):
     if "translation" in fields:
         assert again(LoopInput(3, kind, fields))[0].fields["translation"].formula == (
             fields["translation"].formula
@@ -93,7 +93,7 @@ FLOATS = arrays(np.float32, st.integers(0, 4), elements=st.floats(width=32))
 
 
 @given(FLOATS, st.sampled_from([None, "competing_score"]), st.none() | st.integers(0, 2**32 - 1))
-def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
+def test_detections_survive_a_round_trip_exactly(score, competing_score, masked):
     n = len(score)
     boxes, labels = np.outer(score, np.ones(4, np.float32)), np.arange(n, dtype=np.int32)
     context = ContextBoxes(boxes, score, labels, ("rug",) * n)
@@ -117,7 +117,7 @@ def test_detections_come_back_to_the_last_bit(score, competing_score, masked):
         np.testing.assert_array_equal(back.mask, found.mask)
 
 
-def test_what_was_found_in_the_background_comes_back():
+def test_background_results_survive_the_journal():
     values = np.array([0.1, np.inf, np.nan], np.float32)
     label = np.repeat(np.array([[1, 2]], np.int16), 20, axis=1).repeat(20, axis=0)
     grid = Grid(np.full(label.shape, OPEN, np.uint8), (0.1, -0.2), 0.1)
@@ -153,7 +153,7 @@ def test_what_was_found_in_the_background_comes_back():
 
 
 @given(st.none() | st.floats(-math.pi, math.pi))
-def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
+def test_a_refined_trajectory_survives_a_round_trip(heading_rad):
     """Asked for at the end, and asked for again whenever it is planned again."""
     line = np.array([[0.0, 0.0], [1.0, 0.0]])
     poses = np.column_stack([line, np.zeros(2), [0.0, heading_rad or 0.0]])
@@ -185,7 +185,7 @@ def test_a_refined_trajectory_comes_back_with_its_heading(heading_rad):
         assert (one.dtype, one.tobytes()) == (other.dtype, other.tobytes())
 
 
-def test_the_mounts_are_written_only_when_they_change():
+def test_mounts_are_written_only_when_they_change():
     camera = CameraModel(40, 30, 30.0, 31.0, 20.0, 15.0)
     written: dict = {}
     read: dict = {}

@@ -141,7 +141,7 @@ def test_a_small_file_stays_small(tmp_path, case):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
+def test_a_chunk_of_its_declared_size_is_read(tmp_path, known):
     path = tmp_path / "a.mcap"
     whole, data = message(b"x" * 10_000), CHANNEL + message(b"y")
     write(
@@ -149,7 +149,7 @@ def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
         chunk(zstd(data, known), len(data), "zstd", zlib.crc32(data)),
         chunk(b"", 0),
         chunk(lz4.frame.compress(whole), len(whole), "lz4", zlib.crc32(whole)),
-        chunk(CHANNEL * 3, 3 * len(CHANNEL)),  # what comes again takes no more room
+        chunk(CHANNEL * 3, 3 * len(CHANNEL)),  # repeated values take no more memory
         struct.pack("<BQ", Opcode.ATTACHMENT, 3) + b"any",  # passed over, whatever it says
         struct.pack("<BQ", 0x80, 2) + b"??",
         message(b"z"),
@@ -159,7 +159,7 @@ def test_a_chunk_of_the_size_that_it_says_is_read(tmp_path, known):
     assert (reading.is_complete, reading.truncation) == (True, "")
 
 
-def test_what_lies_outside_of_chunks_is_not_read(tmp_path, monkeypatch):
+def test_attachments_are_skipped_in_blocks(tmp_path, monkeypatch):
     """An attachment as large as a disk passes through a block at a time."""
     monkeypatch.setattr(reader, "MAX_RECORD_BYTES", 1 << 10)
     path = tmp_path / "a.mcap"

@@ -1,4 +1,4 @@
-"""A recorded run replays to identical in every tick, whatever came into it; and what does not."""
+"""A recorded run replays identically in every tick, with all inputs; and runs that differ."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_task(tmp_path):
     same(recording.close(), 27)
 
 
-def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
+def test_a_patrol_with_waits_and_checks(tmp_path):
     recording = Recording(tmp_path).steps(2)
     service, closed = recording.service, recording.closed
     place = Site((Place.at("near", closed.drive.motion.pose),))
@@ -127,7 +127,7 @@ def test_a_patrol_that_waits_and_checks_until_a_person_ends_it(tmp_path):
     same(recording.close(), ticks)
 
 
-def test_all_that_can_come_into_the_loop(tmp_path):
+def test_all_kinds_of_inputs_replay(tmp_path):
     """Requests, answers, idle beats, a jump, a reload, a tick that fails, in one run."""
     recording = Recording(tmp_path).steps(5)
     service, closed = recording.service, recording.closed
@@ -184,7 +184,7 @@ def test_all_that_can_come_into_the_loop(tmp_path):
 
 @pytest.mark.parametrize("field", ["rgb", "depth_m"])
 def test_observations_that_were_refused_are_refused_again(tmp_path, field):
-    """By what the run decided: not every picture is recorded."""
+    """The recorded decisions are replayed, because not every image is recorded."""
     recording = Recording(tmp_path).steps(5)
     closed, see = recording.closed, recording.closed.observe
     closed.observe = lambda: replace(o := see(), **{field: np.zeros_like(getattr(o, field))})
@@ -197,7 +197,7 @@ def test_observations_that_were_refused_are_refused_again(tmp_path, field):
 URL = "http://127.0.0.1:9/v1"
 
 
-def test_what_the_goal_is_judged_by_is_the_same(drive, tmp_path, monkeypatch):
+def test_replay_repeats_the_counts_of_detector_images(drive, tmp_path, monkeypatch):
     """The number of detector images decides when a search is abandoned."""
     judge, images = GoalTracker.check_progress, []
 
@@ -240,7 +240,7 @@ class Thinks:
         self.told.release()
 
 
-def test_what_works_in_the_background_comes_when_it_came(tmp_path, monkeypatch):
+def test_replay_delivers_background_results_at_their_ticks(tmp_path, monkeypatch):
     """On threads: a scorer, the survey for the planner, the cut into rooms."""
     config = small(
         loop={"lockstep": False},
@@ -287,7 +287,7 @@ def test_what_works_in_the_background_comes_when_it_came(tmp_path, monkeypatch):
     same(files_of(tmp_path)[0], ticks)
 
 
-def test_a_run_that_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
+def test_a_run_resumed_from_a_checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.json"
     config = small(mission={"target": "bed", "checkpoint": str(path)})
     first = ClosedLoop(config)
@@ -463,7 +463,7 @@ def test_another_goal_then_is_a_difference_at_its_tick(drive, tmp_path, capsys):
          "the messages that follow were dropped while recording"),
     ],
 )  # fmt: skip
-def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, why):
+def test_dropped_messages_end_the_comparison(drive, tmp_path, change, ticks, why):
     path = copied(drive, tmp_path / "edge-a.mcap", change)
     session = RecordedRun(path)
     outcome = replay(session)
@@ -490,7 +490,7 @@ def test_what_was_dropped_ends_the_comparison(drive, tmp_path, change, ticks, wh
                  b'"decisions": null}', "does not begin with the service"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_replayed_is_one_line(drive, tmp_path, metadata, payload, why):
+def test_an_unusable_recording_is_refused_in_one_line(drive, tmp_path, metadata, payload, why):
     if metadata == "good":
         reading = McapReader(drive)
         next(iter(reading))
@@ -536,7 +536,7 @@ def strangers(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("key", STRANGE)
 def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key):
-    """Whoever made it would else choose what runs here."""
+    """Otherwise the author of the recording could choose a program to run here."""
     path = rewritten(drive, tmp_path / "edge-a.mcap", small(**STRANGE[key]))
     args = argparse.Namespace(file=path, config=None, detect=False, trust=False)
     for way in (lambda: replay(RecordedRun(path)), lambda: commands.replay(args)):
@@ -547,9 +547,7 @@ def test_a_recording_runs_no_program_of_its_own(drive, tmp_path, strangers, key)
         assert "--config" in said
         assert "--trust" in said
         assert "\n" not in said
-    assert (
-        replay(RecordedRun(path), small()).first is None
-    )  # one's own configuration takes its place
+    assert replay(RecordedRun(path), small()).first is None  # a given configuration replaces it
     assert not strangers.exists()
 
 
@@ -562,7 +560,7 @@ def reloaded(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("key", STRANGE)
-def test_nor_does_a_reload_that_was_recorded(reloaded, tmp_path, strangers, key):
+def test_a_recorded_reload_runs_no_plugin(reloaded, tmp_path, strangers, key):
     path = rewritten(reloaded, tmp_path / "edge-a.mcap", small(), small(**STRANGE[key]))
     with pytest.raises(RecordingError, match=f"{re.escape(key)}: {OWN} is no built-in kind"):
         replay(RecordedRun(path))

@@ -42,12 +42,12 @@ def put(files: RollingRecorder, n: int = 1, payload: bytes = b"{}") -> None:
         files.sync()
 
 
-def test_nothing_written_is_no_file(tmp_path, clock):
+def test_without_messages_no_file_is_written(tmp_path, clock):
     rolling(tmp_path / "new", clock).close()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_has_its_name_when_it_is_complete(tmp_path, clock):
+def test_a_complete_file_gets_its_final_name(tmp_path, clock):
     files = rolling(tmp_path / "new", clock)
     put(files)
     (path,) = files_of(tmp_path / "new")
@@ -72,7 +72,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path, clock):
     assert parts == ["0", "1", "2"]
 
 
-def test_the_oldest_files_make_room_but_never_one_that_is_written(tmp_path, clock):
+def test_the_oldest_files_are_removed_unless_being_written(tmp_path, clock):
     other = rolling(tmp_path, clock)
     put(other, 5, NOISE)
     written = files_of(tmp_path)[0]
@@ -149,7 +149,7 @@ print(files.messages, files.lost)
 
 
 def test_a_disk_that_is_full_for_a_while(tmp_path):
-    """A limit on a file's size is what any process may set, and fails as a full disk does."""
+    """A limit on the file size fails like a full disk, and any process may set it."""
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path)], capture_output=True, text=True, check=False
     )

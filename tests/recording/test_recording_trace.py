@@ -57,7 +57,7 @@ def ticks(spans: int, beside: list[tuple[int, int]] = ()) -> list[Span]:
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 10**8)), max_size=20))
-def test_what_runs_in_the_background_never_overlaps_itself(beside):
+def test_background_spans_never_overlap(beside):
     events = [e for e in checked(trace_of(ticks(1, beside))) if e["cat"] == "background"]
     assert len(events) == len(beside)
     assert len({e["tid"] for e in events}) <= 1

@@ -49,7 +49,7 @@ NEEDS = (
     "builtin_interfaces", "geometry_msgs", "std_msgs", "unique_identifier_msgs", "action_msgs",
     "service_msgs",
 )  # fmt: skip
-# Each writes to a folder of its own: some of their files bear the same names. In the order in which
+# Each writes to a folder of its own: some of their files have the same names. In the order in which
 # the libraries lean on each other: module, class, what it generates, where the sources are.
 GENERATORS = (
     ("rosidl_generator_c", "GenerateC", "gcc", "*/detail/*.c"),

@@ -33,7 +33,7 @@ def adapted(adapter: dict | None = None, **ros2: object) -> Config:
 @pytest.mark.parametrize(
     "file", [*process.NODE.glob("*.py"), process.LAUNCH_FILE], ids=lambda path: path.name
 )
-def test_what_runs_in_ros_needs_nothing_of_ours(file):
+def test_the_ros_node_imports_only_light_packages(file):
     imported = set()
     for node in ast.walk(ast.parse(file.read_text("utf-8"))):
         if isinstance(node, ast.Import):
@@ -61,13 +61,13 @@ QUALITIES = [
 
 
 @pytest.mark.parametrize(("ros", "kind", "quality"), QUALITIES, ids=[row[0] for row in QUALITIES])
-def test_each_topic_has_its_key_its_type_and_its_quality_of_service(ros, kind, quality):
+def test_each_topic_has_its_key_type_and_qos(ros, kind, quality):
     config = adapted({"reliable": ["camera/rgb", "lidar/scan"]}, topics={"camera/rgb": COMPRESSED})
     one = passed(process.make_plan(config), ros)
     assert one.items() >= {"key": f"edge/ros2{ros}", "type": kind, **quality}.items()
 
 
-def test_the_plan_is_json_that_says_where_the_service_is():
+def test_the_plan_is_json_with_the_zenoh_configuration():
     plan = process.make_plan(adapted())
     assert json.loads(json.dumps(plan)) == plan
     assert json.loads(plan["zenoh"])["mode"] == "client"
@@ -129,12 +129,12 @@ def test_its_faults_are_reported_in_one_line(data, said):
 
 
 @pytest.mark.parametrize("key", ["python", "setup"])
-def test_a_file_that_is_not_there_is_reported(key):
+def test_a_missing_file_is_reported(key):
     with pytest.raises(UnavailableError, match=f"^<defaults>: ros2.adapter.{key}: cannot read /no"):
         process.command_of(adapted({key: "/no/such"}))
 
 
-def test_without_ros_it_says_what_to_do_and_does_not_try_again(monkeypatch, capfd):
+def test_without_ros_the_adapter_fails_without_a_retry(monkeypatch, capfd):
     """This Python has no rclpy, or had better not use it here."""
     monkeypatch.setenv("PYTHONPATH", "")
     with pytest.raises(UnavailableError, match="node cannot run here"):
@@ -148,7 +148,7 @@ def bare_python() -> str:
 
 @pytest.fixture
 def node(tmp_path, monkeypatch) -> Path:
-    """Another node: it writes the plan down and does what the test says."""
+    """Return the path of a fake node, which the test writes."""
     monkeypatch.setattr(process, "NODE", tmp_path / "node.py")
     monkeypatch.setattr(process, "_PAUSE_S", 0.01)
     return tmp_path / "node.py"
@@ -192,6 +192,6 @@ def test_the_setup_file_is_sourced_first(node, tmp_path):
     assert (tmp_path / "said").read_text() == "made-up"
 
 
-def test_it_prints_where_the_launch_file_is(capsys):
+def test_the_path_of_the_launch_file_is_printed(capsys):
     assert main(["ros2-adapter", "--launch-file"]) == 0
     assert Path(capsys.readouterr().out.strip()).read_text("utf-8").count("respawn=True") == 1

@@ -33,7 +33,7 @@ from edge.types import Goal, GoalStatus
 
 HERE = Path(__file__).parent
 PEER = HERE / "ros_peer.py"
-# All that can be sent but "goal", which the action replaces, and what is off by default.
+# All topics except "goal", which the action replaces, and topics that are off by default.
 _OFF = {"goal", "detections", "objects", "keepout_mask", "keepout_info", "answer"}
 # All but those of a second camera, and the stop button.
 N_SUBSCRIBED = sum(not name.startswith("camera2/") for name in SUBSCRIBED) + 1
@@ -136,7 +136,7 @@ def payload_of(subscription: Ros2Subscription) -> bytes:
     return eventually(subscription.take)[0][1].to_bytes()
 
 
-def test_messages_of_ros_reach_the_service_as_they_are(adapter, service, odometry):
+def test_ros_messages_reach_the_service_unchanged(adapter, service, odometry):
     images = service.hear("camera/rgb")
     payload = payload_of(images)
     header = messages.decode_image_header(payload)
@@ -150,7 +150,7 @@ def test_messages_of_ros_reach_the_service_as_they_are(adapter, service, odometr
     images.close()
 
 
-def test_what_nobody_hears_is_not_taken_from_ros(adapter, service, robot):
+def test_topics_without_subscribers_are_not_taken_from_ros(adapter, service, robot):
     images = service.hear("camera/rgb")
     before = robot.count('"watched": 0')
     payload_of(images)
@@ -164,7 +164,7 @@ def test_a_silent_topic_is_reported_with_the_reason(adapter, service):
     nothing.close()
 
 
-def test_what_was_moored_before_reaches_who_comes_late(adapter, service):
+def test_a_late_subscriber_gets_static_transforms(adapter, service):
     late = service.hear("tf_static", latched=True)
     (transform,) = transforms.decode_transforms(payload_of(late))
     assert (transform.parent, transform.child) == ("base_link", "camera")
@@ -172,7 +172,7 @@ def test_what_was_moored_before_reaches_who_comes_late(adapter, service):
     late.close()
 
 
-def test_results_reach_ros_and_what_is_no_message_does_not(adapter, service, robot):
+def test_invalid_messages_do_not_reach_ros(adapter, service, robot):
     cells = np.full((20, 30), -1, np.int8)
     cells[3, 4] = 100
     service.say("map", b"not a map", latched=True)
@@ -206,7 +206,7 @@ def test_the_actions_status_of_a_goal_is_its_answer(
     assert robot.count(f'"asked": {x_m}') == 1
 
 
-def test_what_is_no_request_is_left_out(adapter, service):
+def test_invalid_requests_are_dropped(adapter, service):
     key = service.node.dialect.data_key(0, "/navigate_to_pose/_action/send_goal", "", "")
     for junk in (b"junk", b"\0\1\0\0junk"):
         replies = service.session.get(key, payload=junk, timeout=PATIENCE_S)
@@ -214,9 +214,7 @@ def test_what_is_no_request_is_left_out(adapter, service):
     adapter.says("a request was dropped: ")
 
 
-def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
-    adapter, service, robot, odometry
-):
+def test_the_adapter_cancels_a_replaced_goal(adapter, service, robot, odometry):
     before = robot.count('"cancelled"')
     for stamp_ns in (20, 21):
         service.drive(stamp_ns, ENDLESS)
@@ -226,7 +224,7 @@ def test_a_replaced_goal_is_cancelled_by_a_server_that_would_drive_on(
     robot.says('"cancelled"', times=before + 2)
 
 
-def test_a_goal_of_a_service_that_is_gone_is_cancelled(adapter, service, robot):
+def test_a_goal_of_an_ended_service_is_cancelled(adapter, service, robot):
     before, followed = robot.count('"cancelled"'), service.hear("odom")
     payload_of(followed)
     service.drive(30, ENDLESS)
@@ -256,7 +254,7 @@ def test_when_the_action_goes_away_its_goal_has_failed(adapter, service, robot, 
     assert service.answers(40, until="failed")[-1] == ("failed", "navigate_to_pose is gone")
 
 
-def test_the_node_outlives_nobody_and_leaves_no_goal(
+def test_the_node_ends_with_the_adapter_and_cancels_its_goal(
     adapter, service, odometry, ros_python, ros_environ
 ):
     with running([ros_python, "-u", str(PEER)], ros_environ) as robot:

@@ -52,7 +52,7 @@ def test_each_part_has_its_markers(fields, drawn):
     assert len({(one.group, one.id) for one in found}) == len(found)
 
 
-def test_the_outline_of_a_zone_is_closed_and_zones_differ_by_kind():
+def test_a_zone_outline_is_closed_and_coloured_by_kind():
     zones = (Zone("pit", "keep_out", CORNERS), Zone("flat", "stay_inside", CORNERS))
     out, _, inside, _ = markers_of(drawing_of(result(site=Site(zones))))
     assert out.points_m[:, :2].tolist() == [list(corner) for corner in (*CORNERS, CORNERS[0])]

@@ -26,7 +26,7 @@ CAMERA = CameraModel(40, 30, 30.0, 30.0, 20.0, 15.0)
 
 
 class Client:
-    """Subscribes to some of what is advertised; keeps what comes, by topic."""
+    """Client that subscribes to some advertised topics and keeps their messages."""
 
     def __init__(self, socket) -> None:
         self.advertised: dict[str, dict] = {}
@@ -78,7 +78,7 @@ def tick(k: int):
     return result(k * 10**8, observation=seen, pose=seen.pose)
 
 
-def test_nobody_looks_and_nothing_is_encoded(sink):
+def test_without_clients_nothing_is_encoded(sink):
     sink.tick(tick(1))
     eventually(lambda: sink._worker.idle)
     assert sink.status() == {"port": sink.port, "dropped": 0, "failed": 0, "problem": ""}
@@ -86,7 +86,7 @@ def test_nobody_looks_and_nothing_is_encoded(sink):
     assert (moment.bytes, list(sink._encoder.encode(moment))) == (0, [])
 
 
-def test_a_client_sees_what_it_subscribed_to_and_no_more(sink):
+def test_a_client_gets_only_its_subscribed_topics(sink):
     with client(sink) as foxglove:
         eventually(lambda: foxglove.read() or len(foxglove.advertised) == len(channels.VISUAL))
         assert foxglove.advertised.keys() == {channel.topic for channel in channels.VISUAL}
@@ -121,14 +121,14 @@ def test_a_port_that_is_taken(sink):
         [make(config=config, session=None) for make in find_sinks(config)]
 
 
-def test_others_can_reach_it_only_if_configured(caplog):
+def test_a_host_open_to_others_logs_a_warning(caplog):
     FoxgloveSink(simulated(), port=0).close()
     assert caplog.records == []
     FoxgloveSink(simulated(), port=0, host="0.0.0.0").close()
     assert "everyone who can connect to 0.0.0.0 port" in caplog.text
 
 
-def test_without_the_sdk_it_says_what_to_install(monkeypatch):
+def test_without_the_sdk_the_error_names_the_package(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "foxglove", None)
     with pytest.raises(ConfigError, match=r"pip install 'edge-vln\[foxglove\]'"):
         FoxgloveSink(simulated(), port=0)

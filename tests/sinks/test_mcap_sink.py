@@ -61,7 +61,7 @@ def run(tmp_path_factory):
     return Recording(tmp_path_factory.mktemp("run"), config, rgb_hz=100.0).steps(15).close()
 
 
-def test_the_schemas_say_what_every_message_is(run):
+def test_every_message_decodes_with_its_schema(run):
     with open(run, "rb") as file:
         newest = {c.topic: (s, m.data) for s, c, m in make_reader(file).iter_messages()}
     read = {}
@@ -85,7 +85,7 @@ def test_the_schemas_say_what_every_message_is(run):
     assert read["/map"].info.resolution > 0.0
 
 
-def test_json_says_what_foxglove_asks_for(run):
+def test_json_messages_have_the_fields_of_foxglove(run):
     said: dict[str, dict] = {}
     schemas = {}
     for m in McapReader(run):
@@ -100,7 +100,7 @@ def test_json_says_what_foxglove_asks_for(run):
     assert said["/latency"]["tick"]["n"] > 0
 
 
-def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, tmp_path):
+def test_a_trajectory_is_recorded_on_change_and_periodically(make, tmp_path):
     sink = make()
     at_s = {0: None, 1: looking(), 2: driving(0), 3: driving(9), 8: driving(10), 9: None, 20: None}
     for now_s, task in at_s.items():
@@ -124,7 +124,7 @@ def test_a_trajectory_is_recorded_when_it_changes_and_every_five_seconds(make, t
         (np.full((30, 40), -0.001, np.float32), b"32FC1"),
     ],
 )
-def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
+def test_depth_survives_a_round_trip_exactly(make, tmp_path, depth_m, encoding):
     sink = make()
     sink.tick(tick(seen(1, depth_m)))
     sink.close()
@@ -137,7 +137,7 @@ def test_depth_comes_back_to_the_last_bit(make, tmp_path, depth_m, encoding):
     assert moment.observation.camera == CAMERA
 
 
-def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
+def test_a_cloud_survives_a_round_trip_with_empty_beams(make, tmp_path):
     cloud_m = np.array([[1.0, 2.0, 3.0], [4.0, 0.0, np.inf]], np.float32)
     sink = make()
     sink.tick(tick(seen(1, cloud_m=cloud_m)))
@@ -149,7 +149,7 @@ def test_a_cloud_comes_back_with_its_beams_that_met_nothing(make, tmp_path):
     np.testing.assert_array_equal(moment.observation.cloud_m, cloud_m)
 
 
-def test_what_the_source_writes_over_was_copied(make, tmp_path):
+def test_frames_are_copied_before_the_source_reuses_them(make, tmp_path):
     sink, depth_m = make(lockstep=False), np.ones((30, 40), np.float32)
     for k in range(1, 4):
         depth_m[:] = k
@@ -160,7 +160,7 @@ def test_what_the_source_writes_over_was_copied(make, tmp_path):
     assert [float(m.observation.depth_m[0, 0]) for m in moments] == [1.0, 2.0, 3.0]
 
 
-def test_a_disk_that_hangs_costs_pictures_but_no_memory(make, tmp_path):
+def test_a_hanging_disk_drops_images_but_bounds_memory(make, tmp_path):
     sink = make(lockstep=False, pending_mb=0.05)
     gate, add = threading.Event(), sink._files.add
     sink._files.add = lambda *told, **more: (gate.wait(20.0), add(*told, **more))

@@ -52,7 +52,7 @@ def page(tmp_path, monkeypatch) -> list[object]:
     return sinks
 
 
-def test_a_sink_of_ones_own_is_a_file_and_a_line_of_the_configuration(page, tmp_path):
+def test_a_plugin_sink_is_one_file_and_one_configuration_line(page, tmp_path):
     lockstep = {"loop": {"lockstep": True}, "sim": {"lockstep": True}, "sinks": page}
     config = simulated({**lockstep, "mission": {"target": "television"}})
     _, make_own = find_sinks(config)

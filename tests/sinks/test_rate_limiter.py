@@ -15,7 +15,7 @@ from edge.sinks.rate_limiter import RateLimiter
         ([5.0, 1.0, 1.4, 1.5], [True, True, False, True]),  # the clock was set back
     ],
 )
-def test_each_is_due_as_often_as_it_may_be(times_s, due):
+def test_each_message_is_limited_to_its_rate(times_s, due):
     limiter = RateLimiter(map=2.0, status=1e-3)
     assert [limiter.take_turn("map", int(1e9 * t)) for t in times_s] == due
     assert limiter.take_turn("status", 0)

@@ -1,4 +1,4 @@
-"""The sink `rerun`: what Rerun reads in its file."""
+"""The sink `rerun`: its file, as Rerun reads it."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_tick_of_each_camera(tmp_path):
     assert rows["/map/goal"][0]["Arrows3D:origins"] == [[3.0, 2.0, 0.0]]
 
 
-def test_images_come_at_their_rate_or_not_at_all(tmp_path):
+def test_images_are_limited_to_their_rate(tmp_path):
     for rgb_hz, images in ((2.0, 3), (0, 0)):
         path = tmp_path / f"{rgb_hz}.rrd"
         sink = make(file=str(path), rgb_hz=rgb_hz)
@@ -100,7 +100,7 @@ def test_images_come_at_their_rate_or_not_at_all(tmp_path):
         assert len(read(path).get("/map/robot/camera/image", ())) == images
 
 
-def test_the_file_ends_at_its_limit_and_the_status_says_so(tmp_path, caplog):
+def test_the_file_ends_at_its_size_limit(tmp_path, caplog):
     sink = make(file=str(tmp_path / "a.rrd"), max_mb=1)
     noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
 

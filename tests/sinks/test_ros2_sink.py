@@ -1,4 +1,4 @@
-"""The sink over a real router: goals to a Nav2 and back, drawings, and the map for who is late."""
+"""The sink over a real router: goals to a Nav2 and back, drawings, and late subscribers."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def test_docking_needs_actions(make, more):
         make(docks={"dock": "bay_1"}, **more)
 
 
-def test_a_goal_waits_for_a_nav2_that_comes_late(make, theirs, answers, caplog, monkeypatch):
+def test_a_goal_waits_for_a_late_nav2(make, theirs, answers, caplog, monkeypatch):
     monkeypatch.setattr(navigate, "PATIENCE_S", 0.0)
     make().tick(driving(5))
     eventually(
@@ -238,7 +238,7 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch)
     sink.tick(driving(2))
     eventually(lambda: len(nav2.goals) == 2)
     new = first_goal(nav2)
-    nav2.end(old, ABORTED)  # what Nav2 says of one that was taken over
+    nav2.end(old, ABORTED)  # as Nav2 reports a replaced goal
     nav2.say_status(old, ABORTED)
     nav2.end(new, SUCCEEDED)
     assert [(a.stamp_ns, a.state) for a in answers(3)] == [
@@ -248,9 +248,7 @@ def test_a_new_goal_takes_the_place_of_the_old(make, nav2, answers, monkeypatch)
 
 
 @pytest.mark.parametrize("accepts", [True, False])
-def test_the_old_goal_is_cancelled_if_the_server_still_drives_to_it(
-    make, nav2, answers, accepts, monkeypatch
-):
+def test_an_old_goal_still_driven_to_is_cancelled(make, nav2, answers, accepts, monkeypatch):
     monkeypatch.setattr(navigate, "REPLACED_S", 0.0)
     sink = make()
     sink.tick(driving(1))
@@ -282,7 +280,7 @@ def test_a_stop_cancels_its_goal_and_all_of_others_once(make, nav2):
     assert eventually(lambda: len(nav2.cancelled) >= 2 and nav2.cancelled) == [goal_id, bytes(16)]
 
 
-def test_a_service_that_starts_stopped_cancels_what_a_killed_one_left(make, nav2):
+def test_a_start_while_stopped_cancels_leftover_goals(make, nav2):
     make().tick(result(stopped="button"))
     assert eventually(lambda: nav2.cancelled) == [bytes(16)]
 
@@ -316,7 +314,7 @@ def test_a_lost_result_is_asked_for_again(make, nav2, answers, monkeypatch):
     assert answers(2)[1].state == "reached"
 
 
-def test_the_status_has_what_the_result_lacks(make, nav2, answers, monkeypatch):
+def test_a_goal_status_stands_in_for_a_missing_result(make, nav2, answers, monkeypatch):
     monkeypatch.setattr(navigate, "RESULT_LATE_S", 0.0)
     make().tick(driving(1))
     goal_id = first_goal(nav2)
@@ -338,7 +336,7 @@ def test_a_nav2_that_dies_has_failed_the_goal(make, theirs, answers, monkeypatch
     assert answers(2)[1] == GoalStatus(1, "failed", "navigate_to_pose is gone")
 
 
-def test_what_is_no_answer_is_counted_and_asked_for_again(
+def test_an_invalid_answer_is_counted_and_requested_again(
     make, nav2, answers, theirs, caplog, monkeypatch
 ):
     monkeypatch.setattr(navigate, "RETRY_S", 0.0)
@@ -355,7 +353,7 @@ def test_what_is_no_answer_is_counted_and_asked_for_again(
     assert answers(2)[1].state == "reached"
 
 
-def test_a_goal_on_a_topic_is_sent_once_to_who_hears_it(make, theirs):
+def test_a_goal_on_a_topic_is_sent_once(make, theirs):
     sink = make(goals="topic", map_frame="odom")
     sink.tick(driving(7, x_m=4.0))
     node = Ros2Node(theirs, 0, "planner")
@@ -393,7 +391,7 @@ def test_map_and_drawings(make, theirs):
     node.close()
 
 
-def test_boxes_and_objects_for_who_asks_for_them(make, theirs):
+def test_subscribers_get_boxes_and_objects(make, theirs):
     sink = make(map_frame="world", detections_frame="camera_optical")
     node = Ros2Node(theirs, 0, "tracker")
     boxes = node.subscription("/edge/detections", ("vision_msgs/msg/Detection2DArray",), 8)
@@ -427,7 +425,7 @@ SQUARE = np.array([(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0)])
 
 
 @pytest.mark.parametrize("via", ["rmw_zenoh", "bridge"])
-def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, theirs, via):
+def test_the_zone_mask_for_nav2_opens_around_the_robot(make, theirs, via):
     sink = make(via=via, keepout_filter=True, map_frame="world")
     node = Ros2Node(theirs, 0, "costmap", dialect_of(via, "edge"))
     kind = "nav2_msgs/msg/CostmapFilterInfo"
@@ -459,7 +457,7 @@ def test_zones_are_a_mask_for_nav2_that_opens_while_the_robot_is_inside(make, th
     node.close()
 
 
-def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
+def test_a_late_subscriber_gets_the_trajectory(make, theirs):
     sink = make(map_frame="world")
     for now_ns in (10**9, 2 * 10**9):
         sink.tick(result(now_ns, task=driven_task))
@@ -476,7 +474,7 @@ def test_a_trajectory_is_there_for_who_comes_late(make, theirs):
 
 
 @pytest.mark.parametrize(("n", "kept"), [(0, 0), (3, 3), (4, 4), (11, 4)])
-def test_the_way_is_as_long_as_it_may_be(n, kept):
+def test_the_path_keeps_only_its_newest_points(n, kept):
     way = PathRing(4, 0.1)
     for i in range(n):
         way.add(SE2(float(i), 0.0, math.pi))

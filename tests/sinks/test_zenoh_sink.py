@@ -1,4 +1,4 @@
-"""The sink over a real session: what it sends, how often, and that it never blocks."""
+"""The sink over a real session: its messages, their rates, and that it never blocks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from edge.sinks import zenoh as zenoh_sink
 from edge.sinks.zenoh import ZenohSink
 from edge.types import Goal, GoalStatus, MissionStatus
 
-PAUSE_S = 0.3  # for what must not come: on a slow machine the test sees less, and passes
+PAUSE_S = 0.3  # for messages that must not come; on a slow machine the test sees fewer and passes
 
 
 def goal(stamp_ns: int, x_m: float = 1.0) -> Goal:
@@ -58,7 +58,7 @@ class Ears:
 
 
 class Clock:
-    """Stands for the module `time` in the sink; stands still unless the test sets it."""
+    """Fake of the module `time` in the sink; it stands still unless the test sets it."""
 
     now_s = 0.0
 
@@ -113,7 +113,7 @@ def test_a_first_tick_sends_everything_once(sink, ears):
 
 
 def test_rates_follow_the_clock_of_the_loop(session, ears):
-    # In lockstep nothing is replaced, so what leaves can be counted.
+    # In lockstep no message is replaced, so all can be counted.
     sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     for k in range(100):  # 10 s at 10 Hz on the loop's clock, in no time
         sink.tick(result(k * 10**8))
@@ -124,14 +124,14 @@ def test_rates_follow_the_clock_of_the_loop(session, ears):
     sink.close()
 
 
-def test_a_clock_set_back_does_not_silence_it(sink, ears):
+def test_a_clock_set_back_does_not_silence_the_sink(sink, ears):
     sink.tick(result(10**12))
     assert ears.hear("status")
     sink.tick(result(5))
     assert ears.hear("status")
 
 
-def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears):
+def test_a_goal_is_resent_until_it_is_answered(clock, sink, ears):
     sink.tick(result(goals=(goal(123, x_m=3.0),)))
     settle(sink, ears)
     for clock.now_s in (0.0, 0.6, 1.2):
@@ -147,9 +147,7 @@ def test_a_goal_is_sent_every_half_second_until_it_is_answered(clock, sink, ears
     assert ears.rest("goal") == []
 
 
-def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_again(
-    clock, sink, ears
-):
+def test_an_accepted_goal_is_repeated_every_second(clock, sink, ears):
     sink.tick(result(goals=(goal(123),)))
     assert ears.hear("goal")
     sink.tick(result(goal_statuses=(GoalStatus(123, "accepted"),)))
@@ -162,7 +160,7 @@ def test_an_accepted_goal_is_repeated_every_second_for_a_controller_that_starts_
     assert ears.hear("goal")
 
 
-def test_the_mission_reaches_those_who_come_late(sink, session, ears):
+def test_a_late_subscriber_gets_the_mission(sink, session, ears):
     sink.tick(result(status=MissionStatus("chair", "reached", "", 12.5, 3.0)))
     ears.hear("mission")
     late = Ears(session)
@@ -174,9 +172,7 @@ def planned(payload: bytes) -> list[float]:
     return [at.pose.position.x for at in from_ros(payload, "nav_msgs/msg/Path").poses]
 
 
-def test_a_trajectory_is_sent_when_it_changes_and_an_empty_one_when_it_is_gone(
-    clock, sink, session, ears
-):
+def test_a_trajectory_is_sent_on_change_and_finally_cleared(clock, sink, session, ears):
     there = written()[1].poses[:, 0].tolist()
     for task in (looking(), driving(0), driving(1), driving(2)):
         sink.tick(result(task=lambda task=task: task))
@@ -202,7 +198,7 @@ def test_lockstep_sends_everything_in_order(clock, session):
     ] * 2  # fmt: skip
 
 
-def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
+def test_a_tick_is_repeated_for_a_late_controller(session, ears):
     sink = ZenohSink(simulated({"loop": {"lockstep": True}}), session)
     sink.tick(result(77, observation=observation(77)))
     ears.hear("tick")
@@ -212,7 +208,7 @@ def test_a_tick_is_repeated_for_a_controller_that_comes_late(session, ears):
     sink.close()
 
 
-def test_a_status_that_is_no_json_does_not_stop_the_sink(sink, ears, caplog):
+def test_an_unencodable_status_does_not_stop_the_sink(sink, ears, caplog):
     sink.tick(result(health=lambda: {**health(), "detector": {"score": float("nan")}}))
     eventually(lambda: "status" in caplog.text)  # a newer one would take its place
     sink.tick(result(10**10))

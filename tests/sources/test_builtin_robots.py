@@ -1,4 +1,4 @@
-"""The built-in configurations of robots name what these publish, and mount sensors as tf does."""
+"""The built-in configurations of robots: topics of their drivers, and mounts as in tf."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_topics_are_those_of_the_drivers(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sensors_sit_where_tf_says(name):
+def test_mounts_agree_with_tf_of_the_robot(name):
     config, body = builtin_config(name), ROBOTS[name]
     frames = RobotFrames(config)
     frames.take(transforms_of(body.tree), static=True)
@@ -51,7 +51,7 @@ def test_sensors_sit_where_tf_says(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_map_is_made_of_depth_by_default(name):
+def test_the_map_uses_depth_by_default(name):
     assert list(streams_of(builtin_config(name))) == ["depth_m", "rgb"]
 
 

@@ -90,7 +90,7 @@ EVERY = [ns for _, ns in stamps()]
 
 
 @pytest.mark.parametrize("write", [write_mcap, write_bag, write_db3])
-def test_nothing_comes_of_an_empty_recording(tmp_path, write):
+def test_an_empty_recording_is_an_error(tmp_path, write):
     with pytest.raises(
         RecordingError, match=r"searched for camera/rgb, .* the recording has no topics"
     ):
@@ -254,7 +254,7 @@ def test_frames_are_found_and_listed(tmp_path, name):
         np.testing.assert_allclose(observation.T_base_camera, MOUNT, atol=1e-6)
 
 
-def test_sensors_that_tf_does_not_know_sit_where_the_configuration_says(tmp_path):
+def test_sensors_missing_in_tf_use_the_configured_mount(tmp_path):
     sent = together(odometry(frame="odom"), camera(), moving("map", "odom", 1.0))
     seen = play(write_mcap(tmp_path / "robot.mcap", sent))
     assert f"tf does not connect base_link with {OPTICAL}" in seen.lines
@@ -314,7 +314,7 @@ def test_the_final_error_lists_unusable_messages(tmp_path):
         play(write_mcap(tmp_path / "robot.mcap", sent), config)
 
 
-def test_bad_messages_are_counted_and_the_others_used(tmp_path):
+def test_bad_messages_are_counted_and_skipped(tmp_path):
     sent = plain()
     bad = [(topic, kind, ns, payload[:30]) for topic, kind, ns, payload in sent[:4]]
     seen = play(write_mcap(tmp_path / "robot.mcap", [*bad, *sent]))
@@ -327,7 +327,7 @@ def test_bad_messages_are_counted_and_the_others_used(tmp_path):
 
 @pytest.mark.parametrize("write", [write_mcap, write_db3])
 @pytest.mark.parametrize("left", [0.02, 0.3, 0.7, 0.97, -9, -1])
-def test_a_file_that_was_cut_off_plays_to_there_or_is_refused(tmp_path, write, left):
+def test_a_cut_off_file_plays_or_is_refused(tmp_path, write, left):
     whole = write(tmp_path / "whole", plain()).read_bytes()
     path = tmp_path / "cut"
     path.write_bytes(whole[: int(left * len(whole)) if left > 0 else int(left)])
@@ -343,7 +343,7 @@ def test_a_file_that_was_cut_off_plays_to_there_or_is_refused(tmp_path, write, l
 
 
 @pytest.mark.parametrize("write", [write_mcap, write_db3])
-def test_a_damaged_file_raises_nothing_else(tmp_path, write):
+def test_a_damaged_file_raises_only_recording_errors(tmp_path, write):
     whole, path = write(tmp_path / "whole", plain()).read_bytes(), tmp_path / "damaged"
     rng = random.Random(3)
     for _ in range(40):
@@ -408,7 +408,7 @@ def _bytes(data: bytes):
         (_computed, "no usable table messages"),
     ],
 )
-def test_what_is_no_recording_is_refused_in_one_line(tmp_path, write, why):
+def test_a_file_that_is_not_a_recording_is_refused(tmp_path, write, why):
     with pytest.raises(RecordingError, match=why) as caught:
         play(write(tmp_path / "robot"))
     assert "\n" not in str(caught.value)
@@ -482,7 +482,7 @@ def test_reading_is_broken_off(tmp_path):
         pass
 
 
-def test_frames_that_are_late_give_way_and_pauses_are_skipped(tmp_path, monkeypatch):
+def test_late_frames_are_dropped_and_pauses_skipped(tmp_path, monkeypatch):
     clock = Clock()
     monkeypatch.setattr(played.time, "monotonic_ns", clock.monotonic_ns)
     pause_ns = 3600 * 10**9

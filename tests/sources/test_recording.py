@@ -33,7 +33,7 @@ def test_an_empty_recording_is_still_a_file(tmp_path):
     assert list(read(path)) == []
 
 
-def test_ros_tools_read_it(tmp_path):
+def test_ros_tools_can_read_the_recording(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, list(drive(3))[:-1])
     with AnyReader([path]) as reader:
@@ -82,7 +82,7 @@ def test_files_that_cannot_be_used(tmp_path):
 
 
 class Tape:
-    """Stands for a session: keeps what is put; `full` is set with the message of that number."""
+    """Fake session that keeps its messages; `full` is set at the message of that number."""
 
     def __init__(self, length: int = 1000) -> None:
         self.puts: list[tuple[str, bytes]] = []
@@ -104,7 +104,7 @@ class Tape:
         return Publisher()
 
 
-def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
+def test_playback_sends_sensor_messages_with_new_stamps(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(4))
     tape = Tape()
@@ -119,7 +119,7 @@ def test_playing_sends_what_sensors_sent_with_stamps_of_now(tmp_path):
     assert last.T_map_base[0, 3] == pytest.approx(0.3)
 
 
-def test_what_the_simulator_knows_is_played_with_the_pictures(tmp_path):
+def test_ground_truth_is_played_with_the_images(tmp_path):
     """So that the detector `sim` finds it by the new stamp."""
     path, ids = tmp_path / "truth.mcap", np.ones((2, 3), np.uint16)
     picture = messages.encode_image(5, "camera", ids)
@@ -133,7 +133,7 @@ def test_what_the_simulator_knows_is_played_with_the_pictures(tmp_path):
     assert tape.puts[1][1] == tape.puts[2][1] != picture
 
 
-def test_playing_as_it_was(tmp_path):
+def test_playback_without_restamping_is_unchanged(tmp_path):
     path = tmp_path / "drive.mcap"
     record_messages(path, drive(2))
     tape = Tape()

@@ -110,7 +110,7 @@ def test_wrong_options_are_one_line(options, message):
     assert "\n" not in str(raised.value)
 
 
-def test_a_file_becomes_observations_again_and_again(tmp_path, caplog):
+def test_a_video_file_is_played_in_a_loop(tmp_path, caplog):
     config = configured(str(write_video(tmp_path / "a.avi")), latency_s=0.05)
     with source_of(config) as source:
         before_ns = time.time_ns()
@@ -126,7 +126,7 @@ def test_a_file_becomes_observations_again_and_again(tmp_path, caplog):
     assert not [record for record in caplog.records if "camera" in record.name]
 
 
-def test_a_missing_camera_is_reported_and_opened_when_it_comes(tmp_path, caplog, monkeypatch):
+def test_a_missing_camera_is_reported_and_opened_later(tmp_path, caplog, monkeypatch):
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(module, "PAUSE_S", 0.01)
     path = tmp_path / "a.avi"
@@ -163,7 +163,7 @@ class Stream(Quiet):
 
 
 @pytest.mark.parametrize("then", ["end", "stall"])
-def test_a_stream_that_ends_or_stalls_is_reported_and_opened_again(then, caplog, monkeypatch):
+def test_a_lost_stream_is_reported_and_reopened(then, caplog, monkeypatch):
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(module, "PAUSE_S", 0.01)
     monkeypatch.setattr(module, "STALL_S", 0.5)

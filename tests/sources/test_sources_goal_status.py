@@ -19,7 +19,7 @@ def test_an_answer(state):
 
 
 @pytest.mark.parametrize("stamp", [0, -1, 2**31 * 10**9, -(2**63), 2**63 - 1, 10**30])
-def test_any_stamp_is_one(stamp):
+def test_any_integer_is_a_valid_stamp(stamp):
     payload = json.dumps({"stamp": stamp, "state": "reached"}).encode()
     assert parse_goal_status(payload).stamp_ns == stamp
 
@@ -29,7 +29,7 @@ def test_a_stamp_may_be_written_as_a_double():
     assert parse_goal_status(payload).stamp_ns == 1_785_700_000_000_000_000
 
 
-def test_where_the_robot_was_held_up():
+def test_a_goal_status_gives_the_blocked_place():
     payload = b'{"stamp": 1, "state": "accepted", "blocked": [1, -2.5]}'
     assert parse_goal_status(payload).blocked == (1.0, -2.5)
 
@@ -39,13 +39,13 @@ def test_where_the_robot_was_held_up():
     ["3", "[]", "[1]", "[1, 2, 3]", '["1", 2]', "[true, 2]", "[NaN, 0]", "[0, Infinity]",
      "[1e7, 0]", "[0, 1" + 400 * "0" + "]", '{"x": 1}'],
 )  # fmt: skip
-def test_no_place_to_be_held_up_at(blocked):
+def test_an_invalid_blocked_place_is_refused(blocked):
     payload = f'{{"stamp": 1, "state": "accepted", "blocked": {blocked}}}'.encode()
     with pytest.raises(ValueError, match=r"blocked: expected \[x, y\] in metres"):
         parse_goal_status(payload)
 
 
-def test_a_reason_is_one_short_line_whatever_was_sent():
+def test_a_reason_is_cut_to_one_short_line():
     said = "stuck\n12:00 info mission:\x1b[31m reached\u202e\0" + "!" * 3000
     answer = parse_goal_status(json.dumps({"stamp": 1, "state": "failed", "reason": said}).encode())
     assert answer.reason.startswith("stuck 12:00 info mission: [31m reached !!!")

@@ -34,7 +34,7 @@ def driven(
     return robot
 
 
-def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_to():
+def test_at_first_every_input_is_missing():
     robot = Robot()
     assert set(states(robot).values()) == {"missing"}
     inputs = robot.synchronizer.inputs
@@ -61,13 +61,13 @@ def test_before_anything_came_everything_is_missing_and_named_as_it_is_listened_
                  "(no odom)"),
     ],
 )  # fmt: skip
-def test_the_one_input_that_never_came_is_named(without, said):
+def test_the_only_missing_input_is_named(without, said):
     robot = driven(Robot(), 3, without)
     assert missing_inputs(robot.synchronizer.inputs.rows()) == said
 
 
 @pytest.mark.parametrize("without", ["camera/rgb", "camera/depth", "odom"])
-def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
+def test_a_silent_input_is_named_until_it_returns(without):
     robot = driven(driven(Robot(), 3), 3, without)
     row = rows(robot)[without]
     assert (row.state, row.hz) == ("silent", 0.0)
@@ -79,7 +79,7 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
 @pytest.mark.parametrize(
     ("late", "late_ms", "name", "why"),
     [
-        # A frame waits for half a second, in which 15 more come. Then what is there is too old.
+        # A frame waits for half a second, in which 15 more come. Then the poses are too old.
         ("odom", 1200, "camera/depth",
          "no_pose (the nearest odom is 667 ms earlier; odom comes 1200 ms after camera/depth of "
          "its stamp, and source.wait_s is 0.5)"),
@@ -94,14 +94,14 @@ def test_the_one_input_that_comes_no_more_is_named_until_it_is_back(without):
         ("camera/depth", 450, "camera/depth", ""),
     ],
 )  # fmt: skip
-def test_what_is_late_is_named_with_by_how_much(late, late_ms, name, why):
+def test_a_late_input_is_named_with_its_delay(late, late_ms, name, why):
     robot = driven(Robot(), 5, late=late, late_ns=late_ms * MS)
     row = rows(robot)[name]
     assert (row.state, row.why) == ("dropped" if why else "ok", why)
     assert row.dropped.get(why.split(" ")[0], 0) > 50 or not why
 
 
-def test_old_poses_are_reported_while_they_are_used():
+def test_old_poses_are_reported():
     robot = driven(Robot(), 5, late="odom", late_ns=700 * MS)
     row = rows(robot)["odom"]
     assert (row.state, row.why) == (

@@ -119,7 +119,7 @@ def test_mounts_and_map_are_those_of_the_stamp(late_ms, hz, data):
 
 
 @pytest.mark.parametrize("late", ["pan", "map"])
-def test_a_late_transform_is_replaced_by_the_newest_and_logged_once(late, caplog):
+def test_a_late_transform_falls_back_to_the_newest(late, caplog):
     head = Head({late: 800}, {})
     seen = head.live()[30:]
     assert len(seen) > 20

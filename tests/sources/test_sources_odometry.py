@@ -42,7 +42,7 @@ def test_pose_at(samples, asked_ns, x_m, missing):
 
 
 @pytest.mark.parametrize("every_ns", [1, 3, 10, 25])
-def test_a_flood_does_not_push_out_what_frames_ask_for(every_ns):
+def test_a_flood_of_odometry_keeps_older_poses(every_ns):
     """64 poses, of those closer than 10 the newest; all lie on one line."""
     poses = OdometryRing(64, 1.0, 1.0, apart_ns=10)
     for stamp_ns in range(0, 1000, every_ns):
@@ -53,7 +53,7 @@ def test_a_flood_does_not_push_out_what_frames_ask_for(every_ns):
         assert se2_of(poses.pose_at(asked_ns)[0]).x_m == pytest.approx(0.001 * asked_ns)
 
 
-def test_what_was_handed_out_is_not_written_over():
+def test_a_returned_pose_is_not_overwritten():
     poses = ring((0, 0.5), capacity=2)
     T, *_ = poses.pose_at(0)
     for i in range(1, 5):
@@ -69,13 +69,13 @@ def test_repeated_and_backward_stamps_are_named_and_left_out():
     assert se2_of(poses.pose_at(15)[0]).x_m == pytest.approx(0.1)
 
 
-def test_a_pose_that_is_left_out_for_its_stamp_still_says_where_the_robot_is():
+def test_a_pose_with_a_bad_stamp_still_updates_the_position():
     assert ring().newest_pose is None
     backward = ring((1000, 1.0), (900, 1.2), (800, 1.4))
     assert (backward.newest_ns, backward.newest_pose) == (1000, SE2(1.4, 0.0, 0.0))
 
 
-def test_a_jump_starts_a_new_epoch_and_nothing_is_interpolated_over_it():
+def test_a_jump_starts_a_new_epoch():
     poses = ring((10, 0.0), (20, 0.9))
     assert poses.push(30, SE2(2.0, 0.0, 0.0).matrix()) == "pose_jump"
     assert poses.epoch == 1
@@ -83,14 +83,14 @@ def test_a_jump_starts_a_new_epoch_and_nothing_is_interpolated_over_it():
     assert se2_of(poses.pose_at(30)[0]).x_m == 2.0
 
 
-def test_a_sender_that_begins_again_is_heard_again():
+def test_a_restarted_sender_is_accepted():
     poses = ring((10**9, 5.0))
     odd = [poses.push(i, SE2(0.0, 0.0, 0.0).matrix()) for i in range(RESET_AFTER + 2)]
     assert odd == ["backward"] * (RESET_AFTER - 1) + ["pose_jump", "", ""]
     assert (poses.epoch, poses.newest_ns) == (1, RESET_AFTER + 1)
 
 
-def test_one_wild_stamp_from_the_future_costs_a_few_poses_but_no_epoch():
+def test_one_future_stamp_starts_no_epoch():
     poses = ring((0, 0.0), (10, 0.1), (10**15, 0.2))
     odd = [poses.push(20 + i, SE2(0.3, 0.0, 0.0).matrix()) for i in range(RESET_AFTER + 1)]
     assert odd == ["backward"] * (RESET_AFTER - 1) + ["clock_reset", ""]
@@ -112,7 +112,7 @@ def test_one_wild_stamp_from_the_future_costs_a_few_poses_but_no_epoch():
         (1.0, 0.0, 2.7, 0),
     ],
 )
-def test_a_jump_is_more_than_could_be_driven_in_the_time(after_s, x_m, yaw_rad, epoch):
+def test_a_jump_is_more_than_the_robot_can_drive(after_s, x_m, yaw_rad, epoch):
     poses = OdometryRing(64, 1.0, 1.0, max_speed_mps=0.5, max_turn_radps=1.2)
     poses.push(0, SE2(0.0, 0.0, 0.0).matrix())
     verdict = poses.push(int(after_s * 1e9), SE2(x_m, 0.0, yaw_rad).matrix())
@@ -140,7 +140,7 @@ def test_the_newest_pose_serves_for_a_while():
         ((300,), 301, 0.3),
     ],
 )
-def test_the_newest_pose_is_moved_on_as_it_moved(stamps_ms, asked_ms, x_m):
+def test_the_newest_pose_is_extrapolated(stamps_ms, asked_ms, x_m):
     poses = ring(*((1_000_000 * ms, 1e-3 * ms) for ms in stamps_ms))
     assert poses.extrapolate(1_000_000 * asked_ms)[0][0, 3] == pytest.approx(x_m)
 
@@ -151,7 +151,7 @@ def test_a_ring_of_one_is_refused():
 
 
 @given(st.lists(st.integers(0, 50), max_size=60))
-def test_stamps_let_in_rise_but_for_resets(stamps):
+def test_accepted_stamps_rise_except_after_resets(stamps):
     guard, newest = StampGuard(), -1
     for stamp_ns in stamps:
         verdict = guard.check(stamp_ns)

@@ -9,7 +9,7 @@ import pytest
 from edge.sources.pool import FramePool
 
 
-def test_a_slot_comes_back_only_after_the_last_release():
+def test_a_slot_is_free_after_its_last_release():
     pool = FramePool(2, (1, 1))
     first, second = pool.acquire(), pool.acquire()
     assert first is not second

@@ -123,7 +123,7 @@ def test_a_rectified_image_is_the_pinhole_cameras_within_a_pixel(name):
     assert not depth[~rgb.any(axis=-1)].any()
 
 
-def test_what_the_model_would_show_a_second_time_is_not_shown():
+def test_pixels_beyond_the_lens_model_stay_black():
     """Polynomials turn back outside the image that they were fitted to."""
     lens = Lens("plumb_bob", (-0.4, 0.0, 0.0, 0.0, 0.0), RAW)
     far_out = CameraModel(320, 240, 60.0, 60.0, 159.5, 119.5)
@@ -136,7 +136,7 @@ def test_what_the_model_would_show_a_second_time_is_not_shown():
 
 
 @pytest.mark.parametrize("name", ["plumb_bob", "equidistant"])
-def test_a_thing_stays_in_its_place_on_the_map(name):
+def test_rectified_depth_maps_to_the_same_cells(name):
     lens, camera = LENSES[name]
     T = SE2(0.0, 0.0, 0.0).matrix() @ to_optical(se3(0.0, 0.0, CAMERA_Z_M))
 
@@ -162,7 +162,7 @@ def test_a_thing_stays_in_its_place_on_the_map(name):
         ("rational_polynomial", (0.1, *[0.0] * 13, 0.2), "15 coefficients, at most 14"),
     ],
 )
-def test_a_lens_that_nobody_knows_is_refused_in_one_line(model, coefficients, says):
+def test_an_unknown_lens_is_refused_in_one_line(model, coefficients, says):
     with pytest.raises(ValueError, match=says) as caught:
         Rectifier(Lens(model, coefficients, RAW), RAW)
     assert "\n" not in str(caught.value)

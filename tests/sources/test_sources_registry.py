@@ -1,4 +1,4 @@
-"""Sources by name, and of one's own."""
+"""Sources by name, and plugin sources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edge.types import Observation
 
 
 class Mine:
-    """No more than `edge.loop.source.Source` asks for: an empty floor, at a rate of one's own."""
+    """Minimal `edge.loop.source.Source`: an empty floor, at a given rate."""
 
     epoch, pose, inbox = 0, None, SimpleNamespace(poll=list, overruns=0)
 
@@ -59,12 +59,12 @@ def configured(kind: str, **options):
     return simulated({**data, "mission": {"target": "bed"}}, "f.yaml")
 
 
-def test_a_robot_is_heard_over_zenoh():
+def test_zenoh_is_the_default_source():
     source = find_source(simulated())(config=simulated(), session=Flooded("", ()))
     assert isinstance(source, ZenohSource)
 
 
-def test_a_source_of_ones_own_drives_the_loop(monkeypatch):
+def test_a_plugin_source_drives_the_loop(monkeypatch):
     monkeypatch.setattr(launch, "warm_up", lambda config, progress: None)
     config, stop, ticks = configured(f"{__name__}:Mine", rate_hz=5), threading.Event(), []
     with open_service(config, []) as running:
@@ -104,7 +104,7 @@ def test_an_unusable_source_is_an_error_of_one_line(kind, options, says):
     (f"{__name__}:Deaf", {"rate_hz": 5}, r"kind: .*:Deaf is no source: it has no inbox\.poll\(\)$"),
     (f"{__name__}:Broken", {}, "options: .*:Broken: OSError: no camera at 30 Hz$"),
 )
-def test_a_source_that_fails_when_opened_is_an_error_of_one_line(kind, options, says):
+def test_an_invalid_plugin_source_is_an_error_of_one_line(kind, options, says):
     config = configured(kind, **options)
     with pytest.raises(ConfigError, match=rf"^f\.yaml: source\.{says}"):
         find_source(config)(config=config, session=None)

@@ -139,7 +139,7 @@ def observed(source: Ros2Source, robot: Robot):
 
 def test_a_robot_becomes_an_observation(robot, make):
     robot.moor()
-    source = make()  # late: what is moored was said before
+    source = make()  # late: static transforms were sent before
     seen = observed(source, robot)
     np.testing.assert_array_equal(seen.rgb, RGB)
     np.testing.assert_allclose(seen.depth_m, 1.5)
@@ -158,7 +158,7 @@ CLOUD_LEADS = {"mapping": {"input": "cloud"}, "sensors": {"lidar": {}},
 
 
 @pytest.mark.parametrize("kind", ["scan", "points"])
-def test_a_lidar_sits_where_tf_says(robot, make, kind):
+def test_a_lidar_has_its_mount_from_tf(robot, make, kind):
     source = make(CLOUD_LEADS, map_frame="odom")
     types = STORE.types
     scan = robot.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
@@ -193,7 +193,7 @@ def test_a_lidar_sits_where_tf_says(robot, make, kind):
     seen.release()
 
 
-def test_what_is_too_large_is_not_opened(robot, make):
+def test_an_oversized_message_is_not_decoded(robot, make):
     limits = {"source": {"kind": "ros2", "max_message_mb": 0.001}}
     source = make(limits, map_frame="odom", mounts="config")
 
@@ -220,7 +220,7 @@ def test_a_robot_on_dds(port, make, via):
         robot.node.close()
 
 
-def test_without_tf_nothing_is_where_it_is_thought_to_be(robot, make):
+def test_without_tf_every_odometry_message_is_dropped(robot, make):
     source = make(map_frame="nowhere")
 
     def missed() -> bool:

@@ -143,7 +143,7 @@ def test_cameras_take_turns_also_if_one_is_late(apart_ns):
         assert all(np.diff([o.stamp_ns for o in camera]) == 2 * FRAME_NS)
 
 
-def test_one_camera_goes_on_without_the_other_and_after_a_clock_reset():
+def test_one_camera_continues_alone_and_after_a_clock_reset():
     robot = Pair().odom(0).odom(FRAME_NS * 9)
     for k in (1, 2, 3):
         assert robot.frame2(k * FRAME_NS).poll().camera_index == 1
@@ -156,7 +156,7 @@ def test_one_camera_goes_on_without_the_other_and_after_a_clock_reset():
 
 
 @pytest.mark.parametrize("silent", [None, 0, 1], ids=["", "no camera", "no camera2"])
-def test_clouds_go_to_the_cameras_in_turn_and_each_is_mapped_once(silent):
+def test_each_cloud_goes_to_one_camera_in_turn(silent):
     """Images of the second camera come later than those of the first."""
     robot = Pair(**{**CLOUD, "sensors": {**CLOUD["sensors"], **PAIR["sensors"]}}).odom(0)
     seen = []
@@ -202,7 +202,7 @@ def test_a_frame_with_its_interpolated_pose():
         ({"perception": {"detector": {"kind": "onnx"}, "back_projection_max_range_m": 15.0}}, 15.0),
     ],
 )
-def test_depth_beyond_what_the_camera_sees_is_no_return(settings, farthest_m):
+def test_depth_beyond_the_camera_range_is_no_return(settings, farthest_m):
     near = [0.3, 2.0, 0.99 * farthest_m]
     beyond = [farthest_m, 1.01 * farthest_m, 65.535, 1e6, np.inf]
     depth = np.array([[*near, *beyond, np.nan, -1.0, 0.0, 0.0]], np.float32).reshape(3, 4)
@@ -223,7 +223,7 @@ LATE = [
 
 
 @pytest.mark.parametrize(("late", "late_ms", "odometry_hz"), LATE)
-def test_what_is_late_is_waited_for_and_joined_at_its_stamp(late, late_ms, odometry_hz):
+def test_late_messages_are_joined_at_their_stamp(late, late_ms, odometry_hz):
     """A robot at 1 m/s for 4 s, with frames at 30 Hz."""
     robot, begin_ns, late_ns = Robot().info(), 10**12, late_ms * MS
     arrivals = []
@@ -251,7 +251,7 @@ def test_what_is_late_is_waited_for_and_joined_at_its_stamp(late, late_ms, odome
 
 
 @pytest.mark.parametrize(("without", "ms"), [("", 0), ("rgb", 51), ("late rgb", 251)])
-def test_a_sweep_waits_for_a_picture_no_longer_than_pictures_are_late(without, ms):
+def test_a_sweep_waits_for_an_image_within_a_limit(without, ms):
     robot = Robot(CLOUD).info()
     if without == "late rgb":
         robot.wait(300 * MS).cloud(300 * MS).wait(200 * MS).rgb(300 * MS).poll()
@@ -293,13 +293,13 @@ def test_a_frame_without_a_pose_is_dropped(odometry_ns, stamp_ns, reason):
     assert robot.drops == {reason: 1}
 
 
-def test_lockstep_waits_for_ever():
+def test_lockstep_waits_without_a_limit():
     robot = Robot({**ONNX, "loop": {"lockstep": True}}).info().odom(1000).frame(1500)
     assert robot.wait(10**12).poll() is None
     assert robot.odom(1500, 0.5).poll().pose.x_m == 0.5
 
 
-def test_a_frame_that_waits_does_not_hold_up_one_that_is_complete():
+def test_a_waiting_frame_does_not_delay_a_complete_one():
     robot = Robot().info().odom(1000).odom(2 * FRAME_NS)
     robot.frame(FRAME_NS, value=1).frame(3 * FRAME_NS, value=3)
     assert robot.poll().stamp_ns == FRAME_NS
@@ -442,7 +442,7 @@ def through_a_lens(settings: dict, lens: Lens = LENS, rgb: str = RAW, depth: str
         ),
     ],
 )
-def test_images_of_a_distorting_lens_are_rectified_and_that_is_logged(
+def test_images_of_a_distorting_lens_are_rectified(
     caplog, distortion, rgb, depth, made, straight, says
 ):
     caplog.set_level("INFO")
@@ -512,7 +512,7 @@ def test_a_scan_is_a_cloud_too():
         ("free", -np.inf, None),
     ],
 )
-def test_a_scan_in_a_hall_wider_than_its_range_is_no_empty_one(caplog, scan_inf, value, rows):
+def test_infinite_ranges_count_as_free_if_configured(caplog, scan_inf, value, rows):
     scan = messages.encode_laser_scan(1000, "l", 0.0, 0.0, 10.0, np.full(1, value, np.float32))
     robot = Robot({**CLOUD, "source": {"scan_inf": scan_inf}}).odom(0).odom(2000)
     seen = robot.send(topics.SCAN, scan).wait().poll()
@@ -556,7 +556,7 @@ def test_cloud_without_a_lidar_is_a_configuration_error():
         TimeSynchronizer(simulated({"mapping": {"input": "cloud"}}))
 
 
-def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_again(monkeypatch):
+def test_a_frame_that_breaks_its_decoder_is_dropped(monkeypatch):
     robot = Robot({**ONNX, "source": {"pool_slots": 3}}).info()
 
     def broken(*_) -> None:
@@ -573,7 +573,7 @@ def test_a_frame_that_breaks_its_decoder_gives_its_slot_back_and_does_not_come_a
     assert not robot.drops
 
 
-def test_typed_messages_need_no_wire_and_are_opened_only_when_used():
+def test_typed_messages_are_opened_only_when_used():
     """As a source on another transport hands them in."""
     opened = []
 

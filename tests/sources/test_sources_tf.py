@@ -1,4 +1,4 @@
-"""The tree of frames in time: chains, loops, what moves, and odometry outside of the map."""
+"""The tree of frames in time: chains, loops, moving frames, and odometry outside the map."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_up_and_down_the_tree(target, source, expected):
         ([(0, 0.0), (100, 1.0)], 0, 0.0, 0),
         ([(0, 0.0), (100, 1.0)], 25, 0.25, 0),
         ([(0, 0.0), (100, 1.0)], 100, 1.0, 0),
-        # Newer ones may come; what is older is too late for all.
+        # Newer ones may come; older ones are always too late.
         ([(0, 0.0), (100, 1.0)], 130, 1.0, 30),
         ([(50, 0.0), (100, 1.0)], 30, None, -20),
         # A transform that is sent rarely moves in steps.
@@ -88,7 +88,7 @@ def test_up_and_down_the_tree(target, source, expected):
         ([(10_000, 2.0), *((ms, ms / 100) for ms in range(0, 20 * RESET_AFTER, 10))], 105, 1.05, 0),
     ],
 )
-def test_a_frame_that_moves_is_where_it_was_at_the_stamp(samples, asked_ms, yaw_rad, age_ms):
+def test_a_moving_frame_is_interpolated_at_the_stamp(samples, asked_ms, yaw_rad, age_ms):
     found = panned(*samples).lookup("base", "pan", asked_ms * MS)
     if yaw_rad is None:
         said = f"the first transform from 'pan' to 'base' is {-age_ms} ms later"
@@ -99,7 +99,7 @@ def test_a_frame_that_moves_is_where_it_was_at_the_stamp(samples, asked_ms, yaw_
         assert found.why == ""
 
 
-def test_a_chain_is_as_old_as_its_oldest_part_and_static_ones_have_no_age():
+def test_a_chain_is_as_old_as_its_oldest_transform():
     tf = panned((0, 0.0), (100, 1.0))
     tf.offer(Transform(0, "pan", "tilt", se3(pitch_rad=0.1)))
     tf.offer(Transform(60 * MS, "pan", "tilt", se3(pitch_rad=0.2)))
@@ -113,7 +113,7 @@ def test_a_chain_is_as_old_as_its_oldest_part_and_static_ones_have_no_age():
 
 
 @pytest.mark.parametrize("asked_ms", [0, 10, 20, 25, 700, 1500])
-def test_what_was_handed_out_is_not_written_over(asked_ms):
+def test_a_returned_transform_is_not_overwritten(asked_ms):
     tf = panned((0, 0.0), (10, 0.1), (20, 0.2), *(((900, 0.3),) if asked_ms > 25 else ()))
     found = tf.lookup("base", "pan", asked_ms * MS).T
     before = found.copy()
@@ -122,7 +122,7 @@ def test_what_was_handed_out_is_not_written_over(asked_ms):
 
 
 @given(st.lists(st.tuples(st.sampled_from("abcdef"), st.sampled_from("abcdef")), max_size=30))
-def test_no_loop_keeps_it_busy(edges):
+def test_a_loop_of_frames_does_not_hang(edges):
     tf = TfBuffer(WAIT_NS)
     for parent, child in edges:
         assert tf.offer(Transform(0, parent, child, A)) == (parent != child)

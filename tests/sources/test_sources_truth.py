@@ -39,11 +39,11 @@ def at(inbox: SegmentationInbox, stamp_ms: int) -> int | None:
     return None if found is None else int(found.ids[0, 0])
 
 
-def test_there_is_nothing_before_anything_came():
+def test_an_empty_inbox_returns_nothing():
     assert SegmentationInbox(simulated(), Simulator()).at(0) is None
 
 
-def test_the_newest_are_kept_and_a_look_ends_under_a_flood():
+def test_the_inbox_keeps_the_newest_images_in_a_flood():
     inbox = SegmentationInbox(simulated(), Simulator(picture(100 * k, k) for k in range(10**9)))
     assert at(inbox, 700) == 7
     assert at(inbox, 1500) == 15
@@ -65,7 +65,7 @@ def test_labels_and_nonsense():
     "payload", [b"", b"{}", b"[" * 10**5, b'["a", 3]']
     + [json.dumps(["tv", no_name]).encode() for no_name in ("-", "tv\n", "\x1b[2Jtv", "b" * 201)],
 )  # fmt: skip
-def test_what_are_no_labels(payload):
+def test_invalid_labels_are_refused(payload):
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         parse_labels(payload)
     assert str(caught.value).isprintable()

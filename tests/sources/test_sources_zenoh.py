@@ -20,7 +20,7 @@ def odometry(n: int) -> bytes:
 
 
 @pytest.mark.parametrize("ring", [64, 256])
-def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
+def test_one_poll_takes_at_most_a_ring_of_odometry(ring):
     config = simulated({"source": {"odometry_ring": ring}, "mission": {"target": "bed"}})
     source = ZenohSource(config, Flooded("edge/odom", map(odometry, count(1))))
     for look in range(1, 4):
@@ -32,7 +32,7 @@ def test_a_look_takes_no_more_odometry_than_the_ring_holds(ring):
     assert source.counters["malformed"] == 0
 
 
-def test_a_look_takes_no_more_answers_than_the_ring_holds():
+def test_one_poll_takes_at_most_a_ring_of_answers():
     accepted = b'{"stamp": %d, "state": "accepted"}'
     inbox = GoalStatusInbox(
         Flooded("edge/goal_status", (accepted % n for n in count(1))), ZenohConfig()

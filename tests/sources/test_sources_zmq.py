@@ -88,7 +88,7 @@ def observed(source: ZmqSource, send: Callable[[], None]) -> Observation:
     return eventually(look, "no observation")
 
 
-def test_colour_and_depth_become_an_observation_as_they_were_sent():
+def test_colour_and_depth_arrive_unchanged():
     where, rng = address(), np.random.default_rng(0)
     bgr = rng.integers(0, 255, (16, 32, 3), np.uint8)
     depth_mm = rng.integers(400, 4000, (16, 32), np.uint16)
@@ -116,7 +116,7 @@ def test_colour_and_depth_become_an_observation_as_they_were_sent():
         ((RGB, bytes(1536)), "no message yet on camera/depth ({0}), camera/info ({0})"),
     ],
 )
-def test_what_a_camera_lacks_is_named_with_its_address(parts, said):
+def test_missing_camera_inputs_are_named_with_their_address(parts, said):
     where = address()
     with source_of(configured(where), standing()) as source:
         source.poll()
@@ -171,7 +171,7 @@ def test_a_bad_frame_is_logged_in_one_line_and_counted(parts, said, caplog):
     assert "\n" not in line
 
 
-def test_a_message_that_is_too_large_is_refused_and_logged_once(caplog):
+def test_an_oversized_message_is_refused_and_logged_once(caplog):
     where = address()
     with camera_at(where) as send, source_of(configured(where), standing()) as source:
 
@@ -201,7 +201,7 @@ def test_a_host_without_an_address_is_logged(caplog):
     source.close()
 
 
-def test_the_publisher_of_the_page_is_seen_with_a_lidar_over_zenoh(tmp_path):
+def test_the_publisher_of_the_page_works_with_a_lidar(tmp_path):
     code, section, *_ = re.findall(r"```(?:python|yaml)\n(.*?)```", PAGE, re.DOTALL)
     assert len([line for line in code.splitlines() if line]) <= MAX_LINES
     (tmp_path / "publisher.py").write_text(code, "utf-8")

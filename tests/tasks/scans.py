@@ -31,7 +31,7 @@ class Box:
 
 
 def cast(boxes, origin, directions):
-    """Distance along each ray to what it meets first, and which box that is (GROUND, SKY)."""
+    """Return each ray's distance to its first hit, and the hit box (GROUND, SKY)."""
     with np.errstate(all="ignore"):
         far = np.where(directions[:, 2] < 0, -origin[2] / directions[:, 2], np.inf)
         hit = np.where(np.isfinite(far), GROUND, SKY)
@@ -75,7 +75,7 @@ def picture(boxes, T_map_base):
     return _picture(tuple(boxes), T_map_base.tobytes())
 
 
-@lru_cache(maxsize=4)  # it is asked for with the cloud, and again for what is found
+@lru_cache(maxsize=4)  # used for the cloud and again for the detections
 def _picture(boxes, T_map_base):
     v, u = np.mgrid[: MODEL.height_px, : MODEL.width_px]
     rays = np.stack(

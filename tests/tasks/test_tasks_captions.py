@@ -69,14 +69,14 @@ def test_colours_keep_their_names_in_other_light(place, light):
 
 
 @pytest.mark.parametrize("place", painted_scenes.PLACES)
-def test_full_light_is_left_as_it_is(place):
+def test_full_light_is_left_unchanged(place):
     rgb = painted_scenes.picture(place, (190, 40, 36), "full")
     assert in_white_light(rgb) is rgb
     assert painted_scenes.results(place, "full") == [(name, name) for name, _ in PAINTS]
 
 
 @pytest.mark.parametrize("place", painted_scenes.PLACES)
-def test_no_paint_turns_black_in_the_shade_of_a_bright_picture(place):
+def test_no_bright_paint_turns_black_in_the_shade(place):
     greys = ("black", "gray", "white")
     results = painted_scenes.results(place, "30 %", shaded=True)
     assert [(a, b) for a, b in results if a not in greys and b in greys] == []
@@ -93,11 +93,11 @@ def test_no_paint_turns_black_in_the_shade_of_a_bright_picture(place):
         (painted((200, 160, 110)), (1, 1.25, 200 / 110)),
     ],
 )
-def test_the_light_is_judged_by_what_is_neutral(rgb, gains):
+def test_light_gains_come_from_neutral_colours(rgb, gains):
     np.testing.assert_allclose(light_gains(rgb), gains, rtol=1e-3)
 
 
-def test_what_has_every_colour_has_none():
+def test_a_patchwork_has_no_colour():
     rgb = np.array(list(COLOURED.values()), np.uint8)[np.arange(600).reshape(20, 30) % 11]
     assert colour_of(rgb, WHOLE) == ""
 

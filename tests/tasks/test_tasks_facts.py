@@ -19,7 +19,7 @@ def test_no_task_is_the_same_as_none():
     assert not same_text(looking(), None)
 
 
-def test_how_far_it_is_driven_changes_no_words():
+def test_progress_leaves_the_text_unchanged():
     task = by_a_model()
     assert same_text(task, replace(task, index=task.index + 7, coarse_m=task.coarse_m.copy()))
 
@@ -33,13 +33,13 @@ def test_how_far_it_is_driven_changes_no_words():
     ],
     ids=lambda change: next(iter(change)),
 )  # fmt: skip
-def test_all_else_does(change):
+def test_any_other_change_alters_the_text(change):
     task = by_a_model()
     assert not same_text(task, replace(task, **change))
 
 
 @given(st.integers(1, 300), st.integers(1, 500), st.data())
-def test_a_thinned_trajectory_ends_where_it_ends_and_tells_where_the_robot_is(n, most, data):
+def test_a_thinned_trajectory_keeps_its_end_and_progress(n, most, data):
     index = data.draw(st.integers(0, n - 1))
     poses = np.column_stack([np.arange(n), np.arange(n) * 2, np.zeros(n), np.arange(n) / n])
     drawn, at = thinned(replace(written()[1], poses=poses), index, most)

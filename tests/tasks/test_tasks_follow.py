@@ -1,4 +1,4 @@
-"""Driving a refined trajectory: the moving goal, what blocks it, the message."""
+"""Driving a refined trajectory: the moving goal, obstacles, the message."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def bend(corner_m: tuple[float, float]) -> RefinedTrajectory:
 
 
 @pytest.mark.parametrize("corner_m", [(-6.0, 1.5), (-5.0, 0.0), (-4.0, 1.5)])
-def test_the_straight_way_to_the_goal_cuts_no_bend(corner_m):
+def test_the_straight_line_to_the_goal_cuts_no_bend(corner_m):
     trajectory = bend(corner_m)
     path_m = trajectory.poses[:, :2]
     robot, index, seen = SE2(-7.0, 0.0, 0.0), 0, []
@@ -107,7 +107,7 @@ def test_no_legs_end_is_passed_before_the_robot_was_there(segments, step_m):
     assert robot.distance_to(*segments[-1][-1]) < 0.05
 
 
-def test_the_controllers_word_passes_the_end_of_a_leg_and_no_other():
+def test_a_reached_goal_ends_only_its_own_leg():
     refined = refine(scene(), [np.array([[-2.0, 0.0]]), np.array([[-6.0, 0.5]])], {1}, BODY, LIMITS)
     tip = int(np.argmax(refined.poses[:, 0]))
     for at, since, index in ((tip, 3, tip + 1), (tip - 4, 3, tip - 4), (tip + 9, 3, tip)):
@@ -125,7 +125,7 @@ def test_a_single_pose_is_its_own_goal():
 
 
 def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
-    """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map of what is within 9 m."""
+    """Boxes (x0, y0, x1, y1), seen by a LiDAR at the origin, in a map with a radius of 9 m."""
     grid = RollingMap(
         MappingConfig(input="cloud", resolution_m=0.1, extent_m=19.2, inflation_m=0.4)
     )
@@ -142,17 +142,17 @@ def mapped(*boxes: tuple[float, float, float, float]) -> MapView:
         ([], -7.0, None),
         ([(2.0, -0.5, 3.0, 0.5)], -4.0, 5.6),
         ([(2.0, -0.5, 3.0, 0.5)], 0.0, 1.6),
-        # Farther than is looked; beside the path, near enough and not; behind the robot.
+        # Beyond the checked range; next to the path, near and far; behind the robot.
         ([(4.0, -0.5, 5.0, 0.5)], -7.0, None),
         ([(2.0, 0.2, 3.0, 0.5)], 0.0, 1.6),
         ([(2.0, 0.6, 3.0, 0.9)], 0.0, None),
         ([(2.0, -0.5, 3.0, 0.5)], 4.0, None),
-        # The way out of what is too near blocks nothing.
+        # The path away from a near obstacle is not blocked.
         ([(-0.3, 0.3, 0.2, 0.6)], 0.0, None),
         ([(-0.3, 0.3, 0.2, 0.6), (3.0, -0.5, 4.0, 0.5)], 0.0, 2.6),
     ],
 )
-def test_what_blocks_it(boxes, from_x_m, expected_m):
+def test_obstacles_on_the_path_are_found(boxes, from_x_m, expected_m):
     trajectory = line()
     index = int(np.argmin(np.abs(trajectory.poses[:, 0] - from_x_m)))
     got = blocked_ahead_m(trajectory, mapped(*boxes), index)
@@ -165,7 +165,7 @@ def test_outside_the_map_nothing_is_known():
     assert blocked_ahead_m(trajectory, mapped((2.0, -0.5, 3.0, 0.5))) is None
 
 
-def test_it_is_a_path():
+def test_the_trajectory_is_sent_as_a_path():
     trajectory = refine(scene(), [np.array([[0.0, 0.0, 0.5], [0.0, 7.0, 0.5]])], {1}, BODY, LIMITS)
     path = from_ros(path_message(trajectory, 10**9 + 5), "nav_msgs/msg/Path")
     assert (path.header.frame_id, path.header.stamp.nanosec) == ("map", 5)

@@ -26,7 +26,7 @@ def functions():
     return ScriptFunctions(GROUND, LIMITS)
 
 
-def test_a_scene_without_things_has_none():
+def test_a_scene_without_objects_lists_none():
     functions = ScriptFunctions(ground_of(street(), LIMITS.clearance_m), LIMITS)
     assert functions.det_object() == functions.det_object("car") == []
     assert functions.robot() == {"position": (0.0, 0.0), "heading_rad": 0.0}
@@ -42,18 +42,18 @@ def test_a_scene_without_things_has_none():
         ("elephant", []),
     ],
 )
-def test_things_are_found_by_name_the_nearest_first(functions, name, ids):
+def test_objects_are_found_by_name_with_the_nearest_first(functions, name, ids):
     assert [thing["id"] for thing in functions.det_object(name)] == ids
 
 
-def test_a_caption_is_one_printable_line():
+def test_a_caption_is_cut_to_one_printable_line():
     thing = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
     (sign,) = ScriptFunctions(ground_of(street(thing), 0.3), LIMITS).det_object()
     assert sign["caption"].isprintable()
     assert len(sign["caption"]) == 200
 
 
-def test_a_way_avoids_what_is_in_between(functions):
+def test_a_planned_path_avoids_obstacles(functions):
     way = functions.a_star_plan((0.0, 0.0), (13.0, 0.0))
     assert (way[0], way[-1]) == ((0.0, 0.0), (13.0, 0.0))
     assert all(functions.is_free(at) for at in way)
@@ -101,7 +101,7 @@ def test_one_trajectory_is_given(functions):
     assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]
 
 
-def test_what_is_shown_is_not_given(functions):
+def test_a_shown_trajectory_is_not_given(functions):
     for _ in range(MOST_SHOWN):
         functions.visual_3d([(500.0, 0.0), (8.0, 0.0)])
     with pytest.raises(CallError, match="10 trajectories are shown already; more"):
@@ -119,7 +119,7 @@ def test_sides_are_those_that_the_robot_sees(functions, side, at):
     assert functions.offset(1, side) == pytest.approx(at)
 
 
-def test_sides_turn_with_who_looks(functions):
+def test_sides_depend_on_the_viewing_position(functions):
     assert functions.offset(1, "left", 1.0, (20.0, 0.0)) == pytest.approx((8, -2))
     assert functions.offset(1, "left", 0.0, (8.0, -9.0)) == pytest.approx((6, 0))
 
@@ -157,8 +157,8 @@ def test_an_arc_round_something_long_has_no_leap():
     np.testing.assert_allclose(np.hypot(*gap.T), 1.0, atol=0.3)
 
 
-def test_one_stops_where_one_comes_from(functions):
-    """At the side of the van, not round it; a little farther from it where that is on the way."""
+def test_the_stopping_point_is_on_the_near_side(functions):
+    """Stop at the near side of the van; a little farther away if that is on the path."""
     for start, side in (
         ((0.0, 0.0), (5.6, 0.0)),
         ((8.0, 9.0), (8.0, 1.4)),
@@ -177,14 +177,14 @@ def test_one_stops_little_farther_off_than_one_has_to(clearance_m):
     assert clearance_m <= 6.0 - x <= clearance_m + RESOLUTION_M + ABOUT_M
 
 
-def test_one_stops_before_a_thing_beyond_the_map():
+def test_the_stop_for_a_distant_object_is_inside_the_map():
     scene = street(Thing("gate", 23.0, 0.0, (0.4, 3.0)))
     x, y = ScriptFunctions(ground_of(scene, 0.3), LIMITS).stopping_point(1)
     assert x > 19.0
     assert abs(y) < 1.8
 
 
-def test_one_does_not_stop_far_from_a_thing():
+def test_an_object_out_of_reach_has_no_stopping_point():
     far = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=((12.0, 12.4, -20.0, 20.0),))
     functions = ScriptFunctions(ground_of(far, 0.3), LIMITS)
     with pytest.raises(CallError, match=r"^the robot gets no nearer to gate 1 than 6\.1 m$"):

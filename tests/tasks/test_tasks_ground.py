@@ -27,7 +27,7 @@ def test_an_empty_scene_is_all_reachable():
     assert ground.region_at(50.0, 0.0) == 0
 
 
-def test_clearance_is_kept_from_what_is_occupied():
+def test_free_ground_keeps_clearance_from_obstacles():
     scene = street(*STREET)
     ground = ground_of(scene, CLEAR_M)
     occupied = scene.occupancy.centres_m(*np.nonzero(scene.occupancy.cells > 0))
@@ -48,14 +48,14 @@ def test_a_closed_house_is_free_and_not_reachable():
     assert not ground.plan((0.0, 0.0), (5.5, 0.0)).ok
 
 
-def test_who_stands_in_the_house_gets_about_in_it_only():
+def test_a_robot_in_a_room_can_drive_only_in_that_room():
     ground = ground_of(street(walls=HOUSE, pose=SE2(5.5, 0.0, 0.0)), CLEAR_M)
     assert ground.is_free(5.0, 1.0)
     assert not ground.is_free(0.0, 0.0)
 
 
 @pytest.mark.parametrize(("gap_m", "reachable"), [(ESCAPE_M - 0.2, True), (ESCAPE_M + 0.5, False)])
-def test_a_robot_too_close_to_something_begins_next_to_it(gap_m, reachable):
+def test_a_robot_near_an_obstacle_starts_next_to_it(gap_m, reachable):
     """Closed ground all around, out to `gap_m`."""
     wall = (-gap_m, gap_m, -gap_m, gap_m)
     assert ground_of(street(walls=(wall,)), 0.0).reachable.any() == reachable
@@ -70,7 +70,7 @@ def test_unknown_ground_is_open_only_within_a_region():
     assert not ground.is_free(10.0, 5.0)
 
 
-def test_a_bridge_is_as_good_as_the_region_that_it_joins():
+def test_the_robot_does_not_stop_on_unseen_ground():
     """The robot does not stop on unseen ground at a meadow that is no region."""
     scene = street(Thing("tree", 10.0, 0.0, (0.4, 0.4)))
     x_m, _ = np.moveaxis(scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape)), -1, 0)
@@ -81,7 +81,7 @@ def test_a_bridge_is_as_good_as_the_region_that_it_joins():
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 0.3, 0.7]))
-def test_what_is_closed_to_who_writes_is_closed_to_who_refines(seed, clearance_m):
+def test_script_and_refinement_close_the_same_ground(seed, clearance_m):
     rng = np.random.default_rng(seed)
     scene = street()
     scene.occupancy.cells[:] = rng.choice([-1, 0, 0, 0, 0, 100], scene.occupancy.cells.shape)
@@ -92,7 +92,7 @@ def test_what_is_closed_to_who_writes_is_closed_to_who_refines(seed, clearance_m
     np.testing.assert_array_equal(writes.weight > 0, refines.weight > 0)
 
 
-def test_the_nearest_point_of_a_region_lies_in_it():
+def test_the_nearest_point_of_a_region_is_inside():
     ground = ground_of(street(), CLEAR_M)
     x, y = ground.nearest(0.0, 0.0, region=LAWN)
     assert ground.region_at(x, y) == LAWN
@@ -100,7 +100,7 @@ def test_the_nearest_point_of_a_region_lies_in_it():
     assert ground.nearest(0.0, 0.0, region=77) is None
 
 
-def test_a_way_keeps_to_the_regions_that_are_chosen():
+def test_a_path_keeps_to_the_chosen_regions():
     """A wall across the road: round it over the lawn, unless the road has a gap further off."""
     ground = ground_of(street(walls=((5.0, 5.4, -8.0, 12.0),)), CLEAR_M)
     by_any, by_road = (

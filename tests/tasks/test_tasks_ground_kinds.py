@@ -57,7 +57,7 @@ def test_each_pixel_has_the_kind_of_its_class(put, output, hw):
         ({"input": {"height": 32, "width": 96}}, "must have one input"),
     ],
 )
-def test_a_card_that_does_not_fit_is_one_line(put, changes, message):
+def test_an_unsuitable_card_is_an_error_of_one_line(put, changes, message):
     with pytest.raises(ModelError) as raised:
         GroundClassifier(put(**changes))
     assert message in str(raised.value)
@@ -105,7 +105,7 @@ def test_ground_has_the_kind_that_the_picture_shows(put):
     assert kind_at(*written.coarse.points_m[-1][:2]) == "lawn"
 
 
-def test_a_turn_takes_no_name_from_the_ground_and_old_votes_go(put, monkeypatch):
+def test_old_votes_for_ground_are_replaced(put, monkeypatch):
     ground = GroundClassifier(put())
     seen, _ = scans.street(())
     green = replace(seen, rgb=np.full_like(seen.rgb, GREEN))

@@ -31,7 +31,7 @@ def ends(segments, start=ORIGIN, tube_m=1.0) -> list[tuple[float, float, bool]]:
         ([np.array([[1.0, 1.0, math.inf]])], "inf"),
     ],
 )
-def test_what_is_no_trajectory_is_refused_in_one_line(segments, words):
+def test_an_invalid_trajectory_is_refused_in_one_line(segments, words):
     with pytest.raises(RefineError, match=words) as refusal:
         cut_into_legs(segments, ORIGIN, 1.0)
     assert "\n" not in str(refusal.value)
@@ -56,7 +56,7 @@ def test_what_is_no_trajectory_is_refused_in_one_line(segments, words):
         ),
     ],
 )
-def test_a_leg_ends_where_it_has_turned(segments, expected):
+def test_a_leg_ends_at_a_turn(segments, expected):
     assert ends(segments) == expected
 
 

@@ -1,4 +1,4 @@
-"""From a task in words to what the detector looks for."""
+"""From a task in words to the detector's targets."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target"
         (MODEL, "Circle the couch; keep off potted plants.", ("couch", "potted plant"), [()]),
     ],
 )
-def test_what_it_names_is_looked_for(config, task, targets, to_see):
+def test_objects_named_by_a_task_become_targets(config, task, targets, to_see):
     spec = prepare_task(config, task)
     assert (spec.targets, [step.names for step in spec.steps]) == (targets, to_see)
     assert spec.translation.instruction == spec.translation.understood == task
@@ -51,13 +51,13 @@ def test_what_it_names_is_looked_for(config, task, targets, to_see):
         (RULES, "go past the bed, past the sofa, past the desk and to the car", "at most 3"),
     ],
 )
-def test_what_is_no_task_is_refused_in_one_line(config, task, said):
+def test_an_invalid_task_is_refused_in_one_line(config, task, said):
     with pytest.raises(UserError) as caught:
         prepare_task(config, task)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_without_a_task_it_is_a_mission():
+def test_without_a_task_a_mission_is_prepared():
     assert prepare_mission(RULES).steps is None
     assert prepare_mission(RULES, formula="F sofa").targets == ("sofa",)

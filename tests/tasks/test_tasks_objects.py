@@ -40,7 +40,7 @@ SIDES = np.vstack([np.column_stack((_RIM, np.full(len(_RIM), z))) for z in (0.0,
     st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-10, 10),
     st.floats(0.3, 5.0), st.floats(0.1, 0.25), st.floats(0.1, 4.0),
 )  # fmt: skip
-def test_the_box_of_a_box_is_it(x_m, y_m, heading, along, across, up):
+def test_box_around_recovers_a_box(x_m, y_m, heading, along, across, up):
     local = SIDES * (along, across, up)
     c, s = np.cos(heading), np.sin(heading)
     points = local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (x_m, y_m, 0.5)
@@ -53,7 +53,7 @@ def test_the_box_of_a_box_is_it(x_m, y_m, heading, along, across, up):
 
 
 @given(st.floats(-1.5, 1.5))
-def test_two_sides_tell_how_a_thing_stands(heading):
+def test_two_visible_sides_give_the_heading(heading):
     """A LiDAR sees an L, and the smallest rectangle around it is another."""
     side = np.linspace(0, 1, 40)
     local = np.vstack(
@@ -96,11 +96,11 @@ def test_no_more_points_than_there_is_room_for():
     assert len(downsample(block(size=(50, 50, 5), n=20_000))) == MOST_POINTS
 
 
-def test_of_nothing_no_share_is_near():
+def test_without_points_the_overlap_is_zero():
     assert overlap_share(NONE, block()) == overlap_share(block(), NONE) == 0.0
 
 
-def test_too_few_points_are_no_thing():
+def test_too_few_points_make_no_object():
     things = ObjectMap()
     assert things.add("car", NONE) is None
     assert things.add("car", block(n=4)) is None
@@ -118,7 +118,7 @@ MERGES = {
 
 
 @pytest.mark.parametrize("case", MERGES)
-def test_what_is_seen_again_joins_what_was_seen(case):
+def test_repeated_views_join_one_object(case):
     (a, at_a), (b, at_b), n = MERGES[case]
     things = ObjectMap()
     one = things.add(a, block(at_a), score=0.9)
@@ -127,7 +127,7 @@ def test_what_is_seen_again_joins_what_was_seen(case):
     assert (one is two) == (n == 1)
 
 
-def test_a_row_of_things_stays_one_in_each_box():
+def test_objects_in_a_row_stay_separate():
     """0.1 m apart, their ends lie near each other's; twice in one picture, a thing is one."""
     things = ObjectMap()
     for picture in (1, 2):
@@ -138,7 +138,7 @@ def test_a_row_of_things_stays_one_in_each_box():
     assert [thing.hits for thing in things.objects.values()] == [3, 2, 2]
 
 
-def test_a_thing_is_called_by_what_most_pictures_show():
+def test_an_object_takes_its_most_frequent_label():
     things = ObjectMap()
     things.add("truck", block(), "white truck", 0.5)
     for score in (0.4, 0.4):
@@ -155,7 +155,7 @@ def test_embeddings_are_averaged_over_pictures():
     np.testing.assert_allclose(things.objects[1].embedding, [2.0, 0.0])
 
 
-def test_what_grows_together_becomes_one_and_numbers_are_not_given_twice():
+def test_objects_that_grow_together_merge_without_reused_ids():
     things = ObjectMap()
     for x_m in (0.0, 4.0):
         things.add("hedge", block(x_m, size=(2, 1, 1)))

@@ -65,7 +65,7 @@ def test_nothing_of_the_name_is_in_the_picture(scene):
     assert functions(scene, detector()).det_object("trash can") == []
 
 
-def test_a_new_name_is_detected_once_and_can_be_driven_to(scene):
+def test_a_new_name_is_detected_only_once(scene):
     asked = []
     calls = functions(scene, detector(CAR, BIN, names_asked=asked))
     (found,) = calls.det_object("trash can")
@@ -84,13 +84,13 @@ def test_a_new_name_is_detected_once_and_can_be_driven_to(scene):
     assert 2 not in scene.objects
 
 
-def test_what_is_known_is_not_detected_again(scene):
+def test_known_objects_are_not_detected_again(scene):
     asked = []
     (car,) = functions(scene, detector(CAR, BIN, names_asked=asked)).det_object("car")
     assert (car["id"], asked) == (1, [])
 
 
-def test_a_word_that_the_detector_lacks_is_an_error_of_the_script(scene):
+def test_an_unknown_word_is_a_call_error(scene):
     with pytest.raises(CallError, match="det_object: the vocabulary has no word 'zeppelin'"):
         functions(scene, detector()).det_object("zeppelin")
 

@@ -26,7 +26,7 @@ def outline(thing, *free):
     return outline_of(scene.objects[1], scene.occupancy)
 
 
-def test_where_the_map_has_nothing_it_is_the_box():
+def test_without_occupied_cells_the_outline_is_the_box():
     got = outline(SOFA, (0.0, 20.0, -9.0, 9.0))
     assert got.gaps_m(np.array([[8.0, 4.6]])) == pytest.approx([1.0], abs=0.02)
     assert got.point_at(0.0, 1.0) == pytest.approx((10.6, 2.0), abs=1e-3)
@@ -40,7 +40,7 @@ def test_a_distance_is_measured_from_the_rim():
     assert got.gaps_m(np.array([[8.0, 2.0], [8.0, 5.5]])) == pytest.approx([0.0, 1.9], abs=0.05)
 
 
-def test_the_pocket_of_a_corner_sofa_is_not_of_it_but_nobody_passes_through():
+def test_the_pocket_of_a_corner_sofa_is_not_passable():
     got = outline(SOFA, (6.0, 8.8, 0.0, 2.8))
     assert got.gaps_m(np.array([[7.0, 1.0]]))[0] > 1.5
     x, y = got.point_at(math.radians(225), 0.5)
@@ -48,7 +48,7 @@ def test_the_pocket_of_a_corner_sofa_is_not_of_it_but_nobody_passes_through():
     assert cv2.pointPolygonTest(hull, (x, y), True) == pytest.approx(-0.5, abs=1e-3)
 
 
-def test_what_nobody_saw_of_a_thing_is_of_it():
+def test_unseen_parts_of_an_object_belong_to_its_outline():
     scene = street(Thing("car", 8.0, 0.0, (4.0, 2.0)))
     hidden = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))[..., 1] > -0.7
     scene.occupancy.cells[(scene.occupancy.cells > 0) & hidden] = -1
@@ -56,7 +56,7 @@ def test_what_nobody_saw_of_a_thing_is_of_it():
     assert got.point_at(math.pi / 2, 0.0) == pytest.approx((8.0, 1.0), abs=0.21)
 
 
-def test_the_robot_arrives_at_what_was_seen_of_a_thing():
+def test_distances_are_measured_to_the_seen_surface():
     scene = street(Thing("building", 8.0, 0.0, (8.0, 6.0)))
     front = np.column_stack((np.full(30, 4.05), np.linspace(-3.0, 3.0, 30), np.ones(30)))
     seen = replace(scene.objects[1], points_m=front.astype(np.float32))
@@ -92,7 +92,7 @@ def test_distances_of_all_cells_are_those_of_their_centres(seed, x_m):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 8.0), st.booleans())
-def test_a_point_next_to_it_is_so_far_from_the_hull(angle_rad, distance_m, corner):
+def test_point_at_keeps_its_distance_from_the_hull(angle_rad, distance_m, corner):
     got = outline(SOFA, *([(6.0, 8.8, 0.0, 2.8)] if corner else []))
     at = got.point_at(angle_rad, distance_m)
     hull = (got.hull_m + got.middle_m).astype(np.float32)

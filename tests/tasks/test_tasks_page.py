@@ -1,4 +1,4 @@
-"""docs/tasks.md: its sentences, its configuration and its code do what it says."""
+"""docs/tasks.md: its sentences, its configuration and its code work as described."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ def test_the_page_has_its_tables():
 
 
 @pytest.mark.parametrize(("words", "understood"), UNDERSTOOD)
-def test_what_is_understood(words, understood):
+def test_documented_instructions_are_understood(words, understood):
     assert write_trajectory(words, scene(), load("street").tasks).understood == understood
 
 
 @pytest.mark.parametrize(("words", "answer"), REFUSED)
-def test_what_is_refused(words, answer):
+def test_documented_refusals_are_given(words, answer):
     with pytest.raises(UserError, match=re.escape(answer.strip())):
         write_trajectory(words, scene(), load("street").tasks)
 
 
-def test_every_function_is_there():
+def test_the_page_names_every_function():
     assert [name for name in NAMES if f"{name}(" not in PAGE] == []
 
 
 @pytest.mark.parametrize("text", [text for kind, text in BLOCKS if kind == "yaml"])
-def test_the_configurations_are_ones(text):
-    """And what they show beside a model's name and address is what holds anyway."""
+def test_the_configurations_of_the_page_are_valid(text):
+    """Apart from the model's name and address they show only defaults."""
     given = yaml.safe_load(text)["tasks"]
     tasks, default = TasksConfig.model_validate(given), TasksConfig()
     assert tasks.trajectory == default.trajectory
@@ -64,7 +64,7 @@ def test_the_configurations_are_ones(text):
         assert tasks.planner == planner.model_copy(update={"model": "MODEL"})
 
 
-def test_a_chain_of_ones_own_sees():
+def test_the_plugin_pipeline_of_the_page_runs():
     (code,) = (text for kind, text in BLOCKS if kind == "python")
     picture = Observation(0, 0, np.eye(4), rgb=np.zeros((20, 30, 3), np.uint8))
 

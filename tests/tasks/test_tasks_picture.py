@@ -20,16 +20,16 @@ def scene(rgb=None, contours=None):
 GRAY = np.full((120, 160, 3), 90, np.uint8)
 
 
-def test_without_a_picture_there_is_none():
+def test_without_a_picture_nothing_is_drawn():
     assert draw_marks(scene()) is None
 
 
 @pytest.mark.parametrize(("longest_px", "shape"), [(80, (60, 80, 3)), (2000, (720, 960, 3))])
-def test_it_is_no_longer_than_asked(longest_px, shape):
+def test_the_picture_is_scaled_to_the_longest_side(longest_px, shape):
     assert draw_marks(scene(GRAY, {1: [SQUARE]}), longest_px).shape == shape
 
 
-def test_an_outline_has_its_things_colour_and_lies_where_it_should():
+def test_an_outline_is_drawn_in_its_colour_and_place():
     image = draw_marks(scene(GRAY, {7: [SQUARE]}))
     outlined = (np.abs(image.astype(int) - colour(7)) <= 2).all(axis=2)
     for x, y in (SQUARE * 6).tolist():
@@ -38,8 +38,8 @@ def test_an_outline_has_its_things_colour_and_lies_where_it_should():
     assert not outlined[250:].any()
 
 
-def test_every_thing_has_its_number_and_none_hides_another():
-    """Many things on one spot: as many black discs beside one another."""
+def test_every_object_has_a_visible_number():
+    """Many objects on one spot have as many black discs next to each other."""
     contours = {i: [SQUARE] for i in range(1, 7)}
     one = (draw_marks(scene(GRAY, {1: [SQUARE]})) == 0).all(axis=2).sum()
     six = (draw_marks(scene(GRAY, contours)) == 0).all(axis=2).sum()

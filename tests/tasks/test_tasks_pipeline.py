@@ -39,7 +39,7 @@ def chain_of(*boxes, **parts):
     return PerceptionPipeline(**{**given, **parts})
 
 
-def test_each_part_gets_what_the_one_before_it_made():
+def test_each_stage_gets_the_result_of_the_previous_one():
     """Eq. 1: TAP(I, GD(I, RAM(I)))."""
     observation, calls = observe(), []
 
@@ -78,7 +78,7 @@ def test_each_part_gets_what_the_one_before_it_made():
         ("embeddings", lambda found: np.zeros((2, 3)), "1 boxes, but 2 embeddings"),
     ],
 )
-def test_a_part_that_miscounts_is_told(part, answers, words):
+def test_a_stage_with_a_wrong_count_is_an_error(part, answers, words):
     with pytest.raises(ValueError, match=words):
         run_pipeline(chain_of((0, 0, 5, 5), **{part: answers}), observe())
 
@@ -108,7 +108,7 @@ def numbered(width):
     return observation
 
 
-def test_what_two_parts_show_is_one_box():
+def test_an_object_across_two_tiles_is_one_box():
     """Parts of 27 px overlap; the thing across two of them is cut in both."""
     seen = []
     things = [(3, 10), (15, 40), (70, 78)]

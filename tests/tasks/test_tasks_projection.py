@@ -55,12 +55,12 @@ def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_
     leaps = np.diff(depth_m[own]) > GAP_M + GAP_SHARE * depth_m[own[:-1]]
     parts = [part[in_box[part]] for part in np.split(own, np.flatnonzero(leaps) + 1)]
     assert set(points) in [set(part) for part in parts]
-    # What fits best may be a little smaller than the largest: the box's rim cuts off returns.
+    # The best fit may be a little smaller than the largest: the box's rim cuts off returns.
     assert len(points) >= 0.9 * max(map(len, parts))
 
 
-def test_what_stands_before_a_thing_is_not_it():
-    """A pole before the middle of a car's box covers too little of it."""
+def test_points_in_front_of_an_object_are_left_out():
+    """A pole in front of the middle of a car's box covers too little of it."""
     car, pole = Box(14.0, 0.0, heading_rad=1.57), Box(8.0, 0.3, (0.2, 0.2, 3.0), label="pole")
     observation, hit = street([car, pole])
     car_points, pole_points = of_boxes(
@@ -73,8 +73,8 @@ def test_what_stands_before_a_thing_is_not_it():
     assert len(pole_points) > 5
 
 
-def test_a_mask_leaves_out_what_its_box_holds_too():
-    """The left half of the mask: the right one's points are another thing's."""
+def test_a_mask_leaves_out_other_points_of_its_box():
+    """The mask covers the left half; points on the right belong to another object."""
     left, right = Box(12.0, 1.0, (1, 1, 1.5)), Box(12.0, -1.0, (1, 1, 1.5))
     observation, hit = street([left, right])
     found = found_in(observation, [left, right])
@@ -90,7 +90,7 @@ def test_a_mask_leaves_out_what_its_box_holds_too():
 
 
 @pytest.mark.parametrize("T_camera_cloud", [T_CAMERA_LIDAR, np.eye(4)], ids=["lidar", "depth"])
-def test_a_mask_keeps_each_part_of_a_building_behind_a_tree(T_camera_cloud):
+def test_a_mask_keeps_both_wings_behind_two_trees(T_camera_cloud):
     """Two wings at different depths, a trunk before each: all of the building, nothing else."""
     wings = [Box(16.0, 6.0, (1, 9, 4)), Box(24.0, -5.0, (1, 9, 4))]
     trunks = [Box(8.0, 3.0, (0.3, 0.3, 3)), Box(9.0, -2.0, (0.3, 0.3, 3))]
@@ -115,7 +115,7 @@ def test_a_mask_keeps_each_part_of_a_building_behind_a_tree(T_camera_cloud):
         assert (hit[points] == wing).sum() > 0.8 * (inside & (hit == wing)).sum()
 
 
-def test_a_corner_of_a_box_is_not_its_thing():
+def test_points_of_another_object_in_a_box_corner_are_dropped():
     """A house too high for the LiDAR, behind a low hedge."""
     hedge = Box(10.0, 0.0, (1.0, 20.0, 0.8), label="hedge")
     observation, hit = street([hedge])

@@ -1,4 +1,4 @@
-"""Refinement: free of collision, near to what was said, smooth; refused where there is no way."""
+"""Refinement: collision-free, near the given segments, smooth; refused without a path."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def is_free(
     return not closed_cells(where.occupancy, clearance_m)[cells[:, 1], cells[:, 0]].any()
 
 
-def test_the_robot_that_is_there_stays():
+def test_a_robot_at_its_goal_stays():
     where = scene(pose=SE2(7.0, 0.0, 1.0))
     got = refined(where)
     assert got.poses.tolist() == [[7.0, 0.0, 0.0, 1.0]]
@@ -55,7 +55,7 @@ def test_a_free_line_is_a_line():
     assert got.times_s[-1] == pytest.approx(12.75 + 2.5, rel=1e-3)
 
 
-def test_what_was_said_decides_between_two_ways():
+def test_the_given_segments_decide_between_two_paths():
     where = scene(HOUSE)
     got = refined(where, SOUTH_ABOUT)
     assert is_free(where, got)
@@ -65,7 +65,7 @@ def test_what_was_said_decides_between_two_ways():
 
 @pytest.mark.parametrize("unseen", [None, (-1.4, -10.0, -0.6, -1.0)])
 def test_a_circle_is_driven_around(unseen):
-    """Not cut short to its end, which is where it begins; not turned back at a short bridge."""
+    """A loop is not cut short although it ends at its start, nor turned back at a bridge."""
     angle = np.linspace(math.pi, -math.pi, 40)
     circle = 3.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     where = scene(HOUSE)
@@ -80,7 +80,7 @@ def test_a_circle_is_driven_around(unseen):
     assert got.legs[got.leg[-1]].ends_segment
 
 
-def test_a_short_bridge_over_unseen_ground_is_driven_and_said():
+def test_a_short_unseen_bridge_is_driven_with_a_note():
     where = scene()
     for grid, value in ((where.occupancy, -1), (where.regions_grid, 0)):
         fill(grid, (0.0, -10.0, 0.6, 10.0), value)
@@ -91,7 +91,7 @@ def test_a_short_bridge_over_unseen_ground_is_driven_and_said():
         refined(where)
 
 
-def test_it_keeps_to_the_regions_chosen():
+def test_the_path_keeps_to_the_chosen_regions():
     """A corridor in the north; the straight line lies on the lawn."""
     where = scene(road=(-9.0, -1.0, -6.0, 4.0))
     for box in ((-9.0, 3.0, 9.0, 5.0), (6.0, -1.0, 9.0, 4.0)):
@@ -105,14 +105,14 @@ def test_it_keeps_to_the_regions_chosen():
     assert "14.0 m of the path are over ground that was not chosen" in off.notes
 
 
-def test_ground_not_chosen_is_crossed_where_there_is_no_other_way():
+def test_unchosen_ground_is_crossed_as_a_last_resort():
     where = scene(road=(-9.0, -9.0, -2.0, 9.0))
     fill(where.regions_grid, (2.0, -9.0, 9.0, 9.0), 1)
     assert refined(where).off_region_m == pytest.approx(4.0, abs=0.3)
 
 
 def test_a_bend_that_is_shut_is_passed_by():
-    """Its corner lies within the house, too far in to be moved: the ends are what counts."""
+    """Its corner lies within the house, too far in to be moved: only the ends count."""
     where = scene((-3.0, -3.0, 3.0, 3.0))
     got = refined(where, [np.array([[0.0, 0.0], [0.0, 7.0]])])
     assert is_free(where, got)
@@ -143,13 +143,13 @@ def test_a_robot_too_near_is_led_out_first():
         ),
     ],
 )
-def test_no_way_is_refused_in_one_line(where, segments, words):
+def test_a_missing_path_is_refused_in_one_line(where, segments, words):
     with pytest.raises(RefineError, match=words) as refusal:
         refined(where, segments)
     assert "\n" not in str(refusal.value)
 
 
-def test_it_is_planned_again_when_something_stands_on_it():
+def test_a_blocked_trajectory_is_planned_again():
     where = scene()
     first = refined(where, [np.array([[0.0, 0.0]]), np.array([[7.0, 0.0]])])
     robot = int(np.argmin(np.abs(first.poses[:, 0] + 3.0)))

@@ -1,4 +1,4 @@
-"""Planner `rules`: what it understands, where it leads, and what it refuses."""
+"""Planner `rules`: understood instructions, their trajectories, and refusals."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def driven(instruction, scene=SCENE):
         ("turn left at the car park sign, avoid the tv stand", ("sign", "tv stand")),
     ],
 )  # fmt: skip
-def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
+def test_named_objects_are_known_without_a_scene(instruction, things):
     assert named_objects(instruction) == things
 
 
@@ -67,7 +67,7 @@ def test_what_it_names_is_known_before_anything_is_seen(instruction, things):
     ["", "stop", "dance", "go by the van", "go to the", "go to it", "go to object", "go to 3",
      "go to the van then", "stop at the van, then go to the gate", "go between the van and"],
 )  # fmt: skip
-def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
+def test_an_invalid_instruction_is_refused_without_a_scene(instruction):
     with pytest.raises(TranslationError, match=r"^instruction, character "):
         named_objects(instruction)
 
@@ -78,7 +78,7 @@ def test_what_is_no_instruction_is_refused_before_anything_is_seen(instruction):
         max_size=8,
     ).map(" ".join)
 )
-def test_what_is_understood_in_a_scene_is_understood_before(instruction):
+def test_instructions_read_with_a_scene_are_read_without_one(instruction):
     try:
         steps = parse_steps(instruction, SCENE)
     except TranslationError:
@@ -287,7 +287,7 @@ SAID_OTHERWISE = {
     ("instruction", "understood"),
     [(words, meant) for meant, listed in SAID_OTHERWISE.items() for words in listed],
 )
-def test_what_is_said_in_other_words_means_the_same(instruction, understood):
+def test_synonymous_instructions_have_the_same_meaning(instruction, understood):
     assert driven(instruction)[0] == understood
     named_objects(instruction)
 
@@ -296,7 +296,7 @@ PROBES = Path(__file__).parents[3] / "shared" / "nl2ltl" / "probes_tasks.tsv"
 
 
 @pytest.mark.skipif(not PROBES.is_file(), reason=f"{PROBES}: the probes are not in this checkout")
-def test_probes_are_understood_as_they_are_meant():
+def test_probes_have_the_intended_meaning():
     wrong = []
     for line in PROBES.read_text(encoding="utf-8").splitlines()[1:]:
         instruction, right, *_ = line.split("\t")
@@ -323,7 +323,7 @@ def passes(points, centre=(8.0, 0.0)):
 
 @pytest.mark.parametrize("words", ["past", "around"])
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_a_thing_is_passed_on_the_side_that_is_said(words, side, sign):
+def test_an_object_is_passed_on_the_requested_side(words, side, sign):
     said, coarse = driven(f"go {words} the {side} of the van, then stop at the gate")
     assert passes(coarse.points_m.tolist()) == {sign}
     assert side in said
@@ -333,8 +333,8 @@ def test_a_thing_is_passed_on_the_side_that_is_said(words, side, sign):
 
 
 @pytest.mark.parametrize(("y_m", "sign"), [(-2.0, 1.0), (2.0, -1.0)])
-def test_without_a_side_the_shorter_way_is_taken(y_m, sign):
-    """A house stands beside the van, and leaves one side of it open."""
+def test_without_a_side_the_shorter_path_is_taken(y_m, sign):
+    """A house stands next to the van, and leaves one side of it open."""
     house = (4.0, 12.0, *sorted((y_m, 9 * y_m)))
     scene = street(Thing("van", 8.0, 0.0, (4.0, 2.0)), walls=(house,))
     _, coarse = driven("drive past the van", scene)
@@ -356,7 +356,7 @@ BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
 @pytest.mark.parametrize(
     ("walls", "instruction", "refused"),
     [
-        # Closed beside the van: the robot would touch its left from behind only.
+        # Closed next to the van: the robot would touch its left from behind only.
         ((BESIDE_IT,), "go past the left of the van", "only past its right"),
         ((BESIDE_IT,), "go around the left of the van, then to the gate", "only past its right"),
         ((BESIDE_IT,), "go past the van, then stop at the gate", ""),
@@ -370,7 +370,7 @@ BEHIND_IT = (11.5, 11.9, -0.9, 20.0), (10.0, 11.9, -1.2, -0.8)
         (BEHIND_IT, "go past the left of the van, then past the right of it", ""),
     ],
 )  # fmt: skip
-def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction, refused):
+def test_a_path_past_one_side_does_not_touch_the_other(walls, instruction, refused):
     scene = street(VAN, GATE, TREE, walls=walls)
     if refused:
         with pytest.raises(TrajectoryError, match=refused):
@@ -379,15 +379,15 @@ def test_a_way_past_a_side_does_not_turn_back_past_the_other(walls, instruction,
     driven(instruction, scene)
 
 
-def test_what_comes_next_is_not_known_before_the_robot_is_past():
-    """The corner beside the van is touched, and nothing leads on."""
+def test_passing_an_unseen_corner_is_unknown():
+    """The corner next to the van is touched, and no path continues."""
     scene = street(VAN, GATE, walls=((8.9, 9.3, 0.9, 20.0), (10.3, 10.7, -20.0, 0.9)))
     functions = ScriptFunctions(ground_of(scene, LIMITS.clearance_m), LIMITS)
     with pytest.raises(TrajectoryError, match="not known yet if the robot can pass the left"):
         plan_by_rules("go past the left of the van, then stop at the gate", functions, slice(0, 1))
 
 
-def test_ground_that_nobody_has_seen_is_not_called_full():
+def test_unseen_ground_is_not_reported_as_occupied():
     scene = street(VAN)
     centres_m = scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape))
     hidden = (centres_m[..., 1] > 0.3) & (centres_m[..., 0] > 3.0) & (scene.occupancy.cells == 0)
@@ -401,8 +401,8 @@ def test_ground_that_nobody_has_seen_is_not_called_full():
         driven("go straight for 5 metres", scene)
 
 
-def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
-    """A sofa along a wall, with a table before it: behind the wall is the place nearest to it."""
+def test_behind_a_wall_is_not_next_to_the_object():
+    """A sofa along a wall, with a table in front: the nearest place is behind the wall."""
     sofa = Thing("sofa", 8.0, 2.5, (3.0, 1.0), nearest=False)
     table = Thing("table", 8.0, 1.4, (3.0, 1.0))
     scene = street(sofa, table, walls=((4.0, 12.0, 3.0, 3.6),))
@@ -413,7 +413,7 @@ def test_the_other_side_of_a_wall_is_not_next_to_a_thing():
         driven("drive past the left of the sofa", scene)
 
 
-def test_a_thing_that_cannot_be_got_near_to_is_refused():
+def test_an_unreachable_object_is_refused():
     walls = ((12.0, 12.4, -20.0, 20.0),)
     scene = street(Thing("gate", 18.0, 0.0, (0.4, 3.0)), walls=walls)
     with pytest.raises(TrajectoryError, match=r"^'go to the gate': the robot gets no nearer to"):
@@ -429,8 +429,8 @@ def test_a_thing_that_cannot_be_got_near_to_is_refused():
         ("go past the van, then stop at the blue car", 10.0, 6.0),
     ],
 )
-def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
-    """Across the way it came too; where it leads to nothing, as it comes."""
+def test_the_robot_faces_the_object_at_the_end(words, x_m, y_m):
+    """This holds across the path it came too; without an object it keeps its heading."""
     _, coarse = driven(words)
     body, motion = PathMargins(LIMITS.clearance_m, 1.0), MotionLimits(1.0, 1.0, 0.8, 3.0)
     refined = refine(
@@ -442,15 +442,15 @@ def test_where_it_stops_at_a_thing_the_robot_faces_it_at_last(words, x_m, y_m):
     assert driven("go past the van")[1].heading_rad is None
 
 
-def test_a_way_straight_on_that_is_blocked_is_refused():
+def test_a_blocked_straight_path_is_refused():
     with pytest.raises(TrajectoryError, match=r"the path straight on is blocked after 6\.0 m"):
         driven("go straight for 9 metres")
     with pytest.raises(TrajectoryError, match=r"is too long: at most 1000 m$"):
         driven("go straight for 1001 metres")
 
 
-def test_sides_are_those_that_the_robot_sees_as_it_comes():
-    """From behind the van its left is the other one; which car is meant is told from the start."""
+def test_sides_depend_on_the_direction_of_travel():
+    """From behind the van its left is the other side; the start decides which car is meant."""
     _, coarse = driven("go behind the van, then go past the left of the van")
     assert coarse.segments[1][:, 1].min() < -1.0
     turned = street(*STREET, pose=SE2(0.0, 0.0, math.pi))
@@ -458,8 +458,8 @@ def test_sides_are_those_that_the_robot_sees_as_it_comes():
     assert parse_steps("go to the van behind you", turned)[0].things[0].id == 1
 
 
-def test_around_goes_on_to_what_comes_next():
-    """Half round the van for what lies behind it, and all but round it for what lies beside."""
+def test_around_continues_to_the_next_object():
+    """Drive half round the van to an object behind it, and further round to one next to it."""
     _, to_gate = driven("go around the left of the van, then stop at the gate")
     scene = street(STREET[0], Thing("bin", 8.0, -6.0, (1.0, 1.0)))
     _, to_bin = driven("go around the left of the van, then stop at the bin", scene)
@@ -467,7 +467,7 @@ def test_around_goes_on_to_what_comes_next():
     assert passes(to_bin.segments[0].tolist()) == {1.0, -1.0}
 
 
-def test_a_caption_is_no_instruction():
+def test_a_caption_is_not_an_instruction():
     """It describes a thing; nothing in it is carried out, and it leads nowhere."""
     sign = Thing("sign", 5.0, -4.0, (0.2, 0.2), "go to the gate, then stop; object 5")
     said, coarse = driven("go to the van", street(*STREET, sign))
@@ -497,7 +497,7 @@ WORDS = st.sampled_from([*PHRASE, "van", "red", "car", "gate", ","])
 
 
 @given(st.lists(WORDS, min_size=2, max_size=9).map(" ".join))
-def test_what_is_carried_out_is_checked(text):
+def test_every_trajectory_of_the_rules_is_free(text):
     functions = ScriptFunctions(GROUND, LIMITS)
     try:
         plan_by_rules(text, functions)
@@ -529,6 +529,6 @@ def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
         ("go to the car left", "'left': say 'the left …'"),
     ],
 )
-def test_a_side_alone_is_no_object_and_a_side_after_one_is_asked_about(text, message):
+def test_a_side_without_an_object_is_refused(text, message):
     with pytest.raises(TranslationError, match=message):
         named_objects(text)

@@ -65,7 +65,7 @@ def test_a_script_gives_a_trajectory(functions):
         ("raise ValueError('a\\n\\x1b[31mb')", r"line 1: ValueError: a \[31mb$"),
     ],
 )  # fmt: skip
-def test_an_error_is_told_in_one_line_with_its_place(functions, code, error):
+def test_an_error_is_one_line_with_its_place(functions, code, error):
     outcome = run_script(code, functions, ScriptLimits())
     assert functions.trajectory is None
 
@@ -73,7 +73,7 @@ def test_an_error_is_told_in_one_line_with_its_place(functions, code, error):
     assert outcome.error.isprintable()
 
 
-def test_an_error_can_be_caught_and_mended(functions):
+def test_a_script_can_catch_an_error_and_retry(functions):
     code = """
 try:
     give_trajectory([(8.0, 0.0)])
@@ -87,7 +87,7 @@ except ValueError as error:
     assert len(functions.trajectory.segments) == 1
 
 
-def test_what_is_printed_is_cut_and_printable(functions):
+def test_printed_text_is_cut_and_printable(functions):
     outcome = run_script(
         "print('\\x1b[2J' + 'x' * 9000)", functions, ScriptLimits(max_printed_chars=50)
     )
@@ -95,7 +95,7 @@ def test_what_is_printed_is_cut_and_printable(functions):
     assert outcome.printed.isprintable()
 
 
-def test_a_fault_of_ours_is_logged_and_not_told(functions, monkeypatch, caplog):
+def test_an_internal_error_is_logged_but_not_shown(functions, monkeypatch, caplog):
     def broken(self, *_):
         raise KeyError("/home/somebody/secret")
 
@@ -112,13 +112,13 @@ def test_a_script_that_is_too_long_is_not_run(functions):
     assert outcome.error == "the script has 101 characters, at most 100"
 
 
-def test_without_the_interpreter_it_says_what_to_install(functions, monkeypatch):
+def test_without_the_interpreter_the_error_names_the_package(functions, monkeypatch):
     monkeypatch.setitem(sys.modules, "pydantic_monty", None)
     with pytest.raises(UnavailableError, match=r"pip install 'edge-vln\[tasks\]', or choose "):
         run_script("1", functions, ScriptLimits())
 
 
-def test_without_its_program_it_says_so(functions, monkeypatch, tmp_path):
+def test_a_missing_monty_program_is_reported(functions, monkeypatch, tmp_path):
     monkeypatch.setenv("MONTY_BIN", str(tmp_path / "none"))
     with pytest.raises(UnavailableError, match="pydantic-monty does not run here: "):
         run_script("1", functions, ScriptLimits())

@@ -69,7 +69,7 @@ ROWS = [tuple(line.split("\t")) for line in SENTENCES.read_text(encoding="utf-8"
 
 
 def outcome(instruction, meanings):
-    """Return the result and what was read, or the error.
+    """Return the result and the reading, or the error.
 
     "right", "wrong", "refused" (it has a meaning), or "asked" (it has none, and is refused).
     """
@@ -116,7 +116,7 @@ def test_more_words_for_the_same(instruction, read):
 
 
 @pytest.mark.parametrize("instruction", [row[1] for row in ROWS])
-def test_what_is_read_in_a_scene_is_read_before_anything_is_seen(instruction):
+def test_instructions_read_with_a_scene_are_read_without_one(instruction):
     try:
         steps = parse_steps(instruction, SCENE)
     except TranslationError:
@@ -151,7 +151,7 @@ def driven(instruction):
         ("follow the fence, then go to the trash can", (-7.5, 4.7), None),
     ],
 )
-def test_steps_lead_where_they_say(instruction, end_m, heading_deg):
+def test_steps_end_at_the_expected_pose(instruction, end_m, heading_deg):
     _, refined = driven(instruction)
     x_m, y_m, _, heading_rad = refined.poses[-1].tolist()
     assert math.dist((x_m, y_m), end_m) < 0.35
@@ -160,14 +160,14 @@ def test_steps_lead_where_they_say(instruction, end_m, heading_deg):
 
 
 @pytest.mark.parametrize(("sense", "sign"), [("clockwise", -1.0), ("counterclockwise", 1.0)])
-def test_a_circle_is_a_full_turn_in_the_sense_that_is_said(sense, sign):
+def test_a_circle_is_a_full_turn_in_the_requested_direction(sense, sign):
     _, refined = driven(f"circle the van {sense}")
     x, y = (refined.poses[:, :2] - (8.0, 0.0)).T
     turned_rad = np.unwrap(np.arctan2(y, x))
     assert sign * (turned_rad[-1] - turned_rad[0]) > math.radians(330)
 
 
-def test_half_the_way_is_half_of_the_path():
+def test_halfway_is_half_of_the_path():
     (whole,), _ = driven("go to the bench")
     (half,), _ = driven("go halfway to the bench")
     length_m = [np.hypot(*np.diff(points, axis=0).T).sum() for points in (whole, half)]
@@ -180,7 +180,7 @@ def test_along_an_object_keeps_to_its_side():
     assert (beside[:, 1] < 8.0).all()  # the near face of the fence is at y = 8.8
 
 
-def test_what_is_avoided_is_not_come_near_to():
+def test_avoided_objects_are_kept_at_a_distance():
     grey = GROUND.outline(SCENE.objects[4])
     near_m, away_m = (
         grey.gaps_m(driven(f"go to object 17{avoiding}")[1].poses[:, :2]).min()
@@ -218,7 +218,7 @@ def test_the_ground_to_keep_to_is_preferred():
         ("wait at the bus", "bus", "no object here has that name"),
     ],
 )  # fmt: skip
-def test_what_is_not_clear_is_refused_with_the_word(instruction, part, hint):
+def test_an_unclear_instruction_is_refused_with_the_word(instruction, part, hint):
     with pytest.raises(TranslationError, match=hint) as raised:
         parse_steps(instruction, SCENE)
     assert raised.value.part.startswith(part)
@@ -234,17 +234,17 @@ def test_what_is_not_clear_is_refused_with_the_word(instruction, part, hint):
         ("avoid the sidewalk and go to the bench", "stands too near to what it is to avoid"),
     ],
 )
-def test_what_cannot_be_driven_is_refused_with_the_reason(instruction, hint):
+def test_an_impossible_step_is_refused_with_the_reason(instruction, hint):
     with pytest.raises(TrajectoryError, match=hint):
         driven(instruction)
 
 
-def test_turns_are_driven_together_with_what_they_depend_on():
+def test_a_turn_is_joined_to_its_neighbouring_steps():
     steps = task_steps("go to the van, turn left, go straight for 2 metres, then go to the gate")
     assert [step.joined for step in steps] == [False, True, True, False]
 
 
-def test_what_is_avoided_is_looked_for_before_the_first_step():
+def test_avoided_objects_are_needed_from_the_first_step():
     steps = task_steps("go to the gate, then go to the van without going near the bench")
     assert [step.names for step in steps] == [("gate", "bench"), ("van", "bench")]
 

@@ -17,7 +17,7 @@ LINE = np.column_stack([np.arange(0.0, 10.01, 0.1), np.zeros(101)])
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_no_way_takes_no_time(n):
+def test_an_empty_path_takes_no_time(n):
     path = LINE[:n]
     speeds = speeds_mps(path, LIMITS)
     assert speeds.tolist() == [0.0] * n
@@ -34,7 +34,7 @@ def test_a_line_is_a_trapezoid():
     assert speeds_mps(LINE, LIMITS, start_mps=8.0)[0] == 1.0
 
 
-def test_a_circle_is_driven_as_fast_as_it_can_be_turned():
+def test_a_circle_is_driven_at_its_turning_speed():
     angle = np.linspace(0.0, 2 * math.pi, 400)
     speeds = speeds_mps(0.5 * np.column_stack([np.cos(angle), np.sin(angle)]), LIMITS)
     assert speeds[200] == pytest.approx(0.5, rel=1e-3)

@@ -50,7 +50,7 @@ def first_near(places, at_m):
 @pytest.mark.parametrize(
     "number", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 20))]
 )
-def test_a_hairpin_a_side_and_a_stop_are_driven_as_said(number):
+def test_a_hairpin_a_side_and_a_stop_are_driven(number):
     episode = outdoor_episode(number)
     task = next(possible_tasks(episode.place, "past", PortableRng(7, number)))
     past, to = parse_steps(task.instruction, episode.scene)

@@ -60,7 +60,7 @@ def test_no_frame_no_scene():
 
 
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, 3e38, 1e9])
-def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
+def test_invalid_points_of_a_scan_change_nothing(rubbish):
     """A third of the returns, with their kinds of ground; the rest is seen as if they were not."""
     seen, hit = street(STREET, np.eye(4), seq=1)
     kind, cloud_m = (hit == GROUND).astype(np.uint8), seen.cloud_m.copy()
@@ -78,8 +78,8 @@ def test_rubbish_in_a_scan_is_no_point_of_anything(rubbish):
     np.testing.assert_array_equal(told.regions_grid.cells, clean.regions_grid.cells)
 
 
-def test_what_is_seen_of_the_robot_itself_is_no_ground_of_another_kind():
-    """Returns nearer than `min_range_m`, 1 m, on a road of which all else is road."""
+def test_returns_from_the_robot_itself_are_no_ground():
+    """Returns nearer than `min_range_m`, 1 m, in the middle of a road."""
     seen, hit = street((), np.eye(4), seq=1)
     own_m = np.random.default_rng(0).uniform((-0.6, -0.6, -0.6), (0.6, 0.6, -0.3), (400, 3))
     own_m = own_m[np.linalg.norm(own_m, axis=1) < 1.0].astype(np.float32)
@@ -103,7 +103,7 @@ def test_an_empty_plane_is_one_region():
     assert scene.stamp_ns == 100_000_000
 
 
-def test_things_lie_where_they_stand_and_are_as_large_as_what_is_seen_of_them():
+def test_objects_have_the_place_and_size_of_their_points():
     scene = at_the_origin()
     assert [o.label for o in scene.objects.values()] == ["car", "trash can", "building"]
     car, can, building = scene.objects.values()
@@ -129,7 +129,7 @@ def at_the_origin():
 @given(x_m=st.floats(-20, 20), y_m=st.floats(-20, 20), yaw=st.floats(-3.1, 3.1))
 @settings(max_examples=6)
 def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
-    """The same street around a robot elsewhere: every place is moved, what is said stays."""
+    """The same street around a robot elsewhere: places move, captions stay."""
     T = se3(x_m, y_m, 0.0, yaw_rad=yaw)
     here = at_the_origin()
     c, s = np.cos(yaw), np.sin(yaw)
@@ -147,14 +147,14 @@ def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
 
 
 def test_behind_a_wall_nothing_is_known():
-    """Not even where the map keeps the robot away from the wall."""
+    """This holds even for cells that inflation closes."""
     scene = at_the_origin()
     assert scene.occupancy.cells[scene.occupancy.cell_of(15.0, -1.0)] == 0
     behind = scene.occupancy.cell_of(23.95, -2.0)
     assert behind is None or scene.occupancy.cells[behind] == -1
 
 
-def test_frames_add_up_to_the_same_things():
+def test_several_frames_give_the_same_objects():
     """Driven past, a car is seen from both ends: still one, and better known."""
     poses = [np.eye(4), se3(2.0, 0.0), se3(4.0, 0.2, 0.0, yaw_rad=0.05)]
     survey = survey_of(STREET, *poses)
@@ -185,7 +185,7 @@ def test_regions_by_their_kind():
     assert labels == {"road", "sidewalk"}
 
 
-def test_what_is_over_the_robot_hides_no_ground():
+def test_returns_above_the_robot_hide_no_ground():
     """A crown of leaves 4 m above the road; its returns are of no kind of ground."""
     seen, hit = street((), np.eye(4), seq=1)
     crown_m = np.random.default_rng(0).uniform((5, -2, 2), (9, 2, 3), (20_000, 3))
@@ -220,7 +220,7 @@ def test_depth_is_a_cloud_too():
 
 
 @pytest.mark.parametrize("depth", [None, np.zeros((3, 4), np.float32)])
-def test_without_cloud_and_depth_there_are_no_points(depth):
+def test_an_observation_without_cloud_or_depth_is_refused(depth):
     with pytest.raises(ValueError, match="it has neither a cloud nor a depth image"):
         cloud_of(Observation(1, 0, np.eye(4), depth_m=depth))
 
@@ -256,7 +256,7 @@ def of_service(instances, boxes=STREET, found=False, blind_m=0.0):
     return scene_of_map(MapView(grid), observation, instances, 0.3, seen)
 
 
-def test_what_is_next_to_a_things_box_in_other_pictures_is_not_of_it():
+def test_points_outside_later_boxes_are_dropped():
     """The first box is too wide, and shows the post too; the others fit."""
     can, post = STREET[1], Box(9.0, -2.2, (1.0, 1.0, 1.2), 0.0, "post", (90, 90, 90))
     objects = ObjectMap()
@@ -285,7 +285,7 @@ def test_the_service_has_seen_nothing():
 
 
 @pytest.mark.parametrize("by", ["survey", "service"])
-def test_a_robot_gets_out_of_its_blind_spot(by):
+def test_a_robot_can_leave_its_blind_spot(by):
     """Cells that no sensor sees lie all around it: the ground beyond is reached nevertheless."""
     if by == "service":
         scene = of_service([], blind_m=3.5)

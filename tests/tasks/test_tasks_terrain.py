@@ -48,7 +48,7 @@ def test_no_points_no_ground():
     assert height_above(ground, np.zeros((0, 3), np.float32)).shape == (0,)
 
 
-def test_what_stands_on_the_plane_is_above_it():
+def test_points_on_objects_are_above_the_ground():
     observation, hit = street([Box(10.0, 2.0), Box(15.0, -4.0, (8.0, 3.0, 4.0), 0.4)])
     ground, points = around(observation)
     above = height_above(ground, points)
@@ -99,14 +99,14 @@ def blind(*walls, free_m=(2.5, 6.0), wedge_rad=np.pi):
     return grid_, away, angle
 
 
-def test_ground_up_to_where_it_is_first_seen_is_free():
+def test_ground_up_to_the_first_return_is_free():
     occupancy, away, _ = blind()
     got = with_blind_spot(occupancy, HERE).cells
     assert (got[away < 6.0] == 0).all()
     np.testing.assert_array_equal(got[away > 6.0], occupancy.cells[away > 6.0])
 
 
-def test_where_nothing_was_seen_nothing_is_known():
+def test_unseen_ground_stays_unknown():
     """A depth camera does not see to the side or behind."""
     occupancy, away, angle = blind(wedge_rad=0.5)
     got = with_blind_spot(occupancy, HERE).cells
@@ -123,7 +123,7 @@ def test_ground_before_a_wall_stays_unknown():
 
 
 def test_ground_that_the_robot_has_left_is_not_blind():
-    """It stands on a region already: what is unknown there, sensors could not see."""
+    """It stands on a region already: the unknown cells there were visible to no sensor."""
     occupancy, _, _ = blind((1.0, 1.4, -0.4, 0.4), free_m=(0.0, 6.0))
     occupancy.cells[38:42, 48:50] = -1
     assert with_blind_spot(occupancy, HERE) is occupancy
@@ -148,13 +148,13 @@ def test_cells_are_of_the_kind_of_most_of_their_points():
     assert not got[4:].any(), "unknown ground has none"
 
 
-def test_the_robot_stands_on_the_kind_of_the_rim_of_its_blind_spot():
+def test_the_blind_spot_takes_the_kind_of_its_rim():
     row = grid(["." * 20])
     got = kinds(row, [[0.5 * i, 0] for i in range(11, 20)], [2] + [1] * 8, SE2(1.0, 0, 0))
     assert (got[0, :11] == 2).all()
 
 
-def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
+def test_regions_are_numbered_by_size_and_cover_their_kind():
     occupancy = grid(["........"] * 3 + ["########"] + ["........"] * 4, 1.0)
     kind = np.ones((8, 8), np.uint8)
     kind[:, 6:] = 2
@@ -169,13 +169,13 @@ def test_regions_are_numbered_from_the_largest_and_lie_where_their_kind_is():
     assert not cells.cells[occupancy.cells == 100].any()
 
 
-def test_small_pieces_are_no_regions():
+def test_small_pieces_are_not_regions():
     kind = np.array([[1, 0, 0, 1, 1, 1]], np.uint8)
     regions, _ = regions_of(grid(["......"], 1.0), kind, ["road"])
     assert [r.area_m2 for r in regions.values()] == [3.0]
 
 
-def test_a_small_piece_joins_the_region_next_to_it():
+def test_a_small_piece_joins_its_neighbour():
     kind = np.array([[1, 1, 1, 2, 2, 1, 1, 1, 0, 2]], np.uint8)
     regions, cells = regions_of(grid(["." * 10], 1.0), kind, ["lawn", "sidewalk"])
     assert [(r.label, r.area_m2) for r in regions.values()] == [("lawn", 4.0), ("lawn", 4.0)]

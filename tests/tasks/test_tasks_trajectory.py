@@ -37,7 +37,7 @@ def line(*ends, step_m=1.0):
         ([[(0, 0, 1), (1, 0, 2)]], [(2, 3)]),
     ],
 )
-def test_what_is_taken_for_a_trajectory(segments, shape):
+def test_accepted_segments_become_a_trajectory(segments, shape):
     coarse = coarse_of(segments, [1, 1, 2], None, LIMITS)
     assert [points.shape for points in coarse.segments] == shape
     assert all(points.dtype == np.float64 for points in coarse.segments)
@@ -62,7 +62,7 @@ def test_what_is_taken_for_a_trajectory(segments, shape):
         ("x" * 10_000, "segments: expected a list, got 'x{39}…'"),
     ],
 )
-def test_what_is_none(segments, message):
+def test_invalid_segments_are_refused(segments, message):
     with pytest.raises(TrajectoryError, match=f"^{message}") as raised:
         coarse_of(segments, (), None, LIMITS)
     assert "\n" not in str(raised.value)
@@ -70,7 +70,7 @@ def test_what_is_none(segments, message):
 
 
 @pytest.mark.parametrize("regions", [7, "1", [0], [256], [10**5000], [1.0], [True], [None], [[1]]])
-def test_regions_that_are_none(regions):
+def test_invalid_regions_are_refused(regions):
     with pytest.raises(TrajectoryError, match=r"^regions: expected "):
         coarse_of([(0, 0)], regions, None, LIMITS)
 
@@ -90,13 +90,13 @@ def test_regions_that_are_none(regions):
         ([(3, 0)], "point 1 of segment 1 is 3.0 m from the robot, at most 2 m are allowed"),
     ],
 )
-def test_what_may_not_be_driven(segments, message):
+def test_an_undrivable_trajectory_is_refused(segments, message):
     whole = segments if isinstance(segments, tuple) else (np.array(segments, float),)
     with pytest.raises(TrajectoryError, match=f"^{message}"):
         check(CoarseTrajectory(whole), GROUND, LIMITS)
 
 
-def test_a_jump_between_segments_is_one():
+def test_a_jump_between_segments_is_refused():
     segments = (np.array([(0.0, 0.0), (1.0, 0.0)]), np.array([(1.0, 4.0)]))
     with pytest.raises(
         TrajectoryError, match=r"^point 1 of segment 2 is 4\.0 m from the point bef"
@@ -115,7 +115,7 @@ def test_a_leap_through_a_thin_wall_is_seen():
     check(CoarseTrajectory((ground.plan((0.0, 0.0), (1.8, 0.0)).path_m,)), ground, LIMITS)
 
 
-def test_unseen_and_cut_off_ground_are_told_apart():
+def test_unseen_and_cut_off_ground_have_different_errors():
     scene = street(walls=((10.0, 10.4, -20.0, 20.0),))
     scene.occupancy.cells[:, :20] = -1
     scene.regions_grid.cells[:, :20] = 0
@@ -125,7 +125,7 @@ def test_unseen_and_cut_off_ground_are_told_apart():
             check(CoarseTrajectory((np.array([(x_m, 0.0)]),)), ground, LIMITS)
 
 
-def test_a_robot_may_begin_where_it_stands():
+def test_a_robot_near_a_wall_may_start_there():
     """Nearer to a wall than it may drive."""
     ground = ground_of(street(walls=((0.4, 0.8, -5.0, 5.0),)), 0.6)
     check(CoarseTrajectory((np.array(line((0.0, 0.0), (-3.0, 0.0))),)), ground, LIMITS)

@@ -1,4 +1,4 @@
-"""The value map: costs as the paper orders them, closed where the robot does not fit."""
+"""The value map: costs as the paper orders them, closed if the robot does not fit."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_an_empty_map_is_an_empty_map():
     [
         ({}, (12, 20), TUBE),
         ({}, (5, 20), DRIVABLE),
-        # The tube does not lower what was not chosen: row 15 is 0.35 m from the line.
+        # The tube does not lower unchosen cells: row 15 is 0.35 m from the line.
         ({}, (15, 20), HIGH),
         ({"drivable": (1, 2)}, (15, 20), TUBE),
         ({"drivable": ()}, (12, 20), HIGH),
@@ -103,13 +103,13 @@ def test_costs_of_free_ground(change, cell, expected):
         (100, (3, 22), CLOSED),
         (100, (2, 22), DRIVABLE),
         (100, (5, 23), DRIVABLE),
-        # Between the rings of a LiDAR, and where no region is.
+        # Between the rings of a LiDAR, and outside regions.
         (-1, (5, 20), DRIVABLE),
         (-1, (20, 20), CLOSED),
         (-1, (16, 20), BRIDGE),
     ],
 )
-def test_costs_of_what_is_occupied_and_unseen(value, cell, expected):
+def test_weights_of_occupied_and_unseen_cells(value, cell, expected):
     occupancy, regions = grids()
     occupancy.cells[5, 20] = value
     if value < 0:
@@ -154,7 +154,7 @@ def test_it_agrees_with_the_twin(seed, share, clearance_m, tube_m):
         ({"drivable": (256,)}, "expected region ids from 1 to 255"),
     ],
 )
-def test_what_is_no_map_is_refused(change, words):
+def test_an_invalid_map_is_refused(change, words):
     occupancy, regions = grids()
     occupancy = replace(occupancy, cells=change.get("occupancy", occupancy.cells))
     regions = replace(regions, cells=change.get("regions", regions.cells))

@@ -48,7 +48,7 @@ def by_model(server, **config):
 
 @pytest.mark.parametrize("instruction", ["", "  \n"])
 @pytest.mark.parametrize("planner", ["rules", "model"])
-def test_an_empty_instruction_asks_nobody(instruction, planner):
+def test_an_empty_instruction_sends_no_request(instruction, planner):
     with serving(saying(BLOCK)) as server:
         config = by_model(server) if planner == "model" else TasksConfig()
         with pytest.raises(WriteError, match="the instruction is empty"):
@@ -115,7 +115,7 @@ RECORDED = json.loads((Path(__file__).parents[1] / "data" / "task_answers.json")
         ("drive once round the van", 2, (5.0, 0.0)),
     ],
 )
-def test_recorded_answers_lead_where_they_should(instruction, rounds, end):
+def test_recorded_answers_end_at_the_expected_place(instruction, rounds, end):
     """Drive the task kinds of OpenNav IV-A: ambiguous, high-level, and a path's shape.
 
     The first answers to two of them have an error that is sent back.
@@ -179,7 +179,7 @@ def test_a_recorded_conversation_is_had_again(monkeypatch):
     check(written.coarse, written.ground, TrajectoryLimits())
 
 
-def test_what_a_script_has_detected_goes_back_with_the_picture():
+def test_newly_detected_objects_are_sent_with_the_picture():
     """Follow lines 12 and 13 of OpenNav's algorithm 1: detect_object, then (cap, pos, …) and I."""
 
     def detect(name, scene):
@@ -208,7 +208,7 @@ def test_what_a_script_has_detected_goes_back_with_the_picture():
     assert 9 in written.ground.scene.objects
 
 
-def test_a_recorded_refusal_is_one():
+def test_a_recorded_refusal_is_raised():
     with serving(recorded(RECORDED)) as server, pytest.raises(WriteError, match="no river is here"):
         write_trajectory("swim across the river", SCENE, by_model(server))
 
@@ -224,7 +224,7 @@ def test_a_recorded_refusal_is_one():
     ],
     ids=["no code", "an error", "refused", "a look first", "endless"],
 )
-def test_what_is_wrong_goes_back_to_the_model(first, goes_back):
+def test_a_faulty_script_is_sent_back_to_the_model(first, goes_back):
     with serving(saying(first, BLOCK)) as server:
         written = write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
@@ -246,7 +246,7 @@ def test_an_answer_that_was_cut_off_is_not_run():
 
 
 @pytest.mark.parametrize("rounds", [1, 3])
-def test_after_so_many_rounds_it_gives_up(rounds):
+def test_the_writer_gives_up_after_the_last_attempt(rounds):
     with serving(saying(THROUGH)) as server:
         with pytest.raises(WriteError) as raised:
             write_trajectory(INSTRUCTION, SCENE, by_model(server, max_attempts=rounds))
@@ -265,7 +265,7 @@ def test_a_model_may_refuse():
         assert len(server.requests) == 1
 
 
-def test_a_robot_that_stands_in_nothing_known_asks_nobody():
+def test_a_robot_without_free_ground_sends_no_request():
     scene = street()
     scene.occupancy.cells[:] = 100
     with serving(saying(BLOCK)) as server:
@@ -297,7 +297,7 @@ def fails(handler):
         "redirects",
     ],
 )  # fmt: skip
-def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
+def test_a_misbehaving_server_is_an_error_of_one_line(behave, message):
     limit_s = 0.3 if behave is stalls else 60.0
     with serving(behave) as server:
         with pytest.raises(ChatError) as raised:
@@ -308,7 +308,7 @@ def test_a_server_that_misbehaves_ends_in_one_line(behave, message):
     assert "\n" not in str(raised.value)
 
 
-def test_a_server_that_is_not_there_is_told():
+def test_an_unreachable_server_is_reported():
     with pytest.raises(ChatError, match=r"^http://127\.0\.0\.1:1/v1: "):
         write_trajectory(
             INSTRUCTION, SCENE, TasksConfig(planner=WriterModel(url="http://127.0.0.1:1/v1"))
@@ -329,7 +329,7 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
         assert len(server.requests) == 2
 
 
-def test_the_key_goes_to_the_server_and_nowhere_else(monkeypatch, caplog):
+def test_the_key_is_sent_only_to_the_server(monkeypatch, caplog):
     monkeypatch.setenv("TASKS_KEY", "sk-secret-47")
     with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
         with pytest.raises(UserError) as raised:

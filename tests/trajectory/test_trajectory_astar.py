@@ -135,7 +135,7 @@ def test_edges_of_the_map(shape, start, goal, reason):
         assert tuple(plan.path_m[-1]) == goal
 
 
-def test_refusals_name_what_is_blocked():
+def test_a_refusal_names_the_blocked_end():
     weights = np.ones((9, 9), np.uint8)
     weights[:, 4] = 0
     costmap = from_weights(Grid(weights, (0.0, 0.0), 1.0))
@@ -157,7 +157,7 @@ def test_start_in_an_obstacle_escapes_to_the_nearest_open_cell():
     assert plan.escape_m == pytest.approx(math.hypot(0.17, 0.03))
 
 
-def test_diagonal_between_two_blocked_cells_is_no_way():
+def test_a_diagonal_between_two_blocked_cells_is_closed():
     weights = np.array([[1, 0], [0, 1]], np.uint8)
     assert plan_cells(weights, (0, 0), (1, 1)).reason == "unreachable"
     weights[0, 1] = 1  # one free corner is not enough for a robot either: it goes round

@@ -78,7 +78,7 @@ def test_occupied_is_closed_and_free_is_a_unit():
         ([[255, 255]], 255, 255),
     ],
 )
-def test_heuristic_is_left_out_where_it_would_not_pay(weights, least, h_weight):
+def test_the_heuristic_is_dropped_if_it_would_not_help(weights, least, h_weight):
     costmap = from_weights(Grid(np.array(weights, np.uint8), (0.0, 0.0), 1.0))
     assert (costmap.min_weight, costmap.h_weight) == (least, h_weight)
 
@@ -92,7 +92,7 @@ def test_outside_is_not_free(x_m, y_m):
 
 
 @pytest.mark.parametrize("cells", [np.zeros(4, np.int8), np.zeros((2, 2), np.float32)])
-def test_what_is_no_grid_is_refused(cells):
+def test_an_invalid_grid_is_refused(cells):
     with pytest.raises(ValueError, match="expected"):
         from_occupancy(Grid(cells, (0.0, 0.0), 0.05))
 

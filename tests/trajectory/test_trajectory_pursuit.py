@@ -70,7 +70,7 @@ def test_slower_near_the_goal():
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -0.5, 0.5, 3.0])
-def test_turn_to_goes_the_short_way(yaw):
+def test_turn_to_takes_the_shorter_turn(yaw):
     command = pursuit.turn_to(SE2(0.0, 0.0, 3.1), yaw, LIMITS)
     short = (yaw - 3.1 + math.pi) % (2 * math.pi) - math.pi
     assert command.v_mps == 0.0

@@ -57,7 +57,7 @@ def test_lines_on_open_ground(line, cost):
     assert kernels.line_cost(weight, *line) == pytest.approx(cost)
 
 
-def test_line_through_a_corner_needs_both_cells_next_to_it():
+def test_a_diagonal_line_needs_both_corner_cells():
     weight = np.pad(np.ones((3, 3), np.uint8), 1)
     weight[1, 2] = 0
     assert kernels.line_cost(weight, 1.5, 1.5, 2.5, 2.5) == -1.0

@@ -1,4 +1,4 @@
-"""B-splines: where they begin and end, what they keep near to, how far their points are apart."""
+"""B-splines: their ends, their hull and the spacing of their points."""
 
 from __future__ import annotations
 

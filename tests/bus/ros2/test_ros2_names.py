@@ -18,12 +18,12 @@ def test_hashes_of_messages_are_those_of_their_definitions(name):
     assert names.hash_from_table(name) == STORE.hash_rihs01(name)
 
 
-def test_a_type_of_which_distributions_disagree_has_none():
+def test_a_type_with_disputed_hashes_has_none():
     assert names.hash_from_table("nav2_msgs/action/NavigateToPose_GetResult") is None
 
 
 @pytest.mark.parametrize("name", names.HASHES)
-def test_names_of_types_there_and_back(name):
+def test_type_names_survive_a_round_trip(name):
     assert names.ros_name(names.dds_name(name)) == name
     key = names.data_key(3, "/a/b", name, "RIHS01_0")
     assert key.startswith("3/a/b/")
@@ -59,7 +59,7 @@ def test_tokens_and_keys_are_those_of_an_independent_implementation(kind):
         ("adapter", "robots/1/ros2/a/b", "robots/1/ros2/a/b"),
     ],
 )
-def test_each_way_has_its_keys(via, key, wild):
+def test_each_transport_has_its_keys(via, key, wild):
     dialect = names.dialect_of(via, "robots/1")
     assert dialect.data_key(4, "/a/b", "p/msg/T", "H") == key
     assert dialect.any_key(4, "/a/b") == wild
@@ -92,7 +92,7 @@ def test_a_token_of_a_node_in_a_namespace():
 
 
 @given(st.text(alphabet="@/%:aMPros2_lvImage_", max_size=80))
-def test_what_is_no_token_is_none(text):
+def test_any_text_parses_to_a_typed_token_or_none(text):
     endpoint = names.parse_token(text)
     assert endpoint is None or endpoint.type
 
@@ -102,5 +102,5 @@ def test_what_is_no_token_is_none(text):
     ["", "a", "@ros2_lv/0/z/1/1/NN/%/%/node", "@ros2_lv/0/z/1/2/XX/%/%/n/%t/a::b::dds_::C_/H/q",
      "@ros2_lv/0/z/1/2/MP/%/%/n/%t/no_type/H/q", "@ros2_lv/" + "x" * 2000],
 )  # fmt: skip
-def test_no_token(key):
+def test_an_invalid_token_is_not_parsed(key):
     assert names.parse_token(key) is None

@@ -69,7 +69,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     mine = node.publisher("/goal_pose", POSE)
     assert looked(node, mine.has_subscribers)
     pose = messages.encode_pose_stamped(1_000_000_005, SE2(1.0, 2.0, 0.0))
-    # The peer's token may arrive before its subscription: what is sent in between is lost.
+    # The peer's token may arrive before its subscription: messages in between are lost.
     eventually(lambda: mine.put(pose) or heard)
     message = heard[0]
     assert (message.header.stamp.nanosec, message.pose.position.y) == (5, 2.0)
@@ -77,7 +77,7 @@ def test_a_peer_hears_us_and_lists_our_topic(port, node):
     peer.close()
 
 
-def test_we_hear_a_peer_and_which_type_it_sends(port, node):
+def test_a_subscription_takes_the_type_that_its_peer_sends(port, node):
     subscription = node.subscription("/camera/image", (IMAGE, COMPRESSED), 4)
     assert subscription.type == IMAGE
     peer = publisher(port, "/camera/image", COMPRESSED)
@@ -89,7 +89,7 @@ def test_we_hear_a_peer_and_which_type_it_sends(port, node):
     peer.close()
 
 
-def test_a_type_that_nobody_knows_waits_for_one_who_does(session, node):
+def test_a_client_learns_an_unknown_type_from_its_server(session, node):
     name = "nav2_msgs/action/NavigateToPose_GetResult"
     client = node.client("/navigate_to_pose/_action/get_result", name, 1.0)
     assert (client.hash, client.has_server(), client.call(b"x").done) == (None, False, True)

@@ -95,12 +95,12 @@ def test_each_request_is_answered_with_its_label(ask, text, answer):
     ("payload", "error"),
     [(b"junk", "not little-endian CDR"), (string("x" * MAX_BYTES), "bytes, at most 65536")],
 )
-def test_what_is_no_request_is_answered_too(ask, payload, error):
+def test_an_invalid_request_gets_an_error_reply(ask, payload, error):
     assert error in ask(payload)["error"]
 
 
 @pytest.mark.parametrize("via", ["rmw_zenoh", "bridge", "adapter"])
-def test_a_pressed_button_stops_and_one_that_is_not_pressed_does_not(port, via):
+def test_only_a_pressed_button_stops_the_robot(port, via):
     config = simulated({"ros2": {"via": via}})
     config = config.model_copy(update={"zenoh": zenoh_settings(port)})
     reasons: list[str] = []

@@ -19,7 +19,7 @@ from edge.bus.wire import DecodeError
 from edge.bus.wire.compressed import decode_compressed_header, decode_compressed_into
 
 PICTURES = 20_000
-MOST_MB = 300.0  # OpenCV makes room for what a chunk says that it holds
+MOST_MB = 300.0  # OpenCV allocates the size that a chunk declares
 
 
 def mutated(payload: bytes, rng: random.Random) -> bytes:
@@ -50,7 +50,7 @@ def hold(decode, payloads: list[bytes], n: int) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 8])
-def test_decoders_print_nothing_and_others_still_can(capfd, threads):
+def test_decoders_print_nothing_but_others_can(capfd, threads):
     """libpng and libjpeg print to C's stderr; two lines for each picture fill a disk."""
     payloads = [ros("jpeg", picture(".jpg", BGR)), ros("png", picture(".png", BGR))]
 

@@ -64,7 +64,7 @@ def test_a_colour_picture_becomes_rgb(words, kind, tolerance):
     np.testing.assert_allclose(out.astype(int), BGR[..., ::-1].astype(int), atol=tolerance)
 
 
-def test_one_that_was_compressed_as_rgb_stays_so():
+def test_a_picture_compressed_as_rgb_is_not_swapped():
     payload = ros("rgb8; png compressed rgb8", picture(".png", BGR))
     np.testing.assert_array_equal(decoded(payload, np.zeros((30, 20, 3), np.uint8)), BGR)
 
@@ -98,7 +98,7 @@ def test_the_unit_holds_for_quantized_depth():
     np.testing.assert_allclose(out, 0.001 * depth_mm, rtol=1e-3)
 
 
-def test_depth_in_metres_is_what_its_quantization_says():
+def test_quantized_depth_in_metres_is_decoded():
     depth_m = np.linspace(0.5, 8.0, 600, dtype=np.float32).reshape(30, 20)
     depth_m[0, :3] = np.nan
     payload = ros("32FC1; compressedDepth png", inverse(depth_m, 10001.0, -1000.0))
@@ -131,7 +131,7 @@ PNG, JPEG = picture(".png", BGR), picture(".jpg", BGR)
         ("jpeg", JPEG[:-2] + (b"\xff\xda" + bytes(10)) * 100 + JPEG[-2:], "100 scans"),
     ],
 )
-def test_what_is_no_such_picture_is_refused_in_one_line(words, data, said):
+def test_an_invalid_picture_is_refused_in_one_line(words, data, said):
     payload = ros(words, data)
     with pytest.raises(DecodeError, match=said) as caught:
         decode_compressed_into(
@@ -140,7 +140,7 @@ def test_what_is_no_such_picture_is_refused_in_one_line(words, data, said):
     assert "\n" not in str(caught.value)
 
 
-def test_depth_is_no_colour_picture():
+def test_depth_cannot_be_decoded_as_a_colour_picture():
     payload = ros("png", picture(".png", BGR))
     with pytest.raises(DecodeError, match="float32"):
         decode_compressed_into(

@@ -80,7 +80,7 @@ DECODERS = {
 
 
 @pytest.mark.parametrize("name", PAYLOADS)
-def test_ros_reads_what_we_write_and_writes_the_same_bytes(name):
+def test_ros_reads_our_messages_and_writes_the_same_bytes(name):
     message = from_ros(PAYLOADS[name], name)
     stamp = message.header.stamp
     assert stamp.sec * 10**9 + stamp.nanosec == STAMP_NS
@@ -151,7 +151,7 @@ def test_depth_in_millimetres_and_in_metres(big_endian, padding):
 @pytest.mark.parametrize("encoding", ["16UC1", "mono16"])
 @pytest.mark.parametrize(("unit_m", "metres"), [(None, 0.001), (0.0002, 0.0002), (0.01, 0.01)])
 @pytest.mark.parametrize("big_endian", [False, True])
-def test_integers_that_measure_nothing_are_no_return(encoding, unit_m, metres, big_endian):
+def test_invalid_depth_integers_are_no_return(encoding, unit_m, metres, big_endian):
     steps = np.array([[0, 1, 500], [63_999, 64_001, 65_535]], ">u2" if big_endian else "<u2")
     payload = ros_image(encoding, 2, 3, 6, steps.tobytes(), big_endian)
     out = np.full((2, 3), 9.0, np.float32)
@@ -200,7 +200,7 @@ def with_steps(payload: bytes, point_step: int, row_step: int, size: int = 128) 
 
 
 @pytest.mark.parametrize("said", [(16, 0, 112), (16, 65, 127), (24, 64, 128)])
-def test_a_cloud_whose_steps_do_not_fit_its_data_is_refused(said):
+def test_a_cloud_with_steps_that_mismatch_its_data_is_refused(said):
     payload = with_steps(ros_cloud("xyz", 16, np.zeros((8, 3)), height=2), *said)
     with pytest.raises(DecodeError, match=rf"row_step {said[1]} do not fit {said[2]} bytes"):
         messages.decode_point_cloud_into(payload, np.zeros((8, 3), np.float32))
@@ -243,7 +243,7 @@ def test_points_that_are_not_finite_are_left_out():
 
 
 @pytest.mark.parametrize("range_max_m", [10.0, math.inf])
-def test_a_beam_that_met_nothing_is_free_to_the_longest_range(range_max_m):
+def test_a_beam_without_a_return_is_free_to_its_range(range_max_m):
     nothing, no_measurement = [math.inf, range_max_m, 2 * range_max_m], [math.nan, -math.inf, -1.0]
     ranges = np.array([*nothing, *no_measurement, 2.0], np.float32)
     payload = messages.encode_laser_scan(1, "lidar", 0.0, 0.0, range_max_m, ranges)
@@ -291,7 +291,7 @@ def camera_info(**fields: object) -> messages.CameraCalibration:
         ((2, 2), (8, 4, 40, 30), (20, 15, 30.0, 31.0, 12.0, 9.5)),
     ],
 )
-def test_binning_and_roi_are_those_of_the_image_that_is_sent(binning, roi, expected):
+def test_binning_and_roi_change_the_camera_model(binning, roi, expected):
     k = [60.0, 0, 32.0, 0, 62.0, 23.0, 0, 0, 1]
     info = from_ros(PAYLOADS[INFO], INFO)
     info.width, info.height = 64, 48
@@ -362,7 +362,7 @@ def test_a_changed_image_header_never_reaches_outside(data):
         pytest.param(ros_image("jpeg", 1, 1, 3, b"abc"), id="unknown encoding"),
     ],
 )
-def test_sizes_are_checked_before_anything_is_allocated(payload):
+def test_sizes_are_checked_before_memory_is_allocated(payload):
     with pytest.raises(DecodeError):
         messages.decode_image_header(payload)
 
@@ -412,7 +412,7 @@ def test_values_that_cannot_be(name, change, text):
         DECODERS[name](to_ros(message))
 
 
-def test_an_image_that_does_not_fit_its_place():
+def test_an_image_of_another_shape_is_refused():
     payload = PAYLOADS["sensor_msgs/msg/Image"]
     header = messages.decode_image_header(payload)
     with pytest.raises(DecodeError, match="3x2, expected 2x2"):

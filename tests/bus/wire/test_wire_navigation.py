@@ -84,7 +84,7 @@ def test_markers():
     assert (text.color.a, text.lifetime.sec) == (0.5, 0)
 
 
-def test_no_markers_take_everything_away():
+def test_empty_markers_delete_all():
     (clear,) = from_ros(
         markers.encode_markers(9, "map", ()), "visualization_msgs/msg/MarkerArray"
     ).markers
@@ -102,7 +102,7 @@ def test_a_goal_for_the_action():
 
 
 @pytest.mark.parametrize("accepted", [False, True])
-def test_its_answer(accepted):
+def test_the_answer_to_a_goal_is_decoded(accepted):
     time = STORE.types["builtin_interfaces/msg/Time"](1, 2)
     answer = STORE.types["nav2_msgs/msg/NavigateToPose_SendGoal_Response"](accepted, time)
     assert navigation.decode_send_goal_answer(to_ros(answer)) is accepted
@@ -143,7 +143,7 @@ def test_a_goal_of_undocking():
     assert (request.goal.dock_type, request.goal.max_undocking_time) == ("", 30.0)
 
 
-def test_what_asks_for_it_and_what_takes_it_back():
+def test_result_and_cancel_requests_carry_the_goal_id():
     name = "nav2_msgs/msg/NavigateToPose_GetResult_Request"
     assert bytes(from_ros(navigation.encode_get_result(ID), name).goal_id.uuid) == ID
     request = from_ros(navigation.encode_cancel(ID), "action_msgs/msg/CancelGoal_Request")

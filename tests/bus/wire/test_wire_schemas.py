@@ -13,7 +13,7 @@ USED = sorted({topic.type for topic in topics.ALL} - {"json"})
 
 
 @pytest.mark.parametrize("name", USED)
-def test_the_text_says_what_ros_says(name):
+def test_our_schemas_have_the_same_fields_as_ros(name):
     parsed = get_types_from_msg(schemas.schema_text(name), schemas.full_name(name))
     assert schemas.full_name(name) in parsed
     for message, (_, fields) in parsed.items():

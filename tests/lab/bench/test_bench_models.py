@@ -87,7 +87,7 @@ def test_nothing_wanted_and_nothing_found():
         ([(SOFA, 0, True), (CHAIR, 0, True)], [SAME_NAME], [CHAIR, SOFA], (2, 2, 2)),
     ],
 )
-def test_boxes_against_what_is_there(there, answers, boxes_found, wanted_found_hits):
+def test_boxes_are_matched_to_the_ground_truth(there, answers, boxes_found, wanted_found_hits):
     tally = match_to_truth(boxes(*boxes_found), truth(*there), np.array(answers, np.uint8))
     assert (tally.wanted, tally.found, tally.hits) == wanted_found_hits
 
@@ -125,7 +125,7 @@ def pictures(draw):
 
 
 @given(pictures(), pictures())
-def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other):
+def test_agreement_is_complete_with_itself_and_bounded(one, other):
     same = match_to_reference(one, one)
     assert (same.hits, same.error) == (len(one.score), 0.0)
     tally = match_to_reference(one, other)
@@ -133,7 +133,7 @@ def test_agreement_is_whole_with_oneself_and_never_more_than_there_is(one, other
 
 
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
-def test_what_does_not_count_never_lowers_a_figure(seen, there, counts):
+def test_uncounted_objects_never_lower_a_score(seen, there, counts):
     """Recall keeps to its things; precision can only rise when some region is left out."""
     how = np.array([SAME_NAME, UNRELATED, UNRELATED], np.uint8)
     mine = seen.xyxy_px[seen.class_id == 0]
@@ -165,7 +165,7 @@ def demo():
     return config.load("demo", environ={})
 
 
-def test_frames_of_a_world_are_the_same_each_time_and_never_enlarged(demo):
+def test_frames_of_a_world_are_repeatable(demo):
     small = frames.from_world(demo, 3, [(64, 64)])
     camera = demo.sensors.camera
     assert small.rgb[0].shape == (camera.height_px, camera.width_px, 3)
@@ -178,7 +178,7 @@ def test_frames_of_a_world_are_the_same_each_time_and_never_enlarged(demo):
     assert small.counted > 0
 
 
-def test_what_stands_free_counts_and_what_is_cut_off_does_not(demo):
+def test_only_whole_visible_objects_count(demo):
     world, camera = load_world(demo), demo.sensors.camera
     rig = CameraRig(demo, world)
     for pose, real in zip(
@@ -297,7 +297,7 @@ def bench(*words):
     return cli.main(["bench", "--models", *words, "--frames", "2"])
 
 
-def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path):
+def test_an_unknown_family_lists_the_known_ones(place, capsys, tmp_path):
     simulated = tmp_path / "simulated.yaml"
     simulated.write_text("perception: {detector: {kind: sim}}")
     assert bench("tiny") == os.EX_DATAERR
@@ -312,7 +312,7 @@ def test_without_cards_it_says_which_families_there_are(place, capsys, tmp_path)
     assert "'tpu' is not available on this machine (choices: cpu" in capsys.readouterr().err
 
 
-def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, capsys):
+def test_if_no_model_runs_each_row_gives_the_reason(place, capsys):
     place("tiny-fp32", None)
     place("tiny-fp16", b"no model", "fp16")
     assert bench("tiny", "--providers", "cpu", "demo") == 1
@@ -323,7 +323,7 @@ def test_where_nothing_can_run_every_row_says_why_and_the_exit_code_is_1(place, 
     assert "Traceback" not in out
 
 
-def test_every_variant_is_a_row_of_its_own_kept_and_written_to_its_card(place, tmp_path, capsys):
+def test_every_variant_has_its_own_row_and_card(place, tmp_path, capsys):
     place("tiny-fp32", model_bytes(-1.0))
     place("tiny-crash", model_bytes(0.0), "fp16")
     place("tiny-int8-cpu", model_bytes(-1.5), "int8-cpu")
@@ -397,9 +397,7 @@ ROW = {
 }  # fmt: skip
 
 
-def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_cannot(
-    place, tmp_path, monkeypatch
-):
+def test_figures_are_saved_in_the_folder_of_the_card(place, tmp_path, monkeypatch):
     def refuse_the_package(path, content):
         if path.parent == resources.data_dir("models"):
             raise PermissionError(13, "Permission denied")
@@ -417,7 +415,7 @@ def test_figures_go_to_the_folder_of_the_card_and_one_line_says_where_they_canno
     assert load_detector_card("tiny-own").measured.keys() == {"cpu of x, 2 cores"}
 
 
-def test_figures_of_two_gpus_lie_side_by_side_in_a_card_and_name_their_runtime(place):
+def test_figures_of_several_devices_share_a_card(place):
     place("tiny-fp32", None)
     both = "onnxruntime 1.23.0, tensorrt 10.3.0"
     ran = (
@@ -472,13 +470,13 @@ def test_providers_by_their_names(monkeypatch, asked, names):
     assert variants.providers_here(asked) == names
 
 
-def test_without_a_runtime_it_says_what_to_install(monkeypatch):
+def test_without_a_runtime_the_error_names_the_package(monkeypatch):
     monkeypatch.setattr(variants, "_available", set)
     with pytest.raises(UserError, match="pip install"):
         variants.providers_here(None)
 
 
-def test_the_process_gives_one_line_for_whatever_goes_wrong(monkeypatch, tmp_path, capsys):
+def test_any_error_in_the_process_is_one_line(monkeypatch, tmp_path, capsys):
     def fail(job):
         raise RuntimeError("two\nlines")
 

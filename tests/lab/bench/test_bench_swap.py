@@ -47,7 +47,7 @@ def bench(monkeypatch):
     return bench
 
 
-def test_nothing_is_asked_before_anything_is_seen(bench):
+def test_no_swap_is_requested_before_the_first_detection(bench):
     bench.after_iteration()
     assert bench.swapper.asked == []
     with pytest.raises(
@@ -89,6 +89,6 @@ def test_losses_are_reported_by_stretch(bench):
         ("rolled back", 0, ["swaps given up"]),
     ],
 )
-def test_a_swap_has_to_be_kept_and_to_lose_no_tick(state, lost, over):
+def test_a_swap_must_be_kept_without_lost_ticks(state, lost, over):
     verdicts = swap_bench.verdicts({"state": state, "during": {"lost": lost}})
     assert [name for name, (value, _, limit) in verdicts.items() if value > limit] == over

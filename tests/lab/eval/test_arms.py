@@ -1,4 +1,4 @@
-"""Columns: what they change, and when they are another one."""
+"""Arms: their settings, and when two arms differ."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from edge.errors import ConfigError
 from edge.lab.eval.arms import make_arms, merged, parse_arm, read_arms
 
 
-def test_an_arm_says_what_differs_and_has_an_id_of_its_own(tmp_path):
+def test_an_arm_has_merged_settings_and_a_distinct_id(tmp_path):
     config = small_house(tmp_path, policy={"kind": "hvl", "w_vl": 2.0})
     near, hvl = make_arms(config, {"near": {"policy": {"kind": "nearest_frontier"}}, "hvl": {}})
     whole = parse(merged(near.base, near.settings))
@@ -43,13 +43,13 @@ def test_the_id_depends_on_all_that_an_arm_decides(tmp_path, change, same):
         ({"config": "nowhere.yaml"}, "no such file"),
     ],
 )
-def test_what_makes_no_configuration_is_refused_at_once(tmp_path, settings, message):
+def test_an_invalid_arm_is_refused(tmp_path, settings, message):
     with pytest.raises(ConfigError, match=message):
         make_arms(small_house(tmp_path), {"x": settings})
 
 
 @pytest.mark.parametrize("setting", ["policy.kind", "=3", "a..b=1", "a={"])
-def test_words_that_are_no_settings_are_refused(setting):
+def test_invalid_settings_are_refused(setting):
     with pytest.raises(ConfigError, match="--arm a"):
         parse_arm(["a", setting])
 

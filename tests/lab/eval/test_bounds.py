@@ -1,4 +1,4 @@
-"""Policies that go by the simulator's truth: what they know, and that no robot gets one."""
+"""Policies that use the simulator's truth: their choices, and that no robot gets one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def world(tmp_path):
 
 
 def context(target: str, *candidates: tuple[int, float, float, float, float]) -> PolicyInput:
-    """Candidates as kind, x, y, way there [m] and what is to be seen there [m²]."""
+    """Return candidates given as kind, x, y, path [m] and gain [m²]."""
     c = Candidates(8)
     c.n = len(candidates)
     for k, (kind, x, y, path_m, gain_m2) in enumerate(candidates):
@@ -37,7 +37,7 @@ def context(target: str, *candidates: tuple[int, float, float, float, float]) ->
     return PolicyInput(None, at, None, nowhere, c.read_only(), None, None, (target,), target, 0)
 
 
-def test_where_rooms_are_unknown_none_is_known():
+def test_a_world_without_known_rooms_is_refused():
     with pytest.raises(ValueError, match="garage: the rooms of this world are not known"):
         KnownRoom(SimpleNamespace(name="garage", rooms=()), RADIUS_M)
 
@@ -45,7 +45,7 @@ def test_where_rooms_are_unknown_none_is_known():
 @pytest.mark.parametrize(
     ("target", "best"), [("bed", (4.0, 2.0)), ("sofa", (2.0, 2.0)), ("piano", (2.0, 2.0))]
 )
-def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
+def test_a_known_place_prefers_the_shortest_path(world, target, best):
     """For a class that no world contains, the nearest frontier is as good as any."""
     policy = KnownPlace(world, RADIUS_M)
     seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 4.0, 2.0, 3.0, 1.0),
@@ -54,7 +54,7 @@ def test_a_known_place_is_gone_to_the_shortest_way(world, target, best):
     assert seen[int(score.argmax())][1:3] == best
 
 
-def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
+def test_a_known_place_looks_round_first_and_ignores_look_alikes(world):
     seen = [(FRONTIER, 4.0, 2.0, 3.0, 1.0), (INSTANCE, 2.0, 3.0, 1.0, 0.0),
             (INSTANCE, 6.0, 2.0, 5.0, 0.0), (SPIN, 1.0, 2.0, 0.1, 4.0)]  # fmt: skip
     score = KnownPlace(world, RADIUS_M).score(context("bed", *seen))
@@ -63,7 +63,7 @@ def test_a_known_place_looks_round_first_and_goes_to_no_look_alike(world):
     assert np.isfinite(score).all()
 
 
-def test_in_a_known_room_it_searches_and_to_it_the_shortest_way_leads(world):
+def test_a_known_room_is_entered_first_then_searched(world):
     policy = KnownRoom(world, RADIUS_M)
     seen = [(FRONTIER, 0.5, 0.5, 1.6, 9.0), (FRONTIER, 3.5, 2.0, 2.5, 0.1),
             (FRONTIER, 5.0, 0.5, 9.0, 0.5), (FRONTIER, 5.0, 3.5, 9.0, 2.0)]  # fmt: skip

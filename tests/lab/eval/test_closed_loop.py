@@ -1,4 +1,4 @@
-"""A robot that obeys a service, in one process: it replays the same, with what sensors it has."""
+"""A robot that obeys a service, in one process: it replays the same with any sensors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def trail(loop: ClosedLoop, seconds: float) -> list[tuple[float, float, float]]:
 
 
 @pytest.mark.parametrize("sections", [{}, LIDAR, ONE_RING], ids=["depth", "lidar", "one ring"])
-def test_it_replays_the_same_and_gets_there(tmp_path, sections):
+def test_an_episode_replays_identically_and_reaches_the_target(tmp_path, sections):
     config = small_house(tmp_path, mission={"target": "bed"}, **sections)
     loops = [ClosedLoop(config, colour=colour) for colour in (True, False)]
     one, other = (trail(loop, 60.0) for loop in loops)
@@ -50,7 +50,7 @@ BACK = {"width_px": 96, "height_px": 64, "yaw_deg": 180.0, "x_m": -0.1, "pitch_d
 @pytest.mark.parametrize(
     ("second", "mapped"), [(None, "depth"), (BACK, "depth"), (None, "cloud"), (BACK, "cloud")]
 )
-def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second, mapped):
+def test_a_second_camera_finds_an_object_behind_the_robot(tmp_path, second, mapped):
     """The robot stands with its back to the bed, then drives there."""
     lidar = {"z_m": 0.4, "pitch_deg": 15.0} if mapped == "cloud" else None
     config = small_house(
@@ -79,7 +79,7 @@ def test_a_second_camera_finds_what_is_behind_the_robot(tmp_path, second, mapped
 
 
 @pytest.mark.parametrize(("rate_hz", "ticks"), [(30.0, 20), (10.0, 20), (7.0, 14), (5.0, 10)])
-def test_the_service_gets_no_more_frames_than_the_sensor_has(tmp_path, rate_hz, ticks):
+def test_frames_come_at_the_rate_of_the_camera(tmp_path, rate_hz, ticks):
     camera = {"width_px": 32, "height_px": 24, "rate_hz": rate_hz}
     results: list[object] = []
     sink = SimpleNamespace(tick=results.append, close=lambda: None)
@@ -90,7 +90,7 @@ def test_the_service_gets_no_more_frames_than_the_sensor_has(tmp_path, rate_hz, 
     assert loop.seconds == pytest.approx(2.0)
 
 
-def test_a_world_can_be_shared_and_a_start_is_the_loops_own(tmp_path):
+def test_a_shared_world_keeps_separate_starts(tmp_path):
     config = small_house(tmp_path)
     first = ClosedLoop(config)
     moved = config.model_copy(update={"sim": config.sim.model_copy(update={"start": (3, 1, 1)})})
@@ -114,5 +114,5 @@ def test_a_world_can_be_shared_and_a_start_is_the_loops_own(tmp_path):
         ({"perception": {"detector": {"kind": "sim"}}, "policy": {"kind": "own:Policy"}}, True),
     ],
 )
-def test_pictures_are_taken_where_something_looks_at_them(sections, wants):
+def test_images_are_rendered_only_if_something_reads_them(sections, wants):
     assert wants_colour(parse(sections)) == wants

@@ -47,14 +47,14 @@ def blocked(tmp_path, **sim):
     return simulated({"sim": {"world": world, **sim}})
 
 
-def test_of_several_worlds_one_with_a_blocked_start_is_left_out_and_reported(tmp_path, caplog):
+def test_a_world_with_a_blocked_start_is_skipped_and_reported(tmp_path, caplog):
     worlds = [blocked(tmp_path).sim.world.model_dump(), {"kind": "house", "house": "demo"}]
     planned = plan(HOUSE, worlds, ["bed"], 1, 0, 2.0)
     assert [e.world["house"] for e in planned] == ["demo"]
     assert "evaluation goes on without this world: world blocked: the robot " in caplog.text
 
 
-def test_of_several_worlds_each_gives_what_it_has(tmp_path):
+def test_each_world_gets_episodes_for_targets_it_has(tmp_path):
     small = small_house(tmp_path).sim.world.model_dump()
     worlds = [{"kind": "house", "house": "demo"}, small]
     planned = plan(HOUSE, worlds, ["bed", "television", "sofa"], 1, 0, 2.0)
@@ -66,7 +66,7 @@ def test_of_several_worlds_each_gives_what_it_has(tmp_path):
         plan(HOUSE, worlds, ["bathtub", "bed"], 1, 0, 90.0)
 
 
-def test_of_each_world_so_many_are_drawn(tmp_path):
+def test_a_fixed_number_of_episodes_is_drawn_per_world(tmp_path):
     worlds = [{"kind": "house", "house": "demo"}]
     whole = plan(HOUSE, worlds, COMMON_TARGETS, 1, 0, 2.0)
     drawn = plan(HOUSE, worlds, COMMON_TARGETS, 1, 0, 2.0, per_world=3)
@@ -111,7 +111,7 @@ numbers = st.floats(-50, 50, allow_nan=False)
     target=st.text(min_size=1, max_size=20),
     shortest_m=st.floats(0, 90),
 )
-def test_what_is_written_is_read(tmp_path_factory, start, target, shortest_m):
+def test_written_episodes_are_read_back_unchanged(tmp_path_factory, start, target, shortest_m):
     path = tmp_path_factory.getbasetemp() / "some.jsonl"
     world = {"kind": "house", "house": "demo"}
     some = [
@@ -137,14 +137,14 @@ EPISODE = {
         ({"world": "demo"}, "world: Input should be a valid dictionary"),
     ],
 )
-def test_lines_that_are_no_episodes_are_refused(tmp_path, change, message):
+def test_invalid_episode_lines_are_refused(tmp_path, change, message):
     path = tmp_path / "some.jsonl"
     path.write_text(json.dumps({**EPISODE, **change}))
     with pytest.raises(UserError, match=message):
         read(path)
 
 
-def test_files_that_are_none_are_refused(tmp_path):
+def test_unusable_episode_files_are_refused(tmp_path):
     with pytest.raises(UserError, match=r"nowhere.jsonl: .*--plan FILE` writes"):
         read(tmp_path / "nowhere.jsonl")
     path = tmp_path / "twice.jsonl"
@@ -156,7 +156,7 @@ def test_files_that_are_none_are_refused(tmp_path):
         read(path)
 
 
-def test_an_episode_says_what_it_asks_of_a_configuration():
+def test_an_episode_sets_mission_and_start_of_the_configuration():
     there = Episode("a", {}, (1.0, 2.0, 0.5), "bed", None, 3.0)
     assert there.settings["mission"]["target"] == "bed"
     assert there.settings["mission"]["instruction"] is None
@@ -203,7 +203,7 @@ def test_other_worlds_have_forms_of_their_own():
         ("furnished[:200000]", "200000 worlds; at most 100000 are allowed"),
     ],
 )
-def test_what_names_no_worlds_is_refused(spec, error):
+def test_an_invalid_world_list_is_refused(spec, error):
     with pytest.raises(UserError, match=f"--worlds {re.escape(spec)}: .*{error}"):
         world_list.world_sections([spec])
 

@@ -64,7 +64,7 @@ def means(values: np.ndarray, cluster: np.ndarray, **options):
     return bootstrap(values, np.ones_like(values), cluster, **options)
 
 
-def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
+def test_bootstrap_is_seeded_and_agrees_with_the_ratio():
     rng = np.random.default_rng(0)
     x, y = rng.exponential(2.0, (2, 400))
     one, other = (bootstrap(x[None], y[None], np.arange(400), seed=3) for _ in range(2))
@@ -72,7 +72,7 @@ def test_bootstrap_is_the_same_for_a_seed_and_agrees_with_the_delta_method():
     assert one[0] == pytest.approx(ratio(x, y), rel=0.02)
 
 
-def test_what_differs_between_clusters_alone_counts_as_one_a_cluster():
+def test_repeats_within_a_cluster_add_no_confidence():
     each = np.random.default_rng(1).normal(0.0, 1.0, 40)
     (alone,) = means(each[None], np.arange(40))
     (repeated,) = means(np.repeat(each, 25)[None], np.repeat(np.arange(40), 25))

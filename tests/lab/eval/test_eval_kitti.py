@@ -47,7 +47,7 @@ def test_no_frame_chosen(tmp_path):
         kitti_scene(write(tmp_path), [])
 
 
-def test_a_frame_has_its_sensors_where_they_were(tmp_path):
+def test_a_frame_has_the_poses_of_its_sensors(tmp_path):
     frame = read_frame(write(tmp_path), 0)
     seen = frame.observation
     np.testing.assert_allclose(seen.T_map_base, np.eye(4), atol=1e-12)
@@ -123,7 +123,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_what_cannot_be_used_is_reported_in_one_line(tmp_path, case):
+def test_an_unusable_frame_is_reported_in_one_line(tmp_path, case):
     damage, words = BROKEN[case]
     folder = write(tmp_path)
     damage(folder)

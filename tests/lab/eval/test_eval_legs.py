@@ -25,7 +25,7 @@ def floor_of(cells: np.ndarray, hfov_deg: float = 90.0, range_m: float = 3.0) ->
     return SeenFloor(plan, math.radians(hfov_deg), range_m)
 
 
-def test_a_look_shows_the_sector_once():
+def test_a_view_counts_its_sector_once():
     floor = floor_of(np.zeros((200, 200)))
     new_m2, again_m2 = floor.add_view(5.0, 5.0, 0.3)
     assert new_m2 == pytest.approx(0.25 * math.pi * 3.0**2, rel=0.06)
@@ -33,7 +33,7 @@ def test_a_look_shows_the_sector_once():
     assert floor.add_view(5.0, 5.0, 0.3) == (0.0, 0.0)
 
 
-def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
+def test_only_area_from_earlier_legs_counts_as_seen_again():
     floor = floor_of(np.zeros((200, 200)))
     first, _ = floor.add_view(5.0, 5.0, 0.0)
     floor.begin_leg()
@@ -44,7 +44,7 @@ def test_only_what_was_seen_before_the_leg_is_seen_again_and_that_once():
     assert again_m2 == pytest.approx(0.0, abs=0.1)
 
 
-def test_what_stands_there_hides_what_is_behind():
+def test_a_wall_hides_the_area_behind_it():
     cells = np.zeros((200, 200))
     cells[:, 120] = 1  # a wall at x = 6 m
     new_m2, _ = floor_of(cells).add_view(5.0, 5.0, 0.0)
@@ -65,7 +65,7 @@ def test_looks_count_each_place_once(cells, x, y, yaw):
     assert not (floor._seen[floor._blocked] > 0).any()
 
 
-def test_floor_counts_as_seen_again_only_until_the_target_is_known():
+def test_floor_counts_as_revisited_only_before_the_target_is_known():
     config = simulated({"sim": {"world": {"kind": "house", "house": "demo"}}})
     world = load_world(config)
     legs, bed = (
@@ -99,7 +99,7 @@ def looks(instruction: str, seed: int, start=None) -> list[tuple[int, bool, tupl
 
 
 def again_m2(seed: int, before: list[tuple], search: list[tuple]) -> float:
-    """Floor that a search saw, until its target was known, of what was seen before."""
+    """Measure the floor that a search saw again before its target was known."""
     config = simulated({"sim": {"world": {"kind": "generated", "seed": seed}}})
     hfov_rad = math.radians(config.sensors.camera.hfov_deg)
     floor = SeenFloor(load_world(config).plan, hfov_rad, RANGE_M)
@@ -124,8 +124,8 @@ def again_and_forgetful_m2(seed: int, first: str, second: str) -> tuple[float, f
 
 
 @pytest.mark.slow
-def test_in_no_house_does_a_mission_explore_more_than_a_robot_that_forgets():
-    """The way to the next frontier leads through what was seen: so it is not nothing."""
+def test_missions_revisit_less_floor_than_a_forgetful_robot():
+    """The path to the next frontier leads through seen space, so the area is not zero."""
     found = [
         again_and_forgetful_m2(2, "toilet", "refrigerator"),
         again_and_forgetful_m2(5, "bed", "toilet"),

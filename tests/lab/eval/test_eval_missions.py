@@ -1,4 +1,4 @@
-"""Missions over what a world has, and the shortest way to fulfil them."""
+"""Missions over the objects of a world, and the shortest path to complete them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven",
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
-def test_missions_name_two_to_four_of_the_things(count):
+def test_missions_name_two_to_four_objects(count):
     drawn = draw_missions(THINGS[:count], 40, 1)
     assert len(drawn) > 5
     assert drawn == draw_missions(THINGS[:count], 40, 1)
@@ -33,7 +33,7 @@ def test_missions_name_two_to_four_of_the_things(count):
         assert "" not in named
 
 
-def test_the_service_understands_each_sentence_as_it_is_meant():
+def test_the_service_reads_each_sentence_as_its_formula():
     drawn = draw_missions(THINGS, 60, 2)
     assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
     for mission in drawn:
@@ -82,7 +82,7 @@ def shortest(automaton, near, free, start):
         ]
     ),
 )
-def test_the_shortest_way_is_that_of_the_best_order(data, text):
+def test_the_shortest_path_is_that_of_the_best_order(data, text):
     automaton = compile_formula(parse(text))
     cells = data.draw(st.lists(st.sampled_from("....#abc"), min_size=30, max_size=30))
     plan = np.array(cells).reshape(5, 6)

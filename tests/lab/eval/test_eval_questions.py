@@ -18,7 +18,7 @@ def config_of(folder, **detector):
     return small_house(folder, mission=mission, sim={"step_s": 0.2}, perception=perception)
 
 
-def test_only_what_is_there_is_asked_for(tmp_path):
+def test_only_objects_in_the_world_are_asked_about(tmp_path):
     config = config_of(tmp_path)
     with pytest.raises(UserError, match="no world has any of the targets"):
         plan_questions(config, [], ["unicorn"], 0)

@@ -10,7 +10,7 @@ from edge.tasks.pipeline import open_pipeline
 from edge.tasks.scene_builder import SceneBuilder, scene_of_map
 
 
-def test_a_robot_describes_where_it_is(tmp_path):
+def test_a_scene_description_agrees_with_the_world(tmp_path):
     """Compare described and known objects with the world.
 
     Each lies at an object of its class in the world, and a path leads to it.

@@ -51,7 +51,7 @@ def test_a_session_is_written_and_read(session, tmp_path):
     assert read(tmp_path / "e.jsonl") == [session]
 
 
-def test_each_goal_begins_where_the_last_one_ended(outcomes):
+def test_each_goal_starts_at_the_end_of_the_last(outcomes):
     for first, second in outcomes:
         assert (first.target, first.goal, second.target, second.goal) == ("bed", 1, "sofa", 2)
         assert first.success, first.reason
@@ -61,7 +61,7 @@ def test_each_goal_begins_where_the_last_one_ended(outcomes):
         assert 0.0 < second.shortest_m <= second.path_m
 
 
-def test_the_first_goal_is_the_same_and_only_memory_helps_the_second(outcomes):
+def test_memory_helps_only_the_second_goal(outcomes):
     (first, _), (known_first, known_second) = outcomes
     assert first.trail == known_first.trail
     assert (first.arm, known_first.arm) == ("search, no memory", "search")

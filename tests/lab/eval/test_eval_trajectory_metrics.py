@@ -1,4 +1,4 @@
-"""Trajectories compared: known answers, and what holds of any."""
+"""Trajectory metrics: known answers, and properties of all trajectories."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def path(points) -> np.ndarray:
 
 @pytest.mark.parametrize("measure", [navigation_error_m, frechet_m, ndtw])
 @pytest.mark.parametrize("bad", [[], [[math.nan, 0.0]], [[0.0, math.inf]]])
-def test_what_is_no_trajectory_is_refused(measure, bad):
+def test_an_invalid_trajectory_is_refused(measure, bad):
     with pytest.raises(ValueError, match="expected at least one point"):
         measure(path(bad), path(LINE))
     with pytest.raises(ValueError, match="expected at least one point"):
@@ -169,7 +169,7 @@ def test_ndtw_is_1_for_the_same_and_less_for_others(a, b):
     [([], 0, 0.0), ([[5.0, 1.1]], 0, 0.0), ([[5.0, 0.9]], 1, 0.1),
      ([[5.0, 0.9], [5.5, -0.7]], 1, 0.3), ([[2.0, 0.9], [8.0, 0.0]], 2, 1.0)],
 )  # fmt: skip
-def test_contacts_with_points_are_no_coarser_than_these(solid, expected, depth_m):
+def test_contacts_with_points_have_their_exact_depth(solid, expected, depth_m):
     solid_m, driven = np.array(solid, np.float64).reshape(-1, 2), path([[0, 0], [10, 0]])
     assert point_contacts(driven, solid_m, 1.0) == expected
     assert contact_depth_m(driven, solid_m, 1.0) == pytest.approx(depth_m)

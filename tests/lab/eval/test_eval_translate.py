@@ -106,7 +106,7 @@ def test_prefix(text: str, infix: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "& a", "a b", "F a F"])
-def test_what_is_no_prefix(text: str) -> None:
+def test_an_invalid_prefix_formula_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"too few operands|expected one formula"):
         translation_cases.from_prefix(text)
 
@@ -148,7 +148,7 @@ OWN = """sentence\tright
 """
 
 
-def test_sentences_of_ones_own(tmp_path: Path) -> None:
+def test_custom_sentences_are_scored(tmp_path: Path) -> None:
     path = tmp_path / "own.tsv"
     path.write_text(OWN, encoding="utf-8")
     cases, left_out = translation_cases.custom_cases(path)
@@ -208,7 +208,7 @@ class _Failing:
         (KeyboardInterrupt(), KeyboardInterrupt, None),
     ],
 )
-def test_what_stops_the_scoring_is_no_refusal_and_costs_nothing_that_is_done(
+def test_an_interrupted_scoring_keeps_the_finished_cases(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     error: BaseException, raised: type[BaseException], words: str | None,
 ) -> None:  # fmt: skip
@@ -224,7 +224,7 @@ def test_what_stops_the_scoring_is_no_refusal_and_costs_nothing_that_is_done(
     assert "ViTL tasks" in capsys.readouterr().out
 
 
-def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_formula_too_large_to_compare_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_large(*_: object) -> None:
         raise CompileError("more than 10 states")
 
@@ -234,7 +234,7 @@ def test_what_cannot_be_compared_is_no_refusal(monkeypatch: pytest.MonkeyPatch) 
         translate.score(case, make_translator(TranslatorGrammar()))
 
 
-def test_run_says_what_it_skips(capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_reports_skipped_data_sets(capsys: pytest.CaptureFixture[str]) -> None:
     assert _run("--limit", "1", "--backend", "grammar") == 0
     assert "--lang2ltl" in capsys.readouterr().err
 
@@ -248,6 +248,6 @@ def test_another_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.skipif(not LANG2LTL.exists(), reason="needs ../shared/nl2ltl")
-def test_what_missions_can_express_of_lang2ltl() -> None:
+def test_lang2ltl_cases_exclude_patrolling() -> None:
     cases, left_out = translation_cases.lang2ltl_cases(LANG2LTL)
     assert (len(cases), left_out) == (1031, Counter(patrolling=125))

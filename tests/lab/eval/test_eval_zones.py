@@ -60,11 +60,11 @@ def test_the_distance_is_that_of_opencv(polygon, x, y):
         assert found == pytest.approx(max(0.0, -signed), abs=1e-3)
 
 
-def test_no_episode_gets_no_zone(config):
+def test_no_episodes_get_no_zones(config):
     assert with_zones(config, [], 0) == []
 
 
-def test_each_zone_lies_on_the_way_and_off_the_start(config, tmp_path):
+def test_each_zone_lies_on_the_path_and_off_the_start(config, tmp_path):
     # A zone depends on the episode's id, and so on the folder: 40 of them leave detours and none.
     episodes = plan(config, [], ["bed", "sofa"], 20, 0, 2.0)
     zoned = with_zones(config, episodes, 0)

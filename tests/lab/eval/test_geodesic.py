@@ -57,7 +57,7 @@ def crate(x: float, y: float) -> WorldObject:
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 20), k=st.integers(0, 20))
-def test_what_is_near_agrees_with_plain_numpy(seed, n, k):
+def test_any_within_agrees_with_numpy(seed, n, k):
     rng = np.random.default_rng(seed)
     places, points = rng.uniform(0, 4, (n, 2)), rng.uniform(0, 4, (k, 2)).astype(np.float32)
     apart = np.linalg.norm(places[:, None] - points[None].astype(float), axis=2)
@@ -76,6 +76,6 @@ def test_a_footprint_counts_and_not_the_box_around_it():
     ("x", "y", "expected"),
     [(1.0, 1.2, 1.9), (3.8, 1.2, 0.0), (0.1, 1.2, math.inf), (9, 9, math.inf)],
 )
-def test_distance_to_where_success_begins(x, y, expected):
+def test_the_field_holds_distances_to_the_success_radius(x, y, expected):
     field = geodesic.distance_field(room(), [crate(4.0, 1.2)], 0.2, 1.0)
     assert geodesic.value_at(room(), field, x, y) == pytest.approx(expected, abs=0.06)

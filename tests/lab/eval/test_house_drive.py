@@ -20,7 +20,7 @@ def test_a_drive_of_no_time_has_no_messages():
     assert stamps_ns(0.0) == []
 
 
-def test_a_drive_goes_on_after_its_last_stop(monkeypatch):
+def test_a_drive_continues_after_its_last_stop(monkeypatch):
     monkeypatch.setattr(drives, "_STOPS", 1)
     stamps = stamps_ns(40.0)
     assert round(1e-9 * (stamps[-1] - stamps[0]), 1) == 39.9

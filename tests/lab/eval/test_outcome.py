@@ -26,7 +26,7 @@ def test_a_new_folder_has_no_outcomes(tmp_path):
     assert OutcomeFile(tmp_path / "new").known == {}
 
 
-def test_what_is_appended_is_there_again(tmp_path):
+def test_an_appended_outcome_is_read_back(tmp_path):
     outcome = crashed_outcome(COLUMN, EPISODE, "two\nlines")
     OutcomeFile(tmp_path).append(outcome)
     assert OutcomeFile(tmp_path).known == {("e0", "c0"): outcome}
@@ -53,7 +53,7 @@ def test_half_a_line_is_cut_off_and_written_again(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["[]", "{", "{}", json.dumps({"episode": "a", "start": [0]})])
-def test_lines_that_are_no_outcomes_are_refused(tmp_path, text):
+def test_invalid_outcome_lines_are_refused(tmp_path, text):
     (tmp_path / OUTCOMES_NAME).write_text(text + "\n")
     with pytest.raises(UserError, match="line 1: not an outcome of this version"):
         OutcomeFile(tmp_path)
@@ -65,7 +65,7 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path):
         OutcomeFile(tmp_path / "file")
 
 
-def test_what_is_not_finite_is_null():
+def test_non_finite_numbers_become_null():
     outcome = EpisodeOutcome(
         "e", "c", "i", "w", "house", "bed", None, (0.0, 0.0, 0.0), 1.0, False, "", "budget",
         distance_m=math.inf, trail=[[1.23456789, math.nan]],

@@ -60,7 +60,7 @@ def test_views_are_counted(case):
     arrays.arrays(np.uint16, (6, 7), elements=st.integers(0, 4)),
     arrays.arrays(np.float32, (6, 7), elements=st.sampled_from((1.0, 9.0, np.nan))),
 )
-def test_boxes_agree_with_plain_ones(ids, depth_m):
+def test_visible_boxes_agree_with_numpy(ids, depth_m):
     boxes = visible_boxes(ids, depth_m, 5.0, 4)
     assert boxes[0].tolist() == [0] * 5
     for k in range(1, 4):

@@ -78,7 +78,7 @@ def serve_fallen(pipe):
 
 
 def test_a_process_that_falls_over_fails_its_episode_only(tasks, monkeypatch):
-    # A child imports this module by its name, and knows nothing of what is patched here.
+    # A child imports this module by its name, and does not see the patches.
     real, started = workers.get_context("spawn"), []
 
     class Context:
@@ -133,7 +133,7 @@ def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path
     assert OutcomeFile(tmp_path / "out").known == {}
 
 
-def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
+def test_an_interrupted_run_resumes(config, tmp_path):
     episodes, out = plan(config, [], ["bed", "sofa"], 1, 0, 2.0), tmp_path / "out"
     stop, told = threading.Event(), []
 
@@ -152,7 +152,7 @@ def test_a_run_goes_on_where_it_was_broken_off(config, tmp_path):
     run_all(arms, episodes, out, on_outcome=lambda *news: pytest.fail("run again"))
 
 
-def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_path, monkeypatch):
+def test_changed_arms_and_crashes_are_run_again(config, tmp_path, monkeypatch):
     episodes, out = plan(config, [], ["bed"], 1, 0, 2.0), tmp_path / "out"
     (arm,) = make_arms(config, {"it": {}})
     with monkeypatch.context() as patched:
@@ -168,7 +168,7 @@ def test_a_column_that_was_changed_is_run_again_and_a_crash_as_well(config, tmp_
     assert other_run.arm_id == other.id != good.arm_id
 
 
-def test_a_mission_of_several_things_is_judged_at_each(config):
+def test_a_mission_with_several_targets_is_judged_at_each(config):
     (there,) = plan(config, [], ["bed"], 1, 0, 2.0)
     told = dataclasses.replace(
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
@@ -271,7 +271,7 @@ def test_a_worker_stays_in_its_world(waiting, loaded, others, taken):
         (["--goals", "2", "--targets", "bed"], "no world has 2 of the targets"),
     ],
 )
-def test_what_cannot_be_run_is_reported_at_once(yaml_path, capsys, options, message):
+def test_invalid_options_are_reported_before_the_run(yaml_path, capsys, options, message):
     assert main([*COMMAND, yaml_path, *options]) != 0
     assert message in capsys.readouterr().err
 

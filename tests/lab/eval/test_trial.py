@@ -47,7 +47,7 @@ def test_without_a_sentence_nothing_is_made(tmp_path, capsys, words):
     assert not out.exists()
 
 
-def test_a_trajectory_leads_to_what_the_sentence_names():
+def test_a_trajectory_leads_to_the_named_object():
     outcome, failed = run_task("go to the red car", seen(), load("street"))
     assert failed is None
     (car,) = outcome.mentioned_objects()
@@ -81,20 +81,20 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
     assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_reached_is_reported(tmp_path, capsys):
+def test_an_unreachable_goal_is_reported(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go straight for 300 metres")
     assert code == os.EX_DATAERR
     assert "the path straight on is blocked" in capsys.readouterr().err
 
 
-def test_the_detector_of_the_configuration_looks_for_what_is_named(tmp_path, capsys):
+def test_the_configured_detector_finds_the_named_object(tmp_path, capsys):
     code, _ = trajectory(tmp_path, "street:3", "go to the red car", "--objects", "detector")
     assert code == os.EX_OK
     assert "from the simulated detector" in capsys.readouterr().out
 
 
-def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, monkeypatch):
-    """The shipped detector sees nothing there; the ground is what is flat."""
+def test_a_detector_works_without_labels(tmp_path, capsys, monkeypatch):
+    """The shipped detector finds nothing there; flat cells are ground."""
     folder = write(tmp_path / "sequence", points=20_000)
     (folder / "labels/000000.label").unlink()
     detector = {"kind": "onnx", "model": "mini-house-256x320-int8-cpu", "background": ["chair"]}
@@ -108,7 +108,7 @@ def test_a_detector_needs_an_image_and_a_scan_and_no_labels(tmp_path, capsys, mo
     np.testing.assert_allclose(poses[-1][:2], (8.0, 0.0), atol=0.3)
 
 
-def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, monkeypatch):
+def test_a_plugin_pipeline_replaces_the_detector(tmp_path, capsys, monkeypatch):
     """It calls the car a mailbox, and says that it is yellow."""
     folder = write(tmp_path / "sequence", points=20_000)
     chain = {"kind": "own_chain:make", "options": {"box": [35, 15, 65, 50]}}
@@ -139,7 +139,7 @@ def test_a_chain_of_ones_own_sees_in_place_of_the_detector(tmp_path, capsys, mon
         ),
     ],
 )
-def test_a_chain_that_is_none_is_one_line(tmp_path, capsys, monkeypatch, chain, line):
+def test_an_unusable_pipeline_is_an_error_of_one_line(tmp_path, capsys, monkeypatch, chain, line):
     folder = write(tmp_path / "sequence")
     monkeypatch.setenv("EDGE__TASKS__PIPELINE", json.dumps(chain))
     options = "--config", "kitti", "--objects", "detector"
@@ -165,7 +165,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
+def test_invalid_input_is_reported_in_one_line(tmp_path, capsys, case):
     args, code, line = WRONG[case]
     assert trajectory(tmp_path, *args)[0] == code
     said = capsys.readouterr().err
@@ -173,7 +173,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path, capsys, case):
     assert said.count("\n") == 1
 
 
-def test_a_folder_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys):
+def test_an_unwritable_folder_is_reported_first(tmp_path, capsys):
     (tmp_path / "out").write_text("a file")
     assert trajectory(tmp_path, "nowhere", "go to the car")[0] == os.EX_IOERR
     assert "out: cannot be written: File exists; choose another folder" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The verdict on an episode: what was so, whatever the service said."""
+"""The verdict on an episode by the ground truth, whatever the service reported."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ def stage(tmp_path):
     return Stage(tmp_path)
 
 
-def test_an_episode_that_reaches_the_thing_is_no_failure(stage):
+def test_an_episode_that_reaches_its_object_is_no_failure(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
     assert stage.failure() is None
     assert stage.logger.wrong_stops == []
 
 
-def test_a_stop_far_from_it_is_the_wrong_thing(stage):
+def test_a_stop_far_from_the_object_is_the_wrong_object(stage):
     stage.tick(5.0, shown=["bed"])
     stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
     assert stage.failure() == "wrong thing"
@@ -85,7 +85,7 @@ def test_a_stop_far_from_it_is_the_wrong_thing(stage):
 
 
 @pytest.mark.parametrize("xy", [(5.2, 2.0), (2.0, 2.0)])  # at the bed, and far from it
-def test_a_probable_object_is_neither_right_nor_wrong(stage, xy):
+def test_a_probable_object_counts_as_neither_right_nor_wrong(stage, xy):
     text = "reached: bed (probably, 0.62: bed or sofa)"
     stage.tick(9.0, xy, phase="reached", reached="bed", text=text)
     assert stage.failure() == "probable"
@@ -98,13 +98,13 @@ def test_an_object_that_a_person_confirmed_is_judged(stage):
     assert stage.failure() == "wrong thing"
 
 
-def test_what_never_came_into_view_was_never_seen(stage):
+def test_a_target_never_in_view_counts_as_never_seen(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
     assert stage.failure() == "never seen"
     assert stage.logger.first_sight() is None
 
 
-def test_what_was_in_view_and_not_confirmed(stage):
+def test_a_target_in_view_counts_as_seen_not_confirmed(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["bed"])
     stage.tick(9.0, (3.0, 2.0), phase="failed", reason="path limit of 100 m")
     assert stage.failure() == "seen, not confirmed"
@@ -122,14 +122,14 @@ def test_a_minute_in_one_place_is_stuck(stage):
     assert stage.failure() == "stuck"
 
 
-def test_a_confirmed_one_that_was_given_up_is_stuck(stage):
+def test_a_confirmed_object_that_was_given_up_counts_as_stuck(stage):
     stage.tick(5.0, (3.0, 2.0), shown=["bed"], instances=[instance(1, BED)])
     stage.tick(9.0, (5.0, 2.0), phase="failed", reason="no way to it")
     assert stage.failure() == "stuck"
 
 
 @pytest.mark.parametrize(("near_m", "seen"), [(2.0, True), (6.0, True), (6.1, False)])
-def test_it_is_seen_within_the_detectors_range(stage, near_m, seen):
+def test_an_object_counts_as_seen_within_the_detectors_range(stage, near_m, seen):
     stage.tick(5.0, shown=["bed"], near_m=near_m)
     stage.tick(7.0, shown=["bed"], near_m=2.0)
     assert stage.logger.first_sight().seconds == (5.0 if seen else 7.0)
@@ -142,7 +142,7 @@ def test_an_error_of_its_own_is_kept(stage):
     assert isinstance(stage.logger.fault, TypeError)
 
 
-def test_things_are_those_of_the_name_else_of_the_noun(tmp_path):
+def test_targets_are_matched_by_name_or_noun(tmp_path):
     world = load_world(small_house(tmp_path))
     for target in ("bed", "double bed", "soft red bed"):
         assert [o.label for o in objects_meant_by(world, target)] == ["bed"]
@@ -165,7 +165,7 @@ def test_narrower_kinds_count_as_for_the_service(target, labels):
     assert [thing.label for thing in objects_meant_by(world, target)] == labels
 
 
-def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
+def test_area_seen_by_an_earlier_search_counts_as_revisited(tmp_path):
     stage = Stage(tmp_path, ("bed", "sofa"))
     assert stage.logger.revisited_m2 == 0.0
     stage.tick(1.0, target="sofa")
@@ -175,7 +175,7 @@ def test_what_one_search_saw_and_the_next_sees_too_is_seen_again(tmp_path):
     assert stage.logger.revisited_m2 == seen_m2
 
 
-def test_what_is_known_already_is_not_searched_for(tmp_path):
+def test_driving_to_a_known_object_counts_no_revisits(tmp_path):
     stage = Stage(tmp_path, ("sofa", "bed"))
     stage.tick(1.0, target="sofa")
     before_m2 = stage.logger.revisited_m2

@@ -21,7 +21,7 @@ OTHERS = WordCount(scores=[0.3, 0.9], right=[False, True])  # half of all object
         ([0.96] * 4, [0.96] * 8, OTHERS, NEVER),
     ],
 )
-def test_the_lowest_score_at_which_enough_objects_are_right(wrong, right, others, score):
+def test_score_for_finds_the_lowest_precise_score(wrong, right, others, score):
     count = WordCount(0, 0, [*wrong, *right], [False] * len(wrong) + [True] * len(right))
     assert score_for(count, others, 0.9, 0.3) == score
 
@@ -63,7 +63,7 @@ def image(*boxes: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
     return ids, depth_m
 
 
-def test_the_command_prints_words_of_the_detector_and_what_to_configure(capsys):
+def test_the_command_prints_word_scores_and_the_configuration(capsys):
     arguments = ["eval", "words", "demo", "--worlds", "generated[3]", "--poses", "6"]
     assert main([*arguments, "--precision", "0.5"]) == 0
     table, lines = capsys.readouterr().out.split("\n\n")

@@ -50,7 +50,7 @@ def inflated(cells: np.ndarray, radius_m: float = 0.25) -> np.ndarray:
 
 @dataclass
 class Walk:
-    """A robot with the limits of the configuration, and what happened to it."""
+    """A robot with the limits of the configuration, and its history."""
 
     pose: SE2
     controller: Controller = field(default_factory=lambda: Controller(CONFIG))
@@ -67,7 +67,7 @@ class Walk:
         return [a.blocked for a in self.answers if a.blocked is not None]
 
     def map(self, cells: np.ndarray) -> None:
-        """Return the service's map, which is closed where the robot was stuck."""
+        """Return the service's map with the places closed at which the robot was stuck."""
         cells = cells.copy()
         for x, y in self.blocked:
             cv2.circle(cells, (int(x / RES_M), int(y / RES_M)), round(0.25 / RES_M), 100, -1)
@@ -176,7 +176,7 @@ BESIDE = SE2(1.0, 2.0, 0.0)
         (inflated(CLOSED_ROOM, 0.6), SE2(4.07, 2.0, 0.0), "goal blocked"),
     ],
 )
-def test_no_way_fails_with_the_reason_and_after_a_while(cells, goal, reason):
+def test_a_goal_without_a_path_fails_after_a_wait(cells, goal, reason):
     walk = Walk(BESIDE)
     if cells is not None:
         walk.map(cells)
@@ -207,7 +207,7 @@ def test_a_path_that_closes_is_planned_again_at_once():
     walk.assert_kept_off(inflated(one_door))
 
 
-def test_a_wall_across_the_way_stops_the_robot():
+def test_a_wall_across_the_path_stops_the_robot():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(inflated(DOORWAY))
     walk.goal(1, SE2(7.0, 2.0, 0.0))
@@ -242,7 +242,7 @@ LAST_NS, FIRST_NS = (2**31 - 1) * 10**9 + 999_999_999, -(2**31) * 10**9
     [(10, 20), (20, 10), (LAST_NS, 10), (10, FIRST_NS), (FIRST_NS, LAST_NS), (0, -1), (5, 5)],
     ids=str,
 )
-def test_the_goal_that_came_last_takes_over_and_the_one_before_is_refused(first, second):
+def test_the_newest_goal_replaces_the_earlier_one(first, second):
     before, goal = SE2(5.0, 1.0, 0.0), SE2(1.5, 3.0, 1.0)
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(6.0, 4.0))
@@ -259,7 +259,7 @@ def test_the_goal_that_came_last_takes_over_and_the_one_before_is_refused(first,
     assert walk.answers[-1] == GoalStatus(first, "failed", "replaced by a newer goal")
 
 
-def test_a_repeated_goal_is_answered_with_how_it_stands():
+def test_a_repeated_goal_is_answered_with_its_state():
     goal = SE2(2.0, 1.0, 0.0)
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(4.0, 4.0))
@@ -277,7 +277,7 @@ def test_a_repeated_goal_is_answered_with_how_it_stands():
 
 
 @pytest.mark.parametrize("bad", [SE2(math.nan, 0.0, 0.0), SE2(0.0, math.inf, 0.0)])
-def test_a_goal_that_is_no_place_is_refused(bad):
+def test_a_goal_that_is_not_finite_is_refused(bad):
     walk = Walk(BESIDE)
     walk.goal(1, bad)
     assert walk.states == [(1, "failed")]
@@ -300,7 +300,7 @@ def test_a_held_robot_recovers_once_and_then_fails():
     assert walk.answers[-1] == GoalStatus(1, "failed", "stuck")  # reported once
 
 
-def test_a_robot_in_contact_at_its_side_gets_free():
+def test_a_robot_touching_a_corner_gets_free():
     """Neither the path nor the way back leads off the corner on its left."""
     walk, start, goal = Walk(SE2(1.0, 2.0, 0.25)), SE2(1.0, 2.0, 0.25), SE2(5.0, 3.0, 0.0)
     cells, corner_rad = room(6.0, 4.0), 0.25 + 0.5 * math.pi
@@ -330,7 +330,7 @@ def test_a_held_robot_that_should_turn_was_blocked_nowhere():
     assert walk.blocked == []
 
 
-def test_a_robot_that_pushes_says_so_at_once_and_a_slow_base_does_not():
+def test_a_pushing_robot_reports_it_but_a_slow_one_not():
     """Its wheels answer half a second late."""
     pushing, slow = (Walk(SE2(1.0, 2.0, 0.0), held=True) for _ in range(2))
     for walk in (pushing, slow):
@@ -343,7 +343,7 @@ def test_a_robot_that_pushes_says_so_at_once_and_a_slow_base_does_not():
     assert slow.blocked == []
 
 
-def test_what_the_map_does_not_show_is_driven_around():
+def test_the_robot_drives_around_an_unmapped_obstacle():
     """A chair leg in the way: once the map shows it, the next path leads past it."""
     walk, goal = Walk(SE2(1.0, 2.0, 0.0)), SE2(5.0, 2.0, 0.0)
     leg = SE2(3.0, 2.0, 0.0)
@@ -369,7 +369,7 @@ def test_what_the_map_does_not_show_is_driven_around():
     assert math.dist((x, y), (leg.x_m, leg.y_m)) < 0.1
 
 
-def test_a_pose_that_is_pulled_back_for_ever_fails_without_progress():
+def test_a_pose_reset_again_and_again_fails_without_progress():
     walk = Walk(SE2(1.0, 2.0, 0.0))
     walk.map(room(6.0, 4.0))
     walk.goal(1, SE2(5.0, 2.0, 0.0))
@@ -398,7 +398,7 @@ def test_a_clock_that_is_set_back_is_a_new_run():
 
 
 @pytest.mark.parametrize("pose", [SE2(math.nan, 1.0, 0.0), SE2(1.0, 1.0, math.inf)])
-def test_a_pose_that_is_no_place_stops_the_robot(pose):
+def test_a_pose_that_is_not_finite_stops_the_robot(pose):
     walk = Walk(SE2(1.0, 1.0, 0.0))
     walk.map(room(4.0, 4.0))
     walk.goal(1, SE2(3.0, 3.0, 0.0))

@@ -208,7 +208,7 @@ def connect(robot: Robot) -> None:
 
 
 @real_time
-def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
+def test_real_time_commands_stop_without_odometry(robot: Robot):
     connect(robot)
     wait_for(robot, moving=True)
     # Silence: the newest command is a stop, again and again.
@@ -221,7 +221,7 @@ def test_real_time_commands_come_and_stop_without_odometry(robot: Robot):
 
 
 @real_time
-def test_real_time_stops_when_maps_cease_and_goes_on_when_they_are_back(robot: Robot, caplog):
+def test_real_time_stops_without_maps_and_resumes_with_them(robot: Robot, caplog):
     connect(robot)
     wait_for(robot, moving=True)
     # The odometry goes on, the maps do not.
@@ -248,7 +248,7 @@ def test_malformed_messages_are_counted_and_logged_once(caplog):
     assert len([r for r in caplog.records if "odom" in r.getMessage()]) == 1
 
 
-def test_a_look_takes_no_more_than_the_ring_holds():
+def test_one_read_takes_at_most_a_full_ring():
     flood = (messages.encode_odometry(n, np.eye(4), 0.0, 0.0) for n in itertools.count(1))
     bus = process.Bus(Flooded("edge/odom", flood), simulated())
     for look in range(3):
@@ -257,7 +257,7 @@ def test_a_look_takes_no_more_than_the_ring_holds():
 
 
 @pytest.mark.parametrize(("lockstep", "taken"), [(True, 2), (False, 3)])
-def test_a_map_that_is_sent_again_is_no_newer_one_in_lockstep(lockstep, taken):
+def test_lockstep_ignores_a_repeated_map(lockstep, taken):
     grid, heard = Grid(CELLS, (0.0, 0.0), 0.05), []
     maps = [messages.encode_occupancy_grid(stamp_ns, grid) for stamp_ns in (1, 1, 2)]
     bus = process.Bus(Flooded("edge/map", maps), simulated({"sim": {"lockstep": lockstep}}))

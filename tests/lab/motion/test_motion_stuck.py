@@ -32,7 +32,7 @@ HERE = SE2(1.0, 2.0, 0.0)
         ([*[(0.0, 0.5)] * 5, (0.06, 0.5), *[(0.0, 0.5)] * 6], 11),  # it came free once
     ],
 )
-def test_a_robot_that_drives_in_vain_is_pushing(steps, after):
+def test_a_robot_that_moves_less_than_commanded_is_pushing(steps, after):
     """Steps of 0.1 s: the distance driven, and the commanded speed."""
     contact, x, said = ContactDetector(0.3, 0.05), 0.0, []
     for moved_m, v_mps in steps:
@@ -41,14 +41,14 @@ def test_a_robot_that_drives_in_vain_is_pushing(steps, after):
     assert (said.index(True) + 1 if any(said) else None) == after
 
 
-def test_progress_waits_for_the_way_to_get_shorter():
+def test_progress_waits_for_a_shorter_path():
     progress = ProgressMonitor(5.0)
     assert all(progress.update(10.0 - 0.1 * k, k * S) for k in range(50))
     assert all(progress.update(5.2, (49 + k) * S) for k in range(5))
     assert not progress.update(5.2, 55 * S)
 
 
-def test_progress_forgives_detours_but_not_for_ever():
+def test_progress_forgives_a_limited_number_of_detours():
     progress = ProgressMonitor(5.0)
     lengths = [2.0, 9.0] * (DETOURS + 3)
     said = [progress.update(m, 4 * k * S) for k, m in enumerate(lengths)]
@@ -61,7 +61,7 @@ def _recovery(weights: np.ndarray) -> Recovery:
     return Recovery(HERE, costmap, BacktrackPath(), MotionLimits.of(RobotConfig()), 0)
 
 
-def test_recovery_backs_up_where_the_map_is_open():
+def test_recovery_backs_up_in_open_space():
     recovery = _recovery(np.ones((40, 40), np.uint8))
     assert recovery.step(HERE, 1).v_mps < 0
     assert recovery.is_held(HERE)
@@ -70,7 +70,7 @@ def test_recovery_backs_up_where_the_map_is_open():
     assert not recovery.is_held(back)
 
 
-def test_recovery_turns_where_it_is_closed_behind():
+def test_recovery_turns_if_blocked_behind():
     weights = np.ones((40, 40), np.uint8)
     weights[:, :9] = 0
     recovery = _recovery(weights)
@@ -93,7 +93,7 @@ def test_recovery_turns_where_it_is_closed_behind():
         ([(20, 9), (24, 10)], 0.0),  # the far cell does not count
     ],
 )
-def test_recovery_drives_away_from_closed_cells_where_the_way_back_did_not_help(closed, away_rad):
+def test_recovery_drives_away_from_closed_cells(closed, away_rad):
     weights = np.ones((40, 40), np.uint8)
     for cell in closed:
         weights[cell] = 0
@@ -116,7 +116,7 @@ def test_recovery_ends_in_time(now_ns):
 
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.4, math.pi / 2, math.pi])
-def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
+def test_recovery_drives_back_along_the_trail(turned_rad):
     """Round a corner too, whatever the map says, and however the robot has turned since."""
     trail, way = BacktrackPath(), [(0.05 * k, 0.0) for k in range(20)] + [(0.95, 0.05), (0.95, 0.1)]
     for x, y in way:
@@ -135,7 +135,7 @@ def test_recovery_drives_out_the_way_the_robot_came(turned_rad):
     assert all(min(at.distance_to(*there) for there in way) < 0.06 for at in driven)
 
 
-def test_the_trail_has_no_loops_and_ends_where_the_robot_was_carried():
+def test_the_trail_drops_loops_and_restarts_after_a_jump():
     trail = BacktrackPath()
     assert trail.back_from(HERE) == []
     for x in (0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.2):

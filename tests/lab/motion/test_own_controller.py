@@ -23,14 +23,14 @@ def code() -> str:
     return code
 
 
-def test_it_is_as_short_as_it_says(code):
+def test_the_example_controller_is_as_short_as_documented(code):
     lines = [line for line in code.splitlines() if line and not re.match("import|from", line)]
     assert len(lines) <= MAX_LINES
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_a_controller_of_ones_own_drives_the_robot_to_its_target(code, edge, endpoint, tmp_path):  # noqa: F811
+def test_a_plugin_controller_drives_the_robot_to_its_target(code, edge, endpoint, tmp_path):  # noqa: F811
     (tmp_path / "my_controller.py").write_text(code, "utf-8")
     config = write_config(tmp_path, zenoh={"endpoint": endpoint}, **SMALL)
     service = edge("run", config, "--once").says("ready:")

@@ -1,4 +1,4 @@
-"""A run that never was: a furnished flat, a robot's way through it, and what it saw."""
+"""A made-up run: a furnished flat, the path of a robot and its detections."""
 
 from __future__ import annotations
 

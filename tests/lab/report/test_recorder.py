@@ -69,7 +69,7 @@ def test_trajectory_keeps_steps_and_counts_from_the_start():
 
 
 @given(n=st.integers(1, 900), capacity=st.integers(4, 40))
-def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
+def test_a_path_of_any_length_is_thinned_to_the_capacity(n, capacity):
     trail = DrivenPath(capacity)
     for k in range(n):
         trail.append(k * S, SE2(float(k), 0.0, 0.0))
@@ -82,7 +82,7 @@ def test_a_trail_of_any_length_fits_and_spans_it_all(n, capacity):
     assert n - 1 - poses[-1, 0] < max(1.0, STEP_M * trail._stride), "within a step of the end"
 
 
-def test_events_without_end_are_counted():
+def test_surplus_events_are_only_counted():
     recorder = make()
     for k in range(2000):
         recorder.tick(result(events=(Event(k, f"{k}"),)))
@@ -153,7 +153,7 @@ def left_to_reach(record: RunRecord) -> str:
     return after.partition("</dd>")[0] if found else ""
 
 
-def test_the_story_of_a_mission_under_way():
+def test_the_record_of_a_running_mission():
     run = under_way("F(chair & F sofa) & (!bed W sofa)")
     run.on_reached("seen in 9 images", S)
     record = told_of(run)
@@ -163,7 +163,7 @@ def test_the_story_of_a_mission_under_way():
     assert not record.has_single_target
 
 
-def test_the_story_of_a_mission_that_failed_says_what_was_left():
+def test_a_failed_mission_lists_the_targets_left():
     run = under_way("F(chair & F sofa)")
     run.fail("time limit of 45 s", S)
     assert left_to_reach(told_of(run)) == "chair, then sofa"
@@ -176,7 +176,7 @@ def test_the_story_of_a_mission_that_failed_says_what_was_left():
         ({"kind": "onnx", "model": "m1"}, "m1 on CPUExecutionProvider"),
     ],
 )
-def test_a_detector_is_called_what_it_is(detector, words):
+def test_the_report_names_the_detector(detector, words):
     assert words in detector_name(simulated({"perception": {"detector": detector}}))
 
 

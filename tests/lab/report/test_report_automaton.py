@@ -84,7 +84,7 @@ def boxes(axes: Axes) -> list[Bbox]:
     return [box.padded(-0.5) for box in (*labels, *discs)]
 
 
-# -- what is shown ------------------------------------------------------------------------------
+# -- the drawing -------------------------------------------------------------------------------
 
 
 @given(automata())
@@ -111,7 +111,7 @@ def test_the_titles_say_all_that_the_automaton_does(automaton):
     assert shown == {0, *np.flatnonzero(automaton.steps_left >= 0).tolist()}
 
 
-def test_the_way_and_the_plan():
+def test_the_path_and_the_plan_are_drawn():
     drawn = make_automaton_graph(automaton("case 1"), 2, ("plant", "tv"), ("bed",))
     roles = {a.role: [] for a in drawn.arrows}
     for arrow in drawn.arrows:
@@ -123,7 +123,7 @@ def test_the_way_and_the_plan():
 
 @pytest.mark.parametrize("n", [6, 8])
 @pytest.mark.parametrize("reached", [0, 2, 5])
-def test_of_a_large_automaton_the_part_that_matters(n, reached):
+def test_a_large_automaton_is_drawn_in_part(n, reached):
     a = unordered(n)
     path, plan = a.propositions[:reached], a.propositions[reached:]
     scene = make_automaton_graph(a, a.run(path), plan, path)
@@ -142,7 +142,7 @@ def test_of_a_large_automaton_the_part_that_matters(n, reached):
 
 @pytest.mark.parametrize(("n", "k"), [(20, 30), (40, 8), (60, 40)])
 @pytest.mark.parametrize("ahead", [0, 20])
-def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
+def test_a_dense_automaton_is_drawn_with_few_arrows(n, k, ahead):
     delta = np.random.default_rng(n).integers(0, n, (n, k + 1)).astype(np.int32)
     accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
     letters = tuple(f"thing {i}" for i in range(k))
@@ -158,7 +158,7 @@ def test_where_everything_leads_everywhere_little_is_drawn(n, k, ahead):
 
 
 @given(automata())
-def test_every_arrow_goes_column_by_column_and_no_two_things_share_a_place(automaton):
+def test_arrows_run_column_by_column_without_overlaps(automaton):
     scene = make_automaton_graph(automaton)
     layout = lay_out(scene)
     places = [*layout.nodes, *(stop for route in layout.routes for stop in route)]

@@ -52,11 +52,11 @@ def record_of(*ticks, frames: int = 4, **end):
     return recorder.record(result(**end), {})
 
 
-def test_a_frontier_behind_the_robot_gets_no_letter():
+def test_a_frontier_behind_the_robot_is_not_asked_about():
     assert record_of(answered(S, (-4.0, 0.0))).asked == ()
 
 
-def test_one_answer_is_kept_once_and_at_most_so_many():
+def test_answers_are_kept_once_and_up_to_a_limit():
     tick = answered(S, (4.0, 0.0))
     assert len(record_of(tick, tick, tick).asked) == 1
     many = [answered(k * 3 * S, (4.0, 0.0)) for k in range(1, 60)]
@@ -67,7 +67,7 @@ def test_one_answer_is_kept_once_and_at_most_so_many():
     assert record_of(*many, frames=0).asked == ()
 
 
-def test_the_page_shows_answers_and_the_value_maps_and_escapes_them():
+def test_the_page_shows_escaped_answers_and_value_maps():
     cells = np.zeros((30, 40), np.uint8)
     cells[10:20, 5:15] = 200
     layers = {
@@ -80,5 +80,5 @@ def test_the_page_shows_answers_and_the_value_maps_and_escapes_them():
     page = choices.section(replace(record, start_ns=0))
     assert "1.0 s, bed: A 0.80 · elsewhere 0.20; scene 0.75" in page
     assert "value of &lt;bed&gt;" in page
-    assert "value of sofa" not in page  # of which nothing was said
-    assert 'viewBox="0 0 10 10"' in page  # what is known of it
+    assert "value of sofa" not in page  # it has no scores
+    assert 'viewBox="0 0 10 10"' in page  # the known cells

@@ -12,7 +12,7 @@ from report_runs import FORMULA, story_of
 from edge.lab.report import canvas, gantt, palette
 
 
-def told(run, steps, formula=FORMULA, targets=("chair", "sofa", "tv", "bed")):
+def with_steps(run, steps, formula=FORMULA, targets=("chair", "sofa", "tv", "bed")):
     return replace(run, mission_facts=story_of(formula, (), steps), targets=targets)
 
 
@@ -26,11 +26,11 @@ def chart(page):
     return page.figure.axes[1]
 
 
-def test_without_a_story_or_steps_there_is_no_picture(run):
+def test_without_a_log_there_is_no_chart(run):
     assert gantt.pursuit_intervals(run) == []
     assert gantt.draw(run) is None
-    assert gantt.draw(told(run, ())) is None
-    assert gantt.draw(told(run, ((0.0, "start", "", "mission"),))) is None
+    assert gantt.draw(with_steps(run, ())) is None
+    assert gantt.draw(with_steps(run, ((0.0, "start", "", "mission"),))) is None
 
 
 def test_spans(long_run):
@@ -43,7 +43,7 @@ def test_spans(long_run):
     ]
 
 
-def test_the_picture_shows_what_happened(long_run):
+def test_the_chart_shows_pursuits_switches_and_ends(long_run):
     drawn = chart(gantt.draw(long_run))
     assert [t.get_text() for t in drawn.get_yticklabels()] == ["sofa", "bed", "chair", "tv"]
     (bars,) = drawn.containers
@@ -63,7 +63,7 @@ def test_the_picture_shows_what_happened(long_run):
 def test_forty_targets_and_a_thousand_steps(run):
     labels = [f"thing {k}" for k in range(50)]
     steps = [(0.1 * k, "target", labels[k % 50], "why " * 200) for k in range(1000)]
-    record = told(run, steps, "F a", tuple(labels))
+    record = with_steps(run, steps, "F a", tuple(labels))
     assert len(gantt.pursuit_intervals(record)) == 1000
     page = gantt.draw(record)
     assert "10 more targets are not shown" in words(page)
@@ -75,7 +75,7 @@ def test_forty_targets_and_a_thousand_steps(run):
 def test_the_axis_has_round_numbers(run, end_s, last):
     short = replace(run, trajectory_t_s=run.trajectory_t_s[:0], events=())
     steps = ((0.0, "target", "tv", ""), (end_s, "end", "", ""))
-    ticks = [w for w in words(gantt.draw(told(short, steps))) if w.endswith((" s", " min"))]
+    ticks = [w for w in words(gantt.draw(with_steps(short, steps))) if w.endswith((" s", " min"))]
     assert ticks[0] == "0 s"
     assert ticks[-1] == last
     assert len(ticks) <= 13

@@ -56,7 +56,7 @@ def test_long_maps_keep_the_picture_readable(run, size_m):
     assert 800 < image.shape[1] < 1500
 
 
-def test_the_way_has_the_colours_of_its_targets_and_what_was_reached_a_number(long_run):
+def test_the_path_is_coloured_and_reached_targets_are_numbered(long_run):
     drawn, green = picture.png(long_run), palette.OUTCOME["reached"]
     by_time = replace(long_run, mission_facts=replace(long_run.mission_facts, log=()))
     simple = replace(long_run, mission_facts=None)

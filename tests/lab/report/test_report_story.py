@@ -1,4 +1,4 @@
-"""The page's part about the mission: when it is there, and what it says."""
+"""The page's section about the mission: when it exists, and its text."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_mission_is_explained_and_drawn(long_run):
     assert "2reached" in reader.text
 
 
-def test_a_mission_under_way_says_what_is_to_come(long_run):
+def test_a_running_mission_lists_the_targets_left(long_run):
     plan = replace(DEAD, steps=("sofa", "", "tv"))
     under_way = replace(long_run.mission_facts, trace=(), state=0, log=(), plan=plan)
     text = Reader(story.section(replace(long_run, mission_facts=under_way))).text
@@ -39,7 +39,7 @@ def test_a_mission_under_way_says_what_is_to_come(long_run):
     assert "reachednothing" in text
 
 
-def test_what_a_mission_turns_on_stands_out(long_run):
+def test_important_steps_are_highlighted(long_run):
     text = page.html(long_run, b"")
     assert '<dd class="reached">reached: tv (seen in 7 images)</dd>' in text
     assert '<dd class="failed">failed: chair (stuck)</dd>' in text

@@ -28,7 +28,7 @@ def test_a_run_without_a_task_has_no_part_about_one(run, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.png"]
 
 
-def test_what_was_asked_and_what_became_of_it(done):
+def test_the_task_section_shows_request_and_outcome(done):
     html = tasks.section(done, linked=True)
     for words in ("go through the door", "reached", "of it driven", tasks.SCENE_NAME, "Prompt"):
         assert words in html
@@ -71,7 +71,7 @@ def test_the_recorder_keeps_each_trajectory():
     )
 
 
-def test_a_task_that_was_never_written_says_what_was_missing(done):
+def test_an_unwritten_task_lists_the_missing_objects(done):
     html = tasks.section(replace(done, task=looking(phase="failed")), linked=False)
     assert "van, gate" in html
     assert "<dt>looked for</dt><dd>stop at the gate</dd>" in html
@@ -80,7 +80,7 @@ def test_a_task_that_was_never_written_says_what_was_missing(done):
     assert tasks.page(replace(done, map=None)) is None
 
 
-def test_what_a_model_wrote_is_no_markup(done, tmp_path):
+def test_text_of_a_model_is_escaped(done, tmp_path):
     hostile = replace(done, task=by_a_model())
     paths = page.write_report(hostile, tmp_path)
     for path in (paths.html, paths.scene):

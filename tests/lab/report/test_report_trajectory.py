@@ -17,20 +17,20 @@ from edge.trajectory.pursuit import MotionLimits
 AHEAD_M = np.column_stack([np.linspace(0.0, 6.0, 60), np.zeros(60), np.zeros(60)])
 
 
-def test_without_a_camera_there_is_no_picture():
+def test_without_a_camera_nothing_is_drawn():
     assert draw_trajectory(street(), None, AHEAD_M, 0.3) is None
 
 
 @pytest.mark.parametrize("poses_m", [None, AHEAD_M[:0], AHEAD_M - (9.0, 0.0, 0.0)])
-def test_what_is_not_before_the_camera_is_not_drawn(poses_m):
-    """But for the ground at its feet, where a way from behind may end."""
+def test_poses_outside_the_camera_view_are_not_drawn(poses_m):
+    """The ground at the camera's feet is an exception: a path from behind may end there."""
     scene = street(picture=True)
     image = draw_trajectory(scene, None, poses_m, 0.3)
     assert image.shape == (800, 1280, 3)
     assert (image == 90).all()
 
 
-def test_behind_a_thing_the_strip_is_faint():
+def test_the_strip_is_faint_behind_an_object():
     from dataclasses import replace
 
     open_way = street(picture=True)
@@ -51,7 +51,7 @@ def png(scene, *args):
     return cv2.cvtColor(cv2.imdecode(content, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
-def test_a_scene_alone_is_one_panel():
+def test_a_scene_without_a_trajectory_is_one_panel():
     alone = png(street(*STREET), None, None, None)
     assert alone.shape[1] == pytest.approx(1008, abs=40)
     limits = MotionLimits.of(load("street").robot)

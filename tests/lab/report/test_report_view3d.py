@@ -79,7 +79,7 @@ def test_an_empty_scene_is_a_page():
     assert unpacked(data["cloud"]["xyz_cm"], "<i2").size == 0
 
 
-def test_the_page_holds_what_was_given():
+def test_the_page_holds_the_given_scene():
     scene = with_a_car()
     cloud_m = np.array([[9.0, 2.0, 0.0], [np.nan, 0.0, 0.0], [1e9, 0.0, 0.0]], np.float32)
     data = data_of(page(scene, cloud_m))
@@ -95,13 +95,13 @@ def test_the_page_holds_what_was_given():
     assert data["boxes"][0]["at"] == [6.0, 0.0, 0.7]
 
 
-def test_it_fetches_nothing_and_is_small():
+def test_the_page_is_small_and_loads_nothing():
     html = page(with_a_car())
     assert not re.search(r"https?://|//[a-z]+\.|@import|url\(", html)
     assert len(html) < 40_000
 
 
-def test_a_name_is_no_markup():
+def test_a_name_is_escaped():
     html = page(with_a_car(HOSTILE))
     assert "<img" not in html
     assert html.count("</script>") == 1
@@ -140,7 +140,7 @@ CAR, ROAD, REFINED = (201, 42, 42), (98, 102, 110), (214, 34, 91)
 
 
 @pytest.mark.parametrize("label", ["car", HOSTILE])
-def test_a_browser_draws_it(tab, tmp_path, label):
+def test_a_browser_draws_the_scene(tab, tmp_path, label):
     before = len(tab.asked)
     opened(tab, tmp_path / "scene.html", page(with_a_car(label)))
     assert tab.asked[before:] == [(tmp_path / "scene.html").as_uri()]
@@ -159,7 +159,7 @@ def test_an_empty_scene_is_drawn_too(tab, tmp_path):
 ROBOT = (20, 24, 31)
 
 
-def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path):
+def test_without_a_trajectory_robot_and_objects_are_in_view(tab, tmp_path):
     """A refused instruction still shows robot and objects."""
     scene = with_a_car()
     far = replace(scene.objects[1], id=2, position_m=np.array([45.0, 12.0, 0.7]))
@@ -173,7 +173,7 @@ def test_without_a_trajectory_the_robot_and_all_things_are_in_view(tab, tmp_path
     assert tab.complaints == []
 
 
-def test_its_controls_do_what_they_say(tab, tmp_path):
+def test_the_controls_change_the_view(tab, tmp_path):
     opened(tab, tmp_path / "scene.html", page(with_a_car()))
     assert pixels(tab, REFINED) > 200
     tab.click("[data-line='1']")
@@ -193,7 +193,7 @@ def test_its_controls_do_what_they_say(tab, tmp_path):
     assert tab.complaints == []
 
 
-def test_dragging_turns_it_and_moves_what_is_under_the_hand(tab, tmp_path):
+def test_dragging_pans_and_turns_the_view(tab, tmp_path):
     opened(tab, tmp_path / "scene.html", page(with_a_car()))
     tab.click("[data-view='above']")
     # The ground under the hand goes with it: where (6, 0) is on the screen, before and after.

@@ -80,7 +80,7 @@ def test_a_door_closes_and_opens_again() -> None:
         (FAR, (np.array([0.45, 3.0]),), True),
     ],
 )
-def test_a_door_closes_on_nobody_and_opens_for_people_only(robot, people, closes) -> None:
+def test_a_door_yields_to_a_robot_and_opens_for_people(robot, people, closes) -> None:
     door = _door()
     assert (_shut_m(door, 2.0, robot, people) == door.width_m) == closes
     shut = _door()
@@ -91,14 +91,14 @@ def test_a_door_closes_on_nobody_and_opens_for_people_only(robot, people, closes
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-0.5, 1.4), st.floats(-1.5, 1.5), st.floats(0.0, 3.0))
-def test_a_door_never_touches_a_robot_that_stands(x_m: float, y_m: float, wait_s: float) -> None:
+def test_a_door_never_touches_a_standing_robot(x_m: float, y_m: float, wait_s: float) -> None:
     door, robot = _door(), SE2(x_m, y_m, 0.0)
     if abs(y_m) < RADIUS_M + 0.03:  # it stands in the doorway, or in the wall
         _shut_m(door, wait_s, robot)
         assert door.distance_m(x_m, y_m) > RADIUS_M
 
 
-def test_a_shut_door_is_in_depth_and_ids_and_stops_the_robot(house: World) -> None:
+def test_a_shut_door_is_rendered_and_blocks_the_robot(house: World) -> None:
     config = _config(1.0)
     world = with_people(house, config, house.start)
     assert isinstance(world, PeopledWorld)

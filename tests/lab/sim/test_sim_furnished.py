@@ -79,7 +79,7 @@ def test_a_folder_without_catalogues_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"not a zip", None], ids=["empty", "no archive", "no list of models"]
 )
-def test_a_damaged_catalogue_is_one_line(tmp_path, content):
+def test_a_damaged_catalogue_is_an_error_of_one_line(tmp_path, content):
     if content is None:
         archive = io.BytesIO()
         with zipfile.ZipFile(archive, "w") as empty:
@@ -132,7 +132,7 @@ class TestLoading:
         assert "street light" not in labels  # it stands outside
         for item in world.objects:
             assert item.label in {object_label(row[0]) for row in MODELS}
-        # What stands on the floor stands where something stood.
+        # An object on the floor takes the place of another one.
         for item in world.objects:
             if item.center_m[2] - 0.5 * item.size_m[2] < 0.02:
                 x_m, y_m = item.center_m[:2]
@@ -144,7 +144,7 @@ class TestLoading:
         places = [[(o.name, o.center_m) for o in world.objects] for world in (first, again, other)]
         assert places[0] == places[1] != places[2]
 
-    def test_small_things_stand_on_furniture(self, tmp_path):
+    def test_small_objects_stand_on_furniture(self, tmp_path):
         world = load_world(furnished(write_catalogue(tmp_path / "small"), seed=5))
         mugs = [item for item in world.objects if item.label == "mug"]
         tables = [item for item in world.objects if item.label == "table"]
@@ -155,7 +155,7 @@ class TestLoading:
             assert any(abs(t.center_m[2] + 0.5 * t.size_m[2] - bottom_m) < 0.02 for t in under)
 
     @pytest.mark.skipif(not DEBIAN.is_dir(), reason="needs Debian's sweethome3d-furniture")
-    def test_debians_catalogue_names_more_than_two_hundred_things(self):
+    def test_debians_catalogue_names_more_than_two_hundred_objects(self):
         models = read_catalogue(DEBIAN)
         assert len(models) > 700
         assert len({model.label for model in models}) > 200

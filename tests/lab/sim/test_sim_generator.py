@@ -1,4 +1,4 @@
-"""Houses by seed: what every one of them must be, whatever the seed."""
+"""Houses by seed: properties of every house."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_every_house_has_the_rooms_of_a_home(seed):
 
 
 @given(SEEDS)
-def test_rooms_hold_what_their_kind_does(seed):
+def test_rooms_hold_the_objects_of_their_kind(seed):
     house = generated_house(seed)
     found = 0
     for room in house.rooms:
@@ -86,7 +86,7 @@ def test_rooms_hold_what_their_kind_does(seed):
 
 
 @given(SEEDS)
-def test_things_stand_on_the_floor_or_on_something_and_never_in_each_other(seed):
+def test_objects_stand_on_a_support_and_never_overlap(seed):
     house = generated_house(seed)
     for a, b in combinations(standing(house.objects), 2):
         assert not box_of(a).meets(box_of(b))

@@ -121,7 +121,7 @@ def test_cast_fan_agrees_with_the_plain_caster(rings: int, pitch_deg: float, see
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_rasterise_agrees_with_a_test_of_every_cell(seed: int):
+def test_rasterise_agrees_with_a_check_of_every_cell(seed: int):
     shape, pose = random_scene(np.random.default_rng(seed), 12)
     grid, cell, origin = np.zeros((180, 200), np.uint8), 0.05, np.array([-5.0, -4.5])
     kernels.rasterise(shape, pose, 0.05, 0.8, origin, cell, grid)
@@ -164,7 +164,7 @@ def test_shade_colours_hits_and_paints_the_rest_as_sky(shape: int, texture: int)
     assert mean[0] > 1.2 * max(mean[1], mean[2])
 
 
-def test_a_face_seen_straight_on_is_lit_from_its_normal_and_darker_near_the_floor():
+def test_light_depends_on_the_normal_and_the_height():
     rgb, prim = shade_one(kernels.BOX, shading.PLAIN, (200.0, 100.0, 50.0))
     red = rgb[prim == 0][:, 0]
     # The front's normal is -x: light 0.80 - 0.20 * 0.30; full above 0.35 m, 0.84 of it at 0.

@@ -42,7 +42,7 @@ class Bus:
 
 
 @pytest.mark.parametrize("late", [1, 3])
-def test_in_lockstep_the_clock_stands_still_until_somebody_answers(monkeypatch, caplog, late):
+def test_lockstep_holds_the_clock_until_an_answer_comes(monkeypatch, caplog, late):
     stop = threading.Event()
     for limit in ("REPEAT_S", "WARN_AFTER_S", "_POLL_S"):
         monkeypatch.setattr(process, limit, 0.0)

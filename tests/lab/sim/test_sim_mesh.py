@@ -68,7 +68,7 @@ def small(tmp_path_factory):
     return load_world(world_config(folder / "small.glb", folder / "objects.json"))
 
 
-def test_the_texture_is_the_right_way_up(small):
+def test_the_texture_is_upright(small):
     rgb, depth, ids = look(small, SE2(0.0, 0.0, 0.0))
     rows, cols = np.nonzero(ids)
     top, bottom, left, right = rows.min(), rows.max(), cols.min(), cols.max()
@@ -220,7 +220,9 @@ def test_bad_object_lists_give_one_clear_line(tmp_path: Path, text: str, message
 
 
 @pytest.mark.parametrize(("package", "sensors"), [("trimesh", {}), ("embreex", {"lidar": {}})])
-def test_without_the_extra_it_says_what_to_install(monkeypatch, tmp_path: Path, package, sensors):
+def test_without_the_extra_the_error_names_the_package(
+    monkeypatch, tmp_path: Path, package, sensors
+):
     import sys
 
     monkeypatch.setitem(sys.modules, package, None)
@@ -254,7 +256,7 @@ def test_aws_house_agrees_with_its_makers_map(aws, shared_dir: Path):
 
 
 @pytest.mark.parametrize("label", ["trash can", "sofa", "chair", "bed", "desk"])
-def test_aws_targets_are_there_and_can_be_stood_next_to(aws, label: str):
+def test_aws_targets_exist_and_can_be_reached(aws, label: str):
     mine = [item for item in aws.objects if item.label == label]
     assert mine
     row, col = np.nonzero(aws.plan.reachable(aws.start.x_m, aws.start.y_m, 0.2))
@@ -265,7 +267,7 @@ def test_aws_targets_are_there_and_can_be_stood_next_to(aws, label: str):
         assert min(item.distance_m(*p) for p in near) < 0.5, item.name
 
 
-def test_aws_trash_can_is_seen_from_in_front_of_it(aws):
+def test_the_aws_trash_can_is_visible_from_the_front(aws):
     can = next(item for item in aws.objects if item.name == "Trash_01_001")
     x, y = can.center_m[:2]
     _, depth, ids = look(aws, SE2(x + 1.5, y, math.pi))

@@ -51,9 +51,7 @@ def test_a_world_without_people_is_the_world_itself(empty: World) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_walks_are_repeatable_and_keep_away_from_a_robot_that_stands(
-    empty: World, seed: int
-) -> None:
+def test_walks_are_repeatable_and_avoid_a_standing_robot(empty: World, seed: int) -> None:
     (world, gap_m), (again, _) = (_walked(empty, seed, 60.0) for _ in range(2))
     places = np.array([p.xy_m for p in world.people])
     assert (places == np.array([p.xy_m for p in again.people])).all()
@@ -65,7 +63,7 @@ def test_walks_are_repeatable_and_keep_away_from_a_robot_that_stands(
     assert all(empty.plan.clearance_at(*xy) > 0.1 for xy in places.tolist())
 
 
-def test_a_person_is_in_depth_and_ids_and_stops_the_robot(empty: World) -> None:
+def test_a_person_is_rendered_and_blocks_the_robot(empty: World) -> None:
     config = _config(4)
     world = with_people(empty, config, empty.start)
     standing = world.people[3]

@@ -51,7 +51,7 @@ def test_nothing_is_seen_of_no_triangles():
 
 @settings(max_examples=40)
 @given(st.integers(0, 2**31), st.sampled_from((0.3, 1.0, 4.0)), st.integers(1, 5))
-def test_it_agrees_with_a_plain_one(seed, size_m, faces_per_cluster):
+def test_rasterised_agrees_with_a_plain_ray_caster(seed, size_m, faces_per_cluster):
     """Triangles lie on all sides of the camera, some reach behind it."""
     rng = np.random.default_rng(seed)
     middles, corners = rng.uniform(-3, 3, (30, 1, 3)), rng.normal(0, size_m, (30, 3, 3))
@@ -74,7 +74,7 @@ def test_it_agrees_with_a_plain_one(seed, size_m, faces_per_cluster):
     np.testing.assert_allclose(points, expected[:, :3], atol=2e-3 * (1.0 + z.max(initial=0.0)))
 
 
-def test_there_is_no_gap_between_neighbours():
+def test_neighbouring_triangles_leave_no_gap():
     """Many slanted strips make up one surface: each pixel shows one of them."""
     y = np.linspace(-9, 9, 40)
     low, high = (np.stack([np.full(40, x), y, np.full(40, z)], 1) for x, z in ((1, -9), (7, 9)))
@@ -97,7 +97,7 @@ def test_a_face_along_the_axes_of_the_image():
 
 
 @pytest.mark.parametrize("x_m", [-2.0, -0.5])
-def test_what_is_behind_the_camera_is_not_seen(x_m):
+def test_a_triangle_behind_the_camera_is_not_drawn(x_m):
     triangle = np.array([[[x_m, -1, -1], [x_m, 1, -1], [x_m, 0, 1]]], np.float32)
     face, _, _ = rasterised(triangle, to_optical(se3()))
     assert (face == -1).all()

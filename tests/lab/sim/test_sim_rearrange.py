@@ -35,7 +35,7 @@ def test_no_share_moves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_moved_objects_stay_on_the_floor_and_close_no_way(seed):
+def test_moved_objects_stay_on_the_floor_and_block_no_path(seed):
     world = load_world(simulated({"sim": {"world": {"kind": "generated", "seed": seed}}}))
     before, start = places(world), world.start
     roomy_m = RADIUS_M + 0.1

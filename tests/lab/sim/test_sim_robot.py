@@ -40,7 +40,7 @@ def drive(sim: SimConfig | None = None, start: SE2 | None = None) -> DriveTrain:
     return DriveTrain(ROBOT, sim or SimConfig(), WORLD, start or SE2(0.0, 0.0, 0.0))
 
 
-def test_it_drives_an_arc():
+def test_the_robot_drives_an_arc():
     body = drive(start=SE2(-3.0, -3.0, 0.0))
     for _ in range(200):
         motion = body.step(0.05, 0.4, 0.4)
@@ -75,7 +75,7 @@ def test_limits_hold_and_nothing_is_passed_through(commands):
         assert motion.stamp_ns == before.stamp_ns + round(dt_s * 1e9)
 
 
-def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
+def test_the_robot_stops_at_an_obstacle_and_gets_away():
     body = drive()
     for _ in range(100):
         motion = body.step(0.1, 0.5, 0.0)
@@ -91,7 +91,7 @@ def test_it_stops_at_an_obstacle_counts_once_and_gets_away_again():
     assert motion.collisions == 1
 
 
-def test_drift_grows_with_the_way_and_repeats_with_the_seed():
+def test_drift_grows_with_the_path_and_repeats_with_the_seed():
     def run(seed: int) -> tuple[SE2, SE2]:
         body = drive(SimConfig(seed=seed, drift_m_per_m=0.05, drift_rad_per_rad=0.02))
         for k in range(80):

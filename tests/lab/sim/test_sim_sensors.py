@@ -33,7 +33,7 @@ def world():
     return load_world(config())
 
 
-def test_depth_goes_out_in_millimetres_and_comes_back_in_metres(world):
+def test_depth_is_sent_in_millimetres_and_read_in_metres(world):
     rig = CameraRig(config(), world)
     rig.look(POSE)
     rig.depth_m[0, 0] = np.nan
@@ -48,8 +48,8 @@ def test_depth_goes_out_in_millimetres_and_comes_back_in_metres(world):
     np.testing.assert_allclose(back[known], rig.depth_m[known], atol=0.0011)
 
 
-def test_sensors_look_where_their_mounts_point(world):
-    """One that is turned on the robot sees what it would see ahead from a robot turned as far."""
+def test_a_turned_sensor_agrees_with_a_turned_robot(world):
+    """A sensor turned on the robot sees the same as one ahead on a turned robot."""
     turned = {"x_m": 0.0, "y_m": 0.0, "z_m": 0.6, "yaw_deg": 40.0}
     ahead = {**turned, "yaw_deg": 0.0}
     seen = []
@@ -91,7 +91,7 @@ def test_several_rings_make_a_cloud_of_the_returns(world):
     np.testing.assert_allclose(ranges, np.sort(rig.ranges_m[np.isfinite(rig.ranges_m)]), rtol=1e-5)
 
 
-def test_one_ring_makes_a_scan_that_starts_behind_the_robot(world):
+def test_one_ring_gives_a_scan_that_starts_behind_the_robot(world):
     rig = LidarRig(config(rings=1), world)
     rig.look(POSE)
     [(topic, payload)] = rig.messages(5)

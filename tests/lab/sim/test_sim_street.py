@@ -23,7 +23,7 @@ def test_a_seed_is_a_street():
     assert street(3) != street(3, 1)
 
 
-def test_what_a_seed_means_does_not_change():
+def test_streets_of_a_seed_never_change():
     """Results name it."""
     digest = hashlib.sha256()
     for seed in range(200):
@@ -36,7 +36,7 @@ def test_what_a_seed_means_does_not_change():
     assert digest.hexdigest()[:16] == "4470662e85ac3c6f"
 
 
-def test_streets_differ_in_what_they_have():
+def test_streets_differ_in_grounds_and_objects():
     drawn = [street(seed) for seed in range(60)]
     assert {len(s.grounds) for s in drawn} == {3, 4, 5}
     labels = {thing.label for s in drawn for thing in s.objects}
@@ -44,7 +44,7 @@ def test_streets_differ_in_what_they_have():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nothing_stands_on_anything(seed):
+def test_objects_do_not_overlap(seed):
     drawn = street(seed)
     rects = [thing.rect for thing in drawn.objects]
     robot = Rect(drawn.start.x_m - 1, drawn.start.y_m - 1, drawn.start.x_m + 1, drawn.start.y_m + 1)
@@ -52,7 +52,7 @@ def test_nothing_stands_on_anything(seed):
         assert not any(rect.meets(other) for other in [robot, *rects[:k]])
 
 
-def test_it_is_a_world_for_the_robot():
+def test_a_street_is_loaded_as_a_world():
     drawn = street(1)
     config = parse({"perception": {"detector": {"kind": "sim"}}, "sim": {"world": WORLD}})
     world = load_world(config)

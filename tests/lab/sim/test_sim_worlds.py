@@ -58,7 +58,7 @@ def demo() -> BoxWorld:
     return load_house(WorldHouse(), simulated())
 
 
-def test_depth_is_along_the_optical_axis_and_nan_out_of_range():
+def test_depth_is_along_the_optical_axis_and_limited():
     world = house_with()
     _, depth, ids = look(world, SE2(0.0, 0.0, 0.0))
     assert depth[32, 10:86] == pytest.approx(2.95, abs=1e-3)  # the wall ahead, everywhere
@@ -80,7 +80,7 @@ def test_an_object_is_seen_with_its_id_and_nearest_surface():
     assert world.objects[1].label == "box"
 
 
-def test_what_hangs_above_the_robot_does_not_stop_it():
+def test_an_object_above_the_robot_does_not_collide():
     high = {"category": "box", "at": [1.0, 0.0], "z_m": 1.0}
     assert not collides(house_with(high), 1.0, 0.0, 0.2)
     assert collides(house_with({**high, "z_m": 0.5}), 1.0, 0.0, 0.2)
@@ -121,7 +121,7 @@ def test_distance_to_a_footprint_is_that_to_its_nearest_sample(x, y, yaw, a, b):
     assert sampled.distance_m(x, y) == pytest.approx(nearest, abs=1e-4)
 
 
-def test_demo_house_is_one_connected_furnished_home(demo: BoxWorld):
+def test_the_demo_house_is_connected_and_furnished(demo: BoxWorld):
     house = read_house(HOUSES / "demo.json")
     assert len(house.rooms) >= 4
     reachable = demo.plan.reachable(demo.start.x_m, demo.start.y_m, 0.25)
@@ -154,7 +154,7 @@ def test_free_poses_refuse_a_start_that_is_not_free():
 
 
 @pytest.mark.parametrize("category", assemblies.CATEGORIES)
-def test_assemblies_fill_their_box_and_stay_near_it(category: str):
+def test_assemblies_fill_their_box(category: str):
     size = assemblies.CATEGORIES[category].size_m
     parts = assemblies.build(category, size, (200.0, 100.0, 50.0))
     low = np.min([np.subtract(p.center_m, np.multiply(p.size_m, 0.5)) for p in parts], axis=0)

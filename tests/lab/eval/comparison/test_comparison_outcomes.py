@@ -37,7 +37,7 @@ def test_no_file(tmp_path):
         read_outcomes(tmp_path / "outcomes.jsonl")
 
 
-def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
+def test_an_unfinished_line_is_ignored(tmp_path):
     assert written(tmp_path, RECORD, '{"episode": "hou') == [record()]
 
 
@@ -53,12 +53,12 @@ def test_a_line_that_a_broken_off_run_left_is_not_there_yet(tmp_path):
         ({**RECORD, "world": 3}, "world: Input should be a valid string"),
     ],
 )
-def test_what_is_no_outcome_is_named_with_its_line(tmp_path, line, words):
+def test_an_invalid_outcome_is_reported_with_its_line(tmp_path, line, words):
     with pytest.raises(UserError, match=f"outcomes.jsonl: line 2: not an outcome: {words}"):
         written(tmp_path, RECORD, line)
 
 
-def test_arrays_have_a_row_for_each_arm_and_nan_for_missing_values():
+def test_arrays_have_a_row_per_arm_and_nan_for_gaps():
     outcomes = gather(
         [
             record("house-10/bed", "a"),

@@ -1,4 +1,4 @@
-"""The page: every trail is in it, where it was driven; nothing is fetched; any text is safe."""
+"""The page: it shows every driven trail, fetches nothing and escapes any text."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def test_nothing():
     assert reader.all("article") == []
 
 
-def test_a_trail_is_drawn_where_it_was_driven():
+def test_a_trail_is_drawn_along_the_driven_path():
     trail = [[1.0, 1.0], [1.25, 1.0], [1.5, 1.0], [1.5, 1.0], [1.5, 0.75], [1.25, 0.75]]
     goals = [[2.0, 1.0, "frontier"], [2.5, 2.0, "instance"], [0.0, 4.0, "spin"]]
     one = record(world="w", trail=trail, first_sight_path_m=0.5, goal_xy=goals)
     reader = Reader(page_of([one], {"w": DRAWING}))
     pieces = [points(a["d"]) for a in reader.all("path", "t")]
     driven = pieces[0] + [p for piece in pieces[1:] for p in piece[1:]]
-    # 5 cm a unit, y downwards from 4 m; where the robot stood still there is one point.
+    # 5 cm a unit, y downwards from 4 m; a standing robot adds one point.
     assert driven == [(20, 60), (25, 60), (30, 60), (30, 65), (25, 65)]
     assert all(a[-1] == b[0] for a, b in pairwise(pieces))
     assert [a["d"] for a in reader.all("path", "g")][-3:] == ["M40 60h0", "M50 40h0", "M0 0h0"]
@@ -90,7 +90,7 @@ def test_text_cannot_become_markup():
     assert reader.text.count("alert(") >= 6
 
 
-def test_what_the_script_sorts_and_filters_by():
+def test_articles_carry_the_values_for_sorting_and_filtering():
     records = [record("1", "a"), failure("1", "b"), record("2", "b", path_m=5.0)]
     first, second = Reader(page_of(records)).all("article")
     assert (first["data-spl"], first["data-path"], first["data-shortest"]) == (

@@ -71,7 +71,7 @@ def test_a_folder_is_compared(folder, capsys):
         (lambda f: (f / "results.csv").mkdir(), [], os.EX_IOERR, "Is a directory"),
     ],
 )
-def test_what_cannot_be_compared_is_reported_in_one_line(
+def test_a_comparison_that_cannot_run_is_reported_in_one_line(
     folder, capsys, spoil, options, code, words
 ):
     spoil(folder)
@@ -86,6 +86,6 @@ def test_the_report_after_a_run():
     assert "100.0 [20.7, 100.0]" in run.summary_text([record()])
 
 
-def test_older_outcomes_are_passed_over_aloud():
+def test_older_outcomes_are_ignored_with_a_message():
     comparison = run.compare(run.gather([record(arm_id="old"), record()]), resamples=50)
     assert "1 older outcomes are ignored" in run.text(comparison)

@@ -1,4 +1,4 @@
-"""Figures by hand, pairing, and where lost SPL goes."""
+"""Figures by hand, pairing, and the causes of lost SPL."""
 
 from __future__ import annotations
 

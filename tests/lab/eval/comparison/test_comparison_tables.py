@@ -31,11 +31,11 @@ def named(comparison, name):
     return next(table for table in tables.tables(comparison) if table.name == name)
 
 
-def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
+def test_unmeasured_columns_are_left_out_and_gaps_are_dashes():
     without = {"false_confirmations": None, "score_ms": None}
     both = [record("1", "a", **without), record("1", "b", **without)]
     (never,) = {row[-2] for row in named(comparison_of(both), "conduct").rows}
-    assert never == "0.0 [0.0, 79.3]"  # of stops: what never happened in one episode yet may
+    assert never == "0.0 [0.0, 79.3]"  # no wrong stop in one episode
     head = named(comparison_of(both), "conduct").head
     assert "false conf." not in head
     assert "wrong stops, %" in head
@@ -46,7 +46,7 @@ def test_what_was_not_measured_is_left_out_and_what_is_missing_is_a_dash():
 @pytest.mark.parametrize(
     ("worlds", "words"), [(1, "of 1 world; they do not"), (12, "over 12 worlds")]
 )
-def test_what_was_resampled_is_reported(worlds, words):
+def test_the_table_reports_the_unit_of_resampling(worlds, words):
     assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
 
 
@@ -67,7 +67,7 @@ def test_each_word_has_its_recall_and_its_ends():
     ]
 
 
-def test_without_words_there_is_no_such_table():
+def test_without_words_there_is_no_words_table():
     shown = {table.name for table in tables.tables(comparison_of([record("1", target=None)]))}
     assert "words" not in shown
 

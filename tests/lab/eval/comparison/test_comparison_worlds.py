@@ -1,4 +1,4 @@
-"""Floor plans as drawn, and what was left to drive when a target came into view."""
+"""Floor plans as drawn, and the path left when a target came into view."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def house():
     return load_world(load("demo"))
 
 
-def test_what_was_left_at_first_sight(house):
+def test_the_path_left_at_first_sight_is_computed(house):
     start = [house.start.x_m, house.start.y_m, 0.0]
     here = {"world": house.name, "start": start, "trail": [start[:2], start[:2]]}
     outcomes = gather(
@@ -42,7 +42,7 @@ def test_what_was_left_at_first_sight(house):
     assert np.isnan(np.delete(left_m.ravel(), 0)).all()
 
 
-def test_next_to_a_wall_the_nearest_way_counts(house):
+def test_the_nearest_value_is_used_next_to_a_wall(house):
     field = np.full(house.plan.grid.cells.shape, np.inf)
     row, column = house.plan.grid.cell_of(house.start.x_m, house.start.y_m)
     field[row, column + 3] = 4.0

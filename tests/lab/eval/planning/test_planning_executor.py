@@ -1,4 +1,4 @@
-"""The probabilistic executor: what an attempt does, and how a run ends."""
+"""The probabilistic executor: the effect of an attempt, and the end of a run."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_problem_puts_other_objects_behind_the_formulas():
         ("F sofa & G !bed", [1, 0], luck(), EpisodeResult(VIOLATED, 1, 1)),
         # The failed attempt on a shows b (the first object not known): it is reached directly.
         ("F a & F b", [0, 1, 0], luck((UNLUCKY, 0.0)), EpisodeResult(COMPLETE, 2, 3)),
-        # What was reached stays known: going there again is no exploration.
+        # A reached object stays known: a second visit is no exploration.
         ("F (a & F (b & F a))", [0, 1, 0], luck(), EpisodeResult(COMPLETE, 2, 3)),
         # An object that the formula does not name is nothing to the automaton.
         ("F bed", [3, 0], luck(), EpisodeResult(COMPLETE, 2, 2)),
@@ -89,7 +89,7 @@ def test_success_on_the_last_decision_counts():
     assert episode == EpisodeResult(COMPLETE, 1, 1)
 
 
-def test_draws_depend_on_all_their_keys_and_nothing_else():
+def test_draws_depend_on_exactly_their_keys():
     base = draws_of(0, 5, 0.3, 0)
     np.testing.assert_array_equal(base, draws_of(0, 5, 0.3, 0))
     assert base.shape == (MAX_DECISIONS, 3)
@@ -101,7 +101,7 @@ def test_draws_depend_on_all_their_keys_and_nothing_else():
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.1, 0.5, 1.0]), st.integers(1, 6))
-def test_explorations_are_at_least_the_new_objects_and_steps_at_least_those(task, p_obs, k):
+def test_explorations_and_steps_have_lower_bounds(task, p_obs, k):
     """Any order of k objects: each is explored for once at least, or was met while exploring."""
     problem = problem_of(" & ".join(f"F x{i}" for i in range(k)), others=6 - k)
 

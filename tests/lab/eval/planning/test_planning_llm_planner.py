@@ -65,7 +65,7 @@ def planning(*rules: tuple[str, str]):
         ),
     ],
 )
-def test_what_the_model_says_is_the_plan(said, knowledge, target, reason):
+def test_the_target_named_by_the_model_becomes_the_plan(said, knowledge, target, reason):
     with planning(("", said)) as (planner, server):
         plan = planner.plan(0, knowledge)
         assert planner.plan(0, knowledge) == plan
@@ -92,7 +92,7 @@ def test_prompt_is_the_papers():
     ]
 
 
-def test_no_step_is_left_where_the_mission_is_fulfilled_or_what_is_named_leads_no_further():
+def test_no_progress_is_rejected_and_a_fulfilled_mission_asks_nothing():
     with planning(("", "TARGET: bed")) as (planner, server):
         bed = AUTOMATON.step(0, "bed")
         assert (
@@ -128,7 +128,7 @@ def test_a_column_of_missions_may_be_planned_by_a_model(tmp_path, rules, success
     assert (outcome.success, reason in outcome.reason) == (success, True), outcome.reason
 
 
-def test_a_server_that_is_not_there_is_no_failure_of_the_model(tmp_path):
+def test_an_unreachable_server_counts_as_a_crash(tmp_path):
     config = small_house(tmp_path)
     options = {"url": f"http://127.0.0.1:{free_port()}/v1"}
     planner = {"kind": "edge.lab.eval.planning.llm_planner:LlmPlanner", "options": options}

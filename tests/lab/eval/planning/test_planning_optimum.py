@@ -121,7 +121,7 @@ def test_nothing_to_go_to(text, best):
     assert Optimum(problem_of(text), 0.5).choose(PlannerInput(0)) == best
 
 
-def test_looking_for_another_thing_can_be_better_luck():
+def test_searching_for_another_object_can_be_the_better_choice():
     """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
     problem = problem_of("F chair & (F tv | true)")
     letters = problem.automaton.propositions
@@ -141,7 +141,7 @@ def test_looking_for_another_thing_can_be_better_luck():
         (CASE_2, 0, 0.35),
     ],
 )  # fmt: skip
-def test_costs_are_those_of_policy_iteration(text, others, p_obs):
+def test_optimal_costs_agree_with_policy_iteration(text, others, p_obs):
     problem = problem_of(text, others)
     letters = problem.automaton.propositions
     found = Optimum(problem, p_obs).value

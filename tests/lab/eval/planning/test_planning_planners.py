@@ -1,4 +1,4 @@
-"""The compared planners: the paper's case studies, 100 % completion, and who beats whom."""
+"""The compared planners: the paper's case studies, 100 % completion, and the ranking."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_case_studies_under_the_weak_until(planner):
     assert way(CASE_1, planner) in {("bed", "plant", "tv"), ("plant", "bed", "tv")}
 
 
-def test_case_studies_optima_are_what_brute_force_finds():
+def test_optima_of_the_case_studies_agree_with_brute_force():
     def optima(formula):
         automaton = delexicalise(formula).automaton
         objects = propositions(formula)
@@ -81,7 +81,7 @@ def test_everything_is_completed_given_right_formulas(results):
     assert results.complete.all()
 
 
-def test_nobody_beats_the_bounds(results):
+def test_no_planner_beats_the_bounds(results):
     optimum = results.planners.index("optimal")
     clairvoyant = results.planners.index("clairvoyant")
     assert (results.steps >= results.bound[None, None, :, None]).all()
@@ -93,7 +93,7 @@ def test_nobody_beats_the_bounds(results):
     assert (certain >= results.explorations[optimum, -1]).all()
 
 
-def test_planners_of_the_service_lie_between_the_optimum_and_chance(results):
+def test_service_planners_lie_between_optimum_and_chance(results):
     mean = dict(zip(results.planners, results.explorations.mean(axis=(1, 2, 3)), strict=True))
     assert mean["optimal"] < mean["vitl"] < mean["in-order"]
 

@@ -59,7 +59,7 @@ def test_bad_options(argv, words, capsys):
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_bad_input_is_one_line(tmp_path):
+def test_bad_input_is_an_error_of_one_line(tmp_path):
     (tmp_path / "file").write_text("{}")
     for argv, words in (
         (("--planners", "vitl,best"), "no planner 'best' (choices: vitl"),
@@ -73,7 +73,7 @@ def test_bad_input_is_one_line(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
-def test_interrupt_ends_it_with_its_processes(tmp_path):
+def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""
@@ -86,7 +86,7 @@ def test_interrupt_ends_it_with_its_processes(tmp_path):
             time.sleep(3600)
         if __name__ == "__main__":
             progress.ProgressBar.set_done = reach
-            # Who was started in the background by a shell script ignores it.
+            # A process started in the background by a shell script ignores it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             args = make_parser().parse_args(["eval", "planning", *sys.argv[1:]])
             try:

@@ -1,4 +1,4 @@
-"""Running a comparison: the same results however it is spread, and what is left out."""
+"""Running a comparison: the same results on any number of processes, and skipped runs."""
 
 from __future__ import annotations
 

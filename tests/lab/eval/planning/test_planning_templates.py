@@ -1,4 +1,4 @@
-"""The benchmark's tasks: what their sentences say is what their formulas mean."""
+"""The benchmark's tasks: each sentence means its formula."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_tasks_are_distinct_can_be_fulfilled_and_name_their_objects(tasks):
         assert parse(to_text(task.formula)) == task.formula
 
 
-def test_every_word_of_a_sentence_is_an_object_of_its_formula(tasks):
+def test_every_object_of_a_sentence_is_in_its_formula(tasks):
     for task in tasks:
         words = task.sentence.lower().replace("potted plant", "plant")
         spoken = {

@@ -50,7 +50,7 @@ def test_faults_have_names_of_their_own_and_bounds():
         assert fault.within_s > 0
 
 
-def test_without_a_router_or_a_model_there_is_none_to_kill():
+def test_without_a_router_or_model_none_can_be_killed():
     there = {fault.name for fault in choose_faults(simulated(), None)}
     assert "camera-gone" in there
     assert not there & {"router-killed", "model-killed", "model-stopped", "model-swapped"}
@@ -58,10 +58,10 @@ def test_without_a_router_or_a_model_there_is_none_to_kill():
 
 
 @pytest.mark.parametrize("name", ["", "no-such", "router-killed"])
-def test_a_fault_that_is_not_there_is_an_error_that_names_those_that_are(name):
+def test_an_unknown_fault_lists_the_known_ones(name):
     with pytest.raises(UserError, match=r"--faults: .*camera-gone"):
         choose_faults(simulated(), [name])
 
 
-def test_a_fault_named_twice_is_one():
+def test_a_fault_named_twice_is_chosen_once():
     assert [f.name for f in choose_faults(simulated(), ["reload", "reload"])] == ["reload"]

@@ -1,4 +1,4 @@
-"""Theil and Sen's slope over a process's lives, and what its interval says."""
+"""Theil and Sen's slope over a process's lives, and its interval."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def life(n: int, per_h: float, noise: float = 0.0, begin: float = 500.0, seed: i
 
 
 @given(st.floats(-1e3, 1e3), st.integers(20, 2000))
-def test_a_line_grows_as_it_does(per_h, n):
+def test_the_slope_of_a_line_is_exact(per_h, n):
     slope = slope_of([life(n, per_h)])
     assert slope.per_h == pytest.approx(per_h, abs=1e-4)
     assert slope.low <= slope.high
 
 
-def test_the_interval_holds_what_is_so_and_narrows():
+def test_the_slope_interval_holds_the_truth_and_narrows():
     found = [slope_of([life(n, 30.0, noise=2.0)]) for n in (300, 7200)]
     assert all(slope.low <= 30.0 <= slope.high for slope in found)
     few, many = (slope.high - slope.low for slope in found)
     assert many < 0.1 * few
 
 
-def test_no_outlier_moves_it():
+def test_outliers_do_not_change_the_slope():
     t_s, values = life(1200, 0.0, noise=0.1)
     values[::5] += 1e6
     assert abs(slope_of([(t_s, values)]).per_h) < 1.0
@@ -64,14 +64,14 @@ def samples(values, pid=1, calm=True):
     ],
     ids=["still", "within", "grows", "nobody can tell", "settles", "more than settles"],
 )
-def test_what_surely_grows_breaks_the_rule(per_h, noise, ran_h, broken):
+def test_significant_growth_breaks_the_rule(per_h, noise, ran_h, broken):
     _, values = life(1800, per_h, noise)
     why = growth_problem(MEMORY, growth_slope(MEMORY, samples(values)), 3600.0 * ran_h)
     assert bool(why) == broken, why
 
 
-def test_neither_the_start_nor_faults_count():
-    """Memory that only rises while it settles, and only stands high in faults, does not grow."""
+def test_startup_and_faults_do_not_count_as_growth():
+    """Memory that rises only at the start and during faults does not grow."""
     found = samples([*np.linspace(0, 500, 100), *[500.0] * 900])
     found[400:500] = samples([9e9] * 100, calm=False)
     slope = growth_slope(MEMORY, found)
@@ -79,6 +79,6 @@ def test_neither_the_start_nor_faults_count():
     assert growth_slope(MEMORY, []) is None
 
 
-def test_a_process_that_is_not_there_does_not_grow():
+def test_an_absent_process_has_no_growth():
     found = samples([1.0] * 200)
     assert growth_slope(GROWTHS[1], [{**sample, "model": None} for sample in found]) is None

@@ -34,7 +34,7 @@ def lay(out: Path, content: bytes, name: str = NAME) -> Path:
     return path
 
 
-def test_where_nothing_records_nothing_is_held(tmp_path):
+def test_without_a_recorder_there_is_nothing_to_judge(tmp_path):
     recordings = RecordingCheck(simulated(), tmp_path)
     recordings.check_next_file()
     assert recordings.judge() == {}
@@ -50,7 +50,7 @@ def test_nothing_recorded_is_reported_at_the_end(tmp_path):
     assert recordings.problem == "nothing was recorded"
 
 
-def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, drive):
+def test_a_complete_file_is_read_and_the_first_kept(tmp_path, drive):
     recordings = recorded(tmp_path)
     path = lay(tmp_path, drive, NAME + PARTIAL)
     recordings.check_next_file()
@@ -67,7 +67,7 @@ def test_a_file_is_read_once_it_is_complete_and_the_first_outlives_it(tmp_path, 
     assert recordings.problem == ""
 
 
-def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, drive):
+def test_a_cut_off_recording_is_replayed_to_its_end(tmp_path, drive):
     recordings = recorded(tmp_path)
     lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
     recordings.check_next_file()
@@ -77,7 +77,7 @@ def test_one_that_was_given_up_is_read_and_replayed_as_far_as_it_goes(tmp_path, 
 
 
 def flipped(drive: bytes) -> bytes:
-    """With a bit of what was recorded another."""
+    """Return the recording with one bit flipped."""
     at = len(drive) // 2
     return drive[:at] + bytes([drive[at] ^ 1]) + drive[at + 1 :]
 
@@ -92,7 +92,7 @@ def flipped(drive: bytes) -> bytes:
     ],
     ids=["no end", "damaged", "empty", "noise"],
 )
-def test_what_cannot_be_read_is_reported(tmp_path, drive, content, name, problem):
+def test_an_unreadable_recording_is_reported(tmp_path, drive, content, name, problem):
     recordings = recorded(tmp_path)
     lay(tmp_path, content(drive), name)
     recordings.check_next_file()

@@ -24,7 +24,7 @@ def odometry(stamp_ns: int, x_m: float = 1.0) -> bytes:
     return messages.encode_odometry(stamp_ns, SE2(x_m, 2.0, 0.5).matrix(), 0.3, 0.1)
 
 
-def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
+def test_a_frozen_camera_may_continue_its_stamps():
     second = relay.restamped(IMAGE, 8 * NS)
     for go_on, expected_ns in ((False, 7 * NS), (True, 8 * NS)):
         alter = relay.freeze(go_on)
@@ -35,7 +35,7 @@ def test_a_frozen_driver_says_the_same_and_a_frozen_camera_goes_on():
         assert alter(topics.ODOMETRY, odometry(NS)) == (odometry(NS),)
 
 
-def test_what_is_dropped_is_what_was_named():
+def test_only_the_named_topic_is_dropped():
     alter = relay.drop((topics.ODOMETRY,))
     assert alter(topics.ODOMETRY, odometry(NS)) == ()
     assert alter(topics.RGB, IMAGE) == (IMAGE,)
@@ -49,7 +49,7 @@ def test_another_clock_is_all_sensors():
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0", IMAGE], ids=["empty", "byte", "image"])
-def test_garbage_comes_before_what_is_well(payload):
+def test_garbage_is_sent_before_each_intact_message(payload):
     alter = relay.add_garbage(np.random.default_rng(0))
     sent = [alter(topics.RGB, payload) for _ in range(50)]
     assert {pair[1] for pair in sent} == {payload}
@@ -57,7 +57,7 @@ def test_garbage_comes_before_what_is_well(payload):
     assert any(pair[0] != payload for pair in sent)
 
 
-def test_it_passes_both_ways_until_it_is_cut():
+def test_the_relay_passes_both_ways_until_it_is_cut():
     robot, service = (ZenohConfig(endpoint=f"tcp/127.0.0.1:{free_port()}") for _ in range(2))
     stop = threading.Event()
     with zenoh_session(service, "listen") as at_service:

@@ -1,4 +1,4 @@
-"""`edge soak` as a whole: real processes, real faults, and reports of what breaks."""
+"""`edge soak` as a whole: real processes, real faults, and reports of failures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def small(folder: Path, **sections: dict) -> Path:
     return write_config(folder, sensors={"camera": camera, "odometry_hz": 20}, **sections)
 
 
-def test_a_folder_is_made_and_one_with_something_in_it_is_not_written_into(tmp_path):
+def test_only_an_empty_output_folder_is_used(tmp_path):
     make_out_folder(tmp_path / "a/b")
     make_out_folder(tmp_path / "a/b")
     with pytest.raises(FileError, match=r"--out .*a: the folder is not empty"):

@@ -56,11 +56,11 @@ def fault(name: str, error: str = "", **more) -> Fault:
 
 
 @pytest.fixture(autouse=True)
-def nothing_said():
+def clear_said():
     SAID.clear()
 
 
-def test_what_was_not_shown_or_could_not_be_made_is_reported():
+def test_hidden_or_failed_faults_are_reported():
     hidden = fault("a", during=(lambda stage, watch, when: "nothing shows",))
     assert run([hidden])[1] == "nothing shows"
     SAID.clear()

@@ -38,7 +38,7 @@ def place(*things: Landmark, walls=()) -> ReferenceScene:
 def episode(
     instruction: str, to_m=(14.8, 2.0), kind="past", category="high-level"
 ) -> TrajectoryEpisode:
-    """In the street of `task_scenes`; what is meant is a straight line."""
+    """Return an episode in the street of `task_scenes`; its reference is a straight line."""
     scene = street(*STREET, picture=True)
     reference_m = np.array([(0.0, 0.0), to_m])
     task = TrajectoryTask(kind, category, instruction, (1,), (reference_m[1:],), reference_m)

@@ -1,4 +1,4 @@
-"""Episodes of each source: what is named is in the scene, and what is meant can be driven."""
+"""Episodes of each source: named objects are in the scene, and references can be driven."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_an_episode_is_whole(source, request):
             assert things[number].label in task.instruction
 
 
-def test_the_truth_is_what_is_labelled(shared_dir):
+def test_occupied_cells_hold_points_of_labelled_objects(shared_dir):
     """Grass on a slope is no obstacle: each occupied cell holds a point of a labelled object."""
     (one,) = episodes([SOURCES["kitti"].format(shared_dir)], 1)
     solid = np.unique(np.floor(one.truth.to_cells(one.solid_m)), axis=0)
@@ -53,7 +53,7 @@ def test_frames_of_different_sequences_are_different_places(shared_dir):
     assert all(world.startswith("kitti-semantic_kitti_0") for world in worlds)
 
 
-def test_what_a_detector_misses_is_not_in_the_scene_but_meant(shared_dir):
+def test_a_blind_detector_changes_the_scene_but_not_the_task(shared_dir):
     """A chain that sees nothing: the same tasks and references, no things, ground without kinds."""
 
     def boxes(observation, tags):

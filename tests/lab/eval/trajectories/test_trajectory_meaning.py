@@ -1,4 +1,4 @@
-"""The rule for references: whom a name means, where one stops, on which side one passes."""
+"""The rule for references: meaning of names, stopping places and passing sides."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_an_empty_place_has_no_tasks(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_who_is_shut_in_has_no_tasks(kind):
+def test_an_enclosed_robot_has_no_tasks(kind):
     assert all_of(kind, CAR, VAN, walls=[(-3, 3, -3, 3)]) == []
 
 
@@ -51,17 +51,17 @@ def test_who_is_shut_in_has_no_tasks(kind):
         ([thing(k, "car", k, k, "red") for k in (2, 3, 4)], None),
     ],
 )
-def test_a_name_means_one_thing(others, words):
+def test_a_referring_expression_names_one_object(others, words):
     red = thing(1, "car", 8.0, 6.0, "red")
     assert referring_expression(place(red, *others), red) == words
 
 
 @pytest.mark.parametrize(("at", "label"), [((0.0, 9.0), "car"), ((2.0, 1.0), "car")])
-def test_what_is_aside_or_at_hand_is_not_gone_to(at, label):
+def test_objects_aside_or_too_near_are_no_destination(at, label):
     assert all_of("to", thing(1, label, *at)) == []
 
 
-def test_one_stops_before_a_thing_where_one_comes_from():
+def test_a_reference_stops_in_front_of_the_object():
     (task,) = all_of("to", CAR)
     assert (task.instruction, task.category, task.landmarks) == ("go to the car", "specific", (1,))
     x_m, y_m = task.reference_m[-1]

@@ -1,4 +1,4 @@
-"""Outdoor episodes: the reference does what was said and collides with nothing."""
+"""Outdoor episodes: the reference follows the instruction without a collision."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_scan_is_a_lidars(number):
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-def test_what_the_rule_leads_by_can_be_refined(number):
+def test_task_segments_can_be_refined_without_contacts(number):
     this = episode(number)
     got = refine(this.scene, this.task.segments, (), PathMargins(ROBOT_M, 1.0), LIMITS)
     like = trajectory_scores(got.poses[:, :2], this.task.reference_m, this.scene.occupancy, ROBOT_M)

@@ -1,4 +1,4 @@
-"""`edge eval trajectories`: what methods make, what is kept, what is printed."""
+"""`edge eval trajectories`: results of methods, saved files and printed tables."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ def test_a_refusal_is_a_failure_and_the_robot_stays(tmp_path):
         assert "elephant" in outcome.reason
 
 
-def test_an_end_on_another_side_of_the_object_is_at_it(tmp_path):
+def test_an_end_on_another_side_counts_as_at_the_object(tmp_path):
     there = episode("go to the van", to_m=(8.0, 1.6))
     (outcome,) = ran([there], ["ours"], ResultsFolder(tmp_path))
     assert (outcome.success, outcome.at_thing, outcome.true_depth_m) == (False, True, 0.0)
 
 
-def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
+def test_finished_episodes_are_not_run_again(tmp_path, monkeypatch):
     first = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path))
     text = (tmp_path / "outcomes.jsonl").read_bytes()
     (tmp_path / "outcomes.jsonl").write_bytes(text + b'{"episode": "bro')
@@ -98,11 +98,11 @@ def test_a_model_writes_with_a_picture_and_without(tmp_path):
         asked = [request["messages"][1]["content"] for _, _, request in server.requests]
     assert {outcome.writer for outcome in found} == {"small"}
     assert [outcome.refused for outcome in found] == [""] * len(METHODS)
-    # Ours, without a picture, without a map: what two methods share is asked once.
+    # Ours, without a picture, without a map: a question that two methods share is asked once.
     assert sorted(isinstance(content, str) for content in asked) == [False, False, True]
 
 
-def test_an_answer_that_comes_too_late_is_a_failure(tmp_path):
+def test_a_late_answer_counts_as_a_failure(tmp_path):
     with serving(lambda handler: server.stopping.wait(20.0)) as server:
         config = TasksConfig(planner=WriterModel(url=server.url, time_limit_s=0.2))
         (outcome,) = ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path), config)

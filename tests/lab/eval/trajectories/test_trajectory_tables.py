@@ -23,7 +23,7 @@ def table(name, outcomes, of=FACTS):
     return [dict(enumerate(row)) for row in found[name].rows] if name in found else None
 
 
-def test_of_nothing_there_are_no_tables():
+def test_no_outcomes_give_no_tables_or_plots():
     assert all(not t.rows for t in tables.tables(gather([], [])))
     assert pictures.images(gather([], []), "svg") == {}
 
@@ -38,14 +38,14 @@ def test_a_task_a_row_next_to_the_paper():
     assert [total[k] for k in (4, 5, 6, 7)] == ["4.91", "53", "1.68", "84"]
 
 
-def test_tasks_whose_end_nobody_saw_have_a_row():
+def test_tasks_with_unseen_ends_have_their_own_row():
     of = [replace(one, certain=k < 8) for k, one in enumerate(FACTS)]
     certain, not_certain = table("tasks", OURS, of)[-2:]
     assert (certain[0], certain[1]) == ("end certain", "8")
     assert (not_certain[0], not_certain[1]) == ("end depends on unseen ground", "4")
 
 
-def test_a_thing_a_row_with_the_most_frequent_first():
+def test_a_row_per_class_with_the_most_frequent_first():
     of = [replace(one, label="van" if k < 8 else "fence") for k, one in enumerate(FACTS)]
     outcomes = [replace(one, at_thing=k < 4) for k, one in enumerate(OURS)]
     rows = [list(row.values()) for row in table("things", outcomes, of)]
@@ -74,7 +74,7 @@ def test_refusals_are_counted_by_cause():
     assert [list(row.values()) for row in rows] == [["ours", "12", "0"], ["a_star", "3", "3"]]
 
 
-def test_pictures_take_hostile_words_as_they_are():
+def test_hostile_words_are_escaped_in_images():
     (content,) = pictures.images(gather(FACTS, OURS), "svg").values()
     assert b"go to &lt;b&gt;$x$&lt;/b&gt;" in content
 
@@ -89,7 +89,7 @@ def test_pictures_take_hostile_words_as_they_are():
         ("outcomes.jsonl", json.dumps({**asdict(OURS[0]), "error_m": "far"}).encode()),
     ],
 )
-def test_a_folder_of_something_else_is_reported_in_one_line(tmp_path, name, line):
+def test_a_foreign_folder_is_reported_in_one_line(tmp_path, name, line):
     (tmp_path / name).write_bytes(line + b"\n")
     with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
         ResultsFolder(tmp_path)

@@ -185,7 +185,7 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("case", LEFT_OUT)
-def test_what_is_missing_is_counted_in_one_line(tmp_path, capsys, case):
+def test_a_missing_shape_is_counted_in_one_line(tmp_path, capsys, case):
     shape, files, reason = LEFT_OUT[case]
     for name, content in files.items():
         write_mesh(tmp_path, name, content)
@@ -197,6 +197,6 @@ def test_what_is_missing_is_counted_in_one_line(tmp_path, capsys, case):
     assert reason in lines[at + 1]
 
 
-def test_a_world_without_anything_is_refused(tmp_path, capsys):
+def test_an_empty_world_is_refused(tmp_path, capsys):
     assert imported(write_world(tmp_path / "w.world", ""), tmp_path, tmp_path) == 65
     assert "nothing to import" in capsys.readouterr().err

@@ -123,7 +123,7 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("case", LEFT_OUT)
-def test_what_cannot_be_read_is_left_out_and_reported(tmp_path, case):
+def test_an_unreadable_model_is_skipped_and_reported(tmp_path, case):
     body, reason = LEFT_OUT[case]
     found, problems = read(write_world(tmp_path / "a.world", body + model("good")))
     assert [each.instance for each in found] == ["good"]
@@ -215,12 +215,12 @@ def test_addresses_of_models_are_looked_up_and_not_fetched(tmp_path):
         ("ground_plane", "structure"),
     ],
 )
-def test_names_come_from_models(model_name, name):
+def test_object_names_come_from_model_names(model_name, name):
     assert object_name(model_name) == name
 
 
 @given(st.dictionaries(st.text("abC_ -:#'\"{}1", min_size=1), st.sampled_from(("sofa", "bed"))))
-def test_the_table_of_names_is_read_as_it_was_written(tmp_path_factory, table):
+def test_a_saved_table_of_names_is_read_back(tmp_path_factory, table):
     file = tmp_path_factory.getbasetemp() / "names.yaml"
     save_names(file, table.items())
     assert read_names(file) == table
