@@ -47,6 +47,8 @@ DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
 SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
+# The robot drives slower if the cost per metre ahead is higher: near obstacles and in unknown space.
+FULL_SPEED_COST = 2.0
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
 # The robot drives until it is within this share of the goal tolerance; then it stops and turns.
@@ -275,24 +277,27 @@ class Controller:
             k = index_ahead(self._path, self._path_index, fraction * LOOKAHEAD_M)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
             command = pursue(pose, *aim, remaining_m, self._limits)
-            if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
-                return command
+            cost = self._arc_cost(pose, command)
+            if smoothing.line_is_free(self._map, here, aim) and math.isfinite(cost):
+                return _slowed(command, FULL_SPEED_COST / cost)
         # Every arc touches an obstacle: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
             return turn_by(bearing, self._limits)
-        scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
-        return VelocityCommand(command.v_mps * scale, command.w_radps * scale)
+        return _slowed(command, CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS))
 
-    def _is_clear(self, pose: SE2, command: VelocityCommand) -> bool:
-        """Return True if the arc of a command stays on free cells at all times of `ARC_TIMES_S`."""
+    def _arc_cost(self, pose: SE2, command: VelocityCommand) -> float:
+        """Return the highest cost per metre at the times of `ARC_TIMES_S` along a command's arc.
+
+        It is inf if one of these cells is blocked.
+        """
+        highest = 0.0
         for t_s in ARC_TIMES_S:
             yaw = pose.yaw_rad + 0.5 * command.w_radps * t_s
             x = pose.x_m + command.v_mps * t_s * math.cos(yaw)
             y = pose.y_m + command.v_mps * t_s * math.sin(yaw)
-            if not self._map.is_free(x, y):
-                return False
-        return True
+            highest = max(highest, self._map.cost_at(x, y))
+        return highest
 
     def _remaining_m(self, pose: SE2) -> float:
         """Update `_path_index` for a pose; return the length of the path from there."""
@@ -391,6 +396,12 @@ class Controller:
         """End the goal as "reached" or "failed"."""
         self._status = GoalStatus(self._status.stamp_ns, state, reason)
         self._start_goal(None)
+
+
+def _slowed(command: VelocityCommand, share: float) -> VelocityCommand:
+    """Return a command on the same arc at this share of its speed; unchanged from a share of 1."""
+    share = min(share, 1.0)
+    return VelocityCommand(command.v_mps * share, command.w_radps * share)
 
 
 def _is_finite(pose: SE2) -> bool:

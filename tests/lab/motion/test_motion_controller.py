@@ -283,6 +283,23 @@ def test_a_goal_that_is_no_place_is_refused(bad):
     assert walk.states == [(1, "failed")]
 
 
+@pytest.mark.parametrize(("half_m", "share"), [(1.5, 1.0), (0.35, 0.6)])
+def test_drives_slower_between_near_obstacles(half_m, share):
+    cells = room(6.0, 4.0)
+    cells[: round((2.0 - half_m) / RES_M), 40:80] = 100
+    cells[round((2.0 + half_m) / RES_M) :, 40:80] = 100
+    walk = Walk(SE2(1.0, 2.0, 0.0))
+    walk.map(inflated(cells))
+    walk.goal(1, SE2(5.0, 2.0, 0.0))
+    speeds = []
+    while walk.pose.x_m < 3.0:
+        walk.step()
+        speeds.append(walk.v)
+    assert speeds[-1] == pytest.approx(share * CONFIG.robot.max_speed_mps, rel=0.2)
+    walk.run(20)
+    assert walk.states[-1] == (1, "reached")
+
+
 def test_a_held_robot_recovers_once_and_then_fails():
     walk = Walk(SE2(1.0, 2.0, 0.0), held=True)
     walk.map(room(6.0, 4.0))
