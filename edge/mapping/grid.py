@@ -263,10 +263,10 @@ class RollingMap:
         return is_small[label]
 
     def _components(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Number the 8-connected parts of a layer's cells, (n, n) bool, from 1; 0 is the rest.
+        """Label the 8-connected parts of a layer's cells, (n, n) bool, from 1; 0 is the rest.
 
         Returns:
-            The number of each cell, (n, n) int32, and the longest side of each part in cells.
+            The label of each cell, (n, n) int32, and the longest side of each part in cells.
         """
         shift_x, shift_y = self.window.shift
         in_window = np.roll(cells.view(np.uint8), (-shift_y, -shift_x), (0, 1))

@@ -36,6 +36,9 @@ log = logging.getLogger("edge.lab.motion")
 
 # A goal is reached within both tolerances.
 GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
+# Distance that a path keeps from obstacles, in addition to `motion.clearance_m`, if there is such a
+# path: obstacles and the robot's place are rounded to cells. More than one cell of 0.05 m.
+MARGIN_M = 0.06
 NEAR_M = 0.4  # cells within this distance of an obstacle cost more
 LOOKAHEAD_M = 0.45  # distance along the path to the point that the robot aims at
 REPLAN_S = 0.5  # longest time between two plans of a path
@@ -47,7 +50,7 @@ DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
 SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
-# The robot drives slower if the cost per metre ahead is higher: near obstacles and in unknown space.
+# The robot drives slower at a higher cost per metre: near obstacles and in unknown space.
 FULL_SPEED_COST = 2.0
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
@@ -82,7 +85,8 @@ class Controller:
         self._motion = settings.motion
         self._limits = MotionLimits.of(settings.robot)
         self._workspace = astar.Workspace()
-        self._map: costmap.CostMap | None = None  # the newest one
+        self._grid: Grid | None = None  # the newest map
+        self._map: costmap.CostMap | None = None  # made of it
         self._stuck = StuckDetector(settings.motion.stuck_s)
         self._contact = ContactDetector(CONTACT_M, STUCK_M)
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
@@ -102,6 +106,7 @@ class Controller:
         """Start with a goal, or with none; reset all state of the goal before."""
         self._goal = goal
         self._target = (goal.x_m, goal.y_m) if goal else (0.0, 0.0)  # see `_free_target`
+        self._squeezes = False  # True if no path keeps `MARGIN_M`
         self._arrived = False
         self._recovery: Recovery | None = None
         self._last_recovery_at: SE2 | None = None
@@ -137,10 +142,15 @@ class Controller:
                 f"resolution of the map: expected {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got "
                 f"{grid.resolution_m:g} m"
             )
-        clearance_m = self._motion.clearance_m
-        self._map = costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M)
+        self._grid = grid
+        self._make_costs()
         if len(self._path) and not self._is_path_free():
             self._planned_ns = None
+
+    def _make_costs(self) -> None:
+        """Make the cost map of the newest map."""
+        clearance_m = self._motion.clearance_m + (0.0 if self._squeezes else MARGIN_M)
+        self._map = costmap.from_occupancy(self._grid, clearance_m=clearance_m, near_m=NEAR_M)
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Start a new goal, or answer again for a repeated one; return the answers."""
@@ -329,8 +339,11 @@ class Controller:
         if self._map is None:
             self._on_no_path("no map", now_ns)
             return
-        self._target = self._free_target()
-        found = astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
+        found = self._search(pose)
+        if not (found.ok or self._squeezes):
+            self._squeezes = True
+            self._make_costs()
+            found = self._search(pose)
         old_cost = self._remaining_cost_m(pose)
         if found.ok:
             self._no_path_since_ns = None
@@ -341,6 +354,11 @@ class Controller:
         elif math.isinf(old_cost):
             self._path, self._path_index = np.empty((0, 2)), 0
             self._on_no_path(found.reason, now_ns)
+
+    def _search(self, pose: SE2) -> astar.GridPath:
+        """Search for a path to the goal, which only moves if there is no path with the margin."""
+        self._target = self._free_target() if self._squeezes else (self._goal.x_m, self._goal.y_m)
+        return astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
 
     def _free_target(self) -> tuple[float, float]:
         """Return x and y of the goal, or of the nearest free cell if a newer map has blocked it."""
