@@ -39,7 +39,7 @@ _FOOTPRINT_M = 0.3  # unknown cells this near to the robot's centre are free
 _OFF_CENTRE_CELLS = 0.7
 # Weight of a new measurement of the floor's height.
 _FLOOR_GAIN = 0.2
-# Obstacles this near to the robot are never forgotten unseen.
+# Obstacles that are this near to the robot are never forgotten unseen.
 _KEEP_M = 0.5
 # Largest side of an obstacle that may be a person.
 _PERSON_M = 0.8
@@ -228,8 +228,9 @@ class RollingMap:
     def forget_arrivals(self, small_too: bool = False) -> bool:
         """Free all cells in which something arrived, such as a person; return True if any was.
 
-        What is still there is occupied again as soon as it is seen. Cells next to the robot stay:
-        the sensor may not see them. The cost grows with the window, so not for each tick.
+        What is still there is occupied again as soon as it is seen. Obstacles next to the robot
+        stay whole: the sensor may not see them. The cost grows with the window, so not for each
+        tick.
 
         Args:
             small_too: True: cells of other obstacles that are no larger than a person become
@@ -238,11 +239,14 @@ class RollingMap:
         (ox, oy), n, raw = self.window.origin, self.window.n, self._layers.raw
         arrived = (raw >= ly.ARRIVED) & (raw < ly.BUMPED)
         small = self._small_obstacles() & ~arrived if small_too else np.zeros_like(arrived)
-        row, column = np.nonzero(arrived | small)
+        label, _ = self._components(arrived | small)
+        row, column = np.nonzero(label)
         x, y = ox + (column - ox) % n, oy + (row - oy) % n
         if self._robot_cell is not None:
             away_m = self.resolution_m * np.hypot(x - self._robot_cell[0], y - self._robot_cell[1])
-            x, y = x[away_m > _KEEP_M], y[away_m > _KEEP_M]
+            of = label[row, column]
+            far = ~np.isin(of, of[away_m <= _KEEP_M])
+            x, y = x[far], y[far]
         for cell_x, cell_y in zip(x.tolist(), y.tolist(), strict=True):
             if small[cell_y % n, cell_x % n]:
                 self._write(cell_x, cell_y, ly.UNSEEN)
@@ -252,14 +256,23 @@ class RollingMap:
 
     def _small_obstacles(self) -> np.ndarray:
         """Return the cells of obstacles that are no larger than a person, (n, n) bool."""
-        raw, (shift_x, shift_y) = self._layers.raw, self.window.shift
-        occupied = ((raw >= ly.OCCUPIED) & (raw < ly.BUMPED)).astype(np.uint8)
-        in_window = np.roll(occupied, (-shift_y, -shift_x), (0, 1))
+        raw = self._layers.raw
+        label, side_cells = self._components((raw >= ly.OCCUPIED) & (raw < ly.BUMPED))
+        is_small = side_cells * self.resolution_m <= _PERSON_M
+        is_small[0] = False  # the background
+        return is_small[label]
+
+    def _components(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Label the 8-connected parts of a layer's cells, (n, n) bool, from 1; 0 is the rest.
+
+        Returns:
+            The label of each cell, (n, n) int32, and the longest side of each part in cells.
+        """
+        shift_x, shift_y = self.window.shift
+        in_window = np.roll(cells.view(np.uint8), (-shift_y, -shift_x), (0, 1))
         _, label, stats, _ = cv2.connectedComponentsWithStats(in_window, connectivity=8)
         side = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
-        is_small = side * self.resolution_m <= _PERSON_M
-        is_small[0] = False  # the background
-        return np.roll(is_small[label], (shift_y, shift_x), (0, 1))
+        return np.roll(label, (shift_y, shift_x), (0, 1)), side
 
     def state_at(self, x_m: float, y_m: float) -> int:
         """Return -1 for unknown or outside the window, 0 for free, 100 for occupied or inflated."""

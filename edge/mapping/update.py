@@ -35,8 +35,8 @@ def apply_scan(
     """Write a classified scan into the map, and clear `scan.seen`.
 
     A ray frees unseen cells that it shows to be open (`is_open`). An occupied cell without a hit is
-    stale if a ray passed over it below its top, because that ray would have hit the obstacle.
-    Obstacles below the camera's view stay.
+    stale if a ray passed over it below its top, because that ray would have hit the obstacle. If
+    the obstacle arrived there, floor in the cell is enough. Obstacles below the camera's view stay.
 
     - `layers`: layers of the map; `shift_x`, `shift_y`: storage cell of the window's corner.
     - `scan`, `polar`: the classified scan, and its polar grid; see `edge.mapping.points`.
@@ -147,7 +147,9 @@ def _update_obstacle(
         bit_set(layers.known, sy, sx, True)
         return state < OCCUPIED
     # Codes are rounded down, and beams of a planar LiDAR are as high as their hits: add one code.
-    if below_ray_m >= min((top - LOWEST_OBSTACLE + 1) * m_per_code, obstacle_max_m):
+    passed_below = below_ray_m < min((top - LOWEST_OBSTACLE + 1) * m_per_code, obstacle_max_m)
+    # Floor is enough where something arrived: if something is close behind, no ray passes over.
+    if not (passed_below or (state >= ARRIVED and code == FLOOR)):
         return False
     if state - occupied + 1 < clear_after:
         layers.raw[sy, sx] = state + 1

@@ -62,6 +62,21 @@ def test_a_walking_person_leaves_no_ghost():
     assert len(occupied) > 20, "the walls stay"
 
 
+def test_a_person_who_leaves_leaves_no_ghost_in_front_of_something():
+    """No ray ends behind the cell near enough to show that it passed low over it."""
+    grid = RollingMap(SMALL)
+    cupboard = [*room(2.5), (1.6, -0.6, 0.0, 1.9, 0.6, 1.7)]
+    person = (1.5, -0.15, 0.0, 1.58, 0.15, 1.7)
+    looks = [*(update.SURELY_FREE + 1) * [cupboard], [*cupboard, person], *CLEAR_AFTER * [cupboard]]
+    states = []
+    for boxes in looks:
+        look(grid, ORIGIN, boxes)
+        x, y = grid.window.cell_of(1.52, 0.0)
+        states.append(int(grid.layers.raw[y % grid.window.n, x % grid.window.n]))
+    assert states[-1 - CLEAR_AFTER] == layers.ARRIVED
+    assert states[-1] == states[0] == layers.FREE
+
+
 def test_an_opened_door_is_free_and_a_closed_one_occupied():
     grid = RollingMap(SMALL)
     door = (1.5, -0.4, 0.0, 1.55, 0.4, 2.0)
@@ -79,6 +94,7 @@ def test_an_opened_door_is_free_and_a_closed_one_occupied():
         (update.SURELY_FREE, 1.5, False),  # the first look frees the cell
         (update.SURELY_FREE + 1, 1.5, True),
         (update.SURELY_FREE + 1, 0.3, False),  # next to the robot
+        (update.SURELY_FREE + 1, 0.51, False),  # partly
     ],
 )
 def test_only_new_obstacles_on_seen_floor_are_forgotten(floor_looks, x_m, forgotten):
