@@ -79,6 +79,16 @@ def test_a_kind_that_the_vocabulary_lacks_is_searched_as_the_broader_word(tmp_pa
             encoder.resolve(unknown)
 
 
+def test_kinds_that_the_alias_table_lists_are_asked_for_too(tmp_path):
+    """One word finds few poles: YOLO-World calls most of them telephone poles."""
+    words = ["pole", "telephone pole", "lamppost", "tree"]
+    np.savez(tmp_path / "words.npz", names=words, emb=np.eye(4, 512))
+    encoder = TextEmbeddings(str(tmp_path / "words.npz"))
+    assert encoder.synonyms("pole") == ["telephone pole"]
+    assert encoder.synonyms("telephone pole") == encoder.synonyms("lamppost") == []
+    assert encoder.resolve("tree trunk") == "tree"
+
+
 def test_a_missing_vocabulary_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))
     monkeypatch.delenv("EDGE_VOCABULARY", raising=False)

@@ -248,7 +248,8 @@ class TextEmbeddings:
         """
         word = self.resolve(prompt)
         near = self._rows @ self._rows[self._row_of[word]]
-        found = [name for name in names.names_of(word) if name in self._row_of]
+        found = [*names.names_of(word), *names.KINDS.get(names.canonical(word), ())]
+        found = [name for name in found if name in self._row_of]
         by_nearness = sorted(self._row_of.items(), key=lambda item: -near[item[1]])
         for name, row in by_nearness:
             if near[row] < NARROWER_COSINE:
