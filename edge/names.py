@@ -122,9 +122,9 @@ ALIASES: dict[str, tuple[str, ...]] = {
         "rubbish bin", "dustbin", "wastepaper basket", "litter bin",
     ),
     "tree": (),
+    "tree trunk": (),
     "treadmill": ("running machine",),
     "truck": ("lorry",),
-    "trunk": ("tree trunk",),
     "umbrella": (),
     "van": ("minivan",),
     "vacuum cleaner": ("vacuum", "hoover"),
@@ -161,7 +161,7 @@ BROADER: dict[str, tuple[str, ...]] = {
 
 HYPERNYMS: dict[str, tuple[str, ...]] = {
     "plant": ("bush", "hedge", "vegetation", "fern", "ivy", "flower bed"),
-    "tree": ("pine", "oak", "fir", "birch", "willow", "sapling"),
+    "tree": ("pine", "oak", "fir", "birch", "willow", "sapling", "tree trunk"),
     "building": (
         "shed",
         "garage",
@@ -187,7 +187,8 @@ HYPERNYMS: dict[str, tuple[str, ...]] = {
 }
 """Broader word → kinds of it. A detector that lacks the word for a kind looks for the broader one.
 
-Parts (trunk) and things that only look alike (fence, gate) are not in here.
+A trunk of a tree is where the tree stands. Other parts, and things that only look alike (fence,
+gate), are not in here.
 """
 
 NEAR: dict[str, tuple[str, ...]] = {

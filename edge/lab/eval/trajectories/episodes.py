@@ -38,11 +38,13 @@ from edge.lab.eval.trajectories.references import (
 )
 from edge.lab.sim.base import World, WorldObject, free_poses
 from edge.lab.sim.generator.rng import PortableRng
+from edge.perception.embedding.text import PromptError
 from edge.tasks import terrain
 from edge.tasks.captions import place_of
 from edge.tasks.ground import reachable
 from edge.tasks.objects import box_around
 from edge.tasks.pipeline import PerceptionPipeline
+from edge.tasks.reading import named_objects
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.text import one_line
@@ -182,10 +184,31 @@ def _kitti(
     all_frames = kitti.scene_of(frames, kitti.label_pipeline(frames), kitti.CAR_RADIUS_M)
     sequence, solid_m = _sequence(folder), kitti.solid_m(frames)
     for number, frame in zip(numbers, frames, strict=True):
-        scene = kitti.kitti_scene(folder, [number], pipeline, by_labels=pipeline is None)
+        scenes: dict[tuple[str, ...], Scene] = {}
         place = kitti_place(frame, all_frames, solid_m)
         for task in _draw_tasks(place, PortableRng(_KEY, number)):
-            yield _episode("kitti", f"kitti-{sequence}-{number:06d}", place, task, scene, solid_m)
+            words = () if pipeline is None else named_objects(task.instruction)
+            if words not in scenes:
+                scenes[words] = _kitti_scene(folder, number, pipeline, words)
+            yield _episode(
+                "kitti", f"kitti-{sequence}-{number:06d}", place, task, scenes[words], solid_m
+            )
+
+
+def _kitti_scene(
+    folder: Path, number: int, pipeline: PerceptionPipeline | None, words: tuple[str, ...]
+) -> Scene:
+    """Return the scene of a frame; a pipeline looks for `words`, as in `edge trajectory`.
+
+    If the pipeline lacks one of the words, it looks for its own.
+    """
+    if pipeline is None:
+        return kitti.kitti_scene(folder, [number])
+    for_words = pipeline._replace(tags=lambda observation: words)
+    try:
+        return kitti.kitti_scene(folder, [number], for_words, by_labels=False)
+    except PromptError:
+        return kitti.kitti_scene(folder, [number], pipeline, by_labels=False)
 
 
 def _sequence(folder: Path) -> str:

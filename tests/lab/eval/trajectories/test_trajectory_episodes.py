@@ -9,7 +9,9 @@ import pytest
 
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectory_metrics import contacts
+from edge.perception.embedding.text import PromptError
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
+from edge.tasks.reading import named_objects
 from edge.types import Detections
 
 SOURCES = {
@@ -54,15 +56,23 @@ def test_frames_of_different_sequences_are_different_places(shared_dir):
 
 
 def test_a_blind_detector_changes_the_scene_but_not_the_task(shared_dir):
-    """A chain that sees nothing: the same tasks and references, no things, ground without kinds."""
+    """A chain that sees nothing: the same tasks and references, no things, ground without kinds.
+
+    It is asked for what the instruction names, and if it lacks a word, for its own.
+    """
+    asked = []
 
     def boxes(observation, tags):
+        asked.append(tuple(tags))
+        if len(asked) == 1:
+            raise PromptError("not in the vocabulary")
         none = np.zeros(0, np.float32)
         return Detections(observation, none.reshape(0, 4), none, none.astype(np.int32), tuple(tags))
 
     spec = [SOURCES["kitti"].format(shared_dir)]
     blind = PerceptionPipeline(lambda observation: ("car",), boxes, boxes_as_masks)
     (told,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
+    assert asked == [named_objects(seen.task.instruction), ("car",)]
     assert (seen.id, seen.task.instruction) == (told.id, told.task.instruction)
     np.testing.assert_array_equal(seen.truth.cells, told.truth.cells)
     assert told.scene.objects
