@@ -62,7 +62,7 @@ def test_a_walking_person_leaves_no_ghost():
     assert len(occupied) > 20, "the walls stay"
 
 
-def test_a_person_who_leaves_leaves_no_ghost_in_front_of_something():
+def test_a_leaving_person_leaves_no_ghost_in_front_of_furniture():
     """No ray ends behind the cell near enough to show that it passed low over it."""
     grid = RollingMap(SMALL)
     cupboard = [*room(2.5), (1.6, -0.6, 0.0, 1.9, 0.6, 1.7)]
