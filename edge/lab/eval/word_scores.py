@@ -34,7 +34,9 @@ from edge.text import format_table
 from edge.types import Detections, Observation
 
 NEVER = 1.0
-"""Score for a word whose detections are too often wrong at any score."""
+"""Score for a word whose detections are too often wrong at any score, or that are rare."""
+MIN_RECALL = 0.25
+"""Least share of views with a box. Below it, a search passes the object, and then look-alikes."""
 PRIOR_OBJECTS = 4
 """A word's share of right objects counts as if it had this many more, of the share of all words."""
 _MIN_IOU = 0.5
@@ -80,7 +82,8 @@ def score_for(count: WordCount, everything: WordCount, precision: float, least: 
     Few objects say little, so the share is drawn to that of all words: `PRIOR_OBJECTS`.
 
     Returns:
-        `least`, or more by a multiple of 0.05; `NEVER` if no score is high enough.
+        `least`, or more by a multiple of 0.05; `NEVER` if no score is high enough, or if the recall
+        is below `MIN_RECALL`.
 
     Example:
         >>> found = WordCount(40, 40, [0.4] * 5 + [0.8] * 40, [False] * 5 + [True] * 40)
@@ -89,6 +92,8 @@ def score_for(count: WordCount, everything: WordCount, precision: float, least: 
         >>> score_for(WordCount(), WordCount(), 0.95, 0.3)
         1.0
     """
+    if count.seen < MIN_RECALL * count.views:
+        return NEVER
     for score in np.arange(least, 0.95 + 1e-9, _STEP).round(2).tolist():
         right, n = count.n_right(score)
         all_right, all_n = everything.n_right(score)

@@ -218,6 +218,7 @@ class TextEmbeddings:
         for row, word in enumerate(words):  # the first of two equal words counts
             self._row_of.setdefault(word, row)
         self._bracketed = _bracketed(self._row_of)
+        self._warnings: set[str] = set()  # warnings that were logged
 
     @property
     def dim(self) -> int:
@@ -275,19 +276,25 @@ class TextEmbeddings:
             return found
         for noun in names.head_nouns(word):
             if found := self._lookup(noun):
-                log.warning(
-                    "prompt %r: no embedding for the phrase; looking for %r (vocabulary word %r)",
-                    prompt, noun, found,
-                )  # fmt: skip
+                self._warn_once(
+                    f"prompt {prompt!r}: no embedding for the phrase; looking for {noun!r} "
+                    f"(vocabulary word {found!r})"
+                )
                 return found
             broader = names.hypernym(noun)
             if broader and (found := self._lookup(broader)):
-                log.warning("prompt %r: no embedding; searched as %r", prompt, broader)
+                self._warn_once(f"prompt {prompt!r}: no embedding; searched as {broader!r}")
                 return found
         close = ", ".join(self.nearest(word))
         raise PromptError(
             f"prompt {prompt!r}: not in the vocabulary {self.path.name} (nearest: {close})"
         )
+
+    def _warn_once(self, text: str) -> None:
+        """Log a warning, unless it was logged before: prompts are resolved again and again."""
+        if text not in self._warnings:
+            self._warnings.add(text)
+            log.warning("%s", text)
 
     def nearest(self, word: str, n: int = 5) -> list[str]:
         """Return vocabulary words and aliases spelt most like `word`, at most `n`."""

@@ -26,6 +26,11 @@ def test_score_for_finds_the_lowest_precise_score(wrong, right, others, score):
     assert score_for(count, others, 0.9, 0.3) == score
 
 
+@pytest.mark.parametrize(("seen", "score"), [(24, NEVER), (25, 0.3)])
+def test_a_rarely_detected_word_confirms_nothing(seen, score):
+    assert score_for(WordCount(100, seen, [0.3] * 40, [True] * 40), OTHERS, 0.9, 0.3) == score
+
+
 BED, SOFA, SOFA_BED = (10, 10, 40, 30), (50, 40, 70, 55), (0, 40, 20, 60)
 CASES = {
     "nothing found": ((), {}, 0),
