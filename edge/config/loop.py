@@ -157,7 +157,7 @@ class ReportConfig(Section):
     """
 
     status_hz: Positive = 1.0
-    map_hz: Positive = 5.0
+    map_hz: Positive = 2.0
 
 
 class HttpConfig(Section):

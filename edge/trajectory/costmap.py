@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -61,13 +60,8 @@ class CostMap:
 
     def is_free(self, x_m: float, y_m: float) -> bool:
         """Return True if the cell is not blocked; False outside the map."""
-        return math.isfinite(self.cost_at(x_m, y_m))
-
-    def cost_at(self, x_m: float, y_m: float) -> float:
-        """Return the cost per metre in the cell; inf in blocked cells and outside the map."""
         cell = self.cell_of(x_m, y_m)
-        weight = 0 if cell is None else int(self.weight[cell])
-        return weight / self.unit if weight else math.inf
+        return cell is not None and self.weight[cell] != 0
 
 
 def from_weights(grid: Grid, unit: int = UNIT) -> CostMap:

@@ -15,7 +15,6 @@ from edge.geometry import SE2, wrap_angle
 
 ROTATE_RAD = 0.8  # larger heading errors are corrected on the spot
 TURN_GAIN = 2.5  # rad/s for each rad of heading error
-CURVE_M = 0.9  # a tighter curve is driven slower, because it leads out of the camera's view
 CREEP_MPS = 0.05  # slowest approach: below it, friction and rounding stop the robot
 
 
@@ -125,10 +124,8 @@ def pursue(
         return turn_by(bearing, limits)
     # Speed from which the robot stops at the goal with half of the allowed deceleration.
     braking = math.sqrt(limits.accel_mps2 * max(remaining_m, 0.0))
-    curvature = 2.0 * math.sin(bearing) / distance
-    v = min(limits.speed_mps, braking) * math.cos(bearing) / max(CURVE_M * abs(curvature), 1.0)
-    v = max(v, min(CREEP_MPS, limits.speed_mps))
-    return limits.clip(v, v * curvature)
+    v = min(limits.speed_mps, max(braking, CREEP_MPS)) * math.cos(bearing)
+    return limits.clip(v, v * 2.0 * math.sin(bearing) / distance)
 
 
 def turn_by(error_rad: float, limits: MotionLimits) -> VelocityCommand:

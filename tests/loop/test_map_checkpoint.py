@@ -182,7 +182,7 @@ def test_the_checkpoint_is_one_tick_and_under_five_seconds_old(tmp_path, monkeyp
     monkeypatch.setattr(TileCopier, "step", few)
     run = Run(tmp_path / "m.json", config())
     path, raw, written = tmp_path / "m.json.map", {}, set()
-    for _ in range(160):
+    for _ in range(120):
         now_ns = run.drive.motion.stamp_ns
         run.ticks(1)
         grid = run.service.map.grid

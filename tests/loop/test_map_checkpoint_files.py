@@ -16,7 +16,7 @@ from test_map_checkpoint import Run, config
 from edge.host.checkpoint import Arrays, Checkpoint, save
 from edge.loop.map_checkpoint import MAP, MapCheckpoint, MapState
 
-SETTINGS = config("hvl", source={"localised": True}, mission={"instruction": "F sofa"})
+SETTINGS = config("hvl", source={"localised": True})
 
 
 @pytest.fixture(scope="module")

@@ -412,7 +412,7 @@ def test_a_result_has_the_candidates_and_the_path():
     loop = ClosedLoop(config(mission={"target": "bed"}), colour=False)
     nothing = loop.service.result()
     assert (len(nothing.candidates().score), len(nothing.path())) == (0, 0)
-    for _ in range(30):
+    for _ in range(10):
         loop.step()
     told = loop.service.result()
     there, way, goal = told.candidates(), told.path(), told.goal

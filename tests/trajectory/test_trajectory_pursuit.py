@@ -69,19 +69,6 @@ def test_slower_near_the_goal():
     assert speeds[0] < 0.5 * LIMITS.speed_mps < speeds[-1] == LIMITS.speed_mps
 
 
-def test_slower_in_a_tight_curve_but_on_the_same_arc():
-    bearings = np.array([0.0, 0.1, 0.3, 0.5, 0.7])
-    commands = [
-        pursuit.pursue(SE2(0.0, 0.0, -b), 0.45, 0.0, 5.0, LIMITS) for b in bearings.tolist()
-    ]
-    speeds = [command.v_mps for command in commands]
-    assert speeds == sorted(speeds, reverse=True)
-    assert speeds[0] == LIMITS.speed_mps
-    assert speeds[-1] < 0.3 * LIMITS.speed_mps
-    curvatures = [command.w_radps / command.v_mps for command in commands]
-    assert curvatures == pytest.approx(2.0 * np.sin(bearings) / 0.45)
-
-
 @pytest.mark.parametrize("yaw", [-3.0, -0.5, 0.5, 3.0])
 def test_turn_to_takes_the_shorter_turn(yaw):
     command = pursuit.turn_to(SE2(0.0, 0.0, 3.1), yaw, LIMITS)

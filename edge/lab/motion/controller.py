@@ -36,9 +36,6 @@ log = logging.getLogger("edge.lab.motion")
 
 # A goal is reached within both tolerances.
 GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD = 0.12, 0.15
-# Distance that a path keeps from obstacles, in addition to `motion.clearance_m`, if there is such a
-# path: obstacles and the robot's place are rounded to cells. More than one cell of 0.05 m.
-MARGIN_M = 0.06
 NEAR_M = 0.4  # cells within this distance of an obstacle cost more
 LOOKAHEAD_M = 0.45  # distance along the path to the point that the robot aims at
 REPLAN_S = 0.5  # longest time between two plans of a path
@@ -50,8 +47,6 @@ DRIFT_M = 0.4  # farther off the path than this: plan again
 BETTER_SHARE = 0.85  # a new path must cost less than this share of the old path's rest
 SNAP_M = 0.25  # a goal that a newer map has blocked moves at most this far
 ARC_TIMES_S = (0.15, 0.3, 0.45)  # times along a command's arc at which cells must be free
-# The robot drives slower at a higher cost per metre: near obstacles and in unknown space.
-FULL_SPEED_COST = 2.0
 CAREFUL_MPS = 0.15  # speed if no arc is free, for example if the robot is inside an obstacle
 FACING_RAD = 0.2  # with a larger bearing of the path, a careful robot turns on the spot
 # The robot drives until it is within this share of the goal tolerance; then it stops and turns.
@@ -85,8 +80,7 @@ class Controller:
         self._motion = settings.motion
         self._limits = MotionLimits.of(settings.robot)
         self._workspace = astar.Workspace()
-        self._grid: Grid | None = None  # the newest map
-        self._map: costmap.CostMap | None = None  # made of it
+        self._map: costmap.CostMap | None = None  # the newest one
         self._stuck = StuckDetector(settings.motion.stuck_s)
         self._contact = ContactDetector(CONTACT_M, STUCK_M)
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
@@ -106,7 +100,6 @@ class Controller:
         """Start with a goal, or with none; reset all state of the goal before."""
         self._goal = goal
         self._target = (goal.x_m, goal.y_m) if goal else (0.0, 0.0)  # see `_free_target`
-        self._squeezes = False  # True if no path keeps `MARGIN_M`
         self._arrived = False
         self._recovery: Recovery | None = None
         self._last_recovery_at: SE2 | None = None
@@ -142,15 +135,10 @@ class Controller:
                 f"resolution of the map: expected {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got "
                 f"{grid.resolution_m:g} m"
             )
-        self._grid = grid
-        self._make_costs()
+        clearance_m = self._motion.clearance_m
+        self._map = costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M)
         if len(self._path) and not self._is_path_free():
             self._planned_ns = None
-
-    def _make_costs(self) -> None:
-        """Make the cost map of the newest map."""
-        clearance_m = self._motion.clearance_m + (0.0 if self._squeezes else MARGIN_M)
-        self._map = costmap.from_occupancy(self._grid, clearance_m=clearance_m, near_m=NEAR_M)
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Start a new goal, or answer again for a repeated one; return the answers."""
@@ -287,27 +275,24 @@ class Controller:
             k = index_ahead(self._path, self._path_index, fraction * LOOKAHEAD_M)
             aim = (float(self._path[k, 0]), float(self._path[k, 1]))
             command = pursue(pose, *aim, remaining_m, self._limits)
-            cost = self._arc_cost(pose, command)
-            if smoothing.line_is_free(self._map, here, aim) and math.isfinite(cost):
-                return _slowed(command, FULL_SPEED_COST / cost)
+            if smoothing.line_is_free(self._map, here, aim) and self._is_clear(pose, command):
+                return command
         # Every arc touches an obstacle: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
             return turn_by(bearing, self._limits)
-        return _slowed(command, CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS))
+        scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
+        return VelocityCommand(command.v_mps * scale, command.w_radps * scale)
 
-    def _arc_cost(self, pose: SE2, command: VelocityCommand) -> float:
-        """Return the highest cost per metre at the times of `ARC_TIMES_S` along a command's arc.
-
-        It is inf if one of these cells is blocked.
-        """
-        highest = 0.0
+    def _is_clear(self, pose: SE2, command: VelocityCommand) -> bool:
+        """Return True if the arc of a command stays on free cells at all times of `ARC_TIMES_S`."""
         for t_s in ARC_TIMES_S:
             yaw = pose.yaw_rad + 0.5 * command.w_radps * t_s
             x = pose.x_m + command.v_mps * t_s * math.cos(yaw)
             y = pose.y_m + command.v_mps * t_s * math.sin(yaw)
-            highest = max(highest, self._map.cost_at(x, y))
-        return highest
+            if not self._map.is_free(x, y):
+                return False
+        return True
 
     def _remaining_m(self, pose: SE2) -> float:
         """Update `_path_index` for a pose; return the length of the path from there."""
@@ -339,11 +324,8 @@ class Controller:
         if self._map is None:
             self._on_no_path("no map", now_ns)
             return
-        found = self._search(pose)
-        if not (found.ok or self._squeezes):
-            self._squeezes = True
-            self._make_costs()
-            found = self._search(pose)
+        self._target = self._free_target()
+        found = astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
         old_cost = self._remaining_cost_m(pose)
         if found.ok:
             self._no_path_since_ns = None
@@ -354,11 +336,6 @@ class Controller:
         elif math.isinf(old_cost):
             self._path, self._path_index = np.empty((0, 2)), 0
             self._on_no_path(found.reason, now_ns)
-
-    def _search(self, pose: SE2) -> astar.GridPath:
-        """Search for a path to the goal, which only moves if there is no path with the margin."""
-        self._target = self._free_target() if self._squeezes else (self._goal.x_m, self._goal.y_m)
-        return astar.plan(self._map, (pose.x_m, pose.y_m), self._target, self._workspace)
 
     def _free_target(self) -> tuple[float, float]:
         """Return x and y of the goal, or of the nearest free cell if a newer map has blocked it."""
@@ -414,12 +391,6 @@ class Controller:
         """End the goal as "reached" or "failed"."""
         self._status = GoalStatus(self._status.stamp_ns, state, reason)
         self._start_goal(None)
-
-
-def _slowed(command: VelocityCommand, share: float) -> VelocityCommand:
-    """Return a command on the same arc at this share of its speed; unchanged from a share of 1."""
-    share = min(share, 1.0)
-    return VelocityCommand(command.v_mps * share, command.w_radps * share)
 
 
 def _is_finite(pose: SE2) -> bool:

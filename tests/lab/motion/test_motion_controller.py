@@ -138,17 +138,6 @@ def test_reaches_the_goal_through_a_doorway(start_yaw, goal):
     assert driven < 1.25 * direct
 
 
-@pytest.mark.parametrize(("gap_m", "fits"), [((1.6, 2.4), True), ((1.7, 2.25), False)])
-def test_keeps_a_margin_if_there_is_a_path_that_does(gap_m, fits):
-    cells = wall(room(8.0, 4.0), 4.0, gap_m)
-    walk = Walk(SE2(3.0, 0.7, 1.0))
-    walk.map(inflated(cells))
-    walk.goal(1, SE2(5.0, 0.7, 0.0))
-    walk.run(60)
-    assert walk.states[-1] == (1, "reached")
-    walk.assert_kept_off(inflated(cells, 0.3 if fits else 0.25))
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_reaches_any_free_cell_among_random_boxes(seed):
     rng = np.random.default_rng(seed)
@@ -292,23 +281,6 @@ def test_a_goal_that_is_not_finite_is_refused(bad):
     walk = Walk(BESIDE)
     walk.goal(1, bad)
     assert walk.states == [(1, "failed")]
-
-
-@pytest.mark.parametrize(("half_m", "share"), [(1.5, 1.0), (0.35, 0.5)])
-def test_drives_slower_between_near_obstacles(half_m, share):
-    cells = room(6.0, 4.0)
-    cells[: round((2.0 - half_m) / RES_M), 40:80] = 100
-    cells[round((2.0 + half_m) / RES_M) :, 40:80] = 100
-    walk = Walk(SE2(1.0, 2.0, 0.0))
-    walk.map(inflated(cells))
-    walk.goal(1, SE2(5.0, 2.0, 0.0))
-    speeds = []
-    while walk.pose.x_m < 3.0:
-        walk.step()
-        speeds.append(walk.v)
-    assert speeds[-1] == pytest.approx(share * CONFIG.robot.max_speed_mps, rel=0.2)
-    walk.run(20)
-    assert walk.states[-1] == (1, "reached")
 
 
 def test_a_held_robot_recovers_once_and_then_fails():
