@@ -94,7 +94,6 @@ def test_an_opened_door_is_free_and_a_closed_one_occupied():
         (update.SURELY_FREE, 1.5, False),  # the first look frees the cell
         (update.SURELY_FREE + 1, 1.5, True),
         (update.SURELY_FREE + 1, 0.3, False),  # next to the robot
-        (update.SURELY_FREE + 1, 0.51, False),  # partly
     ],
 )
 def test_only_new_obstacles_on_seen_floor_are_forgotten(floor_looks, x_m, forgotten):
@@ -112,6 +111,24 @@ def test_only_new_obstacles_on_seen_floor_are_forgotten(floor_looks, x_m, forgot
     look(grid, ORIGIN, with_person)
     assert grid.state_at(x_m + 0.02, 0.0) == 100
     assert grid.forget_arrivals() == forgotten, "again"
+
+
+@pytest.mark.parametrize(("robot_m", "stays"), [(0.5, False), (1.0, True)])
+def test_an_obstacle_partly_next_to_the_robot_stays_whole(robot_m, stays):
+    grid, walls = RollingMap(SMALL), room(2.5)
+    with_person = [*walls, (1.5, -0.15, 0.0, 1.58, 0.15, 1.7)]
+    for boxes in [*(update.SURELY_FREE + 1) * [walls], with_person]:
+        look(grid, ORIGIN, boxes)
+    look(grid, SE2(robot_m, 0.0, 0.0), with_person)
+
+    def arrived() -> int:
+        raw = twins.window(grid, "raw")
+        return np.count_nonzero((raw >= layers.ARRIVED) & (raw < layers.BUMPED))
+
+    before = arrived()
+    assert before > 1
+    grid.forget_arrivals()
+    assert arrived() == before * stays
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from edge.loop.memory_requests import handle_memory
 from edge.loop.service import Service
 
 MAX_ERROR_M = 1.0  # of the place in a right answer
-# Verdicts on an answer, besides `RIGHT`.
+# The other verdicts on an answer; `RIGHT` is one, too.
 NOT_SEEN, WRONG_PLACE, WRONG_ROOM = "not seen", "wrong place", "wrong room"
 EXPLORE = "explore the house"
 

@@ -45,6 +45,7 @@ On views of `furnished[0:100]`, YOLO-World INT8 found more boxes (recall 0.22 to
 box"), cabinets (0.42 to 0.58, "file cabinet"), beds (0.46 to 0.57, "infant bed") and helmets (0 to
 0.28, "football helmet"); over six words 0.34 to 0.45, at a precision of 0.62 to 0.64. Kinds that
 are less alike cost precision ("bread-bin" for a bin)."""
+_MOST_WARNINGS = 1000  # remembered ones
 MAX_SYNONYMS = 6
 """Largest number of synonyms of one prompt."""
 
@@ -293,6 +294,8 @@ class TextEmbeddings:
     def _warn_once(self, text: str) -> None:
         """Log a warning, unless it was logged before: prompts are resolved again and again."""
         if text not in self._warnings:
+            if len(self._warnings) == _MOST_WARNINGS:
+                self._warnings.clear()
             self._warnings.add(text)
             log.warning("%s", text)
 
