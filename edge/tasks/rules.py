@@ -36,9 +36,9 @@ from edge.tasks.manoeuvres import (
     regions_of,
 )
 from edge.tasks.object_phrases import centre_m, object_name
-from edge.tasks.reading import OTHER_SIDE, parse_steps
+from edge.tasks.reading import parse_steps
 from edge.tasks.scene import SceneObject
-from edge.tasks.steps import OF_SUFFIX, InstructionStep
+from edge.tasks.steps import OF_SUFFIX, OTHER_SIDE, InstructionStep
 from edge.tasks.trajectory import TrajectoryError
 from edge.text import one_line
 from edge.trajectory.smoothing import resample

@@ -11,6 +11,8 @@ from edge.tasks.scene import SceneObject
 
 OF_SUFFIX = {"left": " of", "right": " of"}
 """Side → word after it: "left of the van", but "behind the van"."""
+OTHER_SIDE = {"left": "right", "right": "left"}
+"""Side → the opposite one."""
 
 Kind = Literal[
     "to", "past", "along", "around", "circle", "next to", "between", "straight", "halfway", "turn",

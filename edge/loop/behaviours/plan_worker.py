@@ -25,10 +25,11 @@ from edge.tasks.on_demand import FrameDetector
 from edge.tasks.phrases import ground_kind
 from edge.tasks.pipeline import GroundKinds, open_pipeline
 from edge.tasks.prompt import system_prompt, task_text
-from edge.tasks.reading import UnseenGroundError, route_limits
+from edge.tasks.reading import route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.scene_builder import add_detections, add_ground, scene_of_map
+from edge.tasks.step_phrases import UnseenGroundError
 from edge.tasks.value_map import PathMargins
 from edge.tasks.write import PlanAttempt, write_trajectory
 from edge.trajectory.pursuit import MotionLimits
