@@ -17,8 +17,9 @@ from edge.perception.masks.ground import GroundClassifier
 from edge.perception.runtime.cards import ModelError, check_installed, load_card
 from edge.tasks import ground_votes
 from edge.tasks.ground_votes import GroundVotes
+from edge.tasks.map_scene import uninflated
 from edge.tasks.pipeline import PerceptionPipeline, boxes_as_masks
-from edge.tasks.scene_builder import OUTDOORS, SceneBuilder, add_ground, uninflated
+from edge.tasks.scene_builder import OUTDOORS, SceneBuilder, add_ground
 from edge.tasks.write import write_trajectory
 
 pytest.importorskip("onnxruntime")

@@ -19,6 +19,7 @@ from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ground_of
 from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.manoeuvres import limited_ground
+from edge.tasks.map_scene import scene_of_map
 from edge.tasks.object_phrases import AmbiguousObjectError
 from edge.tasks.objects import ObjectMap
 from edge.tasks.on_demand import FrameDetector
@@ -28,7 +29,7 @@ from edge.tasks.prompt import system_prompt, task_text
 from edge.tasks.reading import route_limits
 from edge.tasks.refine import RefinedTrajectory, refine, refine_again
 from edge.tasks.scene import Scene, SceneObject
-from edge.tasks.scene_builder import add_detections, add_ground, scene_of_map
+from edge.tasks.scene_builder import add_detections, add_ground
 from edge.tasks.step_phrases import UnseenGroundError
 from edge.tasks.value_map import PathMargins
 from edge.tasks.write import PlanAttempt, write_trajectory
