@@ -419,7 +419,7 @@ class GoalTracker:
             self.abandon()
         else:
             at = tracked.goal.pose
-            if not self._chooser.search.mark_out_of_reach(instance.id, (at.x_m, at.y_m)):
+            if not self._chooser.search.mark_missed(instance.id, (at.x_m, at.y_m)):
                 self.abandon()  # with the map as it is now, a goal may be nearer to the object
                 return
             self._discard(now_ns)
@@ -523,7 +523,7 @@ class GoalTracker:
         """
         tracked, goal_rows = None, ("kind", "id", "at")
         # Largest number of rows of each group of arrays.
-        rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): 1}
+        rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): LEFT}
         max_values = {"kind": len(_KINDS) - 1, "turns": 1000}
         check_arrays(state, self.state_dict(), rows, max_values)
         for kind, i, at in zip(state["kind"], state["id"], state["at"].tolist(), strict=True):

@@ -218,8 +218,9 @@ class GoalChooser:
         # Near enough to have reached it.
         stop_m = min(self.config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
         chosen = choose(
-            context, score, order, current, policy.switch_margin, self._tracker.get, stop_m
-        )
+            context, score, order, current, policy.switch_margin, self._tracker.get,
+            search.missed_from, stop_m,
+        )  # fmt: skip
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:
             search.left.append(tracked.goal.candidate_xy_m)

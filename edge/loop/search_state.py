@@ -43,7 +43,7 @@ _SMALL_FROM = 2
 # either drives all the way to it or ignores it.
 _OFTEN_LEFT = 3
 _SAME_FRONTIER_M = 0.6  # frontiers that were left this near to each other count as the same
-LEFT = 64  # largest number of remembered frontiers that were left
+LEFT = 64  # largest number of remembered frontiers that were left, and of places out of reach
 _SAME_PLACE_M = 0.3  # two goals this near to each other count as the same place
 
 
@@ -85,8 +85,10 @@ class SearchState:
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
     _second_chance: bool = False  # True if discarded candidates had their second chance
-    # The last instance that was out of reach: its id, and the place (x, y) of the robot.
-    _out_of_reach: tuple[int, tuple[float, float]] | None = None
+    # Instances that were out of reach: id, and the place (x, y) of the robot.
+    _missed: deque[tuple[int, tuple[float, float]]] = field(
+        default_factory=lambda: deque(maxlen=LEFT)
+    )
     _failures: Counter[int] = field(default_factory=Counter)  # of goals, by instance; not saved
     _jumps: Counter[int] = field(default_factory=Counter)  # likewise; see `count_jump`
     # Places of frontiers whose goals ended; not saved.
@@ -99,9 +101,7 @@ class SearchState:
 
     def state_dict(self) -> Arrays:
         """Return the failed attempts by place, but no state that lasts only seconds."""
-        missed = (
-            () if self._out_of_reach is None else ((self._out_of_reach[0], *self._out_of_reach[1]),)
-        )
+        missed = [(instance_id, *at_m) for instance_id, at_m in self._missed]
         return {
             "exhausted": np.array(self.exhausted),
             "turns": np.array(self._turns),
@@ -117,23 +117,24 @@ class SearchState:
         search.left.extend((x, y) for x, y in state["left_m"].tolist())
         search._turns, search._second_chance = int(state["turns"]), bool(state["second_chance"])
         for i, x, y in state["missed"].tolist():
-            search._out_of_reach = (int(i), (x, y))
+            search._missed.append((int(i), (x, y)))
         return search
 
     def often_left(self, xy_m: tuple[float, float]) -> bool:
         """Return True if a frontier here was left too often before the robot arrived."""
         return sum(math.dist(xy_m, left) < _SAME_FRONTIER_M for left in self.left) >= _OFTEN_LEFT
 
-    def mark_out_of_reach(self, instance_id: int, at_m: tuple[float, float]) -> bool:
-        """Record an instance as out of reach from a place.
+    def mark_missed(self, instance_id: int, at_m: tuple[float, float]) -> bool:
+        """Record an instance as out of reach from a place; return True if it was one before."""
+        before = self.missed_from(instance_id, at_m)
+        self._missed.append((instance_id, at_m))
+        return before
 
-        Return True if the last call had the same instance and the same place.
-        """
-        before, self._out_of_reach = self._out_of_reach, (instance_id, at_m)
-        return (
-            before is not None
-            and before[0] == instance_id
-            and math.dist(before[1], at_m) <= _SAME_PLACE_M
+    def missed_from(self, instance_id: int, at_m: tuple[float, float]) -> bool:
+        """Return True if an instance was out of reach from a place."""
+        return any(
+            missed_id == instance_id and math.dist(place_m, at_m) <= _SAME_PLACE_M
+            for missed_id, place_m in self._missed
         )
 
     def count_failure(self, instance_id: int) -> int:

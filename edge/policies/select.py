@@ -27,6 +27,9 @@ the shortest one. Straight lines go through walls, so the shortest one often cha
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
+_LOOK_M = (0.95, 1.2, 1.5)
+"""Distances from which the robot looks at an instance if it knows no way to stop nearer: there it
+may see one."""
 ENOUGH_SHARE, MOST_POINTS = 0.2, 10
 """Number of surface points that must lie within the stopping distance: this share of all points,
 but at most `MOST_POINTS`. Fewer points may belong to another object in front."""
@@ -35,6 +38,7 @@ _GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instanc
 
 Cell = tuple[float, float]
 InstanceOf = Callable[[int], Instance | None]
+MissedFrom = Callable[[int, Cell], bool]
 
 
 class CurrentGoal(NamedTuple):
@@ -91,6 +95,7 @@ def choose(
     held: CurrentGoal | None,
     margin: float,
     instance_of: InstanceOf,
+    missed_from: MissedFrom,
     stop_m: float = STOP_M[-1],
 ) -> tuple[Goal, float, bool] | None:
     """Return the best reachable candidate, or the current one if it is about as good.
@@ -102,6 +107,7 @@ def choose(
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
         instance_of: returns the instance with an id, or None if it is gone.
+        missed_from: returns True if the robot was at a place, and the instance was out of reach.
         stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH_SHARE`.
 
     Returns:
@@ -113,7 +119,7 @@ def choose(
     current_is_ranked = current in order
     for index in map(int, order):
         goal_m = None if held is None or index != current else held.goal.pose
-        cell = _goal_cell(context, index, instance_of, stop_m, goal_m)
+        cell = _goal_cell(context, index, instance_of, missed_from, stop_m, goal_m)
         if cell is None:
             continue
         if (
@@ -122,7 +128,7 @@ def choose(
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):
-            kept = _goal_cell(context, current, instance_of, stop_m, held.goal.pose)
+            kept = _goal_cell(context, current, instance_of, missed_from, stop_m, held.goal.pose)
             if kept is not None:
                 index, cell = current, kept
         value = float(score[index])
@@ -184,43 +190,76 @@ def _is_still_valid(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
 
 
 def _goal_cell(
-    context: PolicyInput, index: int, instance_of: InstanceOf, stop_m: float, held: SE2 | None
+    context: PolicyInput,
+    index: int,
+    instance_of: InstanceOf,
+    missed_from: MissedFrom,
+    stop_m: float,
+    held: SE2 | None,
 ) -> Cell | None:
     """Return the reachable free cell for a candidate; None if there is none.
 
-    If no free cell is near enough to an instance, the cell is at the frontier on the shortest way
-    to it, or, without such a frontier, next to the nearest point of its surface. `held` is the
-    current goal, if it is for this candidate.
+    `held` is the current goal, if it is for this candidate.
     """
     candidates, pose = context.candidates, context.pose
-    kind, xy_m = int(candidates.kind[index]), candidates.xy_m[index]
+    kind = int(candidates.kind[index])
     if kind == SPIN:
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
         instance = instance_of(int(candidates.id[index]))
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
-        enough_points = max(1, min(MOST_POINTS, int(ENOUGH_SHARE * len(instance.points_m))))
-        # First near many points of its surface, then near any point, as `STOP_M` says.
-        attempts = (stop_m, enough_points), *((fallback_m, 1) for fallback_m in STOP_M)
-        for within_m, points in attempts:
-            found = context.map.stopping_point(instance.points_m, within_m, points)
-            if found is not None:
-                return found[0], found[1]
-        surface_m = instance.points_m[:, :2]
-        away_m = np.hypot(surface_m[:, 0] - pose.x_m, surface_m[:, 1] - pose.y_m)
-        xy_m = surface_m[int(np.argmin(away_m))]
-        frontier = _frontier_towards(candidates, xy_m, held)
-        if frontier >= 0:
-            xy_m, kind = candidates.xy_m[frontier], FRONTIER
+        return _instance_cell(context, instance, missed_from, stop_m, held)
+    return _nearest_cell(context, candidates.xy_m[index], kind)
+
+
+def _instance_cell(
+    context: PolicyInput,
+    instance: Instance,
+    missed_from: MissedFrom,
+    stop_m: float,
+    held: SE2 | None,
+) -> Cell | None:
+    """Return the reachable free cell for an instance; None if there is none.
+
+    If no cell is near enough to stop there, the cell is one from which the instance is in sight and
+    not far, or at the frontier on the shortest way to it, whichever way is shorter. Without both,
+    it is next to the nearest point of the surface.
+    """
+    candidates, pose, points_m = context.candidates, context.pose, instance.points_m
+    enough_points = max(1, min(MOST_POINTS, int(ENOUGH_SHARE * len(points_m))))
+    # First near many points of its surface, then near any point, as `STOP_M` says.
+    attempts = (stop_m, enough_points), *((fallback_m, 1) for fallback_m in STOP_M)
+    for within_m, points in attempts:
+        found = context.map.stopping_point(points_m, within_m, points)
+        if found is not None:
+            return found[:2]
+    away_m = np.hypot(points_m[:, 0] - pose.x_m, points_m[:, 1] - pose.y_m)
+    xy_m = points_m[int(np.argmin(away_m)), :2]
+    frontier, way_m = _frontier_towards(candidates, xy_m, held)
+    for within_m in _LOOK_M:
+        found = context.map.stopping_point(points_m, within_m)
+        is_shorter = found is not None and found[2] + within_m <= way_m
+        if found is not None and is_shorter and not missed_from(instance.id, found[:2]):
+            return found[:2]
+    if frontier >= 0:
+        return _nearest_cell(context, candidates.xy_m[frontier], FRONTIER)
+    return _nearest_cell(context, xy_m, INSTANCE)
+
+
+def _nearest_cell(context: PolicyInput, xy_m: np.ndarray, kind: int) -> Cell | None:
+    """Return the reachable free cell nearest to a candidate of a kind, within `SNAP_M`."""
     found = context.map.nearest(float(xy_m[0]), float(xy_m[1]), float(SNAP_M[kind]))
-    return None if found is None else (found[0], found[1])
+    return None if found is None else found[:2]
 
 
-def _frontier_towards(candidates: Candidates, xy_m: np.ndarray, held: SE2 | None) -> int:
+def _frontier_towards(
+    candidates: Candidates, xy_m: np.ndarray, held: SE2 | None
+) -> tuple[int, float]:
     """Return the index of the frontier on the shortest path to an unmapped position; -1 if none.
 
-    The frontier of the goal `held` stays while the path over it is not much longer.
+    The frontier of the goal `held` stays while the path over it is not much longer. The second
+    value is the length of the path over the frontier; inf without one.
     """
     n = candidates.n
     rest_m = np.hypot(candidates.xy_m[:n, 0] - xy_m[0], candidates.xy_m[:n, 1] - xy_m[1])
@@ -231,7 +270,9 @@ def _frontier_towards(candidates: Candidates, xy_m: np.ndarray, held: SE2 | None
         kept = candidates.nearest(FRONTIER, (held.x_m, held.y_m), _SUCCESSOR_M)
         if kept >= 0 and total_m[kept] <= _DETOUR * total_m[best]:
             best = kept
-    return best if best >= 0 and np.isfinite(total_m[best]) else -1
+    if best < 0 or not np.isfinite(total_m[best]):
+        return -1, math.inf
+    return best, float(total_m[best])
 
 
 def _goal(context: PolicyInput, index: int, cell: Cell, score: float) -> Goal:
