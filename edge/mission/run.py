@@ -29,6 +29,7 @@ MAX_EVENTS = 1000
 """Largest number of entries in the mission log."""
 _MOST_RESULTS = 20  # results that the reason of the end shows
 _RESULT_CHARS = 400  # longest text of one result
+_TRAJECTORY_CHARS = 300  # longest entry about a task's trajectory
 
 
 class MissionRun:
@@ -278,7 +279,7 @@ class MissionRun:
 
     def log_trajectory(self, text: str, now_ns: int) -> None:
         """Add a log entry about a task's trajectory; the automaton does not move."""
-        self._log_event(now_ns, "trajectory", "", text)
+        self._log_event(now_ns, "trajectory", "", one_line(text, _TRAJECTORY_CHARS))
 
     def abandon_target(self, reason: str, now_ns: int) -> None:
         """Add the active target to B because it could not be reached, and plan again."""
