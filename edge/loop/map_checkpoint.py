@@ -27,6 +27,7 @@ from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter,
 from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
+from edge.loop.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
@@ -121,7 +122,11 @@ def state_of(
         config.value_source or "", tuple(values.targets), values.n_side_cells,
     )  # fmt: skip
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
-    states = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
+    states = {
+        **parts.map.state_dict(),
+        "goals": parts.goals.chooser.state_dict(),
+        "policy": remembered,
+    }
     arrays = {
         f"{part}/{name}": array for part, state_dict in states.items()
         for name, array in state_dict.items()
@@ -157,7 +162,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     tracker = InstanceTracker(perception, sightings)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
-    goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
+    goals = GoalChooser(config, pool, tracker)
     # Name of the arrays, the part that loads them, and its other arguments; 0: a shift of a clock.
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same_values),
@@ -200,7 +205,7 @@ def restore(
     parts.map.load_state_dict(grid, part, clock_shift_ns, stamp_shift_ns)
     if not continues:
         return
-    parts.goals.load_state_dict(part("goals"), state.target, last_pose.now_ns)
+    parts.goals.chooser.load_state_dict(part("goals"), state.target, last_pose.now_ns)
     memory, policy = part("policy"), parts.policy
     if (
         memory

@@ -532,7 +532,7 @@ class Service:
                 why = self.plausibility.why("stand")
                 self.event(f"no usable observations: {why and f'{why}: '}standing still", now_ns)
             self.goals.hold_position(self.mission, pose, now_ns)
-        self.goals.abandon()
+        self.goals.chooser.abandon()
 
     def on_pose_jump(self, now_ns: int) -> None:
         """Handle a pose jump: drop map, instances and goals, which are in the old frame.

@@ -224,7 +224,7 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     pose = run.drive.motion.odometry
     service.map.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
     service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
-    service.goals._chooser.search.left.append((3.0, 4.0))
+    service.goals.chooser.search.left.append((3.0, 4.0))
     cells = service.map.grid.layers.raw == 255
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
@@ -233,7 +233,7 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     np.testing.assert_array_equal(grid.layers.raw == 255, cells)
     assert grid.bumps.closed_m == service.map.grid.bumps.closed_m
     assert run.service.map.pool.state_dict()["discarded_id"].tolist() == [7]
-    assert (3.0, 4.0) in run.service.goals._chooser.search.left
+    assert (3.0, 4.0) in run.service.goals.chooser.search.left
     grid.bumps.expire(now_ns + 10**13)
     assert not (grid.layers.raw == 255).any()
     run.service.checkpoint.close()

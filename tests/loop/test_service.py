@@ -253,7 +253,7 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
 
     def select(*_: object) -> Goal:  # a behaviour with a bug
         goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), next(kinds), 1, (1.0, 0.0), 1.0, "surfboard")
-        service.goals._tracked = TrackedGoal(goal)
+        service.goals.chooser.tracked = TrackedGoal(goal)
         return goal
 
     service._select = select
@@ -280,12 +280,12 @@ def test_a_stop_without_a_mission_sends_one_hold_goal():
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])
 def test_a_goal_without_a_successor_is_withdrawn(ticks_without, stops):
     loop = driving()
-    choose, before = loop.service.goals.choose, len(loop.notes.goals)
-    loop.service.goals.choose = lambda *_: loop.service.goals.abandon()
+    choose, before = loop.service.goals.chooser.choose, len(loop.notes.goals)
+    loop.service.goals.chooser.choose = lambda *_: loop.service.goals.chooser.abandon()
     for _ in range(ticks_without):
         loop.step()
     assert [g.kind for g in loop.notes.goals[before:]] == ["spin"] * stops
-    loop.service.goals.choose = choose
+    loop.service.goals.chooser.choose = choose
     loop.step()
     assert loop.notes.goals[-1].kind != "spin"
     assert loop.service.goal is loop.notes.goals[-1]
@@ -351,11 +351,11 @@ def test_detections_from_before_a_pose_jump_are_dropped():
 def test_a_pose_jump_restarts_the_search():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    chooser = service.goals._chooser
+    chooser = service.goals.chooser
     chooser.search.exhausted = chooser.next_view.done = True
-    assert service.goals.exhausted
+    assert service.goals.chooser.exhausted
     service.on_pose_jump(loop.drive.motion.stamp_ns)
-    assert not service.goals.exhausted
+    assert not service.goals.chooser.exhausted
     assert service.goal is None
     blank = blank_observation(10**6, loop.drive.motion.stamp_ns, SE2(7, 7, 0), loop)
     service.tick(blank, blank.stamp_ns)

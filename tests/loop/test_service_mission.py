@@ -208,7 +208,7 @@ def test_a_goal_next_to_a_forbidden_object_is_warned_of():
     goal = loop.service.goal
     lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
     loop.service.map.tracker.add(lamp)
-    loop.service.goals.abandon()
+    loop.service.goals.chooser.abandon()
     loop.step()
     assert loop.service.goal.candidate_id == goal.candidate_id
     step = loop.service.mission.log[-1]

@@ -39,6 +39,7 @@ from edge.loop.behaviours.search import newest_ids
 from edge.loop.behaviours.stop_verification import StopVerification
 from edge.loop.goal import GoalTracker
 from edge.loop.input_log import InputLog
+from edge.loop.known_goals import goal_on_trajectory
 from edge.loop.semantic_map import SemanticMap
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
@@ -165,22 +166,24 @@ class FollowBehaviour:
             return
         stuck = goals.check_progress(self._map.grid, context.pose, mission, images, now_ns)
         self._advance(context, stuck)
-        if goals.exhausted and self.waits_for_target:
-            mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
+        if goals.chooser.exhausted and self.waits_for_target:
+            mission.abandon_target(goals.chooser.failure_reason(mission, self._map.grid), now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Choose a goal by score during a search; otherwise move the goal along the trajectory."""
-        goals = self._goals
+        goals, chooser, now_ns = self._goals, self._goals.chooser, context.now_ns
         if self.searching:
-            return goals.choose(context, self._map.grid, scores, images)
+            return chooser.choose(context, self._map.grid, scores, images)
         if self.phase == "driving" and self._drive is not None:
-            ahead, apart_m = self._drive.goal(context.pose)
-            return goals.override(ahead, self._mission, context.now_ns, apart_m)
-        turn = self._full_turn.goal if self._stop is None else self._stop.turn
-        if turn is not None:
-            return goals.override(turn, self._mission, context.now_ns, 0.0)
-        goals.idle()
-        return None
+            pose, apart_m = self._drive.goal(context.pose)
+        else:
+            turn = self._full_turn.goal if self._stop is None else self._stop.turn
+            if turn is None:
+                goals.idle()
+                return None
+            pose, apart_m = turn, 0.0
+        target = self._mission.target
+        return chooser.drive_to(goal_on_trajectory(goals.goal, pose, target, now_ns, apart_m))
 
     def _advance(self, context: PolicyInput, stuck: bool) -> None:
         """Do what the current phase needs in this tick."""
@@ -257,8 +260,8 @@ class FollowBehaviour:
             self._mission.fail(one_line(retry.reason, _MAX_REASON_CHARS), now_ns)
             return
         is_settled = retry.ambiguous and not self.gather()  # the objects in question are confirmed
-        if is_settled or self._goals.exhausted or now_ns - retry.tried_ns >= RETRY_NS:
-            retry.tried_ns, retry.is_last = now_ns, self._goals.exhausted
+        if is_settled or self._goals.chooser.exhausted or now_ns - retry.tried_ns >= RETRY_NS:
+            retry.tried_ns, retry.is_last = now_ns, self._goals.chooser.exhausted
             self._request_plan(observation, None)
 
     def _request_plan(
