@@ -129,7 +129,7 @@ class FakeRobot:
 
     def fail(self, reason: str) -> None:
         with self._lock:
-            self.mission.fail(reason, time.monotonic_ns())
+            self.mission.finish("failed", reason, time.monotonic_ns())
 
     def close(self) -> None:
         self._stop.set()

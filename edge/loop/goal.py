@@ -137,7 +137,7 @@ class GoalTracker:
         Each object is reported once, and again after a goal that was not next to it.
         """
         near: set[int] = set()
-        for label in mission.forbidden:
+        for label in mission.progress.forbidden:
             for instance in self._tracker.of(label):
                 away_m = instance.distance_m(goal.pose.x_m, goal.pose.y_m)
                 if away_m > self._config.mission.reach_m:
@@ -145,7 +145,7 @@ class GoalTracker:
                 near.add(instance.id)
                 if instance.id not in self._warned_ids:
                     text = f"goal {away_m:.1f} m from {label}, which must not be reached now"
-                    mission.warn(label, text, now_ns)
+                    mission.log_event(now_ns, "warning", label, text)
         self._warned_ids = near
 
     # -- following up -----------------------------------------------------------------------

@@ -213,7 +213,7 @@ class GoalChooser:
     def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
         """Return why the target was not reached, when all attempts are exhausted."""
         target, views = mission.target, self.next_view.views
-        found = "found no path to" if target in mission.detected else "found no"
+        found = "found no path to" if target in mission.sets.detected else "found no"
         looked_again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
         blocked = _blocked_text(grid)
         n_left = self._pool.out_of_reach if blocked else 0

@@ -288,7 +288,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
 
 def _last_mission_text(service: Service) -> str:
     """Return one line about the newest mission, for an error."""
-    if service.mission.idle:
+    if service.mission.ended == "idle":
         return "no mission was given yet"
     return f"the last mission {service.status.phase}: {service.status.instruction}"
 

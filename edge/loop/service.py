@@ -48,6 +48,7 @@ from edge.loop.stages import (
 from edge.loop.status import HealthWatch
 from edge.loop.zone_exit import ZoneExit
 from edge.memory import START, Place, Site, SiteFile
+from edge.mission.destinations import WaitTarget
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, task_state
 from edge.mission.travel_cost import make_travel_cost_estimator
@@ -437,12 +438,14 @@ class Service:
                 it is resumed. A restart forgets this time, and the mission stays paused.
         """
         self._resume_ns = now_ns + int(1e9 * for_s) if paused and for_s is not None else None
-        ends_wait = not paused and self.mission.waiting
+        mission = self.mission
+        waits = isinstance(mission.destinations.get(mission.target), WaitTarget)
+        ends_wait = not paused and mission.active and waits
         if paused == self.mission.paused and not ends_wait:  # repeated requests are logged once
             return
         self._input_log.note("pause", paused=paused, now_ns=now_ns)
         if ends_wait:
-            self.mission.end_wait(now_ns)
+            self.mission.on_reached("told to go on", now_ns)
             return
         self.mission.pause(paused)
         self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
@@ -458,7 +461,7 @@ class Service:
                 "nothing to confirm: the robot does not ask about an object (mission.probable: ask)"
             )
         self._input_log.note("confirm", now_ns=now_ns)
-        self.mission.confirm(now_ns)
+        self.mission.on_reached("confirmed by a person", now_ns, self.mission.question)
 
     def end_pause(self, now_ns: int) -> None:
         """Resume the mission if its pause is over; called between ticks, as requests are."""
@@ -490,7 +493,7 @@ class Service:
     def fail(self, reason: str, now_ns: int) -> None:
         """End the mission as failed."""
         self._input_log.note("fail", reason=reason, now_ns=now_ns)
-        self.mission.fail(reason, now_ns)
+        self.mission.finish("failed", reason, now_ns)
 
     def on_goal_status(self, status: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
@@ -551,7 +554,7 @@ class Service:
             self.map.set_site(self.site.site)
         self.map.on_pose_jump()
         self.policy.reset("pose")
-        self.mission.forget_distances()
+        self.mission.sets.distance_m = None
         self._discard_pending()
         self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()

@@ -64,7 +64,7 @@ def test_a_wait_without_a_time_ends_on_request(tmp_path):
     steps(loop, 0.5)
     ask(loop, "resume")
     steps(loop, 0.5)
-    assert loop.service.mission.waiting
+    assert loop.service.status.reason == "waiting until told to go on"
     ask(loop, "resume")
     loop.step()
     assert "reached: wait (told to go on)" in loop.notes.events
@@ -170,7 +170,7 @@ def test_a_failed_check_reports_the_last_known_place(tmp_path):
 def test_the_robot_patrols_rooms(tmp_path):
     loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
     steps(loop, 60.0)
-    assert loop.service.mission.round >= 2, loop.notes.events
+    assert loop.service.mission.progress.round >= 2, loop.notes.events
 
 
 def test_the_robot_drives_to_the_caller(tmp_path):

@@ -181,7 +181,7 @@ def test_a_part_that_all_robots_fail_lists_their_reasons(port, robots):
     (outcome,) = sharing.outcomes.values()
     assert outcome.reason == "anna: no bed within 100 s; bob: it refused"
     assert any("the detector knows no bed" in line for line in sharing.told)
-    assert bob.mission.idle
+    assert bob.mission.ended == "idle"
 
 
 def test_a_restarted_dispatcher_resumes_its_mission(port, robots):

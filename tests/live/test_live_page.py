@@ -336,7 +336,7 @@ def test_a_person_allows_or_denies_an_agents_request(tab, button):
         number = ("Allow", "Deny").index(button) + 1
         tab.click(f"#proposals button:nth-of-type({number})")
         tab.until("document.querySelectorAll('#proposals li').length === 0")
-        assert house.service.mission.idle == (button == "Deny")
+        assert (house.service.mission.ended == "idle") == (button == "Deny")
 
 
 def test_a_seen_target_is_approached_and_reached(tab):

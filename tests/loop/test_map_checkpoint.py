@@ -294,7 +294,7 @@ def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
 
 def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
-    run.service.mission.fail("told to", run.drive.motion.stamp_ns)
+    run.service.mission.finish("failed", "told to", run.drive.motion.stamp_ns)
     run.ticks(1)
     known_m2, things = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
     run.killed()

@@ -172,7 +172,7 @@ def waiting(how: str) -> ClosedLoop:
     """Return a mission of at most 5 s whose sensors have been silent since before it began."""
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
     if how == "restored":
-        loop.service.mission.restore((), (), (), 4.0, 0.0, False)
+        loop.service.mission.meter.elapsed_s = 4.0
     elif how == "asked for while blind":
         loop.step()
         loop.service.begin(loop.service.mission.spec, START_NS + TICK_NS)
@@ -201,7 +201,7 @@ def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
 def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
     loop = driving()
     before = len(loop.notes.goals)
-    loop.service.mission.fail("enough", START_NS)
+    loop.service.mission.finish("failed", "enough", START_NS)
     for _ in range(3):
         if blind:
             loop.service.idle(loop.drive.motion.stamp_ns, loop.service.pose)

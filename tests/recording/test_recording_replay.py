@@ -120,7 +120,7 @@ def test_a_patrol_with_waits_and_checks(tmp_path):
         ticks += 1
     service.pause(False, closed.drive.motion.stamp_ns)
     recording.steps(3)
-    assert service.mission.round == 2
+    assert service.mission.progress.round == 2
     service.cancel("cancelled", closed.drive.motion.stamp_ns)
     recording.steps(2)
     assert service.status.phase == "reached"

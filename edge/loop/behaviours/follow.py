@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ TURNS = 3
 """Number of turns in a full circle, which the robot does before a model writes the trajectory."""
 SAME_PLACE_M = 0.5
 """If the robot is blocked twice within this distance, a new trajectory is written."""
-_MAX_REASON_CHARS = 300
+_MAX_TEXT_CHARS = 300
 
 
 class FullTurn:
@@ -257,7 +258,7 @@ class FollowBehaviour:
         if self._worker.request is not None:
             return
         if retry.is_last:
-            self._mission.fail(one_line(retry.reason, _MAX_REASON_CHARS), now_ns)
+            _fail(self._mission, retry.reason, now_ns)
             return
         is_settled = retry.ambiguous and not self.gather()  # the objects in question are confirmed
         if is_settled or self._goals.chooser.exhausted or now_ns - retry.tried_ns >= RETRY_NS:
@@ -289,7 +290,7 @@ class FollowBehaviour:
         if not self._retry.reason:
             self.phase = "writing"
         request = PlanRequest(
-            self._config, mission.spec.translation.instruction, mission.state,
+            self._config, mission.spec.translation.instruction, mission.progress.state,
             _possible_ends(mission, self._config), len(mission.spec.steps or ()), self._map.view,
             at_request, tuple(instances.values()), worker.objects, worker.ground_votes,
             None if found is None else replace(found, observation=at_request), before,
@@ -299,7 +300,7 @@ class FollowBehaviour:
 
     def _on_plan(self, result: PlanResult, request: PlanRequest, now_ns: int) -> None:
         """Start to drive the new trajectory. If there is none, write another or fail."""
-        retry, log = self._retry, self._mission.log_trajectory
+        retry, log = self._retry, partial(_log, self._mission)
         retry.ambiguous = result.ambiguous
         to_verify = self.gather()
         for n, answer in enumerate(result.rounds, start=1):
@@ -309,7 +310,9 @@ class FollowBehaviour:
             refined = result.refined
             if request.nearer_to is not None:  # other facts stay those of the task's trajectory
                 result = replace(self._result, refined=refined, stops_at=None)
-            n_verified = self._mission.state if self._drive is None else self._drive.n_verified
+            n_verified = (
+                self._mission.progress.state if self._drive is None else self._drive.n_verified
+            )
             steps = self._mission.spec.steps or ()
             self._drive = DrivenTrajectory(result, refined, steps, n_verified)
             self._result = result
@@ -329,14 +332,14 @@ class FollowBehaviour:
         else:
             self._result = result
             after = f"{self._abandon_reason}; no new trajectory: " if self._abandon_reason else ""
-            self._mission.fail(one_line(f"{after}{result.error}", _MAX_REASON_CHARS), now_ns)
+            _fail(self._mission, f"{after}{result.error}", now_ns)
 
     def _check_drive(self, observation: Observation, stuck: bool, now_ns: int) -> None:
         """React if the robot has arrived, is blocked, or has an obstacle ahead."""
         drive, goal, answer = self._drive, self._goals.goal, self._goals.goal_status
         assert drive is not None
         pose, state = observation.pose, None if answer is None else answer.state
-        if (driven := drive.n_steps_driven) > self._mission.state:
+        if (driven := drive.n_steps_driven) > self._mission.progress.state:
             self._mission.on_task_steps_driven(driven, now_ns)
         why = ""  # the trajectory must change
         if state == "reached" and goal is not None:
@@ -358,7 +361,7 @@ class FollowBehaviour:
         elif (away_m := drive.blocked_ahead_m(self._map.view, now_ns)) is not None:
             why = f"obstacle on the path {away_m:.1f} m ahead"
         if why:
-            self._mission.log_trajectory(f"{why}: refining the rest again", now_ns)
+            _log(self._mission, f"{why}: refining the rest again", now_ns)
             self._request_plan(observation, None, before=self._result)
 
     def _on_stop(self, now_ns: int) -> None:
@@ -367,7 +370,7 @@ class FollowBehaviour:
         if not self._drive.stop_objects:
             self._continue(now_ns)
             return
-        log, objects = self._mission.log_trajectory, self._drive.stop_objects
+        log, objects = partial(_log, self._mission), self._drive.stop_objects
         self._stop = StopVerification(objects, self._map.tracker, log, now_ns)
         self.phase = "verifying"
 
@@ -396,10 +399,10 @@ class FollowBehaviour:
     def _write_again(self, why: str, now_ns: int) -> None:
         """Write a new trajectory, once. The second time, the mission fails."""
         if self._abandon_reason:
-            self._mission.fail(one_line(why, _MAX_REASON_CHARS), now_ns)
+            _fail(self._mission, why, now_ns)
             return
         self.phase, self._abandon_reason = "writing", why
-        self._mission.log_trajectory(f"{why}: writing a new trajectory from here", now_ns)
+        _log(self._mission, f"{why}: writing a new trajectory from here", now_ns)
 
 
 def _possible_ends(mission: MissionRun, config: Config) -> tuple[int, ...]:
@@ -407,7 +410,7 @@ def _possible_ends(mission: MissionRun, config: Config) -> tuple[int, ...]:
 
     The largest number comes first.
     """
-    steps, unseen, first = mission.spec.steps or (), set(mission.plan.steps), mission.state
+    steps, unseen, first = mission.spec.steps or (), set(mission.plan.steps), mission.progress.state
     if is_by_model(config):
         return (len(steps),)
     blocked = (n for n in range(first, len(steps)) if not unseen.isdisjoint(steps[n].names))
@@ -422,7 +425,7 @@ def _step_statuses(mission: MissionRun, end: int) -> tuple[StepStatus, ...]:
     missing, statuses = set(mission.plan.steps), []
     for n, step in enumerate(mission.spec.steps or ()):
         state: StepState
-        if n < mission.state:
+        if n < mission.progress.state:
             state = "driven"
         elif mission.done:
             state = "not driven"
@@ -432,6 +435,14 @@ def _step_statuses(mission: MissionRun, end: int) -> tuple[StepStatus, ...]:
             state = "to come" if missing.isdisjoint(step.names) else "looked for"
         statuses.append(StepStatus(step.said, state))
     return tuple(statuses)
+
+
+def _log(mission: MissionRun, text: str, now_ns: int) -> None:
+    mission.log_event(now_ns, "trajectory", "", one_line(text, _MAX_TEXT_CHARS))
+
+
+def _fail(mission: MissionRun, text: str, now_ns: int) -> None:
+    mission.finish("failed", one_line(text, _MAX_TEXT_CHARS), now_ns)
 
 
 def _copied(array: np.ndarray | None) -> np.ndarray | None:

@@ -179,7 +179,7 @@ class Pursuit(Generic[DestinationType]):
             return
         if not mission.question:
             mission.question, self._asked_at_s = text, mission.pursued_now_s
-            mission.warn(mission.target, f"not sure: {text}", now_ns)
+            mission.log_event(now_ns, "warning", mission.target, f"not sure: {text}")
         goals.phase = "waiting"
         left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
         mission.activity = f"{text}; waiting for `edge mission confirm`, {time_left(left_s)}"
