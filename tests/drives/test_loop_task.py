@@ -224,7 +224,7 @@ def test_a_task_is_requested_and_replaced_like_a_mission():
     ask(loop, "new", formula="F bed")
     assert loop.service.result().task() is None
     loop.step()
-    assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
+    assert loop.service.goals.goal is None or loop.service.goals.goal.kind != "trajectory"
 
 
 def test_pause_stops_a_task_and_resume_continues_it():

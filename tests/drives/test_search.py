@@ -118,7 +118,7 @@ def test_without_instance_points_only_confirmed_instances_become_goals(formula):
     tracker = loop.service.map.tracker
     while not loop.service.status.done:
         loop.step()
-        goal = loop.service.goal
+        goal = loop.service.goals.goal
         if goal is not None and goal.kind == "instance":
             assert tracker.confirmed(tracker.get(goal.candidate_id))
     assert loop.service.status.phase == "reached", loop.service.status

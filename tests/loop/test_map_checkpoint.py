@@ -93,8 +93,8 @@ class Run(ClosedLoop):
 
     def hear(self, answer: GoalStatus) -> None:
         goal = self.beside.goal
-        if goal is not None and self.service.goal is not None:
-            mine = answer.stamp_ns == self.service.goal.stamp_ns
+        if goal is not None and self.service.goals.goal is not None:
+            mine = answer.stamp_ns == self.service.goals.goal.stamp_ns
             stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
             self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
@@ -123,7 +123,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
     Frontiers, ids, paths, gains, scores, objects and goals are equal.
     """
     run = begun(tmp_path_factory.mktemp("saved") / "m.json", ticks, config(policy))
-    before = run.service.goal
+    before = run.service.goals.goal
     for i in range(25):
         one, other = run.both()
         # The controller repeats its last answer, which went to the killed service.
@@ -210,7 +210,7 @@ def test_an_unwritable_disk_stops_only_the_checkpoint(tmp_path, caplog):
     assert run.service.checkpoint.status()["problem"] == "Is a directory"
     assert sum("not written" in message for message in caplog.messages) == 1
     assert run.service.error_boundary.failed == 0
-    assert run.service.goal is not None
+    assert run.service.goals.goal is not None
     (tmp_path / ".m.json.map.tmp").rmdir()
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
@@ -331,7 +331,7 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
         occupied = np.argwhere(raw.cells == 100) * 0.05 + (y0 + 0.025, x0 + 0.025)
         grid = run.service.map.grid
         assert any(grid.state_at(x, y) == 100 for y, x in occupied)
-        assert run.service.goal is not None
+        assert run.service.goals.goal is not None
     run.service.checkpoint.close()
 
 
