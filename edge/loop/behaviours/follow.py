@@ -58,32 +58,6 @@ SAME_PLACE_M = 0.5
 _MAX_TEXT_CHARS = 300
 
 
-class FullTurn:
-    """Turns on the spot, one after the other, until the robot has seen all around.
-
-    Args:
-        turns: Number of turns, 0 or `TURNS`.
-
-    Attributes:
-        goal: Goal of the present turn; None before the first and after the last.
-    """
-
-    def __init__(self, turns: int) -> None:
-        self.goal: SE2 | None = None
-        self._left = turns
-
-    def step(self, pose: SE2, ended: bool) -> bool:
-        """Begin the next turn if the present one has ended; return True after the last."""
-        if self.goal is not None and not ended:
-            return False
-        if self._left:
-            self._left -= 1
-            self.goal = SE2(pose.x_m, pose.y_m, pose.yaw_rad + math.tau / TURNS)
-            return False
-        self.goal = None
-        return True
-
-
 @dataclass(slots=True)
 class PlanRetry:
     """New tries to write a trajectory that was not possible with the objects seen so far.
@@ -130,7 +104,8 @@ class FollowBehaviour:
     def _restart(self) -> None:
         """Reset all state, and begin with the first step that was not driven."""
         self.phase: TaskPhase = "looking"
-        self._full_turn = FullTurn(TURNS if is_by_model(self._config) else 0)
+        self._turns_left = TURNS if is_by_model(self._config) else 0
+        self._turning: SE2 | None = None  # goal of a turn on the spot
         self._result = PlanResult()  # of the trajectory that is driven
         self._drive: DrivenTrajectory | None = None
         self._refinements = 0
@@ -178,7 +153,7 @@ class FollowBehaviour:
         if self.phase == "driving" and self._drive is not None:
             pose, apart_m = self._drive.goal(context.pose)
         else:
-            turn = self._full_turn.goal if self._stop is None else self._stop.turn
+            turn = self._turning if self._stop is None else self._stop.turn
             if turn is None:
                 goals.idle()
                 return None
@@ -203,8 +178,13 @@ class FollowBehaviour:
         if self.phase == "looking" and not self.waits_for_target and not self._mission.done:
             if self._retry.reason:
                 self._retry_plan(observation, now_ns)
-            elif self._full_turn.step(pose, turn_ended):
-                self.phase = "writing"
+            elif self._turning is not None and not turn_ended:
+                pass  # the turn goes on
+            elif self._turns_left:
+                self._turns_left -= 1
+                self._turning = SE2(pose.x_m, pose.y_m, pose.yaw_rad + math.tau / TURNS)
+            else:
+                self._turning, self.phase = None, "writing"
         if self.phase == "writing" and self._worker.request is None and not self._mission.done:
             if not is_by_model(self._config):
                 self._request_plan(observation, None)
