@@ -119,8 +119,8 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, retargets, forbidden, done, detected = "chair", 1, (), False, {"chair"}
-    stopped = ""
+    target, retargets, done, stopped = "chair", 1, False, ""
+    progress, sets = SimpleNamespace(forbidden=()), SimpleNamespace(detected={"chair"})
     spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
@@ -671,14 +671,14 @@ def test_a_goal_next_to_a_forbidden_object_warns_once():
     case.things.of = {"lamp": [lamp]}.__getitem__
     case.mission = SimpleNamespace(
         target="chair",
-        forbidden=("lamp",),
+        progress=SimpleNamespace(forbidden=("lamp",)),
         stopped="",
-        warn=lambda label, text, _: told.append((label, text)),
+        log_event=lambda now_ns, kind, label, text: told.append((kind, label, text)),
     )
     for x in (3.0, 3.5, -3.0, 3.0):
         case.choose(frontier(int(abs(x) * 10), x, 0.5))
     text = "goal 0.4 m from lamp, which must not be reached now"
-    assert [said for _, said in told] == [text, text]
+    assert told == [("warning", "lamp", text)] * 2
     case.goals.forget_mission()
     case.choose(frontier(30, 3.0, 0.5))
     assert len(told) == 3

@@ -77,7 +77,7 @@ def test_a_patrol_resumes_its_round_and_its_wait(path):
     while mission.pursued_now_s < 2.0:
         run.step()
     again = run.killed().service.mission
-    assert (again.round, again.results) == (4, mission.results)
+    assert (again.progress.round, again.results) == (4, mission.results)
     assert str(again.spec.translation.repeat) == "until told"
     assert again.destinations == mission.destinations
     assert again.pursued_now_s == pytest.approx(2.0, abs=0.2)
