@@ -26,7 +26,6 @@ from edge.geometry import FARTHEST_M, SE2, wrap_angle
 from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
 from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
-from edge.loop.goal import GoalTracker
 from edge.loop.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
@@ -96,7 +95,7 @@ class MapParts(NamedTuple):
     """The parts of a service with data in the frame `map`."""
 
     map: SemanticMap
-    goals: GoalTracker
+    goals: GoalChooser
     policy: Policy
 
 
@@ -124,7 +123,7 @@ def state_of(
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
     states = {
         **parts.map.state_dict(),
-        "goals": parts.goals.chooser.state_dict(),
+        "goals": parts.goals.state_dict(),
         "policy": remembered,
     }
     arrays = {
@@ -205,7 +204,7 @@ def restore(
     parts.map.load_state_dict(grid, part, clock_shift_ns, stamp_shift_ns)
     if not continues:
         return
-    parts.goals.chooser.load_state_dict(part("goals"), state.target, last_pose.now_ns)
+    parts.goals.load_state_dict(part("goals"), state.target, last_pose.now_ns)
     memory, policy = part("policy"), parts.policy
     if (
         memory

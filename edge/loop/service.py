@@ -277,7 +277,8 @@ class Service:
         grid, loaded = restored
         resumed = checkpoint.is_resumed(self.mission, loaded.state.targets)
         with self.error_boundary.contain("restore", last_pose.now_ns):
-            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, last_pose, resumed)
+            parts = MapParts(self.map, self.goals.chooser, self.policy)
+            restore(parts, grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
             self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
@@ -321,7 +322,7 @@ class Service:
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
                 )
                 with self.error_boundary.contain("checkpoint", now_ns):
-                    parts = MapParts(self.map, self.goals, self.policy)
+                    parts = MapParts(self.map, self.goals.chooser, self.policy)
                     self.checkpoint.save_if_due(self.mission, self.status, parts, last_pose, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:

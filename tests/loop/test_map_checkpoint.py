@@ -146,7 +146,8 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         assert one.map.objects.read_only.n == other.map.objects.read_only.n
     nowhere = StampedPose(SE2(0, 0, 0), 0, 0)
     mine, its = (
-        state_of(MapParts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
+        state_of(MapParts(s.map, s.goals.chooser, s.policy), nowhere, "", (), "")
+        for s in (one, other)
     )
     assert mine.state == its.state
     assert mine.arrays.keys() == its.arrays.keys()
