@@ -274,7 +274,7 @@ class GoalChooser:
         else:
             kind, times = FRONTIER, self.search.count_visit(goal.candidate_xy_m)
         until_ns = now_ns + int(2**times * self.config.mission.discard_s * 1e9)
-        self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
+        self._pool.discarded.add(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.next_view.abandon()
 
     def _vanished(self, goal: Goal, context: PolicyInput) -> bool:

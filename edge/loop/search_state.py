@@ -204,7 +204,7 @@ class SearchState:
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
-            pool.unblock_all()
+            pool.discarded.clear()
             tracker.forget_rejected(context.target)
         if self._retry is not None:
             generation, until_ns = self._retry
@@ -223,7 +223,7 @@ class SearchState:
         self.waiting = forgot and has_unreachable
         if not (forgot or opened):
             return is_first
-        pool.unblock_all()
+        pool.discarded.clear()
         # The travel-cost field that is growing now may have started before the opening. The next
         # one includes the place.
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)

@@ -307,7 +307,7 @@ def test_the_failure_reason_names_an_unreachable_place(nearest_m, place):
 @pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
 def test_each_failure_doubles_the_discard_time(candidate):
     case, times_ns = Case(), []
-    case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
+    case.pool.discarded.add = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
         case.choose(candidate)
         case.answer("failed")
@@ -318,7 +318,7 @@ def test_each_failure_doubles_the_discard_time(candidate):
 @pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
 def test_an_object_with_alternating_stopping_points_is_given_up(side_m, is_left_alone):
     case, discarded = Case(), []
-    case.pool.discard = lambda *thing: discarded.append(thing[1])
+    case.pool.discarded.add = lambda *thing: discarded.append(thing[1])
     for k in range(4):
         case.map.stopping_point = lambda *_, y=(-1) ** k * side_m: (3.0, y, 3.0)
         goal = case.choose(chair(9, 3.0, 0.8))
@@ -484,7 +484,7 @@ def test_a_discarded_frontier_is_tried_again_before_the_end():
     case.answer("failed", "no way")
     case.judge()
     assert (case.goals.goal, case.events) == (None, ["goal failed: no way"])
-    case.pool.discard(FRONTIER, 1, (3.0, 0.0), case.now_ns + 1000 * S)
+    case.pool.discarded.add(FRONTIER, 1, (3.0, 0.0), case.now_ns + 1000 * S)
     assert case.tick((3.0, 0.0)) is None
     case.turn_round()
     assert not case.goals.chooser.exhausted

@@ -224,7 +224,7 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     service, now_ns = run.service, run.drive.motion.stamp_ns
     pose = run.drive.motion.odometry
     service.map.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
-    service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
+    service.map.pool.discarded.add(0, 7, (1.0, 2.0), now_ns + 10**10)
     service.goals.chooser.search.left.append((3.0, 4.0))
     cells = service.map.grid.layers.raw == 255
     run.killed()
@@ -274,7 +274,7 @@ def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, chang
 def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
     now_ns = run.drive.motion.stamp_ns
-    run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
+    run.service.map.pool.discarded.add(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
     run.killed()
     saved = MAP.decode((tmp_path / "m.json.map").read_bytes())
     observation = replace(run.observe(), stamp_ns=10**8)
