@@ -12,7 +12,7 @@ from edge.geometry import SE2
 from edge.host.checkpoint import Checkpoint
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.checkpoint import ServiceCheckpoint
-from edge.loop.goal import GoalTracker
+from edge.loop.goal_choice import GoalChooser
 from edge.loop.map_checkpoint import MAP, MapParts, StampedPose, make_map, state_of
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping import grid as mapping
@@ -36,7 +36,7 @@ def settings(cells: int) -> config.Config:
 def parts_of(grid: mapping.RollingMap, c: config.Config) -> MapParts:
     known = SemanticMap(c, ())
     known.grid = grid
-    goals = GoalTracker(c, known.pool, known.tracker, lambda goal: None, lambda text, now_ns: None)
+    goals = GoalChooser(c, known.pool, known.tracker)
     return MapParts(known, goals, make_policy(c.policy))
 
 

@@ -35,8 +35,8 @@ def stop_latch(loop: ClosedLoop, stack: ExitStack, folder: Path) -> Work:
     latch = StopLatch(folder / "stop.json")
 
     def work(_: TickResult) -> None:
-        assert latch.reason == loop.service.stopped
-        latch.confirm(loop.service.stopped)
+        assert latch.reason == loop.service.control.stopped
+        latch.confirm(loop.service.control.stopped)
 
     return work
 

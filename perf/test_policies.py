@@ -107,10 +107,10 @@ def test_score_and_select_200(benchmark):
 
     def reset() -> None:
         policy.reset("mission")
-        goals.abandon()
+        goals.chooser.abandon()
 
     def score_and_select():
-        return goals.choose(context, m, scores_of(policy, context), 0)
+        return goals.chooser.choose(context, m, scores_of(policy, context), 0)
 
     goal = benchmark.pedantic(score_and_select, setup=reset, rounds=500, warmup_rounds=20)
     assert context.candidates.n == CANDIDATES

@@ -10,7 +10,6 @@ import logging
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
@@ -24,7 +23,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.loop import requests
 from edge.loop.input_log import InputLog
-from edge.loop.service import Service
+from edge.loop.mission_control import MissionControl
 from edge.memory import Site
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionSpec, prepare
@@ -41,13 +40,12 @@ class FakeService:
     """Stand-in for the parts of a service that `edge.loop.requests.handle_mission` uses."""
 
     def __init__(self, known: Mapping[str, float], blind_to: frozenset[str]) -> None:
-        self.mission = MissionRun(prepare(LIMITS, formula="F nothing"), LIMITS)
-        self.mission.set_idle()
-        self.past_missions: deque[dict[str, str]] = deque(maxlen=32)
         self.blind_to = blind_to
         self.pose = SE2(0.0, 0.0, 0.0)
-        self.stopped = ""
         self.goals = SimpleNamespace(client=SimpleNamespace(has_controller=True), phase="searching")
+        idle = prepare(LIMITS, formula="F nothing")
+        self.control = MissionControl(idle, LIMITS, self.goals, InputLog(), self.event)
+        self.mission.set_idle()
         self.config = SimpleNamespace(
             mission=MissionConfig(), perception=SimpleNamespace(min_hits=1)
         )
@@ -60,8 +58,11 @@ class FakeService:
         self.detector_swap = self.scorers = None
         self.behaviour = SimpleNamespace(facts=lambda: None)
         self.events: list[str] = []
-        self._input_log = InputLog()
         self.begun = 0
+
+    @property
+    def mission(self) -> MissionRun:
+        return self.control.mission
 
     @property
     def status(self):  # type: ignore[no-untyped-def]
@@ -70,15 +71,12 @@ class FakeService:
     def begin(self, spec: MissionSpec, now_ns: int, id: str = "") -> None:
         if blind := self.blind_to & set(spec.targets):
             raise UserError(f"the detector knows no {min(blind)}")
-        Service._record_past(self, self.mission)
-        self.mission = MissionRun(spec, LIMITS, id=id)
+        self.control.replace(self.control.make_run(spec, LIMITS, id), now_ns)
         self.mission.start(now_ns)
         self.begun += 1
 
     def event(self, text: str, now_ns: int) -> None:
         self.events.append(text)
-
-    pause, cancel = Service.pause, Service.cancel
 
 
 class FakeRobot:
@@ -129,7 +127,7 @@ class FakeRobot:
 
     def fail(self, reason: str) -> None:
         with self._lock:
-            self.mission.fail(reason, time.monotonic_ns())
+            self.mission.finish("failed", reason, time.monotonic_ns())
 
     def close(self) -> None:
         self._stop.set()

@@ -176,7 +176,11 @@ def _serve(
         metrics.add_service(running, running.sinks)
         trace_page.spans = running.service.latency.spans
         mission = running.service.mission
-        doing = mission.reason if mission.idle else one_line(mission.spec.translation.instruction)
+        doing = (
+            mission.reason
+            if mission.ended == "idle"
+            else one_line(mission.spec.translation.instruction)
+        )
         log.info("ready: %s; Zenoh endpoint %s", doing, config.zenoh.address)
         health.ready()
         ended: RunResult | None = None

@@ -96,7 +96,7 @@ class AgentDesk:
             "target": status.target,
             "instruction": status.instruction,
             "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
-            "stopped": service.stopped,
+            "stopped": service.control.stopped,
             "motion": self._settings.motion,
             "proposals": [
                 {"id": one.id, "text": one.text, "state": one.state}
@@ -178,7 +178,7 @@ class AgentDesk:
         if proposal.state == "waiting":
             proposal.state = "withdrawn"
         elif self._service.mission.id == f"{_PREFIX}{id}" and not self._service.mission.done:
-            self._service.cancel("cancelled by the agent", now_ns)
+            self._service.control.cancel("cancelled by the agent", now_ns)
         else:
             raise UserError(f"id: the proposal is {proposal.state}, and its mission does not run")
         return {"id": id, "state": proposal.state}

@@ -22,6 +22,7 @@ from edge.types import Instance
 _MAX_DISCARDED = 64  # largest number of discarded candidates; the oldest are overwritten
 # Names of the arrays that are carried over from tick to tick, as in a checkpoint.
 _CARRIED = ("xy_m", "anchor_m", "id", "first_seen_ns", "gain_m2")
+_DISCARDED = ("discarded_xy_m", "discarded_kind", "discarded_id", "discarded_until_ns")
 _UNMEASURED = np.float32(-1.0)  # gain (`Candidates.gain_m2`) of a frontier before it is computed
 # Number of frontiers whose gain is measured again in a tick, in addition to new ones.
 _MEASURED_PER_TICK = 12
@@ -32,6 +33,50 @@ TURN_M_PER_RAD = 0.15
 _SAME_SPIN_RAD = 0.6  # a spin keeps its id and heading while the best heading is this near
 
 
+class DiscardedCandidates:
+    """Candidates that are blocked for some time, at most `_MAX_DISCARDED`."""
+
+    def __init__(self) -> None:
+        self._xy_m = np.zeros((_MAX_DISCARDED, 2), np.float32)
+        self._kind = np.zeros(_MAX_DISCARDED, np.int8)
+        self._id = np.zeros(_MAX_DISCARDED, np.int64)
+        self._until_ns = np.zeros(_MAX_DISCARDED, np.int64)
+        self._next = 0
+
+    def add(self, kind: int, candidate_id: int, xy_m: tuple[float, float], until_ns: int) -> None:
+        """Block a candidate until `until_ns`; see `mark`."""
+        i = self._next
+        self._xy_m[i], self._kind[i] = xy_m, kind
+        self._id[i], self._until_ns[i] = candidate_id, until_ns
+        self._next = (i + 1) % _MAX_DISCARDED
+
+    def mark(self, c: Candidates, rows: slice, radius_m: float, now_ns: int) -> None:
+        """Write to `c.blocked` if each candidate of these rows is blocked now.
+
+        An instance is blocked by its id. For other kinds, all candidates of the kind within
+        `radius_m` of the point are blocked, because frontiers change their points.
+        """
+        _mark_blocked(
+            c.xy_m[rows], c.kind[rows], c.id[rows],
+            self._xy_m, self._kind, self._id, self._until_ns, now_ns, radius_m, c.blocked[rows],
+        )  # fmt: skip
+
+    def clear(self) -> None:
+        """Unblock all."""
+        self._until_ns[:] = 0
+
+    def state_dict(self) -> Arrays:
+        """Return the blocked candidates."""
+        blocked = self._until_ns > 0
+        arrays: tuple[np.ndarray, ...] = (self._xy_m, self._kind, self._id, self._until_ns)
+        return {name: a[blocked] for name, a in zip(_DISCARDED, arrays, strict=True)}
+
+    def load_state_dict(self, state: Arrays, clock_shift_ns: int) -> None:
+        """Add the blocked candidates of a `state_dict` that was checked."""
+        for xy_m, kind, i, until_ns in zip(*(state[name] for name in _DISCARDED), strict=True):
+            self.add(int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + clock_shift_ns)
+
+
 class CandidatePool:
     """The candidates of the current tick, with their ids and the discarded ones.
 
@@ -40,6 +85,7 @@ class CandidatePool:
 
     Attributes:
         candidates: The candidates, updated in place.
+        discarded: Blocked candidates.
         read_only: The same candidates, in arrays that cannot be written.
         anchor_m: (capacity, 2) float32, first position of each frontier.
         r_assoc_m: Distance from its first position within which a frontier keeps its id; may be
@@ -63,11 +109,7 @@ class CandidatePool:
         self._spin: tuple[int, float] | None = None  # id and heading of the last spin
         self._old_index = np.full(capacity, -1, np.int32)
         self._new_index = np.full(capacity, -1, np.int32)
-        self._discarded_xy_m = np.zeros((_MAX_DISCARDED, 2), np.float32)
-        self._discarded_kind = np.zeros(_MAX_DISCARDED, np.int8)
-        self._discarded_id = np.zeros(_MAX_DISCARDED, np.int64)
-        self._discarded_until_ns = np.zeros(_MAX_DISCARDED, np.int64)
-        self._discarded_next = 0
+        self.discarded = DiscardedCandidates()
 
     def update(
         self, frontiers: Frontiers, instances: Sequence[Instance], stamp_ns: int, now_ns: int
@@ -78,7 +120,7 @@ class CandidatePool:
             frontiers: Frontiers of the map. Those beyond the capacity are left out.
             instances: Instances of the active target.
             stamp_ns: Stamp of the observation; new frontiers were first seen then.
-            now_ns: Loop time, on the clock of `discard`.
+            now_ns: Loop time, on the clock of `discarded`.
         """
         c = self.candidates
         capacity = len(c.id)
@@ -113,11 +155,7 @@ class CandidatePool:
             c.confirmed[i] = instance.state in ("confirmed", "reached")
             c.gain_m2[i] = 0.0
         c.n = n_new + n_instances
-        _mark_blocked(
-            c.xy_m, c.kind, c.id, c.n,
-            self._discarded_xy_m, self._discarded_kind, self._discarded_id,
-            self._discarded_until_ns, now_ns, self.r_assoc_m, c.blocked,
-        )  # fmt: skip
+        self.discarded.mark(c, slice(0, c.n), self.r_assoc_m, now_ns)
         self.read_only.n, self.read_only.stamp_ns = c.n, c.stamp_ns
 
     @property
@@ -165,36 +203,11 @@ class CandidatePool:
         c.path_m[i] = TURN_M_PER_RAD * turn_rad
         c.gain_m2[i] = area_m2
         c.n = self.read_only.n = i + 1
-        last = slice(i, i + 1)
-        _mark_blocked(
-            c.xy_m[last], c.kind[last], c.id[last], 1,
-            self._discarded_xy_m, self._discarded_kind, self._discarded_id,
-            self._discarded_until_ns, now_ns, self.r_assoc_m, c.blocked[last],
-        )  # fmt: skip
-
-    def discard(
-        self, kind: int, candidate_id: int, xy_m: tuple[float, float], until_ns: int
-    ) -> None:
-        """Block a candidate until `until_ns`.
-
-        An instance is blocked by its id. For other kinds, all candidates of the kind within
-        `r_assoc_m` of the point are blocked, because frontiers change their points.
-        """
-        i = self._discarded_next
-        self._discarded_xy_m[i] = xy_m
-        self._discarded_kind[i] = kind
-        self._discarded_id[i] = candidate_id
-        self._discarded_until_ns[i] = until_ns
-        self._discarded_next = (i + 1) % _MAX_DISCARDED
-
-    def unblock_all(self) -> None:
-        """Unblock all discarded candidates."""
-        self._discarded_until_ns[:] = 0
+        self.discarded.mark(c, slice(i, i + 1), self.r_assoc_m, now_ns)
 
     def state_dict(self) -> Arrays:
         """Return the ids of the frontiers and the discarded candidates."""
         n = int(np.count_nonzero(self.candidates.kind[: self.candidates.n] == FRONTIER))
-        blocked = self._discarded_until_ns > 0
         return {
             **{name: a[:n].copy() for name, a in zip(_CARRIED, self._carried, strict=True)},
             "next_id": np.array(self._next_id),
@@ -202,10 +215,7 @@ class CandidatePool:
             # A spin; checkpoints have its older name.
             "look_id": np.array([] if self._spin is None else self._spin[:1], np.int64),
             "look_rad": np.array([] if self._spin is None else self._spin[1:], np.float64),
-            "discarded_xy_m": self._discarded_xy_m[blocked],
-            "discarded_kind": self._discarded_kind[blocked],
-            "discarded_id": self._discarded_id[blocked],
-            "discarded_until_ns": self._discarded_until_ns[blocked],
+            **self.discarded.state_dict(),
         }
 
     def load_state_dict(self, state: Arrays, clock_shift_ns: int, stamp_shift_ns: int) -> None:
@@ -213,12 +223,11 @@ class CandidatePool:
 
         Args:
             state: The arrays.
-            clock_shift_ns: Added to saved times of the clock of `discard`.
+            clock_shift_ns: Added to saved times of the clock of `discarded`.
             stamp_shift_ns: Added to saved stamps of the sensors' clock.
         """
         c, spin_keys = self.candidates, ("look_id", "look_rad")
-        discarded = tuple(f"discarded_{name}" for name in ("kind", "id", "xy_m", "until_ns"))
-        rows = {_CARRIED: 1 << 14, spin_keys: 1, discarded: _MAX_DISCARDED}
+        rows = {_CARRIED: 1 << 14, spin_keys: 1, _DISCARDED: _MAX_DISCARDED}
         max_values = {"discarded_kind": SPIN, "measure_next": 1 << 16}
         check_arrays(state, self.state_dict(), rows, max_values, ("id",))
         c.n = min(len(state["id"]), len(c.id))
@@ -230,15 +239,12 @@ class CandidatePool:
         self._next_to_measure = int(state["measure_next"])
         for spin_id, heading in zip(*(state[name] for name in spin_keys), strict=True):
             self._spin = (int(spin_id), float(heading))
-        for kind, i, xy_m, until_ns in zip(*(state[name] for name in discarded), strict=True):
-            self.discard(
-                int(kind), int(i), (float(xy_m[0]), float(xy_m[1])), until_ns + clock_shift_ns
-            )
+        self.discarded.load_state_dict(state, clock_shift_ns)
 
     def clear(self) -> None:
         """Remove all candidates and all discarded points."""
         self.candidates.n = self.read_only.n = 0
-        self.unblock_all()
+        self.discarded.clear()
 
 
 @jit
@@ -318,10 +324,10 @@ def _carry_over(
 
 @jit
 def _mark_blocked(
-    xy, kind, ids, n, discarded_xy, discarded_kind, discarded_id, until_ns, now_ns, radius, blocked
+    xy, kind, ids, discarded_xy, discarded_kind, discarded_id, until_ns, now_ns, radius, blocked
 ):
-    """Write to `blocked` if each candidate is discarded now; see `CandidatePool.discard`."""
-    for i in range(n):
+    """Write to `blocked` if each candidate is discarded now; see `DiscardedCandidates.mark`."""
+    for i in range(len(blocked)):
         blocked[i] = False
         for j in range(len(until_ns)):
             if until_ns[j] <= now_ns or discarded_kind[j] != kind[i]:

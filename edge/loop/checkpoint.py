@@ -19,7 +19,7 @@ from edge.host.checkpoint import Checkpoint, CheckpointWriter, load
 from edge.loop import crop_checkpoint
 from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, MapParts, StampedPose
 from edge.memory import CropStore
-from edge.mission.checkpoint import MISSION, TRANSLATION_ATTRIBUTES, MissionState, state_of
+from edge.mission.checkpoint import MISSION, TRANSLATION_ATTRIBUTES, MissionState, restore, state_of
 from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
 from edge.mission.spec import MissionError, MissionSpec, spec_of
@@ -93,14 +93,10 @@ class ServiceCheckpoint:
         """Restore the mission; the map comes back with the first observation."""
         self.map.prepare()
         if (saved := self.saved) is not None:
-            mission.id, mission.results, mission.round = saved.id, saved.results, saved.round
             self._resumed = mission
-            mission.restore(
-                saved.trace, saved.reached, saved.failed, saved.elapsed_s, saved.path_m,
-                saved.paused, (saved.exempt_s, saved.exempt_m), saved.pursued_s,
-            )  # fmt: skip
+            restore(mission, saved)
             log.info("continuing the saved mission: %s (in state %d of its automaton; reached: %s)",
-                     one_line(saved.instruction), mission.state,
+                     one_line(saved.instruction), mission.progress.state,
                      one_line(", ".join(saved.reached)) or "nothing yet")  # fmt: skip
 
     def is_resumed(self, mission: MissionRun, targets: Sequence[str]) -> bool:

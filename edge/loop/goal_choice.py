@@ -1,4 +1,6 @@
-"""Choice of the next goal of a search: candidates, turns on the spot, retries and viewpoints.
+"""Choice of the current goal: candidates, turns on the spot, retries and viewpoints.
+
+Only `GoalChooser` stores the current goal.
 
 An *instance* is an object that was detected as a target, as opposed to a frontier or a place.
 """
@@ -6,19 +8,21 @@ An *instance* is an object that was detected as a target, as opposed to a fronti
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from functools import partial
 
 import numpy as np
 
 from edge.config import Config
 from edge.geometry import SE2, wrap_angle
+from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.search_state import (
     LASTING_NS,
+    LEFT,
     TURNS,
     NextBestView,
-    ProbableObject,
     SearchState,
 )
 from edge.mapping.coverage import START_M, Viewpoint
@@ -27,7 +31,7 @@ from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, PolicyInput
 from edge.policies.select import STOP_M, CurrentGoal, choose, rank_candidates
-from edge.types import Goal, GoalStatus, Instance
+from edge.types import CandidateKind, Goal, GoalStatus, Instance
 
 _NEAR_M = 5.0
 """Distance around an object that cannot be reached in which the nearest free cell is looked for."""
@@ -35,6 +39,8 @@ _JUMP_M, _JUMPS = 1.5, 3
 """An object is left alone for some time if its goal moves by `_JUMP_M` more than `_JUMPS` times."""
 _STOP_SHORT_M = 0.05
 """The robot stops by this distance nearer to an object than it must."""
+
+_KINDS: tuple[CandidateKind, ...] = ("frontier", "instance", "spin")  # kinds that are saved
 
 
 @dataclass(slots=True, eq=False)
@@ -65,7 +71,7 @@ class TrackedGoal:
 
 
 class GoalChooser:
-    """The choice of the next goal, with the failed attempts at the current target.
+    """The choice of the current goal, with the failed attempts at the current target.
 
     Args:
         config: The configuration.
@@ -74,15 +80,21 @@ class GoalChooser:
 
     Attributes:
         config: As in `Args`; may be set.
-        search: Failed attempts at the current target; may be set.
+        tracked: The current goal; None if there is none.
+        search: Failed attempts at the current target.
         next_view: Viewpoints from which the detector can see objects better.
+        place_failures: Number of failed goals at the current target, if it is a place.
     """
 
     def __init__(self, config: Config, pool: CandidatePool, tracker: InstanceTracker) -> None:
         self.config = config
+        self.tracked: TrackedGoal | None = None
         self.search = SearchState()
         self.next_view = NextBestView(config.perception.confirm_hits)
+        self.place_failures = 0
         self._pool, self._tracker = pool, tracker
+        # State from a checkpoint, and the target that it belongs to.
+        self._restored: tuple[str, SearchState, TrackedGoal | None] | None = None
 
     @property
     def exhausted(self) -> bool:
@@ -90,13 +102,8 @@ class GoalChooser:
         return self.search.exhausted and self.next_view.done and not self.search.waiting
 
     def choose(
-        self,
-        tracked: TrackedGoal | None,
-        context: PolicyInput,
-        grid: RollingMap,
-        score: np.ndarray,
-        images: int,
-    ) -> TrackedGoal | None:
+        self, context: PolicyInput, grid: RollingMap, score: np.ndarray, images: int
+    ) -> Goal | None:
         """Choose the goal of this tick from the scored candidates (VL-Nav algorithm 2).
 
         If no candidate is left, the robot turns on the spot. After that, discarded candidates get
@@ -106,19 +113,128 @@ class GoalChooser:
         whenever they show more per metre than the best candidate.
 
         Args:
-            tracked: Current goal.
             context: Candidates, pose and time of the tick.
             grid: The map. Blocked places are opened in it, and it is searched for viewpoints.
             score: (n,) float32, scores of the context's candidates.
             images: Number of images that the detector has processed so far.
 
         Returns:
-            A goal on a free, reachable cell that faces its candidate, or None. It is `tracked` as
-            long as the goal stays.
+            A goal on a free, reachable cell that faces its candidate, or None. It is the same
+            object as before as long as the goal stays.
         """
+        self.tracked = self._choose(self.tracked, context, grid, score, images)
+        return None if self.tracked is None else self.tracked.goal
+
+    def drive_to(self, goal: Goal, ends_on_arrival: bool = True) -> Goal:
+        """Set and return a goal that is for no candidate; see `edge.loop.known_goals`.
+
+        Args:
+            goal: The goal. The current goal stays if it is this one.
+            ends_on_arrival: See `TrackedGoal`.
+        """
+        if goal.kind == "place":
+            self.next_view.abandon()
+            self.search.on_candidate()
+        if self.tracked is None or goal is not self.tracked.goal:
+            self.tracked = TrackedGoal(goal, ends_on_arrival=ends_on_arrival)
+        return goal
+
+    def abandon(self) -> None:
+        """Abandon the current goal. Late statuses for it are ignored, its candidate stays."""
+        self.tracked = None
+        self.next_view.abandon()
+
+    def discard(self, now_ns: int) -> None:
+        """Abandon the current goal and ignore its candidate for some time."""
+        tracked = self.tracked
+        if tracked is not None and tracked.view is not None:
+            self.next_view.mark_unreachable()
+            return
+        if tracked is not None and tracked.goal.kind == "place":
+            self.place_failures += 1
+        elif tracked is not None and tracked.goal.kind != "trajectory":
+            self._discard_candidate(tracked.goal, now_ns)
+        self.abandon()
+
+    def retarget(self, target: str) -> None:
+        """Start on another target: forget goal and attempts of the last one."""
+        self.abandon()
+        self.search, self.place_failures = SearchState(), 0
+        restored, self._restored = self._restored, None
+        if restored is not None and restored[0] == target:
+            _, self.search, self.tracked = restored
+
+    def forget_mission(self) -> None:
+        """Forget the goal and the viewpoints of the last mission."""
+        self._restored = None
+        self.abandon()
+        self.next_view.reset()
+
+    def on_pose_jump(self) -> None:
+        """Forget the goal and the attempts, which are in the old frame."""
+        self.abandon()
+        self.search, self._restored = SearchState(), None
+
+    def state_dict(self) -> Arrays:
+        """Return the current goal and the failed attempts, but no viewpoint and no task's goal."""
+        tracked, goals = self.tracked, []
+        if tracked is not None and tracked.view is None and tracked.goal.kind in _KINDS:
+            goals = [(tracked.goal, tracked.peak)]
+        return {
+            **self.search.state_dict(),
+            "kind": np.array([_KINDS.index(goal.kind) for goal, _ in goals], np.int8),
+            "id": np.array([goal.candidate_id for goal, _ in goals], np.int64),
+            # x_m, y_m, yaw_rad of the goal; x_m, y_m of its candidate; score; peak.
+            "at": np.array(
+                [
+                    (*astuple(goal.pose), *goal.candidate_xy_m, goal.score, peak)
+                    for goal, peak in goals
+                ]
+            ).reshape(-1, 7),
+        }
+
+    def load_state_dict(self, state: Arrays, target: str, now_ns: int) -> None:
+        """Restore a `state_dict` at the next `retarget`, if that is to this target.
+
+        The goal is sent again with a new stamp, because the result of the old one is unknown.
+        """
+        tracked, goal_rows = None, ("kind", "id", "at")
+        # Largest number of rows of each group of arrays.
+        rows = {goal_rows: 1, ("left_m",): LEFT, ("missed",): LEFT}
+        max_values = {"kind": len(_KINDS) - 1, "turns": 1000}
+        check_arrays(state, self.state_dict(), rows, max_values)
+        for kind, i, at in zip(state["kind"], state["id"], state["at"].tolist(), strict=True):
+            x_m, y_m, yaw_rad, to_x_m, to_y_m, score, peak = at
+            pose = SE2(x_m, y_m, yaw_rad)
+            goal = Goal(now_ns, pose, _KINDS[kind], int(i), (to_x_m, to_y_m), score, target)
+            tracked = TrackedGoal(goal, peak)
+        self._restored = (target, SearchState.of_state_dict(state), tracked)
+
+    def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
+        """Return why the target was not reached, when all attempts are exhausted."""
+        target, views = mission.target, self.next_view.views
+        found = "found no path to" if target in mission.sets.detected else "found no"
+        looked_again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
+        blocked = _blocked_text(grid)
+        n_left = self._pool.out_of_reach if blocked else 0
+        explored = "explored all reachable space"
+        if n_left:
+            explored = f"no path to the {n_left} remaining frontier{'s' * (n_left > 1)}"
+        place = _unreached_text(self._tracker.of(target), grid, self.config.mission.reach_m)
+        return f"{explored}{looked_again}, {found} {target}{place}{blocked}"
+
+    def _choose(
+        self,
+        tracked: TrackedGoal | None,
+        context: PolicyInput,
+        grid: RollingMap,
+        score: np.ndarray,
+        images: int,
+    ) -> TrackedGoal | None:
+        """Return the goal to track; see `choose`."""
         search, now_ns = self.search, context.now_ns
         if tracked is not None and self._vanished(tracked.goal, context):
-            self.discard(tracked.goal, now_ns)
+            self._discard_candidate(tracked.goal, now_ns)
             tracked = None
         c = context.candidates
         path_m = c.path_m[: c.n][c.kind[: c.n] == INSTANCE]
@@ -126,7 +242,7 @@ class GoalChooser:
             search.open_path(now_ns, grid)
         best = self._best_candidate(tracked, context, score)
         if tracked is not None and best is not None and self._jumps(tracked.goal, best.goal):
-            self.discard(tracked.goal, now_ns)
+            self._discard_candidate(tracked.goal, now_ns)
             tracked = best = None
         if best is not None:
             search.on_candidate()
@@ -144,7 +260,7 @@ class GoalChooser:
             return None
         return self._next_viewpoint(tracked, context, grid, images)
 
-    def discard(self, goal: Goal, now_ns: int) -> None:
+    def _discard_candidate(self, goal: Goal, now_ns: int) -> None:
         """Ignore the candidate of a goal for `mission.discard_s`.
 
         With each failure of the same object, or at the same place, the time doubles, up to 64-fold.
@@ -158,39 +274,8 @@ class GoalChooser:
         else:
             kind, times = FRONTIER, self.search.count_visit(goal.candidate_xy_m)
         until_ns = now_ns + int(2**times * self.config.mission.discard_s * 1e9)
-        self._pool.discard(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
+        self._pool.discarded.add(kind, goal.candidate_id, goal.candidate_xy_m, until_ns)
         self.next_view.abandon()
-
-    def note_probable(self, goal: Goal, instance: Instance) -> None:
-        """Remember the object of a goal before its rejection, if it is the best so far."""
-        before, score = self.search.probable, instance.score
-        if score > (self.config.perception.tau_det if before is None else before.score):
-            x_m, y_m, _ = instance.center_m.tolist()
-            stop_m = (goal.pose.x_m, goal.pose.y_m)
-            self.search.probable = ProbableObject(score, stop_m, (x_m, y_m))
-
-    def failure_reason(self, mission: MissionRun, grid: RollingMap) -> str:
-        """Return why the target was not reached, when all attempts are exhausted."""
-        target, views = mission.target, self.next_view.views
-        found = "found no path to" if target in mission.detected else "found no"
-        looked_again = f", looked again from {views} viewpoint{'s' * (views > 1)}" if views else ""
-        blocked = _blocked_text(grid)
-        n_left = self._pool.out_of_reach if blocked else 0
-        explored = "explored all reachable space"
-        if n_left:
-            explored = f"no path to the {n_left} remaining frontier{'s' * (n_left > 1)}"
-        place = self._unreached_text(target, grid)
-        return f"{explored}{looked_again}, {found} {target}{place}{blocked}"
-
-    def _unreached_text(self, target: str, grid: RollingMap) -> str:
-        """Return the place of the best object that the robot cannot get at; "" if there is none."""
-        for instance in self._tracker.of(target)[:1]:
-            x_m, y_m, _ = instance.center_m.tolist()
-            cell = grid.travel_cost.nearest(x_m, y_m, _NEAR_M)
-            away_m = _NEAR_M if cell is None else instance.distance_m(cell[0], cell[1])
-            if away_m > self.config.mission.reach_m:
-                return f": seen at ({x_m:.1f}, {y_m:.1f}), no way nearer than {away_m:.1f} m"
-        return ""
 
     def _vanished(self, goal: Goal, context: PolicyInput) -> bool:
         """Return True if the goal's frontier vanished and is not reliable.
@@ -298,6 +383,17 @@ class GoalChooser:
 def free_goal(pose: SE2, now_ns: int, target: str) -> Goal:
     """Return a goal that is for no candidate: a turn on the spot, a viewpoint, or a stop."""
     return Goal(now_ns, pose, "spin", 0, (pose.x_m, pose.y_m), 0.0, target)
+
+
+def _unreached_text(found: Sequence[Instance], grid: RollingMap, reach_m: float) -> str:
+    """Return the place of the first object if the robot cannot get at it; else ""."""
+    for instance in found[:1]:
+        x_m, y_m, _ = instance.center_m.tolist()
+        cell = grid.travel_cost.nearest(x_m, y_m, _NEAR_M)
+        away_m = _NEAR_M if cell is None else instance.distance_m(cell[0], cell[1])
+        if away_m > reach_m:
+            return f": seen at ({x_m:.1f}, {y_m:.1f}), no way nearer than {away_m:.1f} m"
+    return ""
 
 
 def _blocked_text(grid: RollingMap) -> str:

@@ -26,7 +26,7 @@ from edge.geometry import FARTHEST_M, SE2, wrap_angle
 from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
 from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
-from edge.loop.goal import GoalTracker
+from edge.loop.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
 from edge.mapping.grid import MAX_FRONTIERS, RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
@@ -95,7 +95,7 @@ class MapParts(NamedTuple):
     """The parts of a service with data in the frame `map`."""
 
     map: SemanticMap
-    goals: GoalTracker
+    goals: GoalChooser
     policy: Policy
 
 
@@ -121,7 +121,11 @@ def state_of(
         config.value_source or "", tuple(values.targets), values.n_side_cells,
     )  # fmt: skip
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
-    states = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
+    states = {
+        **parts.map.state_dict(),
+        "goals": parts.goals.state_dict(),
+        "policy": remembered,
+    }
     arrays = {
         f"{part}/{name}": array for part, state_dict in states.items()
         for name, array in state_dict.items()
@@ -157,7 +161,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     tracker = InstanceTracker(perception, sightings)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
-    goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
+    goals = GoalChooser(config, pool, tracker)
     # Name of the arrays, the part that loads them, and its other arguments; 0: a shift of a clock.
     for name, owner, *others in (
         ("map", grid, part("tiles"), size, same_values),

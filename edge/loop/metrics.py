@@ -56,7 +56,7 @@ class ScrapeSnapshot:
     def __init__(self, running: RunningService, sinks: Sequence[Sink]) -> None:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
-        self.mission, self.goal = service.mission, service.goal
+        self.mission, self.goal = service.mission, service.goals.goal
         self.source, self.inputs = dict(running.source.counters), service.inputs()
         self.failed = {found.name for found in service.plausibility.failed}
         self.latency = service.latency.report(last=1)

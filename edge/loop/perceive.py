@@ -132,10 +132,17 @@ class PerceptionStages:
         self.scores = scores_of(policy, context)
         return context
 
-    def forget_detections(self) -> None:
-        """Forget the detections of this tick, which were made for the last mission."""
+    def begin_mission(self) -> None:
+        """Drop detections, answers and open questions, which were for the last mission."""
         self._detections = None
+        if self._scorers is not None:
+            self._scorers.discard_pending()
 
     def on_pose_jump(self) -> None:
-        """Drop detections in images up to the newest one: they are in the old frame."""
+        """Drop answers and open questions, and detections in images up to the newest one.
+
+        They are in the old frame.
+        """
         self._last_seq_before_jump = self._newest_seq
+        if self._scorers is not None:
+            self._scorers.discard_pending()

@@ -150,7 +150,7 @@ class ResultPublisher:
             known_m2=lambda: grid.known_m2,
             snapshot=grid.snapshot,
             # The likely places of targets mean nothing without a mission.
-            layers=lambda: semantic_map.layers(likely=not mission.idle),
+            layers=lambda: semantic_map.layers(likely=mission.ended != "idle"),
             latency=self._latency.report,
             spans=self._latency.spans,
             health=self._health,

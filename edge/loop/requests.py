@@ -252,18 +252,18 @@ def handle_mission(
             which = f"{one_line(name)} " if name else ""
             raise UserError(f"no mission {which}is running: {_last_mission_text(service)}")
     elif request.do == "cancel":
-        service.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
+        service.control.cancel(one_line(request.fields.get("why", CANCELLED)), now_ns)
     elif request.do == "confirm":
-        service.confirm(now_ns)
+        service.control.confirm(now_ns)
     elif request.do in ("pause", "resume"):
-        service.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
+        service.control.pause(request.do == "pause", now_ns, request.fields.get("for_s"))
     task = service.behaviour.facts()
     overtaken = {"overtaken": request.cancelled} if request.cancelled else {}
     return {
         **reply_json(service.status, mission_facts(service.mission), task),
         **overtaken,
         **answer,
-        "past": list(service.past_missions),
+        "past": list(service.control.past),
         "robot": _robot_state(service, problems()),
     }
 
@@ -274,7 +274,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
     name, mission = request.fields.get("id", ""), service.mission
     if name and name == mission.id:  # the same request once more
         return
-    if name and any(name == outcome["id"] for outcome in service.past_missions):
+    if name and any(name == outcome["id"] for outcome in service.control.past):
         raise UserError(
             f"mission {name} is already over on this robot: give the new mission another id"
         )
@@ -288,7 +288,7 @@ def _begin(service: Service, request: Request, now_ns: int) -> None:
 
 def _last_mission_text(service: Service) -> str:
     """Return one line about the newest mission, for an error."""
-    if service.mission.idle:
+    if service.mission.ended == "idle":
         return "no mission was given yet"
     return f"the last mission {service.status.phase}: {service.status.instruction}"
 
@@ -308,7 +308,7 @@ def _robot_state(service: Service, problems: Sequence[str]) -> dict[str, object]
     return {
         "pose": None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad],
         "controller": "answers" if goals.client.has_controller else "silent",
-        "stopped": service.stopped,
+        "stopped": service.control.stopped,
         "problems": [one_line(why) for why in problems],
         "known": known,
     }

@@ -73,9 +73,9 @@ class MissionFacts:
 def mission_facts(mission: MissionRun) -> MissionFacts:
     """Return a snapshot of a mission."""
     return MissionFacts(
-        mission.spec, mission.state, mission.trace, mission.plan, mission.sets.knowledge,
-        mission.sets.reached, mission.forbidden, mission.paused, mission.log, mission.id,
-        mission.question,
+        mission.spec, mission.progress.state, mission.progress.trace, mission.plan,
+        mission.sets.knowledge, mission.sets.reached, mission.progress.forbidden, mission.paused,
+        mission.log, mission.id, mission.question,
     )  # fmt: skip
 
 

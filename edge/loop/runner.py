@@ -82,7 +82,7 @@ def loop(
     with real_time(running.config.loop.priority):
         for _ in cycles(running, stop):
             each()
-            running.latch.confirm(service.stopped)
+            running.latch.confirm(service.control.stopped)
             _count_drops(running)
             if once and service.status.done:
                 break
@@ -153,7 +153,7 @@ def _lockstep(running: RunningService, stop: threading.Event) -> Iterator[None]:
         elif time.monotonic() - observed_s > (
             limit_s := running.service.config.mission.time_limit_s
         ):
-            running.service.fail(f"no observation for {limit_s:g} s", now_ns)
+            running.service.control.fail(f"no observation for {limit_s:g} s", now_ns)
             _idle(running, now_ns)
         yield
 
@@ -200,12 +200,12 @@ def _read_inputs(running: RunningService, now_ns: int) -> Observation | None:
 def _serve_requests(running: RunningService, now_ns: int) -> None:
     """Apply a stop; serve waiting requests; advance the model swap, load shedder and reload."""
     service, reason = running.service, running.latch.reason
-    if reason != service.stopped:
+    if reason != service.control.stopped:
         with service.error_boundary.contain("stop", now_ns):
-            service.stop(reason, now_ns)
+            service.control.stop(reason, now_ns)
     for key, server in running.servers.items():
         service.error_boundary.call(key, now_ns, partial(server.serve, now_ns))
-    service.end_pause(now_ns)
+    service.control.end_pause(now_ns)
     with service.error_boundary.contain("swap", now_ns):
         service.detector_swap.step(now_ns)
     if service.load_shedder is not None:

@@ -1,6 +1,6 @@
 """Search when no candidate is left: turns on the spot, retries and viewpoints.
 
-`GoalTracker` uses it. `SearchState` belongs to one target, `NextBestView` to the mission.
+`GoalChooser` uses it. `SearchState` belongs to one target, `NextBestView` to the mission.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from edge.mapping.coverage import Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import PolicyInput
+from edge.types import Goal, Instance
 
 # Time without a candidate after which the robot turns on the spot.
 TURN_AFTER_NS = 1_000_000_000
@@ -154,6 +155,13 @@ class SearchState:
         self._jumps[instance_id] += 1
         return self._jumps[instance_id]
 
+    def note_probable(self, goal: Goal, instance: Instance, least_score: float) -> None:
+        """Remember the object of a goal before its rejection, if it is the best so far."""
+        if instance.score > (least_score if self.probable is None else self.probable.score):
+            x_m, y_m, _ = instance.center_m.tolist()
+            stop_m = (goal.pose.x_m, goal.pose.y_m)
+            self.probable = ProbableObject(instance.score, stop_m, (x_m, y_m))
+
     def on_candidate(self) -> None:
         """Record that there is a candidate."""
         self._idle_since_ns = None
@@ -197,7 +205,7 @@ class SearchState:
         """
         is_first, self._second_chance = not self._second_chance, True
         if is_first:
-            pool.unblock_all()
+            pool.discarded.clear()
             tracker.forget_rejected(context.target)
         if self._retry is not None:
             generation, until_ns = self._retry
@@ -216,7 +224,7 @@ class SearchState:
         self.waiting = forgot and has_unreachable
         if not (forgot or opened):
             return is_first
-        pool.unblock_all()
+        pool.discarded.clear()
         # The travel-cost field that is growing now may have started before the opening. The next
         # one includes the place.
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)

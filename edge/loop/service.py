@@ -7,13 +7,11 @@ measure latency, so the same observations give the same goals.
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter_ns
 
 from edge.config import Config
-from edge.errors import UserError
 from edge.geometry import SE2
 from edge.host.calibration import SpeedCalibration
 from edge.loop.behaviours.base import Behaviour
@@ -26,6 +24,7 @@ from edge.loop.input_log import FRAME_DECISION, SIGHTED, USE, InputLog
 from edge.loop.latency import LatencyRing
 from edge.loop.load_shedder import LoadShedder
 from edge.loop.map_checkpoint import MapParts, StampedPose, restore
+from edge.loop.mission_control import MissionControl
 from edge.loop.perceive import PerceptionStages
 from edge.loop.plausibility import Plausibility
 from edge.loop.publish import ResultPublisher
@@ -55,11 +54,9 @@ from edge.perception.masks.ground import GroundClassifier
 from edge.perception.swap.detector import DetectorSwap
 from edge.perception.worker import DetectorWorker
 from edge.policies.base import Policy, PolicyInput
-from edge.types import Goal, GoalStatus, MissionEvent, MissionStatus, Observation
+from edge.types import Goal, GoalStatus, MissionStatus, Observation
 
 log = logging.getLogger("edge.loop.service")
-
-_MAX_PAST_MISSIONS = 32
 
 
 class Service:
@@ -85,9 +82,8 @@ class Service:
 
     Attributes:
         site: Places and zones that people gave.
-        mission: The running mission, or the last one.
+        control: Holds the running mission, and carries out requests of people about it.
         behaviour: Carries out the mission: searches for its targets, or follows a trajectory.
-        past_missions: Results of earlier missions that had an id, JSON-ready, oldest first.
         ground: As in `Args`.
         goals: Tracks the goal that the robot is sent to.
         pose: Newest pose in `map`; None before the first.
@@ -97,7 +93,6 @@ class Service:
         load_shedder: Drops expensive work under load, in the order of
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
-        stopped: Why the robot is stopped; "" if it is not (see `stop`).
         proposals: Returns the proposals of agents that wait for a person, at a loop time.
         blind_s: Time without an observation after which the robot must stand still.
         overruns: As in `Args`.
@@ -130,7 +125,6 @@ class Service:
         self.map = SemanticMap(config, spec.prompts)
         self.site = site or SiteFile()
         self.map.set_site(self.site.site)
-        self.mission = MissionRun(spec, config.mission, self._on_mission_event)
         self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
         self.goals = GoalTracker(
@@ -140,14 +134,14 @@ class Service:
             lambda goal: self._publisher.goals.append(goal),
             self.event,
         )
+        self.control = MissionControl(spec, config.mission, self.goals, input_log, self.event)
         self.stamp_ns = 0
-        self.stopped = ""
         # Returns the proposals of agents that wait for a person (`edge.loop.agent_requests`).
         self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
-        self.behaviour = self._make_behaviour(self.mission)
+        self.behaviour = self._make_behaviour()
         for part in (self._travel_costs, self.map.room_surveyor, scorers):
             if part is not None:
                 part.wrap_workers(input_log.wrap)
@@ -179,9 +173,7 @@ class Service:
         self._zone_exit = ZoneExit(self.goals, self.event)
         self.pose: SE2 | None = None
         self._last_tick_ns = 0  # loop time of the last complete tick of the first camera
-        self._resume_ns: int | None = None  # loop time at which a pause ends by itself
         self.refused = False
-        self.past_missions: deque[dict[str, str]] = deque(maxlen=_MAX_PAST_MISSIONS)
         if checkpoint is not None:
             checkpoint.resume(self.mission)
         if idle:
@@ -222,37 +214,40 @@ class Service:
             self.mission.locate(self.site.start.pose, pose)
         decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
         use = self._input_log.record_decision(USE, decide_use, usual="")
-        if observation.camera_index and self._is_blind(now_ns):
+        if observation.camera_index and now_ns - self._last_tick_ns > 1e9 * self.blind_s:
             use = use or "map"  # the robot does not drive by its second camera alone
         self._end_stage(CHECK)
         self.refused = use != ""  # "": everything; "map": mapping only; "none": nothing
-        if self.refused:
+        if not self.refused:
+            self.stamp_ns = observation.stamp_ns
+            self.perception.detect(observation)
+            self.stage = MAP
+            if self.checkpoint is not None:
+                self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
+        elif observation.camera_index == 0:
             # If the images are late or frozen, the ticks before this one were blind, too. So
             # `blind_s` counts from the last real picture of the surroundings.
-            if observation.camera_index == 0:
-                surroundings_ns = self._input_log.record_decision(
-                    SIGHTED, lambda: str(self.plausibility.surroundings_ns)
-                )
-                self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
-            if use == "map":
-                self.stage = MAP
-                self._map(observation, now_ns)
-                self._end_stage(MAP)
+            surroundings_ns = self._input_log.record_decision(
+                SIGHTED, lambda: str(self.plausibility.surroundings_ns)
+            )
+            self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
+        if use != "none":
+            self.stage = MAP
+            update = self.perception.map(observation, now_ns)
+            if update is not None:
+                self.plausibility.on_mapped(update)
+            if update is not None and update.rolled:
+                self.policy.reset("map rolled")
+            self._end_stage(MAP)
+        if self.refused:
             return self.goals.goal
-        self.stamp_ns = observation.stamp_ns
-        self.perception.detect(observation)
-        self.stage = MAP
-        if self.checkpoint is not None:
-            self._restore(self.checkpoint, StampedPose(pose, observation.stamp_ns, now_ns))
-        self._map(observation, now_ns)
-        self._end_stage(MAP)
         self.perception.lift(self.mission)
         self.map.infer(pose, now_ns)
         self._end_stage(LIFT)
         self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._end_stage(CANDIDATES)
         self.perception.ask_scorers(self.mission, observation)
-        context = self._score(observation, now_ns)
+        context = self.perception.score(self.policy, self.mission, observation, now_ns)
         self._end_stage(SCORE)
         context = self._plan(context)
         self._end_stage(PLAN)
@@ -264,10 +259,6 @@ class Service:
         if observation.camera_index == 0:
             self._last_tick_ns = now_ns
         return goal
-
-    def _is_blind(self, now_ns: int) -> bool:
-        """Return True if the first camera, or the LiDAR, showed nothing usable for `blind_s`."""
-        return now_ns - self._last_tick_ns > 1e9 * self.blind_s
 
     def _end_stage(self, stage: int) -> None:
         """End this stage and begin the next."""
@@ -286,7 +277,8 @@ class Service:
         grid, loaded = restored
         resumed = checkpoint.is_resumed(self.mission, loaded.state.targets)
         with self.error_boundary.contain("restore", last_pose.now_ns):
-            restore(MapParts(self.map, self.goals, self.policy), grid, loaded, last_pose, resumed)
+            parts = MapParts(self.map, self.goals.chooser, self.policy)
+            restore(parts, grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
             self.mission.sets.mark_stale_before(self.map.tracker.newest_id)
@@ -294,18 +286,6 @@ class Service:
             self._reset_search()
         content = f"map ({self.map.grid.known_m2:.0f} m²) and {len(self.map.tracker)} objects"
         self.event(f"restored {content} from the checkpoint", last_pose.now_ns)
-
-    def _map(self, observation: Observation, now_ns: int) -> None:
-        """Stage `map`, and what follows from it."""
-        update = self.perception.map(observation, now_ns)
-        if update is None:
-            return
-        self.plausibility.on_mapped(update)
-        if update.rolled:
-            self.policy.reset("map rolled")
-
-    def _score(self, observation: Observation, now_ns: int) -> PolicyInput:
-        return self.perception.score(self.policy, self.mission, observation, now_ns)
 
     def _plan(self, context: PolicyInput) -> PolicyInput:
         """Stage `plan`: count time, let the behaviour advance the mission, and check its limits.
@@ -322,7 +302,7 @@ class Service:
             return context
         self.goals.retarget(mission)  # forgets the goal and the attempts of the last target
         self.map.gather(self.behaviour.gather(), context.observation, now_ns)
-        return self._score(context.observation, now_ns)
+        return self.perception.score(self.policy, mission, context.observation, now_ns)
 
     def _select(self, context: PolicyInput) -> Goal | None:
         """Stage `select`: return the behaviour's goal, or None if no mission is active."""
@@ -342,7 +322,7 @@ class Service:
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
                 )
                 with self.error_boundary.contain("checkpoint", now_ns):
-                    parts = MapParts(self.map, self.goals, self.policy)
+                    parts = MapParts(self.map, self.goals.chooser, self.policy)
                     self.checkpoint.save_if_due(self.mission, self.status, parts, last_pose, now_ns)
             self._publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:
@@ -357,44 +337,28 @@ class Service:
             PromptError: The detector cannot search for a target. Nothing has changed then.
             ModelError: As `PromptError`.
         """
-        mission = MissionRun(spec, self.config.mission, self._on_mission_event, id)
+        mission = self.control.make_run(spec, self.config.mission, id)
         self.perception.worker.set_prompts(spec.prompts)
-        self._record_past(self.mission)
-        self._input_log.note(
-            "mission", translation=spec.translation, task=task_state(spec), id=id, now_ns=now_ns
-        )
-        self.mission, self._resume_ns = mission, None
-        mission.stopped = self.stopped
+        self.control.replace(mission, now_ns)
         self.behaviour.close()
-        self.behaviour = self._make_behaviour(mission)
+        self.behaviour = self._make_behaviour()
         self._reset_search()
-        self.perception.forget_detections()
-        self._discard_pending()
-        self.mission.start(now_ns)
+        self.perception.begin_mission()
+        if self._travel_costs is not None:
+            self._travel_costs.discard_pending()
+        mission.start(now_ns)
 
-    def _make_behaviour(self, mission: MissionRun) -> Behaviour:
-        config, semantic_map, goals = self.config, self.map, self.goals
-        if mission.spec.steps is None:
-            return SearchBehaviour(mission, config, semantic_map, goals, self._travel_costs)
-        return FollowBehaviour(mission, config, semantic_map, goals, self._input_log, self.ground)
-
-    def _record_past(self, mission: MissionRun) -> None:
-        if mission.id:
-            status = mission.status(self.goals.phase)
-            outcome = (status.phase, status.reason) if mission.done else ("failed", "replaced")
-            self.past_missions.append({"id": mission.id, "phase": outcome[0], "reason": outcome[1]})
+    def _make_behaviour(self) -> Behaviour:
+        parts = (self.mission, self.config, self.map, self.goals)
+        if self.mission.spec.steps is None:
+            return SearchBehaviour(*parts, self._travel_costs)
+        return FollowBehaviour(*parts, self._input_log, self.ground)
 
     def _reset_search(self) -> None:
         """Forget what was examined and tried for the previous mission."""
         self.map.begin(self.mission.spec.prompts)
         self.policy.reset("mission")
         self.goals.forget_mission()
-
-    def _discard_pending(self) -> None:
-        """Drop background results for the previous map or mission."""
-        for part in (self._travel_costs, self.scorers):
-            if part is not None:
-                part.discard_pending()
 
     def reconfigure(
         self, config: Config, policy: Policy, ground: GroundClassifier | None = None
@@ -425,73 +389,6 @@ class Service:
         self.site.change(site)
         self.map.set_site(site)
 
-    def pause(self, paused: bool, now_ns: int, for_s: float | None = None) -> None:
-        """Pause the mission, so that the robot stands still, or resume it.
-
-        If the mission is not paused but waits, resuming it ends the wait.
-
-        Args:
-            paused: True to pause.
-            now_ns: Loop time.
-            for_s: Time after which the mission resumes by itself [s]. None: it stays paused until
-                it is resumed. A restart forgets this time, and the mission stays paused.
-        """
-        self._resume_ns = now_ns + int(1e9 * for_s) if paused and for_s is not None else None
-        ends_wait = not paused and self.mission.waiting
-        if paused == self.mission.paused and not ends_wait:  # repeated requests are logged once
-            return
-        self._input_log.note("pause", paused=paused, now_ns=now_ns)
-        if ends_wait:
-            self.mission.end_wait(now_ns)
-            return
-        self.mission.pause(paused)
-        self.event(f"mission: {'paused' if paused else 'resumed'}", now_ns)
-
-    def confirm(self, now_ns: int) -> None:
-        """Count the target as reached: a person confirms the object that the robot asks about.
-
-        Raises:
-            UserError: The robot asks about nothing.
-        """
-        if not self.mission.active or not self.mission.question:
-            raise UserError(
-                "nothing to confirm: the robot does not ask about an object (mission.probable: ask)"
-            )
-        self._input_log.note("confirm", now_ns=now_ns)
-        self.mission.confirm(now_ns)
-
-    def end_pause(self, now_ns: int) -> None:
-        """Resume the mission if its pause is over; called between ticks, as requests are."""
-        if self._resume_ns is not None and now_ns >= self._resume_ns:
-            self.pause(False, now_ns)
-
-    def stop(self, reason: str, now_ns: int) -> None:
-        """Stop the robot and withdraw its goal; missions wait, also later ones.
-
-        Args:
-            reason: Why; "" releases the robot.
-            now_ns: Loop time.
-        """
-        self._input_log.note("stop", reason=reason, now_ns=now_ns)
-        self.stopped = self.mission.stopped = reason
-        if reason:
-            # Send a goal to stand still in any case: a controller may have one of another service.
-            self.goals.client.driving = True
-            text = f"stopped: {reason}; no goal is sent until `edge release`"
-            self.event(text, now_ns, logging.WARNING)
-        else:
-            self.event("released: goals are sent again", now_ns)
-
-    def cancel(self, reason: str, now_ns: int) -> None:
-        """End the mission because a person says so; see `MissionRun.cancel`."""
-        self._input_log.note("cancel", reason=reason, now_ns=now_ns)
-        self.mission.cancel(reason, now_ns)
-
-    def fail(self, reason: str, now_ns: int) -> None:
-        """End the mission as failed."""
-        self._input_log.note("fail", reason=reason, now_ns=now_ns)
-        self.mission.fail(reason, now_ns)
-
     def on_goal_status(self, status: GoalStatus) -> None:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
         self._input_log.note("goal_status", goal_status=status)
@@ -512,7 +409,7 @@ class Service:
             dropped: An observation that was refused, or on which a stage failed. It is published
                 as handled, because a simulator in lockstep waits for that.
         """
-        blind = self.pose is not None and self._is_blind(now_ns)
+        blind = self.pose is not None and now_ns - self._last_tick_ns > 1e9 * self.blind_s
         if blind and pose is not None:
             self.pose = pose
         self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
@@ -522,17 +419,14 @@ class Service:
             self.mission.check_limits(now_ns)
         finally:  # also if the mission raises
             if self.pose is not None and (blind or not self.mission.active):
-                self._hold_position(self.pose, now_ns)
+                if self.goals.client.driving:
+                    if self.mission.active:
+                        why = self.plausibility.why("stand")
+                        why = f"{why}: " if why else ""
+                        self.event(f"no usable observations: {why}standing still", now_ns)
+                    self.goals.hold_position(self.mission, self.pose, now_ns)
+                self.goals.chooser.abandon()
             self._report(dropped, now_ns)
-
-    def _hold_position(self, pose: SE2, now_ns: int) -> None:
-        """Send a goal to stand still if the controller drives, and forget the current goal."""
-        if self.goals.client.driving:
-            if self.mission.active:
-                why = self.plausibility.why("stand")
-                self.event(f"no usable observations: {why and f'{why}: '}standing still", now_ns)
-            self.goals.hold_position(self.mission, pose, now_ns)
-        self.goals.abandon()
 
     def on_pose_jump(self, now_ns: int) -> None:
         """Handle a pose jump: drop map, instances and goals, which are in the old frame.
@@ -551,8 +445,9 @@ class Service:
             self.map.set_site(self.site.site)
         self.map.on_pose_jump()
         self.policy.reset("pose")
-        self.mission.forget_distances()
-        self._discard_pending()
+        self.mission.sets.distance_m = None
+        if self._travel_costs is not None:
+            self._travel_costs.discard_pending()
         self.behaviour.on_pose_jump()
         self.goals.on_pose_jump()
         self.perception.on_pose_jump()
@@ -563,9 +458,6 @@ class Service:
         """Report an event, for people, to the log and the sinks."""
         log.log(level, text)
         self._publisher.events.append(Event(now_ns, text))
-
-    def _on_mission_event(self, step: MissionEvent) -> None:
-        self.event(step.text, step.stamp_ns)
 
     def close(self) -> None:
         """Stop all background work. No tick may follow."""
@@ -580,9 +472,9 @@ class Service:
     # -- state for other modules --------------------------------------------------------------
 
     @property
-    def goal(self) -> Goal | None:
-        """Current goal of the robot, or None."""
-        return self.goals.goal
+    def mission(self) -> MissionRun:
+        """The running mission, or the last one."""
+        return self.control.mission
 
     @property
     def status(self) -> MissionStatus:
@@ -592,5 +484,5 @@ class Service:
         """Return the current state, and all events since the last published result."""
         return self._publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.perception.scores, self.stopped, self.proposals,
+            self.perception.scores, self.control.stopped, self.proposals,
         )  # fmt: skip

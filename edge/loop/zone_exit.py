@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
+from edge.loop.known_goals import goal_on_trajectory
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.policies.base import PolicyInput
@@ -49,6 +50,9 @@ class ZoneExit:
                 x_m, y_m, _ = grid.travel_cost.nearest(*beyond_m, _BEYOND_RADIUS_M) or cell
                 # Keep the goal while the robot drives to it, although the nearest cell changes.
                 apart_m = 0.0 if self._goals.arrived else _EXIT_M[0]
-                exit_pose = SE2(x_m, y_m, yaw_rad)
-                return self._goals.override(exit_pose, mission, context.now_ns, apart_m)
+                exit_pose, goals = SE2(x_m, y_m, yaw_rad), self._goals
+                goal = goal_on_trajectory(
+                    goals.goal, exit_pose, mission.target, context.now_ns, apart_m
+                )
+                return goals.chooser.drive_to(goal)
         return None

@@ -86,9 +86,7 @@ TRANSLATION_ATTRIBUTES = (
 )  # fmt: skip
 """Attributes that `MissionState` takes from the mission's `Translation`."""
 # Attributes that `MissionState` takes unchanged from the `MissionRun`.
-_RUN_ATTRIBUTES = (
-    "trace", "target", "reason", "paused", "id", "results", "round",
-)  # fmt: skip
+_RUN_ATTRIBUTES = ("target", "reason", "paused", "id", "results")
 _METER_ATTRIBUTES = ("elapsed_s", "path_m", "exempt_s", "exempt_m")
 
 
@@ -98,13 +96,26 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
     return MissionState(
         formula=str(spec.automaton.formula), phase=phase,
         task=spec.steps is not None,
-        failed=tuple(sorted(mission.sets.failed)), detected=tuple(sorted(mission.detected)),
+        failed=tuple(sorted(mission.sets.failed)), detected=tuple(sorted(mission.sets.detected)),
         **{name: getattr(spec.translation, name) for name in TRANSLATION_ATTRIBUTES}
         | {"destinations": dict(mission.destinations)},
         **{name: getattr(mission, name) for name in _RUN_ATTRIBUTES},
         **{name: getattr(mission.meter, name) for name in _METER_ATTRIBUTES},
+        trace=mission.progress.trace, round=mission.progress.round,
         pursued_s=dict(mission.meter.pursued_s), reached=mission.sets.reached,
     )  # fmt: skip
+
+
+def restore(mission: MissionRun, saved: MissionState) -> None:
+    """Continue from the saved state of a mission with the same formula; call it before `start`."""
+    for letter in saved.trace:
+        mission.progress.advance(letter)
+    mission.progress.round = saved.round
+    mission.sets.restore(saved.reached, saved.failed)
+    mission.id, mission.results, mission.paused = saved.id, saved.results, saved.paused
+    for name in _METER_ATTRIBUTES:
+        setattr(mission.meter, name, getattr(saved, name))
+    mission.meter.pursued_s = dict(saved.pursued_s)
 
 
 def _check(state: MissionState) -> None:

@@ -49,8 +49,10 @@ class TravelCostEstimator:
         now_ns: int,
     ) -> None:
         """Pass a finished survey to the mission, and start another one if it is due."""
-        if (distance_m := self.poll()) is not None and not mission.paused:
-            mission.update_distances(distance_m, now_ns)
+        distance_m = self.poll()
+        if distance_m is not None and not (mission.done or mission.paused):
+            mission.sets.distance_m = distance_m
+            mission.replan(now_ns)
         if self.is_due(now_ns):
             letters = mission.spec.automaton.propositions
             places = {

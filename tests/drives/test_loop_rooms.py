@@ -113,7 +113,7 @@ def test_a_forbidden_room_is_closed_until_the_mission_ends(in_kitchen):
     service.begin(prepare(mission, "never enter room 1 and find the bed"), 0)
     in_kitchen.step()
     assert service.map.grid.zones.contains(*LIVING)
-    service.fail("enough", 0)
+    service.control.fail("enough", 0)
     in_kitchen.step()
     assert not service.map.grid.zones.contains(*LIVING)
 

@@ -14,7 +14,7 @@ from simulated import simulated
 
 from edge.bus.verbs import Request
 from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.behaviours import follow, plan_worker
+from edge.loop.behaviours import plan_worker
 from edge.loop.checkpoint import ServiceCheckpoint
 from edge.loop.metrics import SERVICE_METRICS
 from edge.loop.requests import handle_mission, mission_verbs
@@ -137,15 +137,15 @@ def test_a_task_ambiguous_between_known_objects_fails(monkeypatch):
 
 def first_plan(task: str, monkeypatch) -> tuple[plan_worker.PlanRequest, plan_worker.PlanResult]:
     """Return the first request for a trajectory that can be driven from `START`, and its result."""
-    plans = []
+    plans, real = [], plan_worker.run_request
 
     def run(request):
-        result = plan_worker.run_request(request)
+        result = real(request)
         if isinstance(request, plan_worker.PlanRequest):
             plans.append((request, result))
         return result
 
-    monkeypatch.setattr(follow, "run_request", run)
+    monkeypatch.setattr(plan_worker, "run_request", run)
     until(closed(task, sim={"lockstep": True, "step_s": 0.2, "start": START}), "driving")
     return plans[-1]
 
@@ -224,7 +224,7 @@ def test_a_task_is_requested_and_replaced_like_a_mission():
     ask(loop, "new", formula="F bed")
     assert loop.service.result().task() is None
     loop.step()
-    assert loop.service.goal is None or loop.service.goal.kind != "trajectory"
+    assert loop.service.goals.goal is None or loop.service.goals.goal.kind != "trajectory"
 
 
 def test_pause_stops_a_task_and_resume_continues_it():

@@ -64,7 +64,7 @@ def test_a_wait_without_a_time_ends_on_request(tmp_path):
     steps(loop, 0.5)
     ask(loop, "resume")
     steps(loop, 0.5)
-    assert loop.service.mission.waiting
+    assert loop.service.status.reason == "waiting until told to go on"
     ask(loop, "resume")
     loop.step()
     assert "reached: wait (told to go on)" in loop.notes.events
@@ -170,7 +170,7 @@ def test_a_failed_check_reports_the_last_known_place(tmp_path):
 def test_the_robot_patrols_rooms(tmp_path):
     loop = in_rooms(tmp_path, "G F workshop & G F bedroom")
     steps(loop, 60.0)
-    assert loop.service.mission.round >= 2, loop.notes.events
+    assert loop.service.mission.progress.round >= 2, loop.notes.events
 
 
 def test_the_robot_drives_to_the_caller(tmp_path):
@@ -246,17 +246,16 @@ def test_a_doubted_object_is_looked_at_before_a_limit_ends_the_search(monkeypatc
 @pytest.mark.parametrize(("beyond_m", "phase"), [(0.3, "reached"), (20.0, "failed")])
 def test_the_stop_at_a_probable_object_may_be_blocked(beyond_m, phase, tmp_path):
     loop = loop_of(tmp_path, "F bed", NEVER_SURE, probable="accept")
-    goals, grid = loop.service.goals, loop.service.map.grid
-    while goals.probable is None:
+    chooser, grid = loop.service.goals.chooser, loop.service.map.grid
+    while chooser.search.probable is None:
         loop.step()
-    stop_m, to_bed_m = np.array(goals.probable.stop_m), np.subtract(*goals.probable[:0:-1])
+    search = chooser.search
+    stop_m, to_bed_m = np.array(search.probable.stop_m), np.subtract(*search.probable[:0:-1])
     to_bed_m /= np.hypot(*to_bed_m)
     while grid.state_at(*stop_m) == 0:  # the robot's estimate was off, towards the bed
         stop_m += 0.05 * to_bed_m
     stop_m += beyond_m * to_bed_m
-    goals._chooser.search.probable = goals.probable._replace(
-        score=1.0, stop_m=tuple(stop_m.tolist())
-    )
+    search.probable = search.probable._replace(score=1.0, stop_m=tuple(stop_m.tolist()))
     assert loop.run(250).service.status.phase == phase
 
 

@@ -56,7 +56,7 @@ def begin(loop: ClosedLoop, formula: str) -> ClosedLoop:
 
 def test_an_absent_target_is_given_up_after_a_second_look(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F (surfboard | piano)"), colour=False).run(200)
-    status, views = loop.service.status, loop.service.goals.views
+    status, views = loop.service.status, loop.service.goals.chooser.next_view.views
     assert status.phase == "failed"
     assert views >= 2
     again = f"looked again from {views} viewpoints"
@@ -84,12 +84,12 @@ def test_a_later_mission_finds_an_object_that_was_not_sought(tmp_path):
 
 def test_a_mission_that_begins_or_a_pause_ends_looking_again(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F surfboard"), colour=False)
-    while loop.service.goals.views == 0:
+    while loop.service.goals.chooser.next_view.views == 0:
         loop.step()
     spec = prepare(loop.config.mission, formula="F piano")
     loop.service.begin(spec, loop.drive.motion.stamp_ns)
-    assert loop.service.goals.views == 0
-    while loop.service.goals.views == 0:
+    assert loop.service.goals.chooser.next_view.views == 0
+    while loop.service.goals.chooser.next_view.views == 0:
         loop.step()
     before = len(loop.notes.goals)
     loop.service.mission.pause(True)
@@ -118,7 +118,7 @@ def test_without_instance_points_only_confirmed_instances_become_goals(formula):
     tracker = loop.service.map.tracker
     while not loop.service.status.done:
         loop.step()
-        goal = loop.service.goal
+        goal = loop.service.goals.goal
         if goal is not None and goal.kind == "instance":
             assert tracker.confirmed(tracker.get(goal.candidate_id))
     assert loop.service.status.phase == "reached", loop.service.status

@@ -127,7 +127,7 @@ def test_a_controller_reports_a_nearby_obstacle_for_the_present_goal(
     while loop.drive.motion.v_mps < 0.2:
         loop.step()
     service, place = loop.service, loop.drive.motion.odometry.ahead(away_m)
-    stamp_ns = service.goal.stamp_ns + stamp_by
+    stamp_ns = service.goals.goal.stamp_ns + stamp_by
     service.on_goal_status(GoalStatus(stamp_ns, "accepted", blocked=place))
     service.on_goal_status(GoalStatus(stamp_ns, "accepted"))  # sent again before the next tick
     loop.step()

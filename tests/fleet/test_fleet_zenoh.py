@@ -181,7 +181,7 @@ def test_a_part_that_all_robots_fail_lists_their_reasons(port, robots):
     (outcome,) = sharing.outcomes.values()
     assert outcome.reason == "anna: no bed within 100 s; bob: it refused"
     assert any("the detector knows no bed" in line for line in sharing.told)
-    assert bob.mission.idle
+    assert bob.mission.ended == "idle"
 
 
 def test_a_restarted_dispatcher_resumes_its_mission(port, robots):
@@ -225,7 +225,7 @@ def test_two_dispatchers_with_different_missions_share_the_robots(port, robots):
     one, other = Sharing(port), Sharing(port, "go to the chair, the lamp and the sink")
     assert [phase for phase, _ in one.ended().values()] == ["reached"] * 3
     assert [phase for phase, _ in other.ended().values()] == ["reached"] * 3
-    past = [entry["phase"] for robot in both for entry in robot.service.past_missions]
+    past = [entry["phase"] for robot in both for entry in robot.service.control.past]
     assert past == ["reached"] * 4  # and two that are their last: none was replaced
     assert sum(robot.service.begun for robot in both) == 6
 

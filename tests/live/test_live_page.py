@@ -119,7 +119,7 @@ def test_pause_stops_the_robot_and_resume_continues(page, house):
     page.says("#phase", "PAUSED")
     page.says("#banner", "Paused: the robot holds its position")
     assert house.service.mission.paused
-    assert house.service.goal is None
+    assert house.service.goals.goal is None
     page.says("#pause", "Resume")
     page.click("#pause")
     page.says("#phase", "SEARCHING")
@@ -312,14 +312,14 @@ def test_one_click_stops_and_a_release_takes_two(page, house):
     page.click("#stop")
     page.says("#phase", "STOPPED")
     page.says("#banner", "Stopped: button on the page")
-    assert house.service.stopped
+    assert house.service.control.stopped
     page.says("#stop", "Release")
     page.click("#stop")
     page.says("#stop", "Really release?")
-    assert house.service.stopped
+    assert house.service.control.stopped
     page.click("#stop")
     page.says("#stop", "Stop")
-    eventually(lambda: not house.service.stopped)
+    eventually(lambda: not house.service.control.stopped)
 
 
 @pytest.mark.parametrize("button", ["Allow", "Deny"])
@@ -336,7 +336,7 @@ def test_a_person_allows_or_denies_an_agents_request(tab, button):
         number = ("Allow", "Deny").index(button) + 1
         tab.click(f"#proposals button:nth-of-type({number})")
         tab.until("document.querySelectorAll('#proposals li').length === 0")
-        assert house.service.mission.idle == (button == "Deny")
+        assert (house.service.mission.ended == "idle") == (button == "Deny")
 
 
 def test_a_seen_target_is_approached_and_reached(tab):

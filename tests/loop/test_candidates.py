@@ -48,7 +48,7 @@ def test_capacity_keeps_instances():
 
 def test_a_discarded_point_is_blocked_until_its_time():
     pool = CandidatePool(16, 0.5)
-    pool.discard(FRONTIER, 1, (1.0, 1.0), until_ns=100)
+    pool.discarded.add(FRONTIER, 1, (1.0, 1.0), until_ns=100)
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 50, 50)
     assert pool.candidates.blocked[:2].tolist() == [True, False]
     pool.update(frontiers((1.2, 1.0), (3, 3)), [], 150, 150)
@@ -119,7 +119,7 @@ def test_a_spin_is_one_candidate_that_can_be_discarded():
     assert 0.15 < c.path_m[0] < 0.15 * 6.3
     first = int(c.id[0])
     assert turn(1).id[0] == first
-    pool.discard(SPIN, first, tuple(c.xy_m[0].tolist()), until_ns=100)
+    pool.discarded.add(SPIN, first, tuple(c.xy_m[0].tolist()), until_ns=100)
     assert turn(2).blocked[0]
     pool.update(frontiers((1, 0), (2, 0)), [], 3, 3)
     pool.add_spin(grid, pose, 1.3, 3)

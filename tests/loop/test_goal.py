@@ -49,7 +49,7 @@ class Map:
         return x, y, math.hypot(x, y)
 
     def stopping_point(
-        self, surface_m: np.ndarray, within_m: float, points: int
+        self, surface_m: np.ndarray, within_m: float, points: int = 1
     ) -> tuple[float, float, float] | None:
         self.asked.append((within_m, points))
         if within_m < self.least_m or points > self.most_points:
@@ -119,8 +119,8 @@ class Things(dict):
 class Mission:
     """Stays at its target, as one that asks for two chairs."""
 
-    target, retargets, forbidden, done, detected = "chair", 1, (), False, {"chair"}
-    stopped = ""
+    target, retargets, done, stopped = "chair", 1, False, ""
+    progress, sets = SimpleNamespace(forbidden=()), SimpleNamespace(detected={"chair"})
     spec = SimpleNamespace(steps=None)
 
     def __init__(self) -> None:
@@ -184,7 +184,7 @@ class Case:
         return self._tick(HERE, images)
 
     def _tick(self, pose: SE2, images: int):
-        goal = self.goals.choose(self.context(pose), self.map, self.score, images)
+        goal = self.goals.chooser.choose(self.context(pose), self.map, self.score, images)
         self.goals.send_pending(self.mission, pose, self.now_ns)
         return goal
 
@@ -231,7 +231,7 @@ def test_nothing_to_choose_from():
     case = Case()
     assert case.choose() is None
     assert case.sent == []
-    assert not case.goals.exhausted
+    assert not case.goals.chooser.exhausted
 
 
 def test_a_goal_faces_its_candidate_and_stays_the_same_object():
@@ -271,6 +271,32 @@ def test_when_the_goal_changes(before, after, expected):
 
 
 @pytest.mark.parametrize(
+    ("least_m", "frontier_path_m", "expected_x_m"),
+    [(1.1, 9.0, 4.0), (1.1, 0.0, 2.0), (1.6, 9.0, 2.0)],
+    ids=["look from near", "shorter over the frontier", "no place near enough to look"],
+)
+def test_without_a_stop_the_robot_looks_from_near_or_goes_around(
+    least_m, frontier_path_m, expected_x_m
+):
+    case = Case()
+    case.map.least_m = least_m
+    things = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
+    case.pool.candidates.path_m[0] = frontier_path_m
+    assert case.choose(*things).pose.x_m == expected_x_m
+
+
+def test_a_place_from_which_an_object_was_out_of_reach_is_no_goal_again():
+    case = Case()
+    case.map.least_m = 1.1
+    things = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
+    case.pool.candidates.path_m[0] = 9.0
+    assert case.choose(*things).pose.x_m == 4.0
+    case.answer("reached")
+    case.judge(pose=HERE)
+    assert case.choose(*things).pose.x_m == 2.0
+
+
+@pytest.mark.parametrize(
     ("paths_m", "at_y_m"),
     [((2.0, 2.1), 1.0), ((2.3, 2.0), 1.0), ((4.0, 2.0), -1.0), ((math.inf, 2.0), -1.0)],
 )
@@ -300,14 +326,14 @@ def test_the_failure_reason_names_an_unreachable_place(nearest_m, place):
     case.choose(chair(9, 3.0, 0.8))
     cell = None if nearest_m is None else (3.0 - nearest_m, 0.0, 2.0)
     case.map.nearest = lambda x, y, within_m: cell
-    reason = case.goals.failure_reason(case.mission, case.map)
+    reason = case.goals.chooser.failure_reason(case.mission, case.map)
     assert reason == f"explored all reachable space, found no path to chair{place}"
 
 
 @pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
 def test_each_failure_doubles_the_discard_time(candidate):
     case, times_ns = Case(), []
-    case.pool.discard = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
+    case.pool.discarded.add = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
     for _ in range(3):
         case.choose(candidate)
         case.answer("failed")
@@ -318,7 +344,7 @@ def test_each_failure_doubles_the_discard_time(candidate):
 @pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
 def test_an_object_with_alternating_stopping_points_is_given_up(side_m, is_left_alone):
     case, discarded = Case(), []
-    case.pool.discard = lambda *thing: discarded.append(thing[1])
+    case.pool.discarded.add = lambda *thing: discarded.append(thing[1])
     for k in range(4):
         case.map.stopping_point = lambda *_, y=(-1) ** k * side_m: (3.0, y, 3.0)
         goal = case.choose(chair(9, 3.0, 0.8))
@@ -341,12 +367,12 @@ def test_unreachable_candidates_are_skipped():
 def test_a_rejected_or_forgotten_instance_is_skipped(gone):
     case = Case()
     case.choose(chair(9, 3.0, 0.5))
-    case.goals.abandon()
+    case.goals.chooser.abandon()
     if gone == "rejected":
         case.things.reject(9)
     else:
         del case.things[9]
-    assert case.goals.choose(case.context(), case.map, case.score, 0) is None
+    assert case.goals.chooser.choose(case.context(), case.map, case.score, 0) is None
 
 
 def test_a_frontier_left_three_times_is_kept():
@@ -380,26 +406,26 @@ def test_with_no_candidates_the_robot_spins_three_times(
         case.judge(pose=pose)
         pose = goal.pose
     assert case.choose(pose=pose, after_s=1.1) is None
-    assert not case.goals.exhausted
+    assert not case.goals.chooser.exhausted
     # A later candidate becomes the goal without another spin.
     late_s = case.now_ns / S
     assert who(case.choose(chair(9, 3, 0.1), since_s=late_s)) == ("instance", 9)
     assert case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0) is None
     assert who(case.choose(frontier(1, 3, 0.9), since_s=late_s, after_s=1.0)) == ("frontier", 1)
     assert case.choose(pose=pose, after_s=5.0) is None
-    assert case.goals.exhausted
+    assert case.goals.chooser.exhausted
     case.goals.retarget(case.mission)
-    assert not case.goals.exhausted
+    assert not case.goals.chooser.exhausted
     assert case.turn().kind == "spin"
 
 
 def test_without_candidates_or_views_the_search_is_exhausted():
     case = Case()
     case.turn_round()
-    assert not case.goals.exhausted
+    assert not case.goals.chooser.exhausted
     case.tick()
-    assert case.goals.exhausted
-    assert case.goals.views == 0
+    assert case.goals.chooser.exhausted
+    assert case.goals.chooser.next_view.views == 0
 
 
 def test_a_badly_seen_view_is_looked_at_again():
@@ -416,7 +442,7 @@ def test_a_badly_seen_view_is_looked_at_again():
     assert case.tick(images=60) is goal
     for _ in range(2):  # the end of this view, and the search for the next
         assert case.tick(images=60 + simulated().perception.confirm_hits) is None
-    assert (case.goals.views, case.goals.exhausted) == (1, True)
+    assert (case.goals.chooser.next_view.views, case.goals.chooser.exhausted) == (1, True)
 
 
 @pytest.mark.parametrize(
@@ -484,10 +510,10 @@ def test_a_discarded_frontier_is_tried_again_before_the_end():
     case.answer("failed", "no way")
     case.judge()
     assert (case.goals.goal, case.events) == (None, ["goal failed: no way"])
-    case.pool.discard(FRONTIER, 1, (3.0, 0.0), case.now_ns + 1000 * S)
+    case.pool.discarded.add(FRONTIER, 1, (3.0, 0.0), case.now_ns + 1000 * S)
     assert case.tick((3.0, 0.0)) is None
     case.turn_round()
-    assert not case.goals.exhausted
+    assert not case.goals.chooser.exhausted
     case.tick((3.0, 0.0))
     assert case.tick((3.0, 0.0), after_s=2.5).candidate_xy_m == (3.0, 0.0)
 
@@ -500,18 +526,20 @@ def test_the_search_waits_for_moved_obstacles_before_the_end(path_m):
     case.map.walled, case.pool.candidates.path_m[0] = [(3.0, 0.0)], path_m
     for small_too in (False, False, True):
         case.tick((3.0, 0.0), after_s=11.0)
-        assert case.goals.exhausted
+        assert case.goals.chooser.exhausted
         case.map.arrived = True
         assert case.tick((3.0, 0.0), after_s=11.0) is None
         assert (case.map.arrived, case.map.small_too) == (False, small_too)
         case.map.generation += 2
         case.tick((3.0, 0.0), after_s=4.0)
-        assert case.goals.exhausted == math.isfinite(path_m), "it may go in the next seconds"
+        assert case.goals.chooser.exhausted == math.isfinite(path_m), (
+            "it may go in the next seconds"
+        )
     case.map.arrived = True
     case.tick()
     assert case.map.arrived, "ten seconds between two tries"
     case.map.view = Viewpoint(1.0, 2.0, 0.5)
-    case.goals.abandon()
+    case.goals.chooser.abandon()
     view = case.tick()
     assert view.kind == "spin"
     assert case.tick(after_s=11.0) is view
@@ -640,7 +668,7 @@ def test_an_object_confirmed_from_one_viewpoint_is_only_probable():
         case.judge(images, there)
         case.now_ns += 3 * S
     assert case.things[9].state == "rejected"
-    assert case.goals.probable.xy_m == (3.0, 0.0)
+    assert case.goals.chooser.search.probable.xy_m == (3.0, 0.0)
 
 
 @pytest.mark.parametrize("between", ["dropped", "another"])
@@ -650,7 +678,7 @@ def test_every_arrival_is_verified_afresh(between):
     case.answer("reached")
     case.judge(0, there)
     if between == "dropped":
-        case.goals.abandon()
+        case.goals.chooser.abandon()
         case.choose(chair(9, 3.0, 0.8), after_s=3.0)
     else:
         case.choose(chair(9, 3.0, 0.1), chair(8, 3.0, 0.8, y=0.1), sure=(8,), after_s=3.0)
@@ -669,14 +697,14 @@ def test_a_goal_next_to_a_forbidden_object_warns_once():
     case.things.of = {"lamp": [lamp]}.__getitem__
     case.mission = SimpleNamespace(
         target="chair",
-        forbidden=("lamp",),
+        progress=SimpleNamespace(forbidden=("lamp",)),
         stopped="",
-        warn=lambda label, text, _: told.append((label, text)),
+        log_event=lambda now_ns, kind, label, text: told.append((kind, label, text)),
     )
     for x in (3.0, 3.5, -3.0, 3.0):
         case.choose(frontier(int(abs(x) * 10), x, 0.5))
     text = "goal 0.4 m from lamp, which must not be reached now"
-    assert [said for _, said in told] == [text, text]
+    assert told == [("warning", "lamp", text)] * 2
     case.goals.forget_mission()
     case.choose(frontier(30, 3.0, 0.5))
     assert len(told) == 3

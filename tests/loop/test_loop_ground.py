@@ -10,7 +10,7 @@ from simulated import simulated
 from tiny_ground import put_network
 
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
-from edge.loop.behaviours import follow
+from edge.loop.behaviours import plan_worker
 from edge.loop.status import status_message
 
 pytest.importorskip("onnxruntime")
@@ -108,7 +108,7 @@ def test_the_loop_does_not_wait_for_the_network():
 
 
 def test_the_network_gets_one_image_per_period(monkeypatch):
-    monkeypatch.setattr(follow, "GROUND_PERIOD_NS", 2_000_000_000)
+    monkeypatch.setattr(plan_worker, "GROUND_PERIOD_NS", 2_000_000_000)
     config = settings({"ground": put_network().model_dump()})
     assert wants_colour(config)
     loop = ClosedLoop(config, task="go straight for 300 metres")

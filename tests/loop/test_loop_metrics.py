@@ -95,7 +95,7 @@ def test_after_some_ticks(watched):
     assert found["edge_mission_plan_steps"] == {(): 1}
     assert found["edge_map_known_square_meters"][()] == loop.service.map.grid.known_m2 > 0
     assert found["edge_map_frontiers"][()] == loop.service.map.grid.frontiers.n > 0
-    assert found["edge_goal_state"][loop.service.goal.kind] == 1
+    assert found["edge_goal_state"][loop.service.goals.goal.kind] == 1
     assert found["edge_policy_info"] == {loop.config.policy.kind: 1}
 
 

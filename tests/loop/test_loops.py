@@ -172,12 +172,12 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "ingest": lambda run: (run.service, "on_pose_jump"),
     "check": lambda run: (run.service.plausibility, "permitted_use"),
     "detect": lambda run: (run.service.perception.worker, "submit"),
-    "map": lambda run: (run.service, "_map"),
+    "map": lambda run: (run.service.perception, "map"),
     "lift": lambda run: (run.service.map._back_projector, "back_project"),
     "candidates": lambda run: (run.service.map, "gather"),
     "score": lambda run: (run.service.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
-    "select": lambda run: (run.service.goals, "choose"),
+    "select": lambda run: (run.service.goals.chooser, "choose"),
     "publish": lambda run: (run.service.goals, "send_pending"),
 }
 

@@ -93,8 +93,8 @@ class Run(ClosedLoop):
 
     def hear(self, answer: GoalStatus) -> None:
         goal = self.beside.goal
-        if goal is not None and self.service.goal is not None:
-            mine = answer.stamp_ns == self.service.goal.stamp_ns
+        if goal is not None and self.service.goals.goal is not None:
+            mine = answer.stamp_ns == self.service.goals.goal.stamp_ns
             stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
             self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
@@ -123,7 +123,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
     Frontiers, ids, paths, gains, scores, objects and goals are equal.
     """
     run = begun(tmp_path_factory.mktemp("saved") / "m.json", ticks, config(policy))
-    before = run.service.goal
+    before = run.service.goals.goal
     for i in range(25):
         one, other = run.both()
         # The controller repeats its last answer, which went to the killed service.
@@ -146,7 +146,8 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         assert one.map.objects.read_only.n == other.map.objects.read_only.n
     nowhere = StampedPose(SE2(0, 0, 0), 0, 0)
     mine, its = (
-        state_of(MapParts(s.map, s.goals, s.policy), nowhere, "", (), "") for s in (one, other)
+        state_of(MapParts(s.map, s.goals.chooser, s.policy), nowhere, "", (), "")
+        for s in (one, other)
     )
     assert mine.state == its.state
     assert mine.arrays.keys() == its.arrays.keys()
@@ -210,7 +211,7 @@ def test_an_unwritable_disk_stops_only_the_checkpoint(tmp_path, caplog):
     assert run.service.checkpoint.status()["problem"] == "Is a directory"
     assert sum("not written" in message for message in caplog.messages) == 1
     assert run.service.error_boundary.failed == 0
-    assert run.service.goal is not None
+    assert run.service.goals.goal is not None
     (tmp_path / ".m.json.map.tmp").rmdir()
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
@@ -223,8 +224,8 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     service, now_ns = run.service, run.drive.motion.stamp_ns
     pose = run.drive.motion.odometry
     service.map.grid.bumps.close(pose, pose.ahead(0.6), 0.2, now_ns)
-    service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
-    service.goals._chooser.search.left.append((3.0, 4.0))
+    service.map.pool.discarded.add(0, 7, (1.0, 2.0), now_ns + 10**10)
+    service.goals.chooser.search.left.append((3.0, 4.0))
     cells = service.map.grid.layers.raw == 255
     run.killed()
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
@@ -233,7 +234,7 @@ def test_bumps_and_discarded_candidates_survive_a_restart(tmp_path):
     np.testing.assert_array_equal(grid.layers.raw == 255, cells)
     assert grid.bumps.closed_m == service.map.grid.bumps.closed_m
     assert run.service.map.pool.state_dict()["discarded_id"].tolist() == [7]
-    assert (3.0, 4.0) in run.service.goals._chooser.search.left
+    assert (3.0, 4.0) in run.service.goals.chooser.search.left
     grid.bumps.expire(now_ns + 10**13)
     assert not (grid.layers.raw == 255).any()
     run.service.checkpoint.close()
@@ -273,7 +274,7 @@ def test_the_map_is_restored_only_in_the_same_frame(tmp_path, monkeypatch, chang
 def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
     run = Run(tmp_path / "m.json", config(source={"localised": True})).ticks(10)
     now_ns = run.drive.motion.stamp_ns
-    run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
+    run.service.map.pool.discarded.add(0, 7, (1.0, 2.0), now_ns + 5 * 10**9)
     run.killed()
     saved = MAP.decode((tmp_path / "m.json.map").read_bytes())
     observation = replace(run.observe(), stamp_ns=10**8)
@@ -294,7 +295,7 @@ def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
 
 def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
-    run.service.mission.fail("told to", run.drive.motion.stamp_ns)
+    run.service.mission.finish("failed", "told to", run.drive.motion.stamp_ns)
     run.ticks(1)
     known_m2, things = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
     run.killed()
@@ -331,7 +332,7 @@ def test_another_map_is_adapted_or_set_aside(tmp_path, caplog, mapping, aside, p
         occupied = np.argwhere(raw.cells == 100) * 0.05 + (y0 + 0.025, x0 + 0.025)
         grid = run.service.map.grid
         assert any(grid.state_at(x, y) == 100 for y, x in occupied)
-        assert run.service.goal is not None
+        assert run.service.goals.goal is not None
     run.service.checkpoint.close()
 
 

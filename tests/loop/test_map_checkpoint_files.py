@@ -26,7 +26,7 @@ def saved(tmp_path_factory) -> Checkpoint[MapState]:
     run = Run(path, SETTINGS).ticks(60)
     pose, now_ns = run.drive.motion.odometry, run.drive.motion.stamp_ns
     run.service.map.grid.bumps.close(pose, pose.ahead(0.5), 0.2, now_ns)
-    run.service.map.pool.discard(0, 7, (1.0, 2.0), now_ns + 10**10)
+    run.service.map.pool.discarded.add(0, 7, (1.0, 2.0), now_ns + 10**10)
     run.service.checkpoint.close()
     return MAP.decode(path.with_name("m.json.map").read_bytes())
 

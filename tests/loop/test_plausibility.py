@@ -106,7 +106,7 @@ def test_implausible_data_stop_the_robot_until_they_recover(make, why):
         motion = loop.drive.motion
         path_m += math.dist((motion.pose.x_m, motion.pose.y_m), (last.x_m, last.y_m))
         last = motion.pose
-        if stood is None and motion.v_mps == 0.0 and loop.service.goal is None:
+        if stood is None and motion.v_mps == 0.0 and loop.service.goals.goal is None:
             stood = loop.seconds - begun_s, path_m
     assert stood is not None
     assert stood[0] <= 1.5 or stood[1] <= 0.5

@@ -96,12 +96,12 @@ def test_a_question_is_handed_to_the_loop():
 def test_a_timed_wait_is_a_pause_that_ends(loop):
     service = loop.service
     assert say(loop, "Wait here for two minutes, please.")["paused"]
-    service.end_pause(119 * 10**9)
+    service.control.end_pause(119 * 10**9)
     assert service.mission.paused
-    service.end_pause(120 * 10**9)
+    service.control.end_pause(120 * 10**9)
     assert not service.mission.paused
     say(loop, "Wait ten seconds.")
     say(loop, "Stop!")
-    service.end_pause(11 * 10**9)
+    service.control.end_pause(11 * 10**9)
     assert service.mission.paused
     assert not say(loop, "You can go on now.")["paused"]

@@ -36,7 +36,7 @@ def goals_of(policy: str) -> list[list]:
     loop, goals = ClosedLoop(config), []
     for _ in range(TICKS):
         loop.step()
-        goals.append(goal_fields(loop.service.goal))
+        goals.append(goal_fields(loop.service.goals.goal))
     return [[len(list(same)), goal] for goal, same in groupby(goals)]
 
 

@@ -136,7 +136,9 @@ def driving(**mission) -> ClosedLoop:
     """Return a robot on its way to a frontier."""
     loop = ClosedLoop(config(mission={"target": "surfboard", **mission}), colour=False)
     while not (
-        loop.service.goal and loop.service.goal.kind == "frontier" and loop.drive.motion.v_mps > 0.2
+        loop.service.goals.goal
+        and loop.service.goals.goal.kind == "frontier"
+        and loop.drive.motion.v_mps > 0.2
     ):
         loop.step()
     return loop
@@ -159,20 +161,20 @@ def test_a_robot_without_images_stops_at_its_pose():
         service.idle(seen_ns + i * TICK_NS, coasted)
     assert len(notes.goals) == before + 1
     assert_stops(notes.goals[-1], coasted)
-    assert service.goal is None
+    assert service.goals.goal is None
     assert service.status.phase == "searching"
     # When there is something to be seen again, it chooses again.
     loop.drive.step(2.0, 0.0, 0.0)
     loop.step()
     assert notes.goals[-1].stamp_ns > notes.goals[before].stamp_ns
-    assert service.goal is notes.goals[-1]
+    assert service.goals.goal is notes.goals[-1]
 
 
 def waiting(how: str) -> ClosedLoop:
     """Return a mission of at most 5 s whose sensors have been silent since before it began."""
     loop = ClosedLoop(config(mission={"target": "bed", "time_limit_s": 5.0}), colour=False)
     if how == "restored":
-        loop.service.mission.restore((), (), (), 4.0, 0.0, False)
+        loop.service.mission.meter.elapsed_s = 4.0
     elif how == "asked for while blind":
         loop.step()
         loop.service.begin(loop.service.mission.spec, START_NS + TICK_NS)
@@ -201,7 +203,7 @@ def test_a_missions_time_runs_from_its_first_observation_on(how, pose):
 def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
     loop = driving()
     before = len(loop.notes.goals)
-    loop.service.mission.fail("enough", START_NS)
+    loop.service.mission.finish("failed", "enough", START_NS)
     for _ in range(3):
         if blind:
             loop.service.idle(loop.drive.motion.stamp_ns, loop.service.pose)
@@ -211,7 +213,7 @@ def test_the_end_of_a_mission_stops_a_driving_robot_once(blind):
     if blind:
         assert_stops(loop.notes.goals[-1], loop.service.pose)
     assert loop.notes.goals[-1].kind == "spin"
-    assert loop.service.goal is None
+    assert loop.service.goals.goal is None
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -227,19 +229,19 @@ def test_a_stop_withdraws_the_goal_until_its_release(blind):
                 loop.step()
 
     before = len(notes.goals)
-    service.stop("button", loop.drive.motion.stamp_ns)
+    service.control.stop("button", loop.drive.motion.stamp_ns)
     step(1)
     assert [goal.kind for goal in notes.goals[before:]] == ["spin"]
     assert notes.goals[-1].pose.distance_to(service.pose.x_m, service.pose.y_m) < 0.05
-    service.pause(True, 0)
-    service.pause(False, 0)  # nothing but a release ends a stop
+    service.control.pause(True, 0)
+    service.control.pause(False, 0)  # nothing but a release ends a stop
     service.begin(service.mission.spec, loop.drive.motion.stamp_ns)
     step(60)
     assert len(notes.goals) == before + 1
-    assert (service.goal, service.status.phase) == (None, "stopped")
+    assert (service.goals.goal, service.status.phase) == (None, "stopped")
     assert service.status.reason == "button; waits for `edge release`"
     assert service.status.elapsed_s == 0.0
-    service.stop("", loop.drive.motion.stamp_ns)
+    service.control.stop("", loop.drive.motion.stamp_ns)
     loop.step()
     loop.step()
     assert notes.goals[-1].kind == "frontier"
@@ -253,11 +255,11 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
 
     def select(*_: object) -> Goal:  # a behaviour with a bug
         goal = Goal(START_NS, SE2(1.0, 0.0, 0.0), next(kinds), 1, (1.0, 0.0), 1.0, "surfboard")
-        service.goals._tracked = TrackedGoal(goal)
+        service.goals.chooser.tracked = TrackedGoal(goal)
         return goal
 
     service._select = select
-    service.stop("button", loop.drive.motion.stamp_ns)
+    service.control.stop("button", loop.drive.motion.stamp_ns)
     for _ in range(20):
         loop.step()
     (sent,) = loop.notes.goals[before:]
@@ -267,10 +269,10 @@ def test_no_goal_of_any_kind_is_sent_while_stopped():
 def test_a_stop_without_a_mission_sends_one_hold_goal():
     loop = ClosedLoop(config(mission={"target": "surfboard"}), colour=False)
     loop.step()
-    loop.service.cancel("over", START_NS)
+    loop.service.control.cancel("over", START_NS)
     loop.step()
     before = len(loop.notes.goals)
-    loop.service.stop("button", START_NS)
+    loop.service.control.stop("button", START_NS)
     for _ in range(20):
         loop.step()
     assert [goal.kind for goal in loop.notes.goals[before:]] == ["spin"]
@@ -280,21 +282,21 @@ def test_a_stop_without_a_mission_sends_one_hold_goal():
 @pytest.mark.parametrize(("ticks_without", "stops"), [(1, 0), (2, 0), (8, 1)])
 def test_a_goal_without_a_successor_is_withdrawn(ticks_without, stops):
     loop = driving()
-    choose, before = loop.service.goals.choose, len(loop.notes.goals)
-    loop.service.goals.choose = lambda *_: loop.service.goals.abandon()
+    choose, before = loop.service.goals.chooser.choose, len(loop.notes.goals)
+    loop.service.goals.chooser.choose = lambda *_: loop.service.goals.chooser.abandon()
     for _ in range(ticks_without):
         loop.step()
     assert [g.kind for g in loop.notes.goals[before:]] == ["spin"] * stops
-    loop.service.goals.choose = choose
+    loop.service.goals.chooser.choose = choose
     loop.step()
     assert loop.notes.goals[-1].kind != "spin"
-    assert loop.service.goal is loop.notes.goals[-1]
+    assert loop.service.goals.goal is loop.notes.goals[-1]
 
 
 @pytest.mark.parametrize("off_ns", [0, 128, -240, 1000])
 def test_a_rounded_stamp_still_matches_its_goal(off_ns, caplog):
     service = ClosedLoop(config(mission={"target": "surfboard"}), colour=False).run(3).service
-    stamp_ns = service.goal.stamp_ns
+    stamp_ns = service.goals.goal.stamp_ns
     service.on_goal_status(GoalStatus(stamp_ns + off_ns, "accepted", "rounded"))
     assert service.goals.goal_status == GoalStatus(stamp_ns, "accepted", "rounded")
     assert (
@@ -351,12 +353,12 @@ def test_detections_from_before_a_pose_jump_are_dropped():
 def test_a_pose_jump_restarts_the_search():
     loop = driving()
     service, before = loop.service, len(loop.notes.goals)
-    chooser = service.goals._chooser
+    chooser = service.goals.chooser
     chooser.search.exhausted = chooser.next_view.done = True
-    assert service.goals.exhausted
+    assert service.goals.chooser.exhausted
     service.on_pose_jump(loop.drive.motion.stamp_ns)
-    assert not service.goals.exhausted
-    assert service.goal is None
+    assert not service.goals.chooser.exhausted
+    assert service.goals.goal is None
     blank = blank_observation(10**6, loop.drive.motion.stamp_ns, SE2(7, 7, 0), loop)
     service.tick(blank, blank.stamp_ns)
     assert_stops(loop.notes.goals[before], SE2(7, 7, 0))

@@ -28,7 +28,7 @@ def run_of(path: Path, instruction: str, kind: str = "ltl") -> Run:
 def television_given_up(path: Path) -> Run:
     """Return a restarted run whose television was seen and abandoned; its bed was not seen."""
     run = run_of(path, "F (television | bed)")
-    while "television" not in run.service.mission.detected:
+    while "television" not in run.service.mission.sets.detected:
         run.step()
     run.service.mission.abandon_target("no way to it", run.drive.motion.stamp_ns)
     return run.ticks(1).killed()
@@ -58,7 +58,7 @@ def test_a_mission_resumes_with_its_state_and_objects(path):
         run.step()
     old = run.service
     mission = run.killed().service.mission
-    assert mission.trace == old.mission.trace == ("sofa",)
+    assert mission.progress.trace == old.mission.progress.trace == ("sofa",)
     assert mission.id == "1f.2"
     assert mission.spec.automaton.formula == old.mission.spec.automaton.formula
     run.step()
@@ -73,11 +73,11 @@ def test_a_mission_resumes_with_its_state_and_objects(path):
 def test_a_patrol_resumes_its_round_and_its_wait(path):
     run = run_of(path, 'G F "wait 3 s" & G F "check surfboard"')
     mission = run.service.mission
-    mission.round, mission.results = 4, ("no, there is no surfboard",)
+    mission.progress.round, mission.results = 4, ("no, there is no surfboard",)
     while mission.pursued_now_s < 2.0:
         run.step()
     again = run.killed().service.mission
-    assert (again.round, again.results) == (4, mission.results)
+    assert (again.progress.round, again.results) == (4, mission.results)
     assert str(again.spec.translation.repeat) == "until told"
     assert again.destinations == mission.destinations
     assert again.pursued_now_s == pytest.approx(2.0, abs=0.2)
@@ -128,7 +128,7 @@ def test_a_restart_that_saw_nothing_loses_no_object(path):
 
 def test_objects_are_restored_if_a_mission_comes_first(path):
     run = run_of(path, "F television & F bed")
-    while "television" not in run.service.mission.detected:
+    while "television" not in run.service.mission.sets.detected:
         run.step()
     before = run.service.map.tracker.all
     run.killed().service.idle(run.drive.motion.stamp_ns, None)
@@ -150,7 +150,7 @@ def test_a_failed_target_needs_a_new_instance_after_a_restart(path):
 
 def test_an_ended_mission_is_not_resumed(path):
     run = run_of(path, "F bed").ticks(1)
-    run.service.mission.fail("cancelled", run.drive.motion.stamp_ns)
+    run.service.mission.finish("failed", "cancelled", run.drive.motion.stamp_ns)
     checkpoint = run.ticks(1).killed().service.checkpoint
     assert checkpoint.saved is None
     checkpoint.close()

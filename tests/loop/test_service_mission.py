@@ -203,14 +203,14 @@ def test_a_goal_next_to_a_forbidden_object_is_warned_of():
     loop = ClosedLoop(config("F television & (!lamp W television)"), colour=False)
     while not any(step.kind == "target" for step in loop.service.mission.log):
         loop.step()
-    while loop.service.goal is None:
+    while loop.service.goals.goal is None:
         loop.step()
-    goal = loop.service.goal
+    goal = loop.service.goals.goal
     lamp = _thing_at(99, "lamp", goal.pose.x_m + 0.4, goal.pose.y_m)
     loop.service.map.tracker.add(lamp)
-    loop.service.goals.abandon()
+    loop.service.goals.chooser.abandon()
     loop.step()
-    assert loop.service.goal.candidate_id == goal.candidate_id
+    assert loop.service.goals.goal.candidate_id == goal.candidate_id
     step = loop.service.mission.log[-1]
     assert (step.kind, step.label) == ("warning", "lamp")
     assert "m from lamp, which must not be reached now" in step.text

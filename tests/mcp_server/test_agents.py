@@ -355,7 +355,7 @@ def test_hostile_calls_move_nothing_without_leave(make, motion, over_http):
             robot.ask(key, {"do": "new", "instruction": "go to the kitchen"})
     assert tries > 100
     assert not robot.moves
-    assert robot.loop.service.mission.idle
+    assert robot.loop.service.mission.ended == "idle"
     assert {place.name for place in robot.loop.service.site.site.places} == {
         "kitchen", INJECTION[:60],
     }  # fmt: skip

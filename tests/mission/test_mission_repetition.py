@@ -84,7 +84,7 @@ def test_the_last_of_several_rounds_ends_the_mission():
     assert mission.status("searching").reason == "round 1 of 3"
     assert patrol(mission, 3) == ["dock", "shelf", "dock"]
     assert mission.status("searching").reason == "round 2 of 3"
-    assert (mission.trace, mission.sets.reached) == (("dock",), ("dock",))
+    assert (mission.progress.trace, mission.sets.reached) == (("dock",), ("dock",))
     assert patrol(mission, 1) == ["shelf"]
     assert patrol(mission, 2) == ["dock", "shelf"]
     status = mission.status("searching")

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.config import MissionConfig, PlannerVitl
 from edge.geometry import SE2
+from edge.mission.checkpoint import restore, state_of
 from edge.mission.run import MissionRun
 from edge.mission.spec import prepare
 
@@ -26,7 +29,7 @@ def kinds(mission: MissionRun) -> list[str]:
 
 def test_a_new_mission_has_a_target_and_has_done_nothing():
     mission = begun()
-    assert (mission.target, mission.trace, mission.sets.reached) == ("chair", (), ())
+    assert (mission.target, mission.progress.trace, mission.sets.reached) == ("chair", (), ())
     assert kinds(mission) == ["start", "target"]
     assert not mission.done
     assert mission.status("searching").phase == "searching"
@@ -47,7 +50,7 @@ def test_reaching_the_targets_in_order_ends_the_mission():
     mission = begun()
     mission.on_detections({"sofa": 1}, S)
     mission.on_reached("seen in 5 images", 2 * S)
-    assert (mission.target, mission.trace) == ("tv", ("sofa",))
+    assert (mission.target, mission.progress.trace) == ("tv", ("sofa",))
     mission.on_reached("seen in 6 images", 3 * S)
     assert mission.status("searching").phase == "reached"
     assert mission.reason == "sofa, then tv"
@@ -79,7 +82,7 @@ def test_a_target_failed_before_a_restart_needs_a_new_instance():
     mission = begun("F (chair | sofa)")
     config = MissionConfig()
     second = MissionRun(mission.spec, config)
-    second.restore((), (), {"chair"}, 1.0, 1.0, False)
+    second.sets.restore((), {"chair"})
     second.start(0)
     second.sets.mark_stale_before(7)
     second.on_detections({"chair": 7}, S)
@@ -87,7 +90,7 @@ def test_a_target_failed_before_a_restart_needs_a_new_instance():
     second.abandon_target("no way to it", 2 * S)
     assert second.reason == "chair failed before the restart; no way to it"
     third = MissionRun(mission.spec, config)
-    third.restore((), (), {"chair"}, 1.0, 1.0, False)
+    third.sets.restore((), {"chair"})
     third.start(0)
     third.sets.mark_stale_before(7)
     third.on_detections({"chair": 8}, S)
@@ -97,7 +100,7 @@ def test_a_target_failed_before_a_restart_needs_a_new_instance():
 def test_an_empty_step_is_taken_if_the_formula_needs_one():
     mission = begun("F (chair & F (!chair & F chair))")
     mission.on_reached("", S)
-    assert mission.trace == ("chair", "")
+    assert mission.progress.trace == ("chair", "")
     assert mission.target == "chair"
     mission.on_reached("", 2 * S)
     assert mission.done
@@ -142,7 +145,7 @@ def test_time_passes_without_a_pose_but_not_while_paused():
 def test_the_end_is_final():
     mission = begun("F chair")
     mission.on_reached("confirmed", S)
-    mission.fail("again", 2 * S)
+    mission.finish("failed", "again", 2 * S)
     mission.on_detections({"chair": 2}, 2 * S)
     assert (mission.status("searching").phase, mission.reason) == ("reached", "confirmed")
 
@@ -153,9 +156,10 @@ def test_a_restored_mission_resumes_at_the_same_state():
     first.on_reached("", 2 * S)
     config = MissionConfig()
     second = MissionRun(prepare(config, formula=CHOICE), config)
-    second.restore(first.trace, first.sets.reached, first.sets.failed, 12.0, 3.0, False)
+    restore(second, replace(state_of(first, "searching"), elapsed_s=12.0))
     second.start(0)
-    assert (second.state, second.target, second.meter.elapsed_s) == (first.state, "tv", 12.0)
+    assert second.progress.state == first.progress.state
+    assert (second.target, second.meter.elapsed_s) == ("tv", 12.0)
 
 
 def test_with_distances_the_nearer_branch_wins_by_the_margin():
@@ -166,7 +170,8 @@ def test_with_distances_the_nearer_branch_wins_by_the_margin():
 
     def survey(chair_m: float, sofa_m: float) -> str:
         between = np.array([[0, 4.0], [4.0, 0]])
-        mission.update_distances(np.vstack([between, [chair_m, sofa_m]]), 2 * S)
+        mission.sets.distance_m = np.vstack([between, [chair_m, sofa_m]])
+        mission.replan(2 * S)
         return mission.target
 
     assert survey(5.0, 4.5) == "chair"

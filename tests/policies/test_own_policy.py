@@ -70,7 +70,7 @@ def test_a_policy_sees_a_read_only_context(written):
     config = simulated({**data, "mission": instruction})
     loop = ClosedLoop(config)
     policy, states = loop.service.policy, {}
-    while loop.service.goal is None or loop.service.goal.kind != "instance":
+    while loop.service.goals.goal is None or loop.service.goals.goal.kind != "instance":
         before, window = dict(states), loop.service.map.grid.window.origin
         loop.step()
         context, _ = policy.seen[-1]

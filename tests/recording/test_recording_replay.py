@@ -118,10 +118,10 @@ def test_a_patrol_with_waits_and_checks(tmp_path):
     while service.mission.target != "wait":
         recording.steps(1)
         ticks += 1
-    service.pause(False, closed.drive.motion.stamp_ns)
+    service.control.pause(False, closed.drive.motion.stamp_ns)
     recording.steps(3)
-    assert service.mission.round == 2
-    service.cancel("cancelled", closed.drive.motion.stamp_ns)
+    assert service.mission.progress.round == 2
+    service.control.cancel("cancelled", closed.drive.motion.stamp_ns)
     recording.steps(2)
     assert service.status.phase == "reached"
     same(recording.close(), ticks)
@@ -132,15 +132,15 @@ def test_all_kinds_of_inputs_replay(tmp_path):
     recording = Recording(tmp_path).steps(5)
     service, closed = recording.service, recording.closed
     now_ns = closed.drive.motion.stamp_ns
-    service.pause(True, now_ns)
+    service.control.pause(True, now_ns)
     recording.steps(2)
     service.idle(now_ns + 1, SE2(0.0, 0.0, 0.0))
-    service.pause(False, now_ns)
-    service.stop("button", now_ns)
+    service.control.pause(False, now_ns)
+    service.control.stop("button", now_ns)
     recording.steps(2)
-    service.stop("", now_ns)
+    service.control.stop("", now_ns)
     recording.steps(3)
-    service.on_goal_status(GoalStatus(service.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
+    service.on_goal_status(GoalStatus(service.goals.goal.stamp_ns, "failed", "stuck", (1.0, 2.0)))
     recording.steps(3)
     service.begin(prepare(service.config.mission, formula="F sofa & F bed"), now_ns)
     recording.steps(5)
@@ -163,7 +163,7 @@ def test_all_kinds_of_inputs_replay(tmp_path):
     with pytest.raises((ValueError, IndexError)):
         service.tick(broken, now_ns)
     service.idle(now_ns, None, broken)
-    service.fail("cancelled", now_ns)
+    service.control.fail("cancelled", now_ns)
     recording.steps(2)
     kinds = {entry.kind for m in RecordedRun(recording.close()).steps() for entry in m.page.entries}
     assert kinds >= {
@@ -189,7 +189,7 @@ def test_observations_that_were_refused_are_refused_again(tmp_path, field):
     closed, see = recording.closed, recording.closed.observe
     closed.observe = lambda: replace(o := see(), **{field: np.zeros_like(getattr(o, field))})
     recording.steps(15)
-    assert recording.service.goal is None
+    assert recording.service.goals.goal is None
     closed.observe = see
     same(recording.steps(5).close(), 25)
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Union
+from typing import Any, Union
 
 import numpy as np
 
-from edge.config import Config, MappingConfig, TasksConfig, WriterModel
+from edge.config import Config, TasksConfig, WriterModel
 from edge.errors import UserError
 from edge.geometry import SE2
+from edge.host.worker import Worker
+from edge.loop.input_log import TASK, InputLog
 from edge.mapping.view import MapView
 from edge.mission.language.tokens import TranslationError
 from edge.tasks.functions import ScriptFunctions
@@ -40,6 +42,8 @@ log = logging.getLogger("edge.loop.behaviours.plan_worker")
 
 NEARER_M = 0.15
 """Smallest approach to an object that is worth another trajectory."""
+GROUND_PERIOD_NS = 1_000_000_000
+"""Least time between two images whose ground is named."""
 SAME_OBJECT_M = 3.0
 """If the id of the object at which the robot stopped is gone, the nearest object of the same label
 replaces it, if that object is within this distance of the robot."""
@@ -84,35 +88,16 @@ class PlanResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObjectMapUpdate:
-    """A request to add the boxes of an image to an object map.
+class ImageUpdate:
+    """A request to add an image to the surroundings of a task.
 
     Attributes:
-        found: Boxes of the image. Its frame is held until `release_frame`.
-        objects: Object map of the task.
-        range_m: Largest distance of an object from the camera.
-    """
-
-    found: Detections
-    objects: ObjectMap
-    range_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroundUpdate:
-    """A request to name the kinds of ground in an image.
-
-    Attributes:
-        observation: Frame with the image. It is held until `release_frame`.
-        classifier: Names the kind in each pixel.
-        votes: Votes of the task for kinds of ground.
-        mapping: Settings of the map.
+        observation: Frame of the image. It is held until `release_frame`.
+        add: Adds its objects or its kinds of ground.
     """
 
     observation: Observation
-    classifier: GroundKinds
-    votes: GroundVotes
-    mapping: MappingConfig
+    add: Callable[[], object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,14 +156,107 @@ def log_line(result: PlanResult, refined: RefinedTrajectory, request: PlanReques
     return f"trajectory of {length_m:.1f} m: {origin}{notes}"
 
 
-Request = Union[ObjectMapUpdate, GroundUpdate, PlanRequest]
+Request = Union[ImageUpdate, PlanRequest]
+
+
+class PlanWorker:
+    """The background worker of one task, with the objects and the ground that images showed.
+
+    Args:
+        input_log: Input log, which records the results.
+        ground: Names the kinds of ground in images; None: all ground is of one kind.
+
+    Attributes:
+        request: Request for a trajectory whose result was not polled yet; None if there is none.
+        objects: Objects that images showed. Only the worker's thread uses them.
+        ground_votes: Votes for kinds of ground, likewise; None if all ground is of one kind.
+    """
+
+    def __init__(self, config: Config, input_log: InputLog, ground: GroundKinds | None) -> None:
+        self._config, self._ground = config, ground
+        self._inner_worker: Worker[Request, PlanResult] = Worker(
+            "task", run_request, inline=config.loop.lockstep, drop=release_frame
+        )
+        self._worker: Any = input_log.wrap(TASK, self._inner_worker)
+        self.request: PlanRequest | None = None
+        self._ground_ns: int | None = None  # loop time of the newest image for `ground_votes`
+        self._forget_surroundings()
+
+    def submit(self, request: PlanRequest) -> None:
+        """Write or refine a trajectory."""
+        self.request = request
+        self._worker.submit(request)
+
+    def poll(self) -> tuple[PlanResult, PlanRequest] | None:
+        """Return the result of the newest request, and the request; None if there is none yet."""
+        result, request = self._worker.poll(), self.request
+        if result is None or request is None:
+            return None
+        self.request = None
+        return result, request
+
+    def name_ground(self, seen: Observation, now_ns: int) -> None:
+        """Name the ground that the image shows, at most once in `GROUND_PERIOD_NS`.
+
+        Nothing waits for the network but the next request, so it gets no image while one waits.
+        """
+        votes, classifier, newest_ns = self.ground_votes, self._ground, self._ground_ns
+        if votes is None or classifier is None or self.request is not None:
+            return
+        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        is_due = newest_ns is None or now_ns - newest_ns >= GROUND_PERIOD_NS
+        pictured = seen.rgb is not None and seen.camera is not None
+        if is_due and ranged and pictured and self._inner_worker.idle:
+            self._ground_ns = now_ns
+            seen.hold()
+            add = partial(add_ground, votes, classifier, seen, self._config.mapping)
+            self._inner_worker.submit(ImageUpdate(seen, add), "ground")
+
+    def add_detections(self, found: Detections) -> None:
+        """Add the detections to the objects."""
+        perception, seen = self._config.perception, found.observation
+        found = found.above(perception.tau_det)
+        ranged = seen.depth_m is not None or seen.cloud_m is not None
+        if len(found) and ranged and seen.camera is not None:
+            seen.hold()
+            range_m = perception.back_projection_max_range_m
+            add = partial(add_detections, self.objects, found, range_m)
+            self._inner_worker.submit(ImageUpdate(seen, add), "objects")
+
+    def reconfigure(self, config: Config, ground: GroundKinds | None) -> None:
+        """Use another configuration from the next request on; see `Behaviour.reconfigure`."""
+        self._config = config
+        if ground is not self._ground:
+            self._ground = ground
+            self._forget_surroundings()
+
+    def on_pose_jump(self) -> None:
+        """Drop the running request and all positions: they are in the old frame."""
+        self._worker.discard_all()
+        self.request = None
+        self._forget_surroundings()
+
+    def close(self) -> None:
+        """Drop the running request and stop the worker."""
+        self._worker.discard_all()
+        self._worker.stop()
+
+    def _forget_surroundings(self) -> None:
+        self.objects = ObjectMap()
+        self.ground_votes = None if self._ground is None else GroundVotes(self._ground.kinds)
+        self._ground_ns = None
+
+
+def is_by_model(config: Config) -> bool:
+    """Return True if a language model writes trajectories, False if the rules do."""
+    return isinstance(config.tasks.planner, WriterModel)
 
 
 def run_request(request: Request) -> PlanResult | None:
     """Carry out a request. A `PlanRequest` never raises, because the task waits for a result."""
-    if not isinstance(request, PlanRequest):
+    if isinstance(request, ImageUpdate):
         try:
-            _update(request)
+            request.add()
         finally:
             release_frame(request)
         return None
@@ -195,18 +273,9 @@ def run_request(request: Request) -> PlanResult | None:
         return PlanResult(error=f"a bug in edge: {type(error).__name__}: {error}")
 
 
-def _update(request: ObjectMapUpdate | GroundUpdate) -> None:
-    if isinstance(request, GroundUpdate):
-        add_ground(request.votes, request.classifier, request.observation, request.mapping)
-    else:
-        add_detections(request.objects, request.found, request.range_m)
-
-
 def release_frame(request: Request) -> None:
     """Release the frame of a request."""
-    if isinstance(request, ObjectMapUpdate):
-        request.found.observation.release()
-    elif isinstance(request, GroundUpdate):
+    if isinstance(request, ImageUpdate):
         request.observation.release()
 
 
@@ -227,7 +296,7 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
     steps = slice(request.n_driven, n_steps if n_steps < request.n_steps else None)
     limits, instruction = _task_settings(config).trajectory, request.instruction
     prompt = ""
-    if isinstance(config.tasks.planner, WriterModel):
+    if is_by_model(config):
         prompt = f"{system_prompt()}\n\n{task_text(instruction, scene, limits, request.reason)}"
     result = PlanResult(prompt=prompt, n_done=n_steps)
     try:
@@ -293,7 +362,7 @@ def _refine(request: PlanRequest, before: PlanResult, refined: RefinedTrajectory
     """Refine the rest of an earlier trajectory on the current map."""
     config = request.config
     scene, limits = _scene(request), _motion_limits(config, before)
-    if not isinstance(config.tasks.planner, WriterModel):
+    if not is_by_model(config):
         clearance_m = _margins(config).clearance_m
         avoided = route_limits(request.instruction, scene)
         scene = limited_ground(ground_of(scene, clearance_m), avoided, clearance_m).scene

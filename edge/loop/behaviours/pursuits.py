@@ -21,6 +21,7 @@ import numpy as np
 from edge import names
 from edge.geometry import SE2
 from edge.loop.goal import GoalTracker
+from edge.loop.known_goals import goal_at_place, goal_at_point, scores_towards
 from edge.loop.search_state import ProbableObject
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, describe_location, known_objects
@@ -63,7 +64,7 @@ class Pursuit(Generic[DestinationType]):
         goals: GoalTracker,
     ) -> None:
         self._destination, self._mission = destination, mission
-        self._map, self._goals = semantic_map, goals
+        self._map, self._goals, self._chooser = semantic_map, goals, goals.chooser
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
         self._probable: ProbableObject | None = None  # the object that the robot goes back to
         self._no_path_since_ns: int | None = None  # None: there is a path to this object
@@ -79,7 +80,7 @@ class Pursuit(Generic[DestinationType]):
         """Return the objects that are candidates for this target."""
         only_confirmed = not self._map.config.policy.instances
         # Objects that probably are another thing come last, when nothing else is left.
-        doubted = self._goals.candidates_exhausted or self._last_look
+        doubted = self._chooser.search.exhausted or self._last_look
         return self._map.tracker.of(self._target_label, only_confirmed, doubted=doubted)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
@@ -94,14 +95,14 @@ class Pursuit(Generic[DestinationType]):
             return
         if self._probable is not None:
             self._check_probable(self._probable, context)
-        elif self._goals.exhausted:
+        elif self._chooser.exhausted:
             self.finish(context.now_ns)
         elif self._goals.phase == "searching":
             self._mind_limits(context.now_ns)
 
     def _mind_limits(self, now_ns: int) -> None:
         """Go to the object that may be the target while the limits just suffice for that."""
-        probable, travel_cost = self._goals.probable, self._map.grid.travel_cost
+        probable, travel_cost = self._chooser.search.probable, self._map.grid.travel_cost
         if probable is not None and self._mission.config.probable != "refuse":
             if self._is_late(travel_cost.distance_m(*probable.stop_m)):
                 self.finish(now_ns)
@@ -133,38 +134,37 @@ class Pursuit(Generic[DestinationType]):
     def finish(self, now_ns: int) -> None:
         """End the target, or go back to a probable object: no candidate is left."""
         if self._mission.config.probable != "refuse":
-            self._probable = self._goals.probable
+            self._probable = self._chooser.search.probable
         if self._probable is None:
-            self._mission.abandon_target(
-                self._goals.failure_reason(self._mission, self._map.grid), now_ns
-            )
+            reason = self._chooser.failure_reason(self._mission, self._map.grid)
+            self._mission.abandon_target(reason, now_ns)
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         """Return the goal of this tick; see `Behaviour.select`."""
         grid, target = self._map.grid, self._mission.target
         if self._probable is None:
-            return self._goals.choose(context, grid, scores, images)
+            return self._chooser.choose(context, grid, scores, images)
         if self._mission.question:
             self._goals.idle()
             return None
         stop_m = np.array([self._probable.stop_m])
         for points_m in (stop_m, stop_m + _AROUND_M):
-            goal = self._goals.go_to_point(context, grid, points_m, target, keep=True)
+            goal = goal_at_point(self._goals.goal, context, grid, points_m, target, keep=True)
             if goal is not None:
                 self._no_path_since_ns = None
-                return goal
+                return self._chooser.drive_to(goal, ends_on_arrival=False)
         self._no_path_since_ns = self._no_path_since_ns or context.now_ns
         return None
 
     def _check_probable(self, probable: ProbableObject, context: PolicyInput) -> None:
         """Accept the probable object when the robot is at it, or ask a person."""
         mission, goals, now_ns = self._mission, self._goals, context.now_ns
-        if goals.probable is not probable:  # the frame has changed: search again
+        if self._chooser.search.probable is not probable:  # the frame has changed: search again
             self._probable, mission.question = None, ""
             return
         no_path_since_ns = self._no_path_since_ns
         if no_path_since_ns is not None and now_ns - no_path_since_ns >= _NO_PATH_NS:
-            mission.abandon_target(goals.failure_reason(mission, self._map.grid), now_ns)
+            mission.abandon_target(self._chooser.failure_reason(mission, self._map.grid), now_ns)
             return
         goal = goals.goal
         arrived = goals.arrived and goal is not None and goal.kind == "place"
@@ -173,12 +173,12 @@ class Pursuit(Generic[DestinationType]):
             return
         text = mission.question or self._describe(probable)
         if mission.config.probable == "accept":
-            goals.abandon()
+            self._chooser.abandon()
             mission.on_reached(text, now_ns, text)
             return
         if not mission.question:
             mission.question, self._asked_at_s = text, mission.pursued_now_s
-            mission.warn(mission.target, f"not sure: {text}", now_ns)
+            mission.log_event(now_ns, "warning", mission.target, f"not sure: {text}")
         goals.phase = "waiting"
         left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
         mission.activity = f"{text}; waiting for `edge mission confirm`, {time_left(left_s)}"
@@ -204,11 +204,15 @@ class PlacePursuit(Pursuit[PlaceTarget]):
         return ()
 
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        place = self._mission.destinations[self._mission.target]
+        goals, grid, target = self._goals, self._map.grid, self._mission.target
+        place = self._mission.destinations[target]
         assert isinstance(place, PlaceTarget)
         assert place.pose is not None  # set by `locate`
-        target = self._mission.target
-        return self._goals.go_to_place(context, self._map.grid, place.pose, target, images)
+        goal = goal_at_place(goals.goal, context, grid, place.pose, target)
+        if goal is not None:
+            return self._chooser.drive_to(goal)
+        scores = scores_towards(context, (place.pose.x_m, place.pose.y_m))
+        return self._chooser.choose(context, grid, scores, images)
 
 
 class ExplorePursuit(Pursuit[ExploreTarget]):
@@ -330,7 +334,8 @@ class CheckPursuit(Pursuit[CheckTarget]):
             super().check_progress(context, images)
 
     def finish(self, now_ns: int) -> None:
-        self._answer.answer_no(self._goals.failure_reason(self._mission, self._map.grid), now_ns)
+        reason = self._chooser.failure_reason(self._mission, self._map.grid)
+        self._answer.answer_no(reason, now_ns)
 
     def _is_reached(self, instance: Instance, pose: SE2) -> bool:
         """Return False: only a new detection counts, and `check_progress` handles those."""

@@ -12,7 +12,8 @@ from edge.config import PolicySearch
 from edge.geometry import SE2
 from edge.loop.behaviours.pursuits import CheckAnswer, Pursuit, objects_found, time_left
 from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
-from edge.loop.goal import POINT_SNAP_M, SAME_POINT_M, GoalTracker
+from edge.loop.goal import GoalTracker
+from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import RECOGNISED_KINDS, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import CheckTarget, ExploreTarget, RoomTarget, room_target
@@ -72,7 +73,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         if self._is_final and self._kind is not None:
             why = f"room {room.id}, the most likely {self._kind}"
         if self._is_inside(room, context):
-            self._goals.abandon()
+            self._chooser.abandon()
             self.arrive(f"inside {why}", context.now_ns)
             return
         mission.activity = f"going to {why}"
@@ -101,7 +102,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
 
     def _may_guess(self) -> bool:
         """Return True if all is explored, and a room may well be of the wanted kind."""
-        if self._kind is None or not self._goals.candidates_exhausted:
+        if self._kind is None or not self._chooser.search.exhausted:
             return False
         likely = self._most_likely(self._kind)
         return likely is not None and likely.chance[self._kind] >= _LAST_CHANCE
@@ -126,7 +127,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         scores = np.asarray(scores, np.float32)
         room = self._map.rooms.room(self._chosen_id)
         if room is not None and self._explore_around_arrival(room, context):
-            return goals.choose(context, grid, scores, images)
+            return self._chooser.choose(context, grid, scores, images)
         if room is not None:
             points_m, old, rooms = self._stopping_points_m(room), goals.goal, self._map.rooms
             keep = old is not None and rooms.entered_room(old.pose.x_m, old.pose.y_m) == room.id
@@ -136,9 +137,11 @@ class RoomPursuit(Pursuit[RoomTarget]):
                 keep = False
                 away_m = np.hypot(*(points_m - np.array((pose.x_m, pose.y_m), np.float32)).T)
                 points_m = points_m[away_m >= min(_DEEPER_M, float(away_m.max()))]
-            goal = goals.go_to_point(context, grid, points_m, self._mission.target, keep)
-            return goal or goals.explore_towards(context, grid, room.xy_m, images)
-        return goals.choose(context, grid, scores, images)
+            goal = goal_at_point(old, context, grid, points_m, self._mission.target, keep)
+            if goal is not None:
+                return self._chooser.drive_to(goal, ends_on_arrival=False)
+            scores = scores_towards(context, room.xy_m)
+        return self._chooser.choose(context, grid, scores, images)
 
     @property
     def _kind(self) -> str | None:
@@ -242,7 +245,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         number = 0 if chosen is None else chosen.id
         if number != self._chosen_id:
             self._chosen_id = number
-            self._goals.abandon()
+            self._chooser.abandon()
         return chosen
 
     def _distance_m(self, room: MappedRoom) -> float:
@@ -292,11 +295,11 @@ class ExploreRoomPursuit(RoomPursuit):
     def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
         if self._inside is None:
             return super().select(context, scores, images)
-        if self._goals.candidates_exhausted:  # retries and second looks would lead elsewhere
+        if self._chooser.search.exhausted:  # retries and second looks would lead elsewhere
             self._goals.idle()
             return None
         self._block_outside(self._inside)
-        return self._goals.choose(context, self._map.grid, scores, images)
+        return self._chooser.choose(context, self._map.grid, scores, images)
 
     def end(self, now_ns: int) -> None:
         """End the target: the room is explored, or the time is over."""
@@ -315,7 +318,7 @@ class ExploreRoomPursuit(RoomPursuit):
         if (
             mission.retargets == retargets_before
             and not mission.done
-            and self._goals.candidates_exhausted
+            and self._chooser.search.exhausted
         ):
             self.end(context.now_ns)
 

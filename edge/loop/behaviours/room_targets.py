@@ -104,7 +104,7 @@ def known_targets(mission: MissionRun, semantic_map: SemanticMap) -> dict[str, i
 def close_forbidden(mission: MissionRun, semantic_map: SemanticMap) -> None:
     """Close the rooms that the mission must not reach now, as zones; open all others."""
     closed: list[MappedRoom] = []
-    for name in () if mission.done else mission.forbidden:
+    for name in () if mission.done else mission.progress.forbidden:
         target = mission.destinations.get(name)
         if isinstance(target, RoomTarget):
             closed += semantic_map.rooms.matching(target.name)  # all rooms of this name or kind

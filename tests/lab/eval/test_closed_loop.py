@@ -61,7 +61,7 @@ def test_a_second_camera_finds_an_object_behind_the_robot(tmp_path, second, mapp
     )  # fmt: skip
     loop = ClosedLoop(config, colour=False)
     service = loop.service
-    service.pause(True, 0)
+    service.control.pause(True, 0)
     loop.run(3.0)
     instances = service.map.tracker.of("bed")
     assert loop.drive.motion.path_m == pytest.approx(0.0, abs=0.01)
@@ -72,7 +72,7 @@ def test_a_second_camera_finds_an_object_behind_the_robot(tmp_path, second, mapp
     x_m = grid.origin_xy_m[0] + grid.resolution_m * np.nonzero(grid.cells == 100)[1]
     assert x_m.min() < 4.1, "the wall ahead"
     assert (x_m.max() > 5.6) == bool(second or lidar), "the bed, in the same map"
-    service.pause(False, loop.drive.motion.stamp_ns)
+    service.control.pause(False, loop.drive.motion.stamp_ns)
     loop.run(60.0)
     assert (service.status.phase, service.plausibility.failed) == ("reached", ())
     assert loop.distance_m("bed") <= 1.0

@@ -165,7 +165,7 @@ def test_the_record_of_a_running_mission():
 
 def test_a_failed_mission_lists_the_targets_left():
     run = under_way("F(chair & F sofa)")
-    run.fail("time limit of 45 s", S)
+    run.finish("failed", "time limit of 45 s", S)
     assert left_to_reach(told_of(run)) == "chair, then sofa"
 
 
