@@ -1,4 +1,4 @@
-"""The house rules of `edge`: permitted imports."""
+"""The house rules of `edge`: permitted imports, and the size of classes."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ LAYERS = (
 )
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
 MOST_AT_THE_TOP = 12
+MOST_METHODS = 20
 # Only code that makes a model may import the exporters' packages.
 NEVER = {"exporters", "torch", "transformers", "ultralytics"}
 
@@ -181,3 +182,29 @@ def test_the_node_of_the_ros2_adapter_imports_names_that_exist():
     }
     assert imported
     assert imported <= defined
+
+
+def crowded(source: str) -> list[tuple[str, int]]:
+    """Return name and number of methods of the classes with more than `MOST_METHODS`."""
+    numbers = [
+        (node.name, sum(isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef) for n in node.body))
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ClassDef)
+    ]
+    return [(name, n) for name, n in numbers if n > MOST_METHODS]
+
+
+@pytest.mark.parametrize(("methods", "found"), [(0, []), (20, []), (21, [("Tracker", 21)])])
+def test_methods_are_counted(methods, found):
+    body = "".join(f"    async def f{n}(self):\n        def inner(): ...\n" for n in range(methods))
+    assert crowded(f"class Tracker:\n    limit = 3\n{body}") == found
+
+
+def test_no_class_has_more_methods_than_a_reader_can_hold():
+    found = [
+        (str(path.relative_to(ROOT.parent)), *one)
+        for folder in (ROOT, ROOT.parent / "exporters")
+        for path in sorted(folder.rglob("*.py"))
+        for one in crowded(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []

@@ -92,7 +92,7 @@ class Run(ClosedLoop):
         return self.service, self.beside
 
     def hear(self, answer: GoalStatus) -> None:
-        goal = self.beside.goal
+        goal = self.beside.goals.goal
         if goal is not None and self.service.goals.goal is not None:
             mine = answer.stamp_ns == self.service.goals.goal.stamp_ns
             stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
@@ -127,7 +127,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
     for i in range(25):
         one, other = run.both()
         # The controller repeats its last answer, which went to the killed service.
-        assume(i > 0 or before is None or one.goal is before)
+        assume(i > 0 or before is None or one.goals.goal is before)
         n = one.map.grid.frontiers.n
         assert n == other.map.grid.frontiers.n
         np.testing.assert_array_equal(
@@ -139,7 +139,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
             a, b = getattr(mine, name), getattr(its, name)
             np.testing.assert_array_equal(a[: mine.n], b[: its.n], name)
         np.testing.assert_array_equal(one.perception.scores, other.perception.scores)
-        assert goal_fields(one.goal) == goal_fields(other.goal)
+        assert goal_fields(one.goals.goal) == goal_fields(other.goals.goal)
         assert [(i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in one.map.tracker.all] == [
             (i.id, i.score, i.hits, i.state, i.last_seen_ns) for i in other.map.tracker.all
         ]
