@@ -28,7 +28,8 @@ from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
-from edge.mapping.grid import MAX_FRONTIERS, RollingMap
+from edge.mapping.clusters import MAX_FRONTIERS
+from edge.mapping.grid import RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
 from edge.memory import RoomMemory
 from edge.perception.prior.table import load as load_table

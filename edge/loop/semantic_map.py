@@ -18,7 +18,8 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
 from edge.loop.room_surveyor import make_room_surveyor
-from edge.mapping.grid import MAX_FRONTIERS, RollingMap
+from edge.mapping.clusters import MAX_FRONTIERS
+from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
 from edge.memory import CropStore, DescribedTargets, MappedRoom, Site
