@@ -155,7 +155,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     # Unpacked size of a tile, with value and weight (2 bytes each) of each target.
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = ObjectTracker(perception)
-    tracker = InstanceTracker(perception, sightings)
+    tracker = InstanceTracker(perception)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
     goals = GoalTracker(config, pool, tracker, lambda goal: None, lambda text, now_ns: None)
