@@ -105,7 +105,7 @@ class SemanticMap:
         perception, seen = self.config.perception, detections.observation
         targets, others = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
         self.objects.update(targets, others)
-        self.crops.rename(self.objects.renamed)
+        self.crops.rename(self.objects.moved.renamed)
         if seen.rgb is not None:
             self.crops.observe(self.objects.observed, seen.rgb)
         self._fusion.update(targets, seen.stamp_ns)

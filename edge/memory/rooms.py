@@ -21,7 +21,7 @@ from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kind_model
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.text import one_line
 
 FULL_WEIGHT = 0.15
