@@ -222,6 +222,11 @@ class Instance:
     last_seen_ns: int
     state: InstanceState = "tentative"
 
+    @property
+    def is_confirmed(self) -> bool:
+        """True if the object is confirmed as the target, or was reached."""
+        return self.state in ("confirmed", "reached")
+
     def copied(self) -> Instance:
         """Return a copy that shares the arrays, which are replaced but never written to."""
         return Instance(

@@ -68,7 +68,7 @@ def explored_map(cells: int) -> grid.RollingMap:
     m._move_window(0, 0)
     rng = np.random.default_rng(0)
     n = m.window.n
-    inner = m._layers
+    inner, disc, changed = m._cells.layers, m._cells.disc, m._cells.changed
     inner.raw[:] = rng.random((n, n)) < 0.9998
     bits = np.packbits(inner.raw, axis=1, bitorder="little").view(np.uint64)
     inner.known[:] = bits
@@ -77,9 +77,9 @@ def explored_map(cells: int) -> grid.RollingMap:
             inner.raw[y, x] = layers.OCCUPIED
             layers.bit_set(inner.known, y, x, True)
             window = ((x - m.window.shift[0]) % n, (y - m.window.shift[1]) % n)
-            layers.add_disc(inner, *m.window.shift, *window, 1, m._disc, (0, 0, n, n), m._changed)
-    m._explored[:] = (0, 0, n, n)
-    m._changed[:] = (0, 0, n, n)
+            layers.add_disc(inner, *m.window.shift, *window, 1, disc, (0, 0, n, n), changed)
+    m._cells.explored[:] = (0, 0, n, n)
+    changed[:] = (0, 0, n, n)
     m._refresh_frontiers(True)
     return m
 
@@ -129,7 +129,7 @@ def test_unknown_ratio_of_200_candidates(benchmark):
     rng = np.random.default_rng(1)
     xy = rng.uniform(-5, 5, (200, 2)).astype(np.float32)
     out = np.zeros(200, np.float32)
-    benchmark.pedantic(m.unknown_ratio, args=(xy, 200, 1.0, out), rounds=500, warmup_rounds=20)
+    benchmark.pedantic(m.unknown.ratio, args=(xy, 200, 1.0, out), rounds=500, warmup_rounds=20)
     assert np.ptp(out) > 0
 
 

@@ -16,6 +16,7 @@ from edge.perception.embedding.text import PromptError
 from edge.perception.factory import make_detector
 from edge.perception.masks.masker import Masker, make_segmenter
 from edge.perception.runtime.cards import ModelError
+from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -154,14 +155,15 @@ def test_track(benchmark):
     benchmark.extra_info["budget"] = "instances_update_8"
     perception = config.PerceptionConfig(detector=config.DetectorSim())
     tracker, lifter = InstanceTracker(perception), BackProjector(perception)
+    fusion = InstanceFusion(tracker)
     for seed in range(20):
-        tracker.update(lifter.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
+        fusion.update(lifter.back_project(boxes_in(observe(seed), 20, seed))[0], seed)
     observation = observe()
     lifted, _ = lifter.back_project(boxes_in(observation, 8))
 
     def step():
-        tracker.update(lifted, 1_000_000_000)
-        tracker.expire(observation, lifted.detections.prompts)
+        fusion.update(lifted, 1_000_000_000)
+        fusion.expire(observation, lifted.detections.prompts)
 
     benchmark(step)
     assert len(tracker) > 10

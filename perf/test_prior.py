@@ -16,7 +16,8 @@ from edge.mapping.view import MapView
 from edge.memory import NO_SURVEY, RoomMemory, Site, survey_rooms
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import MAX_SIGHTINGS, TrackedObjects
+from edge.perception.tracking.sightings import MAX_SIGHTINGS
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 PLACES, THINGS = 100, 200
 

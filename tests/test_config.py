@@ -276,7 +276,7 @@ def test_hvl_works_with_the_finest_cells_that_its_error_names():
     config = simulated({"mapping": {"resolution_m": 0.0323, "extent_m": 12.0, "range_m": 3.0}})
     share = np.zeros(1, np.float32)
     grid = RollingMap(config.mapping, config.robot)
-    grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, UNKNOWN_RADIUS_M, share)
+    grid.unknown.ratio(np.zeros((1, 2), np.float32), 1, UNKNOWN_RADIUS_M, share)
     assert share.tolist() == [1.0]
 
 

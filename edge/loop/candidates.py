@@ -15,7 +15,8 @@ import numpy as np
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.jit import jit
-from edge.mapping.grid import Frontiers, RollingMap
+from edge.mapping.grid import RollingMap
+from edge.mapping.results import Frontiers
 from edge.policies.base import FRONTIER, INSTANCE, SNAP_M, SPIN, Candidates
 from edge.types import Instance
 

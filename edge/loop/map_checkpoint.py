@@ -28,7 +28,8 @@ from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal_choice import GoalChooser
 from edge.loop.semantic_map import SemanticMap
-from edge.mapping.grid import MAX_FRONTIERS, RollingMap
+from edge.mapping.clusters import MAX_FRONTIERS
+from edge.mapping.grid import RollingMap
 from edge.mapping.tiles import MOST_PER_STEP, PackedTiles, TileBatch, TileCopier
 from edge.memory import RoomMemory
 from edge.perception.prior.table import load as load_table
@@ -158,7 +159,7 @@ def make_map(checkpoint: Checkpoint[MapState], config: Config) -> RollingMap:
     # Unpacked size of a tile, with value and weight (2 bytes each) of each target.
     size = grid.tile_bytes + 4 * state.value_side**2 * len(state.value_targets)
     sightings = ObjectTracker(perception)
-    tracker = InstanceTracker(perception, sightings)
+    tracker = InstanceTracker(perception)
     pool = CandidatePool(MAX_FRONTIERS, config.policy.r_assoc_m)
     rooms = RoomMemory(load_table(), PriorWordIndex(load_table()))
     goals = GoalChooser(config, pool, tracker)

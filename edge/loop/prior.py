@@ -22,7 +22,7 @@ from edge.perception.prior.cooccurrence import NEAR_M
 from edge.perception.prior.nearby import nearby
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 LEAST, MOST = 0.25, 4.0
 """Limits of the likelihood ratio."""

@@ -17,7 +17,7 @@ from edge.mapping.view import MapView
 from edge.memory import RoomMemory, RoomSurvey, survey_rooms
 from edge.perception.prior.table import load
 from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 PERIOD_NS = 1_000_000_000
 """Shortest time between two surveys."""

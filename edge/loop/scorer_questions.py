@@ -20,7 +20,7 @@ from edge.perception.scoring.choice.question import (
 )
 from edge.perception.scoring.similarity import SimilarityScorer
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.policies.base import Candidates, ImageSimilarity
 from edge.types import Observation
 

@@ -42,7 +42,7 @@ from edge.perception.scoring.similarity import (
 )
 from edge.perception.swap.choice import ChoiceSwap
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.perception.worker import ScorerWorker
 from edge.policies.base import FRONTIER, Candidates, ImageSimilarity, ScorerOutputs, TargetPrior
 from edge.types import Detections, Observation

@@ -18,12 +18,14 @@ from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
 from edge.loop.room_surveyor import make_room_surveyor
-from edge.mapping.grid import MAX_FRONTIERS, RollingMap
+from edge.mapping.clusters import MAX_FRONTIERS
+from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
 from edge.memory import CropStore, DescribedTargets, MappedRoom, Site
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
+from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import MAX_INSTANCES, InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -55,7 +57,8 @@ class SemanticMap:
         perception = config.perception
         self.config, self._targets = config, targets
         self.objects = ObjectTracker(perception)
-        self.tracker = InstanceTracker(perception, self.objects)
+        self.tracker = InstanceTracker(perception)
+        self._fusion = InstanceFusion(self.tracker, self.objects)
         self.crops = CropStore()
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         words = make_words(load(), perception.detector)
@@ -102,11 +105,11 @@ class SemanticMap:
         perception, seen = self.config.perception, detections.observation
         targets, others = self._back_projector.back_project(detections, self.grid.floor_over_base_m)
         self.objects.update(targets, others)
-        self.crops.rename(self.objects.renamed)
+        self.crops.rename(self.objects.moved.renamed)
         if seen.rgb is not None:
             self.crops.observe(self.objects.observed, seen.rgb)
-        self.tracker.update(targets, seen.stamp_ns)
-        self.tracker.expire(seen, detections.prompts)
+        self._fusion.update(targets, seen.stamp_ns)
+        self._fusion.expire(seen, detections.prompts)
         self.grid.coverage.on_image(seen, perception.confirm_range_m, perception.confirm_hits)
 
     def infer(self, pose: SE2, now_ns: int) -> None:
@@ -140,7 +143,7 @@ class SemanticMap:
         self._reset_values()
         self.close_rooms(())
         self.tracker.forget_verdicts()
-        self.tracker.promote_context(targets)
+        self._fusion.promote_context(targets)
         self.grid.coverage.reset()
 
     def set_site(self, site: Site) -> None:

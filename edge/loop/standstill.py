@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from edge.config import Config
 from edge.geometry import SE2
+from edge.mapping.bumps import explained_by_obstacle
 from edge.mapping.grid import RollingMap
 from edge.stuck import StuckDetector
 from edge.types import Goal
@@ -72,9 +73,10 @@ class StandstillMonitor:
     ) -> None:
         """Close the map at the place, unless the map already shows an obstacle there."""
         blocked = f"blocked at ({place[0]:.2f}, {place[1]:.2f})"
-        if grid.bumps.explained_by_obstacle(pose, place, self._radius_m) and self._may_leave(
-            place, now_ns
-        ):
+        is_explained = explained_by_obstacle(
+            grid.layers, grid.window, grid.config.inflation_m, pose, place, self._radius_m
+        )
+        if is_explained and self._may_leave(place, now_ns):
             self._event(f"{blocked} by an obstacle in the map", now_ns)
             return
         closed = grid.bumps.close(pose, place, self._radius_m, now_ns)

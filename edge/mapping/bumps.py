@@ -110,7 +110,6 @@ class ContactObstacles:
         write: Callable[[int, int, int, int], None],
     ) -> None:
         self._layers, self._window, self._write = layers, window, write
-        self._inflation_m = config.inflation_m
         # Cells this far from the trail leave its middle open: see `layers.on_trail`.
         body_cells = config.inflation_m / config.resolution_m - ROUNDING_CELLS
         self._trail_margin_cells = max(body_cells - 0.5, 0.0)
@@ -245,41 +244,6 @@ class ContactObstacles:
         self._closed = {c: _Closed(*was.get(c, (ly.FREE, 0)), n) for c, n in n_closing.items()}
         self.follow_window()
 
-    def explained_by_obstacle(
-        self, pose: SE2, place_m: tuple[float, float], radius_m: float
-    ) -> bool:
-        """Return True if a known obstacle explains why the robot at `pose` is blocked at a place.
-
-        The obstacle must be on the line from the robot through the place, from `radius_m` before
-        the place to the inflation radius behind it. Only half the robot's width counts, because
-        obstacles at its side, such as door jambs next to a sill, do not block it. Obstacles that
-        touch the robot's front half count too, such as the edge of a table in a turn.
-        """
-        window, beyond_m = self._window, self._inflation_m
-        if not window.placed:
-            return False
-        res, n, (ox, oy) = window.resolution_m, window.n, window.origin
-        reach = math.ceil((max(radius_m, beyond_m) + radius_m) / res)
-        offset = np.arange(-reach, reach + 1)
-        at_x, at_y = window.cell_of(*place_m)
-        x, y = at_x + offset[None, :], at_y + offset[:, None]
-        dx, dy = (x + 0.5) * res - place_m[0], (y + 0.5) * res - place_m[1]
-        heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
-        c, s = math.cos(heading), math.sin(heading)
-        along, across = dx * c + dy * s, dy * c - dx * s
-        raw = self._layers.raw[y % n, x % n]
-        in_path = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
-        ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # from the robot's centre
-        touched = (ahead_m >= 0.0) & (np.hypot(ahead_m, across) <= radius_m + res)
-        return bool(
-            np.any(
-                (raw >= ly.OCCUPIED)
-                & (raw != ly.BUMPED)
-                & (in_path | touched)
-                & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
-            )
-        )  # fmt: skip
-
     def _with_cells(self, bump: _Bump) -> _Bump:
         """Return a bump with the cells that it closes, given the map and the other bumps."""
         (x, y), touched_m = bump.across, self._off_trail(bump)
@@ -381,6 +345,41 @@ class ContactObstacles:
             else:
                 del self._closed[cell]
                 self._write(*cell, before.raw, before.top)
+
+
+def explained_by_obstacle(
+    layers: ly.Layers, window: Window, beyond_m: float, pose: SE2, place_m: XY, radius_m: float
+) -> bool:
+    """Return True if a known obstacle explains why the robot at `pose` is blocked at a place.
+
+    The obstacle must be on the line from the robot through the place, from `radius_m` before the
+    place to `beyond_m` behind it. Only half the robot's width counts, because obstacles at its
+    side, such as door jambs next to a sill, do not block it. Obstacles that touch the robot's front
+    half count too, such as the edge of a table in a turn.
+    """
+    if not window.placed:
+        return False
+    res, n, (ox, oy) = window.resolution_m, window.n, window.origin
+    reach = math.ceil((max(radius_m, beyond_m) + radius_m) / res)
+    offset = np.arange(-reach, reach + 1)
+    at_x, at_y = window.cell_of(*place_m)
+    x, y = at_x + offset[None, :], at_y + offset[:, None]
+    dx, dy = (x + 0.5) * res - place_m[0], (y + 0.5) * res - place_m[1]
+    heading = math.atan2(place_m[1] - pose.y_m, place_m[0] - pose.x_m)
+    c, s = math.cos(heading), math.sin(heading)
+    along, across = dx * c + dy * s, dy * c - dx * s
+    raw = layers.raw[y % n, x % n]
+    in_path = (-radius_m <= along) & (along <= beyond_m) & (np.abs(across) <= 0.5 * radius_m)
+    ahead_m = along + math.dist(place_m, (pose.x_m, pose.y_m))  # from the robot's centre
+    touched = (ahead_m >= 0.0) & (np.hypot(ahead_m, across) <= radius_m + res)
+    return bool(
+        np.any(
+            (raw >= ly.OCCUPIED)
+            & (raw != ly.BUMPED)
+            & (in_path | touched)
+            & (ox <= x) & (x < ox + n) & (oy <= y) & (y < oy + n)
+        )
+    )  # fmt: skip
 
 
 def _by_bump(cells: np.ndarray, n: int) -> list[tuple[frozenset[Cell], frozenset[Cell]]]:

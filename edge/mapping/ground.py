@@ -1,15 +1,26 @@
-"""Kernels that find the floor under the robot, and follow the ground outward from it.
+"""The floor under the robot, and the ground that is followed outward from it.
 
-They work on the lowest points of the polar bins of `edge.mapping.points`.
+The kernels work on the lowest points of the polar bins of `edge.mapping.points`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edge import config
+from edge.geometry import FARTHEST_M
 from edge.jit import jit
+
+if TYPE_CHECKING:
+    from edge.mapping.points import PolarGrid, PolarScan
+
+GROUND_SLOPE = 0.3
+"""Largest slope of ground that the robot can drive on; see `sweep_ground`."""
+# Weight of a new measurement of the floor's height.
+_FLOOR_GAIN = 0.2
 
 # Ground that varies by less is still the same ground (depth noise, carpets).
 _GROUND_NOISE_M = 0.02
@@ -22,7 +33,7 @@ _RUN_GAP = 2  # largest number of rings without ground in such a length
 # Largest height of the base frame over the floor (a legged robot has it in its body).
 _HIGHEST_BASE_M = 0.9
 # Ground of a smaller area is not the floor: a wall fills one ring, and objects are narrower.
-LEAST_FLOOR_M2 = 0.3
+_LEAST_FLOOR_M2 = 0.3
 # The same, as a share of the largest area at one height.
 _LEAST_FLOOR_SHARE = 0.3
 # The search for the floor counts area in levels of this height; the floor has this many levels.
@@ -42,9 +53,70 @@ _FLOOR_SPREAD = 0.06
 _FITS = 3  # number of fits, each to the ground near the plane of the last fit
 
 
-def search_range_m(height_m: float, min_range_m: float) -> float:
-    """Return the range in which to search for the floor under the robot."""
-    return max(_SEARCH_M, _SEARCH_HEIGHTS * height_m, _SEARCH_BLIND * min_range_m)
+class FloorTracker:
+    """The height of the floor below the robot's base, followed from scan to scan.
+
+    The floor keeps its height below the base, also in a lift. The search for it goes on until it is
+    found. It starts again if the base suddenly moves up or down, because the robot may have
+    crouched.
+
+    Attributes:
+        over_base_m: height of the floor over the base, usually negative; NaN until it was seen.
+        is_seen: True if the newest scan saw the floor.
+        is_missing: True if there is only ground far below the base; then no cell is freed.
+    """
+
+    def __init__(self, config: config.MappingConfig) -> None:
+        self.over_base_m = math.nan
+        self.is_seen = self.is_missing = False
+        self._config = config
+        self._base_z_m = math.nan  # height of the base when the floor was last seen
+        self._plane, self._levels = np.zeros(3), np.zeros((2, 64))  # see `find_floor`
+
+    def update(self, scan: PolarScan, polar: PolarGrid, sensor_z: float, base_z: float) -> None:
+        """Follow the ground of a binned scan outward from the floor under the robot."""
+        c, plane = self._config, self._plane
+        step_m = c.obstacle_min_m
+        # Range in which to search for the floor under the robot.
+        near_m = max(
+            _SEARCH_M, _SEARCH_HEIGHTS * (sensor_z - base_z), _SEARCH_BLIND * c.min_range_m
+        )
+        floor_z, below_m2 = base_z + self.over_base_m, 0.0  # area [m²] of ground below the base
+        if not abs(base_z - self._base_z_m) <= 0.5 * step_m:
+            search = scan.lowest_m, polar, sensor_z, base_z, step_m
+            found_z, below_m2 = find_floor(*search, near_m, self._levels)
+            if math.isnan(found_z):
+                found_z, below_m2 = find_floor(*search, c.range_m, self._levels)
+            if not abs(found_z - floor_z) <= step_m:
+                # Without a visible floor, assume it is at least two steps below the sensor.
+                heights_z = found_z, floor_z, min(base_z, sensor_z - 2.0 * step_m)
+                floor_z = next(z for z in heights_z if math.isfinite(z))
+        plane[0], plane[1], plane[2] = floor_z, 0.0, 0.0  # height, slope along x and y
+        sweep = (
+            scan, polar, plane, sensor_z, GROUND_SLOPE, step_m, c.range_m, 1.0 / c.resolution_m,
+        )  # fmt: skip
+        total, count = sweep_ground(*sweep)
+        if not count:  # no height near the robot: fit a plane to the ground farther away
+            fit = scan.lowest_m, polar, sensor_z, step_m
+            if any(fit_floor(*fit, m, plane) for m in (near_m, 2.0 * near_m)):
+                total, count = float(plane[0]), 1
+                sweep_ground(*sweep)
+        self.is_seen = count > 0
+        if self.is_seen:
+            known = abs(floor_z - base_z - self.over_base_m) <= step_m
+            floor_z += (_FLOOR_GAIN if known else 1.0) * (total / count - floor_z)
+            self.over_base_m, self._base_z_m = floor_z - base_z, base_z
+        self.is_missing = not count and below_m2 > _LEAST_FLOOR_M2
+
+    def state(self) -> np.ndarray:
+        """Return one row (height of the floor over the base, of the base in `map`), or none."""
+        row = self.over_base_m, self._base_z_m
+        return np.array(row if all(abs(z_m) < FARTHEST_M for z_m in row) else ()).reshape(-1, 2)
+
+    def load_state(self, rows: np.ndarray) -> None:
+        """Restore a `state`."""
+        for row in rows.tolist():
+            self.over_base_m, self._base_z_m = row
 
 
 @jit
@@ -81,7 +153,7 @@ def find_floor(lowest_m, polar, sensor_z, base_z, step_m, search_m, levels):
         most = max(most, area[k : k + _LEVELS_OF_FLOOR].sum())
     for k in range(used - _LEVELS_OF_FLOOR + 1):
         m2 = area[k : k + _LEVELS_OF_FLOOR].sum()
-        if m2 >= max(LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE * most):
+        if m2 >= max(_LEAST_FLOOR_M2, _LEAST_FLOOR_SHARE * most):
             return moment[k : k + _LEVELS_OF_FLOOR].sum() / m2, below_m2
     return np.nan, below_m2
 
@@ -116,7 +188,7 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
                 sx, sy, sz = sx + m2 * x, sy + m2 * y, sz + m2 * z
                 sxx, sxy, syy = sxx + m2 * x * x, sxy + m2 * x * y, syy + m2 * y * y
                 sxz, syz = sxz + m2 * x * z, syz + m2 * y * z
-        if total < LEAST_FLOOR_M2:
+        if total < _LEAST_FLOOR_M2:
             break
         x, y, z = sx / total, sy / total, sz / total
         # Ground in only one direction hardly fixes the slope across it: pull that weakly to level.
@@ -126,7 +198,7 @@ def fit_floor(lowest_m, polar, sensor_z, step_m, search_m, floor):
         b, c = (sxz * syy - syz * sxy) / det, (syz * sxx - sxz * sxy) / det
         a = start_z + z - b * x - c * y
     floor[0], floor[1], floor[2] = a, b, c
-    if total < LEAST_FLOOR_M2 or math.hypot(b, c) > _STEEPEST_FLOOR:
+    if total < _LEAST_FLOOR_M2 or math.hypot(b, c) > _STEEPEST_FLOOR:
         floor[0], floor[1], floor[2] = start_z, 0.0, 0.0
         return False
     return True

@@ -14,11 +14,6 @@ import numpy as np
 
 from edge.geometry import FARTHEST_M
 from edge.jit import jit
-from edge.mapping.ground import LEAST_FLOOR_M2 as LEAST_FLOOR_M2
-from edge.mapping.ground import find_floor as find_floor
-from edge.mapping.ground import fit_floor as fit_floor
-from edge.mapping.ground import search_range_m as search_range_m
-from edge.mapping.ground import sweep_ground as sweep_ground
 
 # Values of `PolarScan.seen` for a cell: floor, a step (too low for an obstacle, but not floor), or
 # 3 + height over the ground in units of coded_m / HEIGHT_CODES, as in `top`.
@@ -86,6 +81,7 @@ class PolarScan(NamedTuple):
         seen: (side, side) uint8, per cell 0, FLOOR, STEP, or the code of the highest obstacle
             point.
         box: (4,) int64, half-open rectangle around the sensor's cell and all cells seen.
+        flipped: (side * side,) int32, cells that became occupied or free, y in the high half.
     """
 
     xyz: np.ndarray
@@ -98,6 +94,7 @@ class PolarScan(NamedTuple):
     reach_m: np.ndarray
     seen: np.ndarray
     box: np.ndarray
+    flipped: np.ndarray
 
 
 def make_polar(range_m: float, resolution_m: float) -> PolarGrid:
@@ -143,6 +140,7 @@ def make_scan(polar: PolarGrid, capacity: int) -> PolarScan:
         reach_m=np.zeros(polar.sectors, np.float32),
         seen=np.zeros(polar.bin_of.shape, np.uint8),
         box=np.zeros(4, np.int64),
+        flipped=np.zeros(polar.bin_of.size, np.int32),
     )
 
 

@@ -1,4 +1,4 @@
-"""Kernels on the map's bit planes: share of unknown cells around points (VL-Nav eq. 6).
+"""Unknown cells around points (VL-Nav eq. 6), counted in the map's bit planes.
 
 A bit plane holds 64 cells of a row in one word, so one operation handles 64 cells.
 """
@@ -9,7 +9,49 @@ import math
 
 import numpy as np
 
+from edge.config import MAX_RADIUS_CELLS
 from edge.jit import jit
+from edge.mapping.layers import Layers, disc_half_widths
+from edge.mapping.window import Window
+
+
+class UnknownArea:
+    """Share of unknown cells around points."""
+
+    def __init__(self, layers: Layers, window: Window) -> None:
+        self._layers, self._window = layers, window
+        self._flood = (np.zeros(64, np.uint64), np.zeros(64, np.uint64))  # of `unknown_ratios`
+        self._radius_m, self._disc = 0.0, disc_half_widths(0.0)  # the newest radius, and its disc
+
+    def ratio(self, xy_m: np.ndarray, n: int, radius_m: float, out: np.ndarray) -> None:
+        """Write the share of unknown cells around points (VL-Nav eq. 6) into out[:n].
+
+        Args:
+            xy_m: (n or more, 2) float32 in `map`.
+            n: number of points.
+            radius_m: radius of the search from each point; at most 31 cells.
+            out: (n or more,) float32.
+
+        Raises:
+            ValueError: the radius is over 31 cells.
+        """
+        window, cell_m = self._window, self._window.resolution_m
+        if self._radius_m != radius_m:
+            if radius_m > MAX_RADIUS_CELLS * cell_m:
+                finest_m = math.ceil(1000 * radius_m / MAX_RADIUS_CELLS) / 1000
+                raise ValueError(
+                    f"unknown-area radius {radius_m} m: with cells of {cell_m} m at most "
+                    f"{MAX_RADIUS_CELLS * cell_m:g} m are possible; set mapping.resolution_m to "
+                    f"at least {finest_m:.3g}"
+                )
+            self._radius_m, self._disc = radius_m, disc_half_widths(radius_m / cell_m)
+        if not window.placed:
+            out[:n] = 1.0
+            return
+        unknown_ratios(
+            self._layers.known, self._layers.blocked, *window.shift, *window.origin, 1.0 / cell_m,
+            xy_m, n, self._disc, *self._flood, out,
+        )  # fmt: skip
 
 
 @jit(inline="always")

@@ -30,7 +30,7 @@ comes after so many arrived there; after fewer, it may be a wall that was missed
 @jit
 def apply_scan(
     layers, shift_x, shift_y, corner_x, corner_y, scan, polar, lost, sensor_z,
-    obstacle_min_m, obstacle_max_m, coded_m, clear_after, disc, changed, explored, flipped,
+    obstacle_min_m, obstacle_max_m, coded_m, clear_after, disc, changed, explored,
 ):  # fmt: skip
     """Write a classified scan into the map, and clear `scan.seen`.
 
@@ -50,13 +50,11 @@ def apply_scan(
     - `clear_after`: updates in a row that must see through an obstacle to clear it.
     - `changed`: rectangle of cells whose published state changed.
     - `explored`: rectangle of all cells ever seen, window coordinates.
-    - `flipped`: (side * side,) int32 scratch: cells that became occupied or free, y in the high
-      half.
     """
     n = layers.raw.shape[0]
     clip = (0, 0, n, n)
     x0, y0, x1, y1 = scan.box
-    raw, seen = layers.raw, scan.seen
+    raw, seen, flipped = layers.raw, scan.seen, scan.flipped
     sector_of, distance_m, reach_m = polar.sector_of, polar.distance_m, scan.reach_m
     n_flipped = 0
     for cy in range(y0, y1):

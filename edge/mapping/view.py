@@ -27,8 +27,8 @@ class MapView:
         layers: read-only, by storage cell (see `edge.mapping.layers`).
         window: part of the world that the layers hold; only the map moves it.
         state_at: state of the cell of a point: unknown, free or occupied.
-        unknown_ratio: share of unknown cells around a point.
-        snapshot: copy of the whole map; these three are methods of `edge.mapping.grid.RollingMap`.
+        snapshot: copy of the whole map; these two are methods of `edge.mapping.grid.RollingMap`.
+        unknown_ratio: share of unknown cells around a point, see `unknown.UnknownArea.ratio`.
         distance_m: driving distance to a point.
         nearest: nearest free cell that the robot can reach, near a point.
         stopping_point: free cell from which an object is in sight; these three are methods of
@@ -41,8 +41,8 @@ class MapView:
     def __init__(self, grid: RollingMap) -> None:
         self.resolution_m = grid.resolution_m
         self.layers, self.window = grid.layers, grid.window
-        self.state_at, self.unknown_ratio = grid.state_at, grid.unknown_ratio
-        self.snapshot = grid.snapshot
+        self.state_at, self.snapshot = grid.state_at, grid.snapshot
+        self.unknown_ratio = grid.unknown.ratio
         self.distance_m, self.nearest = grid.travel_cost.distance_m, grid.travel_cost.nearest
         self.stopping_point = grid.travel_cost.stopping_point
         self.is_worth_visiting = grid.coverage.is_worth_visiting

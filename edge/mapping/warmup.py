@@ -33,7 +33,7 @@ def warmup(mapping: config.MappingConfig) -> None:
     grid.coverage.search(grid.travel_cost)
     grid.coverage.is_worth_visiting(Viewpoint(0.0, 0.0, 0.0))
     points_m = read_only(grid.frontiers.xy_m)
-    grid.unknown_ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
+    grid.unknown.ratio(points_m, 1, mapping.resolution_m, np.zeros(8, np.float32))
     grid.snapshot()
     _ = grid.known_m2
     grid.state_dict()

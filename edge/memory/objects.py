@@ -10,7 +10,7 @@ import numpy as np
 
 from edge import names
 from edge.geometry import SE2
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.text import one_line
 
 _MAX_NAMED = 5  # largest number of objects that an answer names

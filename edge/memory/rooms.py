@@ -6,6 +6,7 @@ that has a row in this table, such as "bed".
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from edge.memory.site import RoomName, Site, is_same
 from edge.perception.prior import rooms as kind_model
 from edge.perception.prior.table import ObjectPrior, load
 from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.text import one_line
 
 FULL_WEIGHT = 0.15
@@ -204,8 +205,7 @@ class RoomMemory:
         self._objects = SeenObjects(
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
         )
-        self._votes: dict[tuple[int, str], np.ndarray] = {}  # of `_votes_version`
-        self._votes_version = 0
+        self._votes: dict[tuple[int, str], np.ndarray] = {}  # of this `version`
         self._names: tuple[RoomName, ...] = ()
         self._visited: set[int] = set()
         self._generation = -1  # `TrackedObjects.generation` of the last update
@@ -234,18 +234,25 @@ class RoomMemory:
             return
         self._is_due, self._generation, self._updated_ns = False, sightings.generation, now_ns
         self.version += 1
+        self._votes.clear()
         regions, objects = self.survey.regions, self._index.of(sightings)
         held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, self._p_object_given_kind, regions.border, held)
-        shapes, named = self.survey.shapes, self._names_by_room()
+        shapes, named = self.survey.shapes, _names_by_room(self.survey, self._names)
         region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
         chance = kind_model.included_kinds(
             self._table, self._p_object_given_kind, held[region], area_m2
         )
         self.rooms = tuple(
-            self._room(shape, held[shape.region], row, named.get(shape.id, ()))
+            _mapped_room(
+                shape,
+                held[shape.region],
+                dict(zip(self._table.kinds, row.tolist(), strict=True)),
+                named.get(shape.id, ("",))[-1],
+                shape.id in self._visited,
+            )
             for shape, row in zip(shapes, chance, strict=True)
         )
 
@@ -350,8 +357,6 @@ class RoomMemory:
 
         See `evidence`. The result is computed once for each `version`: each tick asks for it.
         """
-        if self._votes_version != self.version:
-            self._votes, self._votes_version = {}, self.version
         if (room.id, kind) not in self._votes:
             xy_m, weights = self.evidence(room, kind)
             # (j, n), from each of the room's points to each object.
@@ -367,6 +372,7 @@ class RoomMemory:
         self._visited.clear()
         self.rooms, self._is_due = (), True
         self.version += 1
+        self._votes.clear()
 
     def state_dict(self) -> Arrays:
         """Return the ids of the rooms, each with a point inside; the map gives the shapes again."""
@@ -396,35 +402,32 @@ class RoomMemory:
         )
         self._visited = set(state["id"][state["visited"]].tolist())
 
-    # -- internals ----------------------------------------------------------------------------
 
-    def _names_by_room(self) -> dict[int, tuple[str, ...]]:
-        """Return the names of each room that has some, newest last."""
-        names: dict[int, tuple[str, ...]] = {}
-        if self._names:
-            at = self.survey.regions.at(
-                np.array([room_name.xy_m for room_name in self._names], np.float32)
-            )
-            for room_name, region in zip(self._names, at.tolist(), strict=True):
-                room_id = int(self.survey.ids[region])
-                if room_id:
-                    names[room_id] = (*names.get(room_id, ()), room_name.name)
-        return names
+def _names_by_room(
+    survey: RoomSurvey, room_names: Sequence[RoomName]
+) -> dict[int, tuple[str, ...]]:
+    """Return the names of each room that has some, newest last."""
+    names: dict[int, tuple[str, ...]] = {}
+    if room_names:
+        at = survey.regions.at(np.array([one.xy_m for one in room_names], np.float32))
+        for room_name, region in zip(room_names, at.tolist(), strict=True):
+            room_id = int(survey.ids[region])
+            if room_id:
+                names[room_id] = (*names.get(room_id, ()), room_name.name)
+    return names
 
-    def _room(
-        self, shape: RoomShape, held: np.ndarray, chance: np.ndarray, named: tuple[str, ...]
-    ) -> MappedRoom:
-        """Return a room."""
-        name = named[-1] if named else ""
-        by_kind = dict(zip(self._table.kinds, chance.tolist(), strict=True))
-        found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
-        if (by_person := kind_of_room(name)) is not None:
-            found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
-        of_shape = {field.name: getattr(shape, field.name) for field in fields(shape)}
-        return MappedRoom(
-            **of_shape, name=name, kinds=found, chance=by_kind, held=held,
-            is_visited=shape.id in self._visited,
-        )  # fmt: skip
+
+def _mapped_room(
+    shape: RoomShape, held: np.ndarray, by_kind: dict[str, float], name: str, is_visited: bool
+) -> MappedRoom:
+    """Return a room with its kinds, by a person's name or by the chance of each kind."""
+    found = tuple(kind for kind, p in by_kind.items() if p >= SURE_KIND)
+    if (by_person := kind_of_room(name)) is not None:
+        found, by_kind = (by_person,), {**dict.fromkeys(by_kind, 0.0), by_person: 1.0}
+    of_shape = {field.name: getattr(shape, field.name) for field in fields(shape)}
+    return MappedRoom(
+        **of_shape, name=name, kinds=found, chance=by_kind, held=held, is_visited=is_visited
+    )
 
 
 def _reason_text(found: tuple[str, ...], held: np.ndarray) -> str:

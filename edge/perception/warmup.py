@@ -12,9 +12,11 @@ from edge import config
 from edge.geometry import CameraModel
 from edge.perception.detection import kernels
 from edge.perception.tracking import instance_kernels, look_kernels, place_index
-from edge.perception.tracking.instances import MAX_POINTS, InstanceTracker
+from edge.perception.tracking.fusion import InstanceFusion
+from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.track import MAX_POINTS
 from edge.types import Detections, Observation
 
 
@@ -74,9 +76,9 @@ def _warm_up_tracking(lifts: Sequence[Literal["depth", "cloud"]]) -> None:
     index = place_index.make_index(1)
     place_index.insert(index, 0, 0.0, 0.0)
     place_index.remove(index, 0)
-    tracker = InstanceTracker(perception)
-    tracker.update(lifted, 0)
-    tracker.expire(seen, detections.prompts)
+    fusion = InstanceFusion(InstanceTracker(perception))
+    fusion.update(lifted, 0)
+    fusion.expire(seen, detections.prompts)
     # Kernels for an instance that is seen again. The detection above is too weak to make one, so
     # they are called directly.
     points_m = np.zeros((1, 3), np.float32)

@@ -12,7 +12,7 @@ from edge.geometry import SE2
 from edge.mapping.layers import read_only
 from edge.mapping.view import MapView
 from edge.perception.scoring.choice.question import FrontierChoice
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.types import Detections, Observation
 
 FRONTIER, INSTANCE, SPIN = 0, 1, 2

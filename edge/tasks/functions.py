@@ -132,7 +132,7 @@ class ScriptFunctions:
 
         If the end is not on open ground, the path leads to the nearest such point within 0.5 m.
         """
-        start_m, end_m = self._point(start, "start"), self._point(end, "end")
+        start_m, end_m = _point(start, "start"), _point(end, "end")
         chosen = self._regions(regions or self.keep_to)
         goal_m = self.ground.nearest(*end_m, within_m=_NEAR_STEP_M)
         if goal_m is None:
@@ -162,7 +162,7 @@ class ScriptFunctions:
         """Hand over the trajectory; it is checked at once. See `coarse_of` for the arguments."""
         if self.trajectory is not None:
             raise CallError("give_trajectory: a trajectory was given already; call it only once")
-        regions = self._without_texts(regions)
+        regions = _without_texts(regions, self._scene)
         coarse = coarse_of(segments, regions, speed_mps, self.limits, heading_rad)
         check(coarse, self.ground, self.limits)
         self.trajectory = coarse
@@ -174,11 +174,11 @@ class ScriptFunctions:
 
     def is_free(self, at: Any) -> bool:
         """Return True if the robot can be at a point and can get there."""
-        return self.ground.is_free(*self._point(at, "at"))
+        return self.ground.is_free(*_point(at, "at"))
 
     def nearest_reachable(self, at: Any, region: Any = None) -> Point:
         """Return the reachable point nearest to another."""
-        at_m = self._point(at, "at")
+        at_m = _point(at, "at")
         wanted = None if region is None else next(iter(self._regions([region])))
         found = self.ground.nearest(*at_m, region=wanted)
         if found is None:
@@ -190,20 +190,20 @@ class ScriptFunctions:
 
     def region_at(self, at: Any) -> int:
         """Return the id of the drivable region at a point; 0 = none."""
-        return self.ground.region_at(*self._point(at, "at"))
+        return self.ground.region_at(*_point(at, "at"))
 
     def distance(self, a: Any, b: Any) -> float:
         """Return the distance between two points in metres."""
-        return math.dist(self._point(a, "a"), self._point(b, "b"))
+        return math.dist(_point(a, "a"), _point(b, "b"))
 
     def heading(self, a: Any, b: Any) -> float:
         """Return the direction from one point to another in radians, counter-clockwise from x."""
-        (ax, ay), (bx, by) = self._point(a, "a"), self._point(b, "b")
+        (ax, ay), (bx, by) = _point(a, "a"), _point(b, "b")
         return math.atan2(by - ay, bx - ax)
 
     def line(self, a: Any, b: Any) -> list[Point]:
         """Return points on a straight line, close enough to each other for a trajectory."""
-        ends = np.array([self._point(a, "a"), self._point(b, "b")])
+        ends = np.array([_point(a, "a"), _point(b, "b")])
         steps = math.ceil(2.0 * float(np.hypot(*(ends[1] - ends[0]))) / self.limits.max_jump_m)
         if steps > MOST_PATH_POINTS:
             longest_m = 0.5 * MOST_PATH_POINTS * self.limits.max_jump_m
@@ -224,7 +224,7 @@ class ScriptFunctions:
         if not isinstance(side, str) or side not in SIDES_RAD:
             raise CallError(f"offset: side: expected {_choices(SIDES_RAD)}, got {shown(side)}")
         angle_rad = self._view_direction_rad(obj, seen_from) + SIDES_RAD[side]
-        return self.ground.outline(obj).point_at(angle_rad, self._side_distance_m(distance_m))
+        return self.ground.outline(obj).point_at(angle_rad, _side_distance_m(distance_m))
 
     def arc(
         self, id: Any, start: Any, end: Any, side: Any, distance_m: Any = PASSING_DISTANCE_M
@@ -239,13 +239,13 @@ class ScriptFunctions:
             raise CallError(f"arc: side: expected {_choices(TURNS)}, got {shown(side)}")
         begin_rad, end_rad = (
             wrap_angle(self._view_direction_rad(obj, p) + math.pi)
-            for p in (self._point(start, "start"), self._point(end, "end"))
+            for p in (_point(start, "start"), _point(end, "end"))
         )
         turn = TURNS[side]
         sweep_rad = (turn * (end_rad - begin_rad)) % (2.0 * math.pi) or 2.0 * math.pi
         steps = math.ceil(sweep_rad / _ARC_STEP_RAD)
         angles_rad = begin_rad + turn * np.linspace(0.0, sweep_rad, steps + 1)
-        outline, distance_m = self.ground.outline(obj), self._side_distance_m(distance_m)
+        outline, distance_m = self.ground.outline(obj), _side_distance_m(distance_m)
         around_m = np.array([outline.point_at(angle, distance_m) for angle in angles_rad.tolist()])
         corners_m = around_m[simplified(around_m, _ARC_TOLERANCE_M)]
         return _points(resample(corners_m, 0.5 * self.limits.max_jump_m))
@@ -258,7 +258,7 @@ class ScriptFunctions:
         """
         pose = self._scene.pose
         here = (pose.x_m, pose.y_m)
-        from_m = here if coming_from is None else self._point(coming_from, "coming_from")
+        from_m = here if coming_from is None else _point(coming_from, "coming_from")
         obj = self._object(id)
         found, gap_m = self.ground.stopping_point(obj, from_m)
         if found is None:
@@ -282,7 +282,7 @@ class ScriptFunctions:
         known = self._scene.regions
         if not isinstance(regions, (list, tuple)) or len(regions) > 255:
             raise CallError(f"regions: expected a list of ids, got {shown(regions)}")
-        regions = self._without_texts(regions)
+        regions = _without_texts(regions, self._scene)
         for region in regions:
             if type(region) is not int or region not in known:
                 raise CallError(
@@ -291,28 +291,11 @@ class ScriptFunctions:
                 )
         return frozenset(regions)
 
-    def _without_texts(self, regions: Any) -> Any:
-        """Return ids of regions with numbers in place of texts such as "1", as JSON has them."""
-        if not isinstance(regions, (list, tuple)):
-            return regions
-        by_text = {str(region): region for region in self._scene.regions}
-        return [by_text.get(one, one) if isinstance(one, str) else one for one in regions]
-
-    def _point(self, value: Any, name: str) -> Point:
-        x_m, y_m = point(value, name)[:2]
-        return x_m, y_m
-
     def _view_direction_rad(self, obj: SceneObject, seen_from: Any) -> float:
         """Return the direction of view from a point to an object, by default from the robot."""
         pose = self._scene.pose
-        from_m = (pose.x_m, pose.y_m) if seen_from is None else self._point(seen_from, "seen_from")
+        from_m = (pose.x_m, pose.y_m) if seen_from is None else _point(seen_from, "seen_from")
         return self.heading(from_m, tuple(obj.position_m[:2].tolist()))
-
-    def _side_distance_m(self, distance_m: Any) -> float:
-        distance_m = number(distance_m, "distance_m", _MAX_SIDE_DISTANCE_M)
-        if distance_m < 0:
-            raise CallError(f"distance_m: expected 0 or more, got {distance_m:g}")
-        return distance_m
 
 
 NAMES = (
@@ -320,6 +303,26 @@ NAMES = (
     "nearest_reachable", "region_at", "distance", "heading", "line", "offset", "arc",
     "stopping_point",
 )  # fmt: skip
+
+
+def _point(value: Any, name: str) -> Point:
+    x_m, y_m = point(value, name)[:2]
+    return x_m, y_m
+
+
+def _side_distance_m(distance_m: Any) -> float:
+    distance_m = number(distance_m, "distance_m", _MAX_SIDE_DISTANCE_M)
+    if distance_m < 0:
+        raise CallError(f"distance_m: expected 0 or more, got {distance_m:g}")
+    return distance_m
+
+
+def _without_texts(regions: Any, scene: Scene) -> Any:
+    """Return ids of regions with numbers in place of texts such as "1", as JSON has them."""
+    if not isinstance(regions, (list, tuple)):
+        return regions
+    by_text = {str(region): region for region in scene.regions}
+    return [by_text.get(one, one) if isinstance(one, str) else one for one in regions]
 
 
 def signature(function: Callable[..., Any]) -> inspect.Signature:

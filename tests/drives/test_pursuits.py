@@ -16,7 +16,7 @@ from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
 from edge.memory import Place, RoomName, Site
 from edge.mission.spec import prepare
-from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.fusion import InstanceFusion
 from edge.types import Instance
 
 S = 1_000_000_000
@@ -232,11 +232,11 @@ def test_a_probable_object_is_visited_before_a_limit(limit, tmp_path):
 
 
 def test_a_doubted_object_is_looked_at_before_a_limit_ends_the_search(monkeypatch, tmp_path):
-    def contest(tracker: InstanceTracker, track: object) -> bool:
+    def contest(fusion: InstanceFusion, track: object) -> bool:
         track.contested = True
         return True
 
-    monkeypatch.setattr(InstanceTracker, "_update_contested", contest)
+    monkeypatch.setattr(InstanceFusion, "_update_contested", contest)
     loop = loop_of(tmp_path, "F bed", probable="accept", path_limit_m=6.0)
     status = loop.run(60).service.status
     assert status.phase == "reached", (status, loop.notes.events)

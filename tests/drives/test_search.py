@@ -120,7 +120,7 @@ def test_without_instance_points_only_confirmed_instances_become_goals(formula):
         loop.step()
         goal = loop.service.goals.goal
         if goal is not None and goal.kind == "instance":
-            assert tracker.confirmed(tracker.get(goal.candidate_id))
+            assert tracker.get(goal.candidate_id).is_confirmed
     assert loop.service.status.phase == "reached", loop.service.status
     assert loop.distance_m(loop.service.mission.target) <= 1.0
     reached = {step.label for step in loop.service.mission.log if step.kind == "reached"}

@@ -188,7 +188,7 @@ def test_a_known_obstacle_explains_a_standstill_only_for_a_time(tmp_path):
     service, pose, place = loop.service, loop.drive.motion.odometry, None
     for across_m in (-0.05, 0.0, 0.05):
         cell = service.map.grid.window.cell_of(*SE2(*pose.ahead(0.4), 0.0).ahead(across_m))
-        service.map.grid._write(*cell, ly.OCCUPIED)
+        service.map.grid._cells.write(*cell, ly.OCCUPIED)
     place, said = pose.ahead(0.2), []
     for now_s in (0.0, 0.5, 10.0, 20.0):
         closed = bool(service.map.grid.bumps.closed_m)

@@ -18,6 +18,7 @@ from edge.lab.sim.base import WorldObject, free_poses
 from edge.lab.sim.sensors import CameraRig
 from edge.lab.sim.worlds import load_world
 from edge.perception.factory import make_detector
+from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import BackProjector
 from edge.perception.tracking.sightings import ObjectTracker
@@ -78,13 +79,14 @@ def test_a_background_object_is_found_at_its_place(house, word):
     config, world, _, _, detector = house
     detector.set_prompts([word])
     sightings, lifter = ObjectTracker(config.perception), BackProjector(config.perception)
-    tracker = InstanceTracker(config.perception, sightings)
+    tracker = InstanceTracker(config.perception)
+    fusion = InstanceFusion(tracker, sightings)
     thing = next(o for o in world.objects if names.same_name(o.label, word))
     for observation in looks(house, thing):
         found = detector.detect(observation)
         lifted, around = lifter.back_project(found)
         sightings.update(lifted, around)
-        tracker.update(lifted, observation.stamp_ns)
-        tracker.expire(observation, found.prompts)
+        fusion.update(lifted, observation.stamp_ns)
+        fusion.expire(observation, found.prompts)
     sure = tracker.of(word, only_confirmed=True, doubted=False)
     assert min(thing.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all

@@ -15,7 +15,7 @@ from edge.mapping.points import HEIGHT_CODES
 from edge.mapping.regions import NO_REGIONS, RegionMap, survey_regions
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 TABLE = load()
 WORDS = make_words(TABLE, DetectorSim())

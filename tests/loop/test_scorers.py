@@ -21,7 +21,7 @@ from edge.loop.status import status_message
 from edge.mission.spec import prepare
 from edge.perception.runtime.cards import ModelError
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 from edge.types import Instance, Observation
 
 DIRECTION = {letter: -1.0 - i for i, letter in enumerate("ABCDEFGHJ")}

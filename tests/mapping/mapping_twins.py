@@ -99,7 +99,7 @@ def states(grid: RollingMap) -> np.ndarray:
     """Return the published state of the whole window (-1, 0 or 100), inflated from scratch."""
     raw = window(grid, "raw")
     blocked = np.zeros(raw.shape, bool)
-    disc = grid._disc
+    disc = grid._cells.disc
     radius, n = len(disc) // 2, len(raw)
     for y, x in np.argwhere(raw >= 2):
         for k, half in enumerate(disc):
@@ -322,12 +322,12 @@ def basins(cells, apart, order, door_half_m, narrower, least_cells):
 
 def writable(grid: RollingMap) -> ly.Layers:
     """Return the map's writable layers, for a test that makes a map by hand."""
-    return grid._layers
+    return grid._cells.layers
 
 
 def set_free(grid: RollingMap, x: int, y: int) -> None:
     """Free a cell of the window."""
-    ly.set_free(writable(grid), *grid.window.shift, x, y, grid._changed)
+    ly.set_free(writable(grid), *grid.window.shift, x, y, grid._cells.changed)
 
 
 def occupy(grid: RollingMap, x: int, y: int) -> None:
@@ -337,7 +337,7 @@ def occupy(grid: RollingMap, x: int, y: int) -> None:
     if layers.raw[at] < ly.OCCUPIED:
         layers.raw[at] = ly.OCCUPIED
         ly.bit_set(layers.known, *at, True)
-        ly.add_disc(layers, sx, sy, x, y, 1, grid._disc, (0, 0, n, n), grid._changed)
+        ly.add_disc(layers, sx, sy, x, y, 1, grid._cells.disc, (0, 0, n, n), grid._cells.changed)
 
 
 def move_to(grid: RollingMap, x: int, y: int) -> None:

@@ -164,6 +164,11 @@ def test_an_opened_cell_returns_to_its_former_state(place, raw, open_again, time
     np.testing.assert_array_equal(grid.snapshot(inflated=50).cells, everywhere)
 
 
+def is_explained(grid: RollingMap, pose: SE2, place: tuple[float, float]) -> bool:
+    inflation_m = grid.config.inflation_m
+    return bumps.explained_by_obstacle(grid.layers, grid.window, inflation_m, pose, place, 0.2)
+
+
 @pytest.mark.parametrize(
     ("x_m", "yaw_rad", "shows"),
     [
@@ -181,11 +186,11 @@ def test_an_obstacle_ahead_explains_a_blocked_robot(x_m, yaw_rad, shows):
     look(grid, HOME, BOX)
     pose = SE2(x_m, 0.0, yaw_rad)
     place = pose.ahead(0.2)
-    assert not empty.bumps.explained_by_obstacle(pose, place, 0.2)
-    assert grid.bumps.explained_by_obstacle(pose, place, 0.2) == shows
+    assert not is_explained(empty, pose, place)
+    assert is_explained(grid, pose, place) == shows
     beside = seen_around()
     bump(beside, place)
-    assert not beside.bumps.explained_by_obstacle(pose, place, 0.2)  # a bump explains nothing
+    assert not is_explained(beside, pose, place)  # a bump explains nothing
 
 
 def test_bumps_outside_the_rolled_window_are_dropped():

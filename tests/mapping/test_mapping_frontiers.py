@@ -15,12 +15,11 @@ from mapping_twins import SMALL, look, room
 from edge import config
 from edge.geometry import SE2
 from edge.mapping import clusters as cl
-from edge.mapping import grid as grid_module
 from edge.mapping.grid import RollingMap
 
 
 def clusters_of(grid: RollingMap) -> cl.Clusters:
-    return grid._clusters
+    return grid._finder.clusters
 
 
 def components(cells: np.ndarray) -> list[set[tuple[int, int]]]:
@@ -69,14 +68,14 @@ def check_targets(grid: RollingMap, expected: np.ndarray, label: np.ndarray) -> 
     assert all(expected[y, x] for x, y in cells), "targets are frontier cells"
     np.testing.assert_array_equal([label[y, x] for x, y in cells], f.cluster[: f.n])
     size = clusters_of(grid).size
-    assert set(f.cluster[: f.n]) == set(np.flatnonzero(size >= grid_module.FRONTIER_MIN_CELLS))
+    assert set(f.cluster[: f.n]) == set(np.flatnonzero(size >= cl.FRONTIER_MIN_CELLS))
     for k in set(f.cluster[: f.n]):
         own = f.xy_m[: f.n][f.cluster[: f.n] == k]
-        if size[k] < grid_module.FRONTIER_LARGE_CELLS:
+        if size[k] < cl.FRONTIER_LARGE_CELLS:
             assert len(own) == 1
         apart = np.hypot(*(own[:, None] - own[None]).transpose(2, 0, 1))
         apart[np.eye(len(own), dtype=bool)] = np.inf
-        assert (apart >= grid_module.FRONTIER_SPACING_M - 1e-3).all()
+        assert (apart >= cl.FRONTIER_SPACING_M - 1e-3).all()
 
 
 @settings(max_examples=15)
@@ -137,12 +136,12 @@ def test_an_open_door_is_a_frontier():
 
 
 def test_large_clusters_have_several_targets(monkeypatch):
-    monkeypatch.setattr(grid_module, "FRONTIER_SPACING_M", 0.8)
+    monkeypatch.setattr(cl, "FRONTIER_SPACING_M", 0.8)
     open_field = RollingMap(config.MappingConfig())
     look(open_field, SE2(0, 0, 0), [])
     assert open_field.frontiers.n >= 4
     check(open_field)
-    monkeypatch.setattr(grid_module, "FRONTIER_LARGE_CELLS", 5000)
+    monkeypatch.setattr(cl, "FRONTIER_LARGE_CELLS", 5000)
     one = RollingMap(config.MappingConfig())
     look(one, SE2(0, 0, 0), [])
     assert one.frontiers.n == len(set(one.frontiers.cluster[: one.frontiers.n]))
@@ -150,9 +149,9 @@ def test_large_clusters_have_several_targets(monkeypatch):
 
 
 def test_more_targets_than_fit_leave_out_small_clusters(monkeypatch):
-    monkeypatch.setattr(grid_module, "FRONTIER_SPACING_M", 0.1)
+    monkeypatch.setattr(cl, "FRONTIER_SPACING_M", 0.1)
     everything = RollingMap(SMALL)
-    monkeypatch.setattr(grid_module, "MAX_FRONTIERS", 8)
+    monkeypatch.setattr(cl, "MAX_FRONTIERS", 8)
     grid = RollingMap(SMALL)
     look(grid, SE2(0, 0, 0), [(1.0, 0.0, 0.0, 1.1, 0.1, 0.5)])
     f = grid.frontiers

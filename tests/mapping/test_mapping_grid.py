@@ -30,7 +30,7 @@ def test_an_empty_map_is_unknown_everywhere():
     assert grid.snapshot().cells.shape == (0, 0)
     assert grid.travel_cost.nearest(0.0, 0.0, 1.0) is None
     out = np.zeros(1, np.float32)
-    grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, 1.0, out)
+    grid.unknown.ratio(np.zeros((1, 2), np.float32), 1, 1.0, out)
     assert out[0] == 1.0
 
 
@@ -272,7 +272,7 @@ def test_degenerate_depth_never_breaks_the_layers(seed):
         np.testing.assert_array_equal(
             twins.window(grid, "known") > 0, twins.window(grid, "raw") > 0
         )
-        assert not grid._scan.seen.any()
+        assert not grid._reader.scan.seen.any()
         seen = np.count_nonzero(grid.layers.raw)
         assert grid.known_m2 == pytest.approx(seen * SMALL.resolution_m**2)
 
@@ -329,7 +329,7 @@ def test_nothing_is_compiled_after_warmup(kind):
         grid.travel_cost.step(pose)
         grid.travel_cost.nearest(grid.frontiers.xy_m[0, 0], grid.frontiers.xy_m[0, 1], 0.6)
         shown_m = layers.read_only(grid.frontiers.xy_m)  # as policies have it
-        grid.unknown_ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
+        grid.unknown.ratio(shown_m, grid.frontiers.n, 1.0, np.zeros(999, np.float32))
         for seen in (depth, None):
             observation = Observation(
                 0, 0, pose.matrix(), depth_m=seen, camera=CAMERA, T_base_camera=T_BASE_CAMERA

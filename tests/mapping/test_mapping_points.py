@@ -16,6 +16,7 @@ from edge.mapping import points
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
 from edge.mapping.ground import find_floor, fit_floor, sweep_ground
 from edge.mapping.layers import OCCUPIED
+from edge.mapping.scans import pixel_samples
 
 F = np.float32
 T_BASE_CAMERA = twins.T_BASE_CAMERA
@@ -229,10 +230,9 @@ def test_every_obstacle_of_a_decimetre_is_sampled_twice_or_more():
     """The stride itself: 0.1 m at full range spans two samples across, four up."""
     for width in (160, 320, 640, 1280, 1920):
         camera = CameraModel.from_hfov(width, width * 3 // 4, math.radians(75))
-        grid = RollingMap(config.MappingConfig())
-        grid._use_camera(camera)
-        span = 0.1 / grid.config.range_m * camera.fx_px
-        across, up = grid._strides
+        range_m = config.MappingConfig().range_m
+        span = 0.1 / range_m * camera.fx_px
+        across, up = pixel_samples(camera, range_m).strides
         assert across == 1 or span / across >= 2.0
         assert up == 1 or span / up >= 4.0
 

@@ -36,7 +36,7 @@ def test_the_ratio_agrees_with_a_search(seed, radius_m):
     cells = np.concatenate([rng.integers(-3, n + 3, (12, 2)), [[0, 0], [n - 1, n - 1], [0, n - 1]]])
     xy = ((cells + origin + 0.5) * grid.resolution_m).astype(np.float32)
     out = np.full(len(xy) + 1, 7.0, np.float32)
-    grid.unknown_ratio(xy, len(xy), radius_m, out)
+    grid.unknown.ratio(xy, len(xy), radius_m, out)
     state = twins.states(grid)
     expected = [
         twins.unknown_ratio(state, int(x), int(y), radius_m / grid.resolution_m) for x, y in cells
@@ -50,7 +50,7 @@ def test_unknown_cells_behind_a_wall_do_not_count():
     for yaw in np.arange(0, 6.4, 0.2):
         twins.look(grid, twins.SE2(0, 0, yaw), twins.room(1.5))
     out = np.zeros(2, np.float32)
-    grid.unknown_ratio(np.array([[0.9, 0.0], [4.0, 0.0]], np.float32), 2, 1.0, out)
+    grid.unknown.ratio(np.array([[0.9, 0.0], [4.0, 0.0]], np.float32), 2, 1.0, out)
     assert out[0] == 0.0
     assert out[1] == 1.0
 
@@ -58,4 +58,4 @@ def test_unknown_cells_behind_a_wall_do_not_count():
 def test_a_radius_that_does_not_fit_is_an_error():
     grid = RollingMap(twins.SMALL)
     with pytest.raises(ValueError, match=r"at most 1\.55 m are possible; set mapping\."):
-        grid.unknown_ratio(np.zeros((1, 2), np.float32), 1, 1.6, np.zeros(1, np.float32))
+        grid.unknown.ratio(np.zeros((1, 2), np.float32), 1, 1.6, np.zeros(1, np.float32))

@@ -6,7 +6,7 @@ import pytest
 
 from edge.geometry import SE2
 from edge.memory import describe_location, describe_similar, known_objects
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 POSE = SE2(0.0, 0.0, 0.0)
 NOW_NS = 100_000_000_000

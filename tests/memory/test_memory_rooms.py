@@ -21,7 +21,7 @@ from edge.memory import (
 )
 from edge.perception.prior.table import load
 from edge.perception.prior.words import PriorWordIndex
-from edge.perception.tracking.sightings import TrackedObjects
+from edge.perception.tracking.tracked_objects import TrackedObjects
 
 TABLE = load()
 WORDS = PriorWordIndex(TABLE)

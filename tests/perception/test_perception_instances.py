@@ -5,6 +5,7 @@ import pytest
 
 from edge import config
 from edge.geometry import SE2
+from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
 from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.sightings import ObjectTracker
@@ -18,12 +19,13 @@ class Scene:
         self.tracker = InstanceTracker(
             config.PerceptionConfig(detector=config.DetectorSim(), **settings)
         )
+        self.fusion = InstanceFusion(self.tracker)
         self.make, self.seq = make_observation, 0
 
     def see(self, *things, x_m=0.0, y_m=0.0, z_m=0.4, depth_m=6.0, **shape):
         """One frame with (label, x, y, score) each; returns all instances."""
         self.last = seen = self.frame(x_m, y_m, depth_m)
-        self.tracker.update(self.lifted(seen, things, z_m=z_m, **shape), seen.stamp_ns)
+        self.fusion.update(self.lifted(seen, things, z_m=z_m, **shape), seen.stamp_ns)
         return self.tracker.all
 
     @staticmethod
@@ -47,7 +49,7 @@ class Scene:
         return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
 
     def expire(self, observation, prompts=("chair", "desk")):
-        return self.tracker.expire(observation, prompts)
+        return self.fusion.expire(observation, prompts)
 
     def frame(self, x_m=0.0, y_m=0.0, depth_m=6.0):
         self.seq += 1
@@ -112,7 +114,7 @@ def test_confirmation(scene, score, x_m, hits, state):
     for _ in range(hits):
         (chair,) = s.see(("chair", x_m, 0, score))
     assert chair.state == state
-    assert s.tracker.confirmed(chair) is (state == "confirmed")
+    assert chair.is_confirmed is (state == "confirmed")
 
 
 @pytest.mark.parametrize(
@@ -298,14 +300,14 @@ class Memory(Scene):
     def __init__(self, make_observation, **settings):
         super().__init__(make_observation, **settings)
         self.sightings = ObjectTracker(self.tracker.config)
-        self.tracker = InstanceTracker(self.tracker.config, self.sightings)
+        self.fusion = InstanceFusion(self.tracker, self.sightings)
 
     def look(self, *things, around=()):
         """One frame with targets, and with context words likewise."""
         seen = self.frame()
         lifted = self.lifted(seen, things)
         self.sightings.update(lifted, self.lifted(seen, around))
-        self.tracker.update(lifted, seen.stamp_ns)
+        self.fusion.update(lifted, seen.stamp_ns)
         self.expire(seen)
         return self.tracker
 
@@ -405,9 +407,9 @@ def test_context_objects_are_promoted_to_targets(memory, word, looks, states):
     for _ in range(looks):
         s.look(around=[(word, 2, 0, 0.6)])
     assert s.tracker.all == []
-    s.tracker.promote_context(["desk", "chair"])
+    s.fusion.promote_context(["desk", "chair"])
     assert [instance.state for instance in s.tracker.of("desk")] == states
-    s.tracker.promote_context(["desk", "chair"])  # once is enough
+    s.fusion.promote_context(["desk", "chair"])  # once is enough
     assert len(s.tracker.all) == len(states)
     for instance in s.tracker.all:
         assert instance.distance_m(2, 0) < 0.2
@@ -419,11 +421,11 @@ def test_the_class_threshold_decides_on_a_promoted_object(memory, score, state):
     s = memory(confirm_scores={"desk": score})
     for _ in range(5):
         s.look(around=[("desk", 2, 0, 0.6)])
-    s.tracker.promote_context(["desk"])
+    s.fusion.promote_context(["desk"])
     assert [instance.state for instance in s.tracker.of("desk")] == [state]
 
 
 def test_without_a_memory_nothing_is_recalled(scene):
     s = scene()
-    s.tracker.promote_context(["desk"])
+    s.fusion.promote_context(["desk"])
     assert s.tracker.all == []

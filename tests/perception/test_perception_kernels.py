@@ -20,7 +20,7 @@ from twins import (
 )
 
 from edge.perception.detection import kernels
-from edge.perception.tracking import instance_kernels, lift_kernels
+from edge.perception.tracking import instance_kernels, lift_kernels, sample_kernels
 
 TAU = np.float32(0.05)
 FAR_PX = 1000.0
@@ -177,7 +177,7 @@ def test_cloud_raster_agrees_with_its_twin(seed, n):
     T = np.eye(4)
     T[:3, 3] = random.uniform(-1, 1, 3)
     raster, points = np.zeros((6, 8), np.int32), np.zeros((n, 3), np.float32)
-    lift_kernels.cloud_raster(cloud, T, 40.0, 40.0, 15.5, 11.5, 4.0, raster, points)
+    sample_kernels.cloud_raster(cloud, T, 40.0, 40.0, 15.5, 11.5, 4.0, raster, points)
     np.testing.assert_array_equal(
         raster, cloud_raster(cloud, T, 40.0, 40.0, 15.5, 11.5, 4.0, raster.shape)
     )
@@ -189,12 +189,12 @@ def test_sample_depth_agrees_with_its_twin(seed):
     depth = random.uniform(0, 9, (40, 60)).astype(np.float32)
     depth[random.random(depth.shape) < 0.2] = np.nan
     x, y = np.sort(random.uniform(-10, 70, 2)), np.sort(random.uniform(-10, 50, 2))
-    samples = np.zeros((lift_kernels.SIDE**2, 3), np.float32)
-    n = lift_kernels.sample_depth(
+    samples = np.zeros((sample_kernels.SIDE**2, 3), np.float32)
+    n = sample_kernels.sample_depth(
         depth, 50.0, 50.0, 29.5, 19.5, x[0], y[0], x[1], y[1], 8.0, samples
     )
     twin = sample_depth(
-        depth, 50.0, 50.0, 29.5, 19.5, (x[0], y[0], x[1], y[1]), 8.0, lift_kernels.SIDE
+        depth, 50.0, 50.0, 29.5, 19.5, (x[0], y[0], x[1], y[1]), 8.0, sample_kernels.SIDE
     )
     np.testing.assert_allclose(samples[:n], twin, rtol=1e-5, atol=1e-6)
 

@@ -111,13 +111,13 @@ def test_an_object_seen_elsewhere_has_moved(scene, first):
     if first == "gone":
         while s.seen.n:
             s.see()
-        assert [one.id for one in s.tracker.vanished] == [was]
+        assert [one.id for one in s.tracker.moved.vanished] == [was]
     for _ in range(150):
         s.see(("chair", FAR, -2.0, 0.8))
     assert s.seen.n == 1
     assert (s.seen.id[0], s.seen.first_seen_ns[0], s.seen.moves[0]) == (was, first_seen_ns, 1)
     assert s.seen.came_from_m[0] == pytest.approx((NEAR, 0.5), abs=0.1)
-    assert s.tracker.vanished == []
+    assert s.tracker.moved.vanished == []
 
 
 def test_two_objects_that_were_seen_at_once_stay_two(scene):
@@ -130,7 +130,7 @@ def test_two_objects_that_were_seen_at_once_stay_two(scene):
     assert s.seen.n == 1
     assert s.seen.id[0] in ids
     assert s.seen.moves[0] == 0
-    assert len(s.tracker.vanished) == 1
+    assert len(s.tracker.moved.vanished) == 1
 
 
 @pytest.mark.parametrize("score", [0.36, 0.8])
@@ -145,10 +145,10 @@ def test_a_vanished_object_survives_a_restart(scene):
     s, other = moved(scene), scene()
     while s.seen.n:
         s.see()
-    assert s.tracker.vanished
+    assert s.tracker.moved.vanished
     other.tracker.load_state_dict(s.tracker.state_dict(), 5)
     other.seq = s.seq
-    (before,), (after,) = s.tracker.vanished, other.tracker.vanished
+    (before,), (after,) = s.tracker.moved.vanished, other.tracker.moved.vanished
     assert after == before._replace(
         first_seen_ns=before.first_seen_ns + 5, last_seen_ns=before.last_seen_ns + 5
     )

@@ -240,7 +240,7 @@ def forget(grid, inner_m, outer_m):
     n, res = round(outer_m / grid.resolution_m), grid.resolution_m
     for x, y in np.ndindex(2 * n, 2 * n):
         if inner_m < np.hypot(x - n + 0.5, y - n + 0.5) * res < outer_m:
-            grid._write(x - n, y - n, ly.UNSEEN)
+            grid._cells.write(x - n, y - n, ly.UNSEEN)
 
 
 def of_service(instances, boxes=STREET, found=False, blind_m=0.0):

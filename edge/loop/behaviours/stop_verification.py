@@ -60,9 +60,9 @@ class StopVerification:
         ]
         near.sort(key=lambda one: (one.id != number, one.distance_m(pose.x_m, pose.y_m)))
         obj = self._tracker.get(number)
-        found = next((one for one in near if self._tracker.confirmed(one)), None)
+        found = next((one for one in near if one.is_confirmed), None)
         is_away = obj is not None and obj.state != "rejected" and not near
-        if obj is not None and is_away and not self._tracker.confirmed(obj):
+        if obj is not None and is_away and not obj.is_confirmed:
             away_m = obj.distance_m(pose.x_m, pose.y_m)
             text = f"{label} {number} is {away_m:.1f} m away: too far to verify, accepted"
             self._log(text, now_ns)

@@ -13,6 +13,7 @@ import numpy as np
 from edge import config
 from edge.geometry import CameraModel, invert
 from edge.perception.tracking import lift_kernels as kernels
+from edge.perception.tracking.sample_kernels import SIDE, cloud_raster
 from edge.types import MASK_SIDE, Detections, Observation
 
 log = logging.getLogger(__name__)
@@ -68,7 +69,7 @@ class BackProjector:
     def __init__(self, perception: config.PerceptionConfig) -> None:
         self.config = perception
         self.skipped = 0
-        side = kernels.SIDE
+        side = SIDE
         self._scratch = (  # see `lift_kernels.back_project_boxes`
             np.empty((side * side, 3), np.float32),
             np.empty((4, side * side, 3), np.float32),
@@ -161,7 +162,7 @@ class BackProjector:
             self._raster = np.empty(shape, np.int32)
         if len(self._cloud_points) < len(seen.cloud_m):
             self._cloud_points = np.empty((len(seen.cloud_m), 3), np.float32)
-        kernels.cloud_raster(
+        cloud_raster(
             seen.cloud_m, invert(seen.T_base_camera) @ seen.T_base_lidar,
             camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, float(cell_px),
             self._raster, self._cloud_points,

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from simulated import simulated
 
 from edge.geometry import SE2, Grid, wrap_angle
-from edge.lab.motion.controller import GIVE_UP_NS, GOAL_TOLERANCE_M, YAW_TOLERANCE_RAD, Controller
+from edge.lab.motion.controller import YAW_TOLERANCE_RAD, Controller
+from edge.lab.motion.route import GIVE_UP_NS, GOAL_TOLERANCE_M
 from edge.trajectory.pursuit import length_m
 from edge.types import GoalStatus
 
@@ -390,7 +391,7 @@ def test_a_clock_that_is_set_back_is_a_new_run():
     walk.step()
     walk.now_ns = 10**9
     walk.step()
-    assert len(walk.controller.path_m) == 0
+    assert len(walk.controller.route.path_m) == 0
     walk.map(room(6.0, 4.0))
     walk.goal(5, SE2(2.0, 2.0, 0.0))
     walk.run(20)

@@ -7,10 +7,9 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from pathlib import Path
@@ -28,12 +27,12 @@ from edge.config.loop import SinkConfig
 from edge.config.yaml_text import read_yaml
 from edge.errors import UserError
 from edge.host import resources
-from edge.host.children import python_module
 from edge.host.files import write_atomically
 from edge.host.interruptible import raise_if_stopped
 from edge.host.ports import free_port
 from edge.host.processes import Process, descendants
 from edge.lab.eval.soak import recordings
+from edge.lab.eval.soak.children import STOP_S, ChildProcesses
 from edge.lab.eval.soak.log import PipeLog
 from edge.lab.eval.soak.relay import Relay
 from edge.perception.runtime.cards import card_path, load_detector_card
@@ -43,7 +42,6 @@ JITTER_SINK = SinkConfig(kind="edge.lab.eval.soak.jitter:JitterSink")
 TWIN, BROKEN = "soak-twin", "soak-broken"
 """Names of models: a copy of the configured one, and one that cannot be loaded."""
 ANSWER_S = 5.0  # longest wait for an answer to a request
-STOP_S = 30.0  # longest wait for the end of a process
 START_S = 900.0  # the first start compiles kernels, on a machine that may be busy
 _HTTP_S = 2.0  # longest wait for a page
 _CHECK_PERIOD_S = 0.1  # time between two checks of a condition
@@ -89,6 +87,8 @@ class SoakHarness:
         stop: ends a wait.
 
     Attributes:
+        config_file: the service's configuration.
+        children: all processes that this one has started.
         service: process of the service; it is never started again.
         house: number of the robot's house, from 0.
         session: Zenoh session for requests and subscriptions.
@@ -98,15 +98,16 @@ class SoakHarness:
 
     def __init__(self, config: Config, out: Path, stop: threading.Event) -> None:
         self.config, self.out = config, out
+        self.config_file = out / "config.yaml"
         self.house = 0
         self.family: set[Process] = set()
         self._stop = stop
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
-        self._environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
-        self._environ["EDGE_CACHE_DIR"] = str(_make_cache(config, out / "cache"))
+        environ = {k: v for k, v in os.environ.items() if not k.startswith("EDGE__")}
+        environ["EDGE_CACHE_DIR"] = str(_make_cache(config, out / "cache"))
         self._robot_zenoh = ZenohConfig(endpoint=_endpoint(), prefix=config.zenoh.prefix)
         self.log = PipeLog(out / "service.pipe", out / "service.log")
         self._output = (out / "others.log").open("wb")
+        self.children = ChildProcesses(environ, self._output)
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{config.http.port}", timeout=_HTTP_S)
         self.write_config()
 
@@ -121,7 +122,7 @@ class SoakHarness:
         """
         self.start_router()
         with os.fdopen(self.log.writer(), "wb") as output:
-            self.service = self._start("service", "run", str(self.config_file), out=output)
+            self.service = self.children.start("service", "run", str(self.config_file), out=output)
         self._wait_until(
             lambda: self.page("/readyz")[1].get("state") == "running",
             "edge run: the service did not start",
@@ -141,9 +142,9 @@ class SoakHarness:
         while not is_true():
             raise_if_stopped(self._stop)
             self.log.poll()
-            if self.ended_children() or time.monotonic() > deadline_s:
+            if self.children.ended() or time.monotonic() > deadline_s:
                 last_line = self.log.lines[-1][1] if self.log.lines else "no output"
-                ended = [f"{name} has ended" for name in self.ended_children()]
+                ended = [f"{name} has ended" for name in self.children.ended()]
                 raise UserError(f"{problem}: {'; '.join([*ended, last_line])}")
             time.sleep(_CHECK_PERIOD_S)
 
@@ -152,14 +153,12 @@ class SoakHarness:
 
         `relay` and the session are missing if `start` has failed.
         """
-        for name in reversed(list(self._children)):
-            if name != "service":
-                self.kill(name)
+        self.children.kill_all(but="service")
         if hasattr(self, "relay"):
             self.relay.close()
         if hasattr(self, "_session_context"):
             self._session_context.__exit__(None, None, None)
-        self.kill("service")
+        self.children.kill("service")
         self.log.close()
         self._output.close()
         self._http.close()
@@ -179,16 +178,18 @@ class SoakHarness:
     def start_router(self) -> None:
         """Start the Zenoh router, if the configuration needs one."""
         if self.config.zenoh.mode == "client":
-            self._start_module("router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint)
+            self.children.start_module(
+                "router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint
+            )
 
     def start_controller(self) -> None:
         """Start the motion controller."""
-        self._start("controller", "sim", str(self.config_file), "--motion-only")
+        self.children.start("controller", "sim", str(self.config_file), "--motion-only")
 
     def start_viewer(self) -> None:
         """Start a subscriber of all topics."""
         settings = self.config.zenoh
-        self._start_module(
+        self.children.start_module(
             "viewer", "edge.lab.eval.soak.viewer", settings.endpoint, settings.prefix
         )
 
@@ -200,7 +201,7 @@ class SoakHarness:
         )  # fmt: skip
         path = self.out / "robot.yaml"
         write_atomically(path, config.model_dump_json(exclude={"path"}).encode())
-        self._start("simulator", "sim", str(path), "--no-motion")
+        self.children.start("simulator", "sim", str(path), "--no-motion")
 
     @property
     def world(self) -> Any:
@@ -213,32 +214,11 @@ class SoakHarness:
 
     def start_next_house(self) -> None:
         """Restart the simulator in the next house; its place in `map` is far away."""
-        self.kill("simulator", signal.SIGTERM)
+        self.children.kill("simulator", signal.SIGTERM)
         self.house += 1
         # Alternating: each house is far from the one before.
         self.relay.offset_m = _HOUSE_DISTANCE_M * (self.house % 2)
         self.start_simulator()
-
-    def kill(self, name: str, signal_number: int = signal.SIGKILL) -> None:
-        """End a child with a signal and wait for its end."""
-        child = self._children.pop(name, None)
-        if child is None:
-            return
-        with suppress(ProcessLookupError):
-            child.send_signal(signal_number)
-        try:
-            child.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.wait()
-
-    def send_signal(self, name: str, signal_number: int) -> None:
-        """Send a signal to a child."""
-        self._children[name].send_signal(signal_number)
-
-    def ended_children(self) -> list[str]:
-        """Return the children that have ended by themselves."""
-        return [name for name, child in self._children.items() if child.poll() is not None]
 
     def model_process(self) -> Process | None:
         """Return the process of the service's model; None if it has none now."""
@@ -254,30 +234,6 @@ class SoakHarness:
     def orphans(self) -> list[Process]:
         """Return the processes that the service has started and that still run."""
         return [process for process in self.family if process.is_running()]
-
-    def _start(
-        self, name: str, command: str, path: str, *options: str, out: Any = None
-    ) -> subprocess.Popen[bytes]:
-        level = "info" if name == "service" else "warning"
-        arguments = ["--log-level", level, command, path, "--with-parent", str(os.getpid())]
-        return self._spawn(name, ["edge.cli", *arguments, *options], out)
-
-    def _start_module(self, name: str, module: str, *arguments: str) -> None:
-        self._spawn(name, [module, *arguments, str(os.getpid())])
-
-    def _spawn(
-        self, name: str, arguments: Sequence[str], out: Any = None
-    ) -> subprocess.Popen[bytes]:
-        module, *rest = arguments
-        out = self._output if out is None else out
-        # With its own session, a child gets neither the terminal's Ctrl-C nor its hangup: this
-        # process stops all children in order.
-        child = subprocess.Popen(
-            [*python_module(module), *rest], env=self._environ, stdout=out,
-            stderr=out, stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
-        self._children[name] = child
-        return child
 
     # -- requests and messages ------------------------------------------------------------------
 
@@ -310,11 +266,6 @@ class SoakHarness:
         """Publish a message on a topic."""
         with suppress(zenoh.ZError):
             self.session.put(self.config.zenoh.key(topic_key), payload)
-
-    @property
-    def config_file(self) -> Path:
-        """Path of the service's configuration."""
-        return self.out / "config.yaml"
 
     def write_config(self, **changes: dict[str, Any]) -> None:
         """Write the service's configuration with changed keys, by section.

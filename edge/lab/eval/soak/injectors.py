@@ -76,8 +76,8 @@ def delay_messages(harness: SoakHarness, rng: np.random.Generator) -> Injection:
 
 
 def stop_simulator(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.send_signal("simulator", signal.SIGSTOP)
-    yield from hold_until_end(lambda: harness.send_signal("simulator", signal.SIGCONT))
+    harness.children.send_signal("simulator", signal.SIGSTOP)
+    yield from hold_until_end(lambda: harness.children.send_signal("simulator", signal.SIGCONT))
 
 
 def enter_next_house(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -91,12 +91,12 @@ def cut_session(harness: SoakHarness, rng: np.random.Generator) -> Injection:
 
 
 def kill_router(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.kill("router")
+    harness.children.kill("router")
     yield from hold_until_end(harness.start_router)
 
 
 def kill_controller(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.kill("controller")
+    harness.children.kill("controller")
     yield from hold_until_end(harness.start_controller)
 
 
@@ -198,10 +198,10 @@ def stop_viewer(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     try:
         while time.monotonic() < stops_s:
             yield
-        harness.send_signal("viewer", signal.SIGSTOP)
+        harness.children.send_signal("viewer", signal.SIGSTOP)
         yield from hold_until_end()
     finally:
-        harness.kill("viewer")
+        harness.children.kill("viewer")
 
 
 def read_live_page(harness: SoakHarness, rng: np.random.Generator) -> Injection:

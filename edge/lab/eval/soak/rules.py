@@ -115,7 +115,7 @@ def _mission_reason_problem(harness: SoakHarness, monitor: SoakMonitor, sample: 
 
 
 def _other_process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    ended = [name for name in harness.ended_children() if name != "service"]
+    ended = [name for name in harness.children.ended() if name != "service"]
     return f"the {ended[0]} ended by itself" if ended else ""
 
 

@@ -1,0 +1,284 @@
+"""Fusion: merges the detections of each image into the instances (VL-Nav III.C).
+
+It decides which of them is confirmed as the target, and which is rejected. Here
+
+- a strong detection has a score above `tau_det`; all others are weak;
+- a view is from near by if the robot is within `confirm_range_m` of the object;
+- a competing class is another class that may explain a box (`Detections.competing_score`);
+- an instance is contested if another object of the map explains its place better.
+
+Names such as `tau_det` and `merge_m` are keys of `perception` in the configuration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge import names
+from edge.geometry import invert
+from edge.perception.tracking import instance_kernels as kernels
+from edge.perception.tracking.instances import InstanceTracker
+from edge.perception.tracking.lift import BackProjectedBoxes
+from edge.perception.tracking.look_kernels import (
+    AT_EDGE,
+    HIDDEN,
+    IN_PART,
+    LOOK_RIM,
+    NO_DEPTH,
+    WHOLE,
+    view_of,
+    visibility,
+)
+from edge.perception.tracking.sighting_kernels import PARTIAL
+from edge.perception.tracking.sightings import ObjectTracker
+from edge.perception.tracking.track import InstanceTrack
+from edge.types import Observation
+
+DECAY = 0.9
+"""Factor on the score of an instance for each view that should show it and does not."""
+FORGET_SHARE = 0.5
+"""An instance that is not confirmed is forgotten if its score is below this share of `tau_det`."""
+REJECT_VIEWS = 30
+"""After this many views an instance is rejected if its mean competing score exceeds its mean score.
+"""
+SURER = 1.6
+"""A confirmed instance is contested only by an object with this multiple of its confidence.
+
+From near by the instance is only partly in view, and an object in front of it fills the image. The
+same counts for an instance that was seen from afar only: it is worth a view from near by."""
+_HIGH_VIEW = 1.25
+"""An object that hangs high is looked at from up to this multiple of the least distance from which
+its centre is well in view."""
+
+
+class InstanceFusion:
+    """Fuses detections of the targets into one `Instance` per object.
+
+    A detection with a score above the running score raises it by `RISE` times the difference. A
+    detection below lowers it by `FALL` times the difference. Weak detections (below `tau_det`)
+    count at a known place, but never start a new instance. Each view without a detection multiplies
+    the score by `DECAY` (`expire`).
+
+    Args:
+        tracker: the instances.
+        sightings: all objects seen, updated with the newest image first; None: no evidence of other
+            objects.
+    """
+
+    def __init__(self, tracker: InstanceTracker, sightings: ObjectTracker | None = None) -> None:
+        self._tracker, self._objects = tracker, sightings
+
+    def update(self, boxes: BackProjectedBoxes, stamp_ns: int) -> None:
+        """Merge the detections of one image, strongest first."""
+        c, tracker, seen = self._tracker.config, self._tracker, boxes.detections
+        name_of_class = [names.canonical(prompt) for prompt in seen.prompts]
+        unsuppressed = seen.not_suppressed()
+        hit: set[int] = set()  # instances with a strong detection in this image
+        for i in np.flatnonzero(boxes.valid).tolist():
+            class_id, score = int(seen.class_id[i]), float(seen.score[i])
+            strong = score > c.tau_det and bool(unsuppressed[i])
+            points = boxes.surface_m(i)
+            x_m, y_m, _ = boxes.center_m[i].tolist()
+            track = tracker.match(name_of_class[class_id], x_m, y_m)
+            if track is None:
+                if not strong:
+                    continue
+                track = tracker.create(seen.prompts[class_id], points, score, stamp_ns)
+            elif track.instance.id in hit:  # a second box of one object: only its points count
+                if strong:
+                    track.grow(points, c.voxel_m)
+                continue
+            elif unsuppressed[i]:
+                track.merge(points, score, stamp_ns, c)
+            track.evidence_ns = max(track.evidence_ns, stamp_ns)
+            if score > track.now_target:
+                track.now_target = score
+                track.now_competing = (
+                    0.0 if seen.competing_score is None else float(seen.competing_score[i])
+                )
+            if strong:
+                hit.add(track.instance.id)
+                self._count_good_hit(track, points, score, seen.observation, stamp_ns)
+        for instance_id in hit:
+            self._merge_overlapping(instance_id)
+        tracker.limit()
+
+    def expire(self, observation: Observation, prompts: Sequence[str]) -> list[int]:
+        """Lower the score of instances that this observation should show and does not.
+
+        Call it after `update` with the same observation. Rejected and reached instances stay, and
+        so do those of labels that the detector did not look for.
+
+        Args:
+            observation: an image's camera, pose and depth.
+            prompts: names that the detector looked for in this image.
+
+        Returns:
+            Ids of instances that were forgotten.
+        """
+        camera = observation.camera
+        c, tracks = self._tracker.config, self._tracker.tracks
+        if camera is None or not tracks:
+            return []
+        T = invert(observation.T_map_base @ observation.T_base_camera)
+        view = view_of(camera)
+        depth = NO_DEPTH if observation.depth_m is None else observation.depth_m
+        # Farther than this, a missing detection is no evidence.
+        far_m = min(1.5 * c.confirm_range_m, c.back_projection_max_range_m)
+        pose = observation.pose
+        asked = {names.canonical(prompt) for prompt in prompts}
+        gone = []
+        for track in list(tracks.values()):
+            instance = track.instance
+            if instance.state in ("rejected", "reached") or track.name not in asked:
+                continue
+            points = instance.points_m
+            shown = visibility(
+                track.x_m, track.y_m, track.z_m, points, len(points), T, view, depth, far_m
+            )
+            if shown == HIDDEN and track.evidence_ns >= observation.stamp_ns:
+                shown = IN_PART  # it was detected, so only its centre is hidden
+            if shown == HIDDEN:
+                track.now_target = track.now_competing = 0.0
+                continue
+            self._update_contested(track)
+            near_m = near_range_m(c.confirm_range_m, track.z_m, observation) + track.radius_m
+            if track.distance_m(pose.x_m, pose.y_m) <= near_m:
+                # A partial view is weaker evidence, for and against.
+                track.count_view(1.0 if shown == WHOLE else PARTIAL)
+                self._update_state(track)
+            track.now_target = track.now_competing = 0.0
+            if shown == AT_EDGE or track.evidence_ns >= observation.stamp_ns:
+                continue
+            instance.score *= DECAY
+            # A few misses do not undo a confirmation: the object may be hidden, or too near.
+            if instance.score < FORGET_SHARE * c.tau_det and not instance.is_confirmed:
+                gone.append(instance.id)
+        for instance_id in gone:
+            tracks.pop(instance_id, None)
+        return gone
+
+    def promote_context(self, labels: Sequence[str]) -> None:
+        """Make instances from the objects of the map that these labels name, with their evidence.
+
+        A new target that was already seen as context (an object that was no target) then need not
+        be found again. Objects that would be forgotten at once, and known ones, are skipped.
+        """
+        if self._objects is None:
+            return
+        c, tracker = self._tracker.config, self._tracker
+        least = FORGET_SHARE * c.tau_det
+        for label in labels:
+            name = names.canonical(label)
+            for seen in self._objects.named(label):
+                known = tracker.match(name, *seen.center_m[:2].tolist())
+                is_doubtful = seen.confidence < least or seen.hits < c.min_hits
+                if is_doubtful or known is not None:
+                    continue
+                track = tracker.create(label, seen.points_m, seen.confidence, seen.last_seen_ns)
+                track.instance.hits = seen.hits
+                track.good_hits = track.other_hits = seen.near_hits
+                track.views, track.target_sum = seen.weight, seen.total
+                self._update_contested(track)
+                self._update_state(track)
+        tracker.limit()
+
+    def _count_good_hit(
+        self,
+        track: InstanceTrack,
+        points: np.ndarray,
+        score: float,
+        observation: Observation,
+        stamp_ns: int,
+    ) -> None:
+        """Count a detection as a good hit if it is good enough and from near by."""
+        c, pose = self._tracker.config, observation.pose
+        near_m = near_range_m(c.confirm_range_m, track.z_m, observation)
+        is_good = (
+            track.instance.state not in ("rejected", "reached")
+            and score >= c.confirm_score_of(track.name)
+            and kernels.nearest(points, pose.x_m, pose.y_m) <= near_m
+        )
+        if is_good and track.count_good_hit(pose, stamp_ns):
+            self._update_state(track)
+
+    def _update_state(self, track: InstanceTrack) -> None:
+        """Update the state from the evidence.
+
+        An instance is confirmed if all of these hold:
+        - it had at least `confirm_hits` good hits;
+        - its mean score over all near views is at least `confirm_mean`;
+        - its mean score is at least `confirm_lead` times that of its competing classes;
+        - it is not contested (`_update_contested`).
+
+        So neither a rare false positive nor a bed that is also a fair sofa is confirmed. A
+        confirmed instance needs no lead to stay confirmed: from near by the object is only partly
+        in view, and the lead shrinks.
+        """
+        c, instance = self._tracker.config, track.instance
+        if instance.state not in ("tentative", "confirmed"):
+            return
+        lead = 1.0 if instance.state == "confirmed" else c.confirm_lead  # over competing classes
+        is_confirmed = (
+            track.good_hits >= c.confirm_hits
+            and track.target_sum >= c.confirm_mean * track.views
+            and track.target_sum >= lead * track.competing_sum
+            and not self._update_contested(track)
+        )
+        instance.state = "confirmed" if is_confirmed else "tentative"
+        if track.views >= REJECT_VIEWS and track.competing_sum > track.target_sum:
+            self._tracker.reject(instance.id)
+
+    def _update_contested(self, track: InstanceTrack) -> bool:
+        """Update and return `contested`: True if another object explains the place better."""
+        if self._objects is not None:
+            instance = track.instance
+            surer = SURER if instance.state == "confirmed" or not track.views else 1.0
+            track.contested = self._objects.has_competing_object(
+                track.name, instance.points_m, track.radius_m, surer
+            )
+        return track.contested
+
+    def _merge_overlapping(self, instance_id: int) -> None:
+        """Merge an instance with those of its name that overlap it; the oldest one stays."""
+        tracks, c = self._tracker.tracks, self._tracker.config
+        track = tracks.get(instance_id)
+        if track is None or track.instance.state in ("rejected", "reached"):
+            return
+        for other in list(tracks.values()):
+            if other is track or other.name != track.name:
+                continue
+            if other.instance.id not in tracks:  # a merge before has rejected and removed it
+                continue
+            if other.instance.state in ("rejected", "reached"):
+                continue
+            if not track.overlaps(other, 0.5 * c.merge_m):
+                continue
+            older = other.instance.id < track.instance.id
+            old, new = (other, track) if older else (track, other)
+            del tracks[new.instance.id]
+            old.absorb(new)
+            self._update_state(old)
+            old.grow(new.instance.points_m, c.voxel_m)
+            track = old
+
+
+def near_range_m(confirm_range_m: float, z_m: float, observation: Observation) -> float:
+    """Return the distance up to which a view of an object at height `z_m` is from near by.
+
+    It is `confirm_range_m`, or more if the camera cannot see the object from there, because it
+    hangs too high.
+    """
+    camera = observation.camera
+    if camera is None:
+        return confirm_range_m
+    T = observation.T_map_base @ observation.T_base_camera
+    up = (camera.cy_px - LOOK_RIM * camera.height_px) / camera.fy_px  # at the rim of the view
+    x, y, z = (T[:3, 2] - up * T[:3, 1]).tolist()
+    above_m = z_m - float(T[2, 3])
+    if z <= 0 or above_m <= 0:
+        return confirm_range_m
+    return max(confirm_range_m, _HIGH_VIEW * above_m * math.hypot(x, y) / z)
