@@ -23,6 +23,7 @@ from edge.loop.status import status_message
 from edge.policies import make_policy
 from edge.tasks.mission_spec import prepare_mission
 from edge.tasks.object_phrases import AmbiguousObjectError
+from edge.types import Instance
 
 STRAIGHT = "go straight for 2 metres"
 TO_THE_OVEN = "go to the oven"
@@ -80,7 +81,7 @@ def test_a_task_finds_its_object_then_drives_the_trajectory(at_the_oven):
 def test_an_unconfirmed_destination_is_rejected_and_the_search_continues(task, monkeypatch):
     loop = closed(task)
     tracker = loop.service.map.tracker
-    monkeypatch.setattr(tracker, "confirmed", lambda one: False)
+    monkeypatch.setattr(Instance, "is_confirmed", False)
     until(loop, "verifying")
     assert states(loop)[0] == "under way"
     (oven,) = tracker.of("oven")
