@@ -126,13 +126,16 @@ class InstanceTracker:
 
         Args:
             instance: an instance.
-            pose: the robot's pose. If it is still at the first viewpoint, there was no other.
+            pose: the robot's pose. If it is still at the first viewpoint, there was no other; then
+                the score must still be that of a good hit.
         """
         track = self.tracks.get(instance.id)
         if track is None or not instance.is_confirmed:
             return False
-        enough = track.other_hits >= self.config.confirm_hits // 2
-        return enough or not track.is_other_viewpoint(pose)
+        if track.other_hits >= self.config.confirm_hits // 2:
+            return True
+        is_good = instance.score >= self.config.confirm_score_of(track.name)
+        return is_good and not track.is_other_viewpoint(pose)
 
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.
