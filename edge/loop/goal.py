@@ -38,7 +38,7 @@ class GoalTracker:
 
     Args:
         config: The configuration.
-        pool: Candidates. The tracker discards those that failed.
+        pool: Candidates. The chooser discards those that failed.
         tracker: Instances. The goal tracker marks those that were reached or rejected.
         send: Transmits a goal.
         event: Reports an event for people, at a loop time.
@@ -168,7 +168,7 @@ class GoalTracker:
             images: Number of images that the detector has processed so far.
             now_ns: Loop time.
             is_reached: Returns True if an instance next to the robot counts as reached, at the
-                robot's pose. None: an instance that is confirmed from two viewpoints does.
+                robot's pose. None: see `InstanceTracker.verified_now`.
 
         Returns:
             True if the robot is stuck: it should drive but stands still.
@@ -186,7 +186,7 @@ class GoalTracker:
             has_path_goal = tracked is not None and tracked.goal.kind in ("trajectory", "place")
             self.phase = "approaching" if has_path_goal else "searching"
         elif verdict := self._judge(
-            tracked, instance, pose, now_ns, images, is_reached or self._tracker.verified
+            tracked, instance, pose, now_ns, images, is_reached or self._tracker.verified_now
         ):
             self._apply_verdict(verdict, tracked, instance, mission, pose, now_ns)
         if tracked is not None and tracked.goal.kind == "place":
@@ -213,8 +213,7 @@ class GoalTracker:
         """Return the verdict on the goal's instance, or None while there is none.
 
         `reached` needs three conditions: the controller reported the goal as reached, the nearest
-        surface point of the instance is within `mission.reach_m`, and `is_reached` agrees: the
-        detector has confirmed the instance from two viewpoints.
+        surface point of the instance is within `mission.reach_m`, and `is_reached` agrees.
         """
         config = self._config.mission
         if tracked.status is None or tracked.status.state != "reached":

@@ -22,6 +22,7 @@ class MissionControl:
 
     Args:
         spec: First mission.
+        config: Section `mission` of the configuration, for the first mission.
         goals: The goal tracker.
         input_log: Input log, which records the requests.
         event: Reports an event for people, at a loop time, with the level of its log record.

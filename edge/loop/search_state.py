@@ -86,7 +86,7 @@ class SearchState:
     _turns: int = 0  # since there was a candidate
     _idle_since_ns: int | None = None  # time since which there is no candidate and no turn
     _second_chance: bool = False  # True if discarded candidates had their second chance
-    # Instances that were out of reach: id, and the place (x, y) of the robot.
+    # Instances that were out of reach: id, and the place (x, y) of the goal that was reached.
     _missed: deque[tuple[int, tuple[float, float]]] = field(
         default_factory=lambda: deque(maxlen=LEFT)
     )
@@ -225,6 +225,7 @@ class SearchState:
         if not (forgot or opened):
             return is_first
         pool.discarded.clear()
+        self._missed.clear()
         # The travel-cost field that is growing now may have started before the opening. The next
         # one includes the place.
         self._retry = (grid.travel_cost.generation + 2, context.now_ns + _RETRY_NS)

@@ -16,7 +16,7 @@ _TRAIL_STEP_CELLS = 10
 
 
 class Footprint:
-    """Frees the cells under the robot, and marks its trail.
+    """The cells under the robot: it frees them, and marks its trail.
 
     Attributes:
         cell: world cell of the robot at the last update; None: unknown.

@@ -55,7 +55,7 @@ def pixel_samples(camera: CameraModel, range_m: float) -> PixelSamples:
 
 
 class ScanReader:
-    """Classifies the newest points of a sensor: floor, step or obstacle of a height.
+    """A reader of scans: it finds floor, steps and heights of obstacles in the newest points.
 
     Args:
         config: settings of the map.

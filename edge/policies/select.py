@@ -27,9 +27,9 @@ the shortest one. Straight lines go through walls, so the shortest one often cha
 # The best cell may move by this distance, or by this share of the robot's distance to the cell,
 # before the goal is replaced.
 _MOVE_M, _MOVE_SHARE = 0.3, 0.25
-_LOOK_M = (0.95, 1.2, 1.5)
-"""Distances from which the robot looks at an instance if it knows no way to stop nearer: there it
-may see one."""
+_OBSERVE_M = (0.95, 1.2, 1.5)
+"""Distances in metres from which the robot observes an instance while it knows no path to a nearer
+stop. From there it may see such a path."""
 ENOUGH_SHARE, MOST_POINTS = 0.2, 10
 """Number of surface points that must lie within the stopping distance: this share of all points,
 but at most `MOST_POINTS`. Fewer points may belong to another object in front."""
@@ -107,7 +107,7 @@ def choose(
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
         instance_of: returns the instance with an id, or None if it is gone.
-        missed_from: returns True if the robot was at a place, and the instance was out of reach.
+        missed_from: returns True if an instance (id) was out of reach from a place (x, y).
         stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH_SHARE`.
 
     Returns:
@@ -223,7 +223,7 @@ def _instance_cell(
     """Return the reachable free cell for an instance; None if there is none.
 
     If no cell is near enough to stop there, the cell is one from which the instance is in sight and
-    not far, or at the frontier on the shortest way to it, whichever way is shorter. Without both,
+    not far, or at the frontier on the shortest path to it, whichever path is shorter. Without both,
     it is next to the nearest point of the surface.
     """
     candidates, pose, points_m = context.candidates, context.pose, instance.points_m
@@ -234,12 +234,12 @@ def _instance_cell(
         found = context.map.stopping_point(points_m, within_m, points)
         if found is not None:
             return found[:2]
-    away_m = np.hypot(points_m[:, 0] - pose.x_m, points_m[:, 1] - pose.y_m)
-    xy_m = points_m[int(np.argmin(away_m)), :2]
-    frontier, way_m = _frontier_towards(candidates, xy_m, held)
-    for within_m in _LOOK_M:
+    avia_frontier_m = np.hypot(points_m[:, 0] - pose.x_m, points_m[:, 1] - pose.y_m)
+    xy_m = points_m[int(np.argmin(avia_frontier_m)), :2]
+    frontier, via_frontier_m = _frontier_towards(candidates, xy_m, held)
+    for within_m in _OBSERVE_M:
         found = context.map.stopping_point(points_m, within_m)
-        is_shorter = found is not None and found[2] + within_m <= way_m
+        is_shorter = found is not None and found[2] + within_m <= via_frontier_m
         if found is not None and is_shorter and not missed_from(instance.id, found[:2]):
             return found[:2]
     if frontier >= 0:

@@ -95,6 +95,7 @@ def outside_boxes(
 
 
 def has_mask(found: Detections, i: int) -> bool:
+    """Return True if box i has a mask that is not empty."""
     return found.mask is not None and bool(found.mask[i].any())
 
 

@@ -152,6 +152,7 @@ def build_scene(
 
 
 def scene_object(obj: MapObject, pose: SE2, regions: Grid, allowed: np.ndarray) -> SceneObject:
+    """Return an object as a scene shows it, with the allowed points nearest to it."""
     position, size, heading = box_around(obj.points_m)
     return SceneObject(
         obj.id, obj.label, caption_with_place(obj.caption, position, size, pose), position,

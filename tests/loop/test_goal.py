@@ -97,6 +97,8 @@ class Things(dict):
     def verified(self, instance: Instance, pose: SE2) -> bool:
         return self.confirmed(instance) and instance.id not in self.one_sided
 
+    verified_now = verified
+
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
 
@@ -294,6 +296,17 @@ def test_a_place_from_which_an_object_was_out_of_reach_is_no_goal_again():
     case.answer("reached")
     case.judge(pose=HERE)
     assert case.choose(*things).pose.x_m == 2.0
+
+
+def test_once_the_map_was_opened_an_object_may_be_in_reach_again():
+    case = Case()
+    search = case.goals.chooser.search
+    search.mark_missed(9, (4.0, 0.0))
+    case.turn_round()
+    assert search.missed_from(9, (4.0, 0.0))
+    case.map.arrived = True
+    case.tick(after_s=11.0)  # nothing is left, so the cells of those who came are freed
+    assert (case.map.arrived, search.missed_from(9, (4.0, 0.0))) == (False, False)
 
 
 @pytest.mark.parametrize(

@@ -161,14 +161,14 @@ def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, pl
 
 
 @pytest.mark.parametrize(("x_m", "verified"), [(0.0, False), (0.6, True)])
-def test_an_object_whose_score_has_fallen_needs_another_viewpoint(scene, x_m, verified):
+def test_a_fallen_score_needs_another_viewpoint(scene, x_m, verified):
     s = scene(confirm_hits=4, confirm_score=0.5)
     for at_m in (0.0, 0.0, x_m, x_m):
         s.see(("chair", 2, 0, 0.6), x_m=at_m)
     for _ in range(4):
         (chair,) = s.see(("chair", 2, 0, 0.3), x_m=x_m)
     assert (chair.is_confirmed, chair.score < 0.5) == (True, True)
-    assert s.tracker.verified(chair, SE2(x_m, 0.0, 0.0)) == verified
+    assert s.tracker.verified_now(chair, SE2(x_m, 0.0, 0.0)) == verified
 
 
 def test_merged_objects_keep_the_viewpoint_of_their_hits(scene):

@@ -129,7 +129,7 @@ class Pursuit(Generic[DestinationType]):
         A remembered object must be seen again: it may have been moved.
         """
         seen_again = self._since_ns is not None and instance.last_seen_ns >= self._since_ns
-        return seen_again and self._map.tracker.verified(instance, pose)
+        return seen_again and self._map.tracker.verified_now(instance, pose)
 
     def finish(self, now_ns: int) -> None:
         """End the target, or go back to a probable object: no candidate is left."""

@@ -55,7 +55,7 @@ its centre is well in view."""
 
 
 class InstanceFusion:
-    """Fuses detections of the targets into one `Instance` per object.
+    """The fusion of the targets' detections into one `Instance` per object.
 
     A detection with a score above the running score raises it by `RISE` times the difference. A
     detection below lowers it by `FALL` times the difference. Weak detections (below `tau_det`)

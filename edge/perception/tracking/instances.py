@@ -16,7 +16,7 @@ from edge.perception.tracking.track import MAX_POINTS, InstanceTrack
 from edge.types import Instance, InstanceState
 
 MAX_INSTANCES = 128
-_PROTECTED = ("confirmed", "rejected", "reached")  # states that `_limit` never drops
+_PROTECTED = ("confirmed", "rejected", "reached")  # states that `limit` never drops
 _STATES: tuple[InstanceState, ...] = get_args(InstanceState)
 # Attributes that a checkpoint saves: of an instance, and of the evidence of its track.
 _COLUMNS = (
@@ -126,16 +126,25 @@ class InstanceTracker:
 
         Args:
             instance: an instance.
-            pose: the robot's pose. If it is still at the first viewpoint, there was no other; then
-                the score must still be that of a good hit.
+            pose: the robot's pose. If it is still at the first viewpoint, there was no other.
         """
         track = self.tracks.get(instance.id)
         if track is None or not instance.is_confirmed:
             return False
-        if track.other_hits >= self.config.confirm_hits // 2:
-            return True
-        is_good = instance.score >= self.config.confirm_score_of(track.name)
-        return is_good and not track.is_other_viewpoint(pose)
+        enough = track.other_hits >= self.config.confirm_hits // 2
+        return enough or not track.is_other_viewpoint(pose)
+
+    def verified_now(self, instance: Instance, pose: SE2) -> bool:
+        """Return True if an instance is `verified` and not doubtful since.
+
+        It is doubtful if there was only one viewpoint, and the score has fallen below that of a
+        good hit.
+        """
+        c, track = self.config, self.tracks.get(instance.id)
+        if track is None or not self.verified(instance, pose):
+            return False
+        enough = track.other_hits >= c.confirm_hits // 2
+        return enough or instance.score >= c.confirm_score_of(track.name)
 
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.

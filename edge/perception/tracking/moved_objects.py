@@ -36,7 +36,7 @@ class VanishedObject(NamedTuple):
 
 
 class MovedObjects:
-    """Gives an object that is seen at another place the id that it had before.
+    """The objects that were moved: one seen at another place gets the id that it had before.
 
     Attributes:
         vanished: certain objects that are missing at their place and were not found elsewhere,
