@@ -7,11 +7,11 @@ from edge.mission.spec import MissionSpec
 
 
 class MissionProgress:
-    """The automaton's state and the letters that led to it, in the current round.
+    """The automaton's state and the trace that led to it, in the current round.
 
     Attributes:
         state: the automaton's state.
-        trace: letters, oldest first.
+        trace: propositions that became true, oldest first; `NOTHING` is a step without one.
         round: number of the current round, from 1, of a mission that repeats.
     """
 

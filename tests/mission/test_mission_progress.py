@@ -1,4 +1,4 @@
-"""Progress of a mission through its formula: letters, forbidden targets, rounds."""
+"""Progress of a mission through its formula: trace, forbidden targets, rounds."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ def progress(formula: str = IN_ORDER, repeat: Repetition | None = None) -> Missi
 
 
 def test_letters_lead_to_acceptance_and_a_new_round_begins_again():
-    way = progress(repeat=Repetition(3))
-    assert (way.trace, way.accepted, way.forbidden) == ((), False, ("bed",))
+    run = progress(repeat=Repetition(3))
+    assert (run.trace, run.accepted, run.forbidden) == ((), False, ("bed",))
     for letter in ("dock", "shelf"):
-        way.advance(letter)
-    assert (way.trace, way.accepted, way.forbidden) == (("dock", "shelf"), True, ())
-    way.begin_round()
-    assert (way.round, way.trace, way.accepted, way.forbidden) == (2, (), False, ("bed",))
+        run.advance(letter)
+    assert (run.trace, run.accepted, run.forbidden) == (("dock", "shelf"), True, ())
+    run.begin_round()
+    assert (run.round, run.trace, run.accepted, run.forbidden) == (2, (), False, ("bed",))
 
 
 def test_a_mission_that_does_not_repeat_leaves_nothing_out():
-    way = progress()
-    assert not way.leave_out("dock")
-    assert way.trace == ()
+    run = progress()
+    assert not run.leave_out("dock")
+    assert run.trace == ()
 
 
 def test_a_forbidden_target_is_never_left_out():
-    way = progress(repeat=Repetition())
-    assert not way.leave_out("bed")
-    assert way.leave_out("dock")
-    assert way.trace == ("dock",)
+    run = progress(repeat=Repetition())
+    assert not run.leave_out("bed")
+    assert run.leave_out("dock")
+    assert run.trace == ("dock",)
 
 
 def test_not_all_targets_are_left_out_before_one_is_reached():
-    way = progress("F (dock & F shelf)", Repetition())
-    assert way.leave_out("dock")
-    assert not way.leave_out("shelf")
-    way.advance("")
-    assert not way.leave_out("shelf"), "nothing was reached"
-    way.advance("shelf")
-    way.begin_round()
-    assert way.leave_out("dock")
+    run = progress("F (dock & F shelf)", Repetition())
+    assert run.leave_out("dock")
+    assert not run.leave_out("shelf")
+    run.advance("")
+    assert not run.leave_out("shelf"), "nothing was reached"
+    run.advance("shelf")
+    run.begin_round()
+    assert run.leave_out("dock")
