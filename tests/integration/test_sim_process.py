@@ -22,12 +22,11 @@ from edge.config import Config, parse
 from edge.host.ports import free_port
 
 SIMULATE = """
-import json, signal, sys, threading
+import json, sys
 from edge.config import parse
+from edge.host.signals import stop_on_signals
 from edge.lab.sim.process import main
-stop = threading.Event()
-signal.signal(signal.SIGTERM, lambda *_: stop.set())
-sys.exit(main(parse(json.loads(sys.argv[1])), stop))
+sys.exit(main(parse(json.loads(sys.argv[1])), stop_on_signals()))
 """
 
 

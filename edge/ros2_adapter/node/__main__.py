@@ -24,14 +24,17 @@ log = logging.getLogger("edge.ros2_adapter")
 GRAPH_S = 0.2  # period of checks for receivers and servers
 SETTLE_S = 0.5  # time for cancelling the goal at the end
 _OPEN_AGAIN_S = 0.5  # time between two attempts to connect to the service
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # they end the node
 
 
 def main() -> int:
     """Run until standard input closes or a signal comes; return an exit code of sysexits.h."""
     logging.basicConfig(level=logging.INFO, format="ros2-adapter: %(message)s", stream=sys.stderr)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: stop.set())
+    # A thread waits for the signals: a handler must not take the event's lock, since the main
+    # thread may hold it. Threads that begin later inherit the mask.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    threading.Thread(target=_watch_signals, args=(stop,), daemon=True).start()
     plan = json.loads(sys.stdin.readline())
     threading.Thread(target=_watch_input, args=(stop,), daemon=True).start()
     try:
@@ -40,6 +43,11 @@ def main() -> int:
         log.error("%s", error)
         return os.EX_UNAVAILABLE
     return os.EX_OK
+
+
+def _watch_signals(stop: threading.Event) -> None:
+    signal.sigwait(_SIGNALS)
+    stop.set()
 
 
 def _watch_input(stop: threading.Event) -> None:
