@@ -25,6 +25,12 @@ from edge.loop.stages import STAGES, TICK_BUDGET_MS, TICK_DEADLINE_MS
 TICK = "tick"
 NOT_RUN = -1  # duration of a stage that did not run in a tick
 _NO_LIMIT = np.iinfo(np.int64).max
+# The columns of the ring: the stages, then the tick.
+_NAMES = (*(stage.name for stage in STAGES), TICK)
+_IN_TICK = (*(stage.in_tick for stage in STAGES), True)
+_IN_TICK_MASK = np.array(_IN_TICK)
+_BACKGROUND = [column for column, in_tick in enumerate(_IN_TICK) if not in_tick]
+_NOTHING_RAN = [NOT_RUN] * len(_NAMES)
 _MS_PER_NS = 1e-6
 _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
 
@@ -230,46 +236,36 @@ class LatencyRing:
     ) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: must be positive, got {capacity}")
-        self._calibration = calibration
-        slowdown = None if calibration is None else calibration.slowdown
-        self._budget_ms = [stage.budget_on(slowdown) for stage in STAGES]
-        self._tick_budget_ms = TICK_DEADLINE_MS
-        if slowdown is not None:
-            self._tick_budget_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
-        self._capacity = capacity
-        n = len(STAGES)
-        # Column n is the tick. Stages of the tick share a write position, others have their own.
-        self._spans_ns = np.full((capacity, n + 1), NOT_RUN, dtype=np.int64)
-        self._begins_ns = np.zeros(capacity, dtype=np.int64)  # of the ticks
-        self._received_ns = np.zeros((capacity, n), dtype=np.int64)  # ends of background spans
-        # Durations of the tick that runs. They are a list, because setting the items of an array
-        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`.
-        self._blank = [NOT_RUN] * (n + 1)
-        self._current_ns = list(self._blank)
-        self._tick_ns = np.full(n + 1, NOT_RUN, dtype=np.int64)
-        self._in_tick = tuple(stage.in_tick for stage in STAGES)
-        self._in_tick_columns = np.array([*self._in_tick, True])
-        limits_ms = [*self._budget_ms, TICK_DEADLINE_MS]
+        self._calibration, n = calibration, len(_NAMES)
+        slowdown, tick_ms = None, TICK_DEADLINE_MS
+        if calibration is not None:
+            slowdown = calibration.slowdown
+            tick_ms = min(TICK_BUDGET_MS * slowdown, TICK_DEADLINE_MS)
+        budget_ms = [stage.budget_on(slowdown) for stage in STAGES]
+        self._budget_ms, limits_ms = [*budget_ms, tick_ms], [*budget_ms, TICK_DEADLINE_MS]
         self._limit_ns = np.array(
             [_NO_LIMIT if ms is None else round(ms / _MS_PER_NS) for ms in limits_ms]
         )
-        self._over = np.zeros(n + 1, dtype=bool)  # buffers of `end_tick`
-        self._ran = np.zeros(n + 1, dtype=bool)
-        self._overruns = np.zeros(n + 1, dtype=np.int64)
-        self._count = np.zeros(n + 1, dtype=np.int64)
-        self._drops = [0] * n
-        self._abandoned = [0] * n
-        self._ticks = 0
+        # Stages of the tick share its write position, background stages have their own.
+        self._spans_ns = np.full((capacity, n), NOT_RUN, dtype=np.int64)
+        self._stamps_ns = np.zeros((capacity, n), dtype=np.int64)  # tick: start; background: end
+        # Durations of the tick that runs. They are a list, because setting the items of an array
+        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`.
+        self._current_ns = list(_NOTHING_RAN)
+        self._tick_ns, self._flags = np.array(_NOTHING_RAN), np.zeros(n, dtype=bool)
+        self._overruns = np.zeros(n, dtype=np.int64)
+        self._count = np.zeros(n, dtype=np.int64)
+        self._drops, self._abandoned = [0] * len(STAGES), [0] * len(STAGES)
         # Start of the tick, moved forward by `exclude_elapsed`; the newest mark; the true start.
         self._begin_ns = self._marked_ns = self._cycle_begin_ns = 0
         self._last_cycle_begin_ns: int | None = None  # `_cycle_begin_ns` of the tick before
-        self._durations = Histograms(n + 1, STAGE_BOUNDS_S)
+        self._durations = Histograms(n, STAGE_BOUNDS_S)
         self._intervals = Histograms(1, INTERVAL_BOUNDS_S)
         self._lock = threading.Lock()
 
     def begin_tick(self, t_ns: int) -> None:
         """Start a tick. A tick that was not ended is dropped."""
-        self._current_ns[:] = self._blank
+        self._current_ns[:] = _NOTHING_RAN
         self._begin_ns = self._marked_ns = self._cycle_begin_ns = t_ns
 
     def mark(self, stage: int, t_ns: int) -> None:
@@ -282,7 +278,7 @@ class LatencyRing:
 
     def span(self, stage: int, duration_ns: int) -> None:
         """Add a duration of a stage. The durations of a stage in one tick are added up."""
-        if self._in_tick[stage]:
+        if _IN_TICK[stage]:
             before_ns = self._current_ns[stage]
             self._current_ns[stage] = duration_ns if before_ns < 0 else before_ns + duration_ns
         else:
@@ -290,9 +286,9 @@ class LatencyRing:
 
     def _background_span(self, stage: int, duration_ns: int) -> None:
         with self._lock:
-            i = self._count[stage] % self._capacity
+            i = self._count[stage] % len(self._spans_ns)
             self._spans_ns[i, stage] = duration_ns
-            self._received_ns[i, stage] = self._marked_ns
+            self._stamps_ns[i, stage] = self._marked_ns
             self._count[stage] += 1
             self._overruns[stage] += duration_ns > self._limit_ns[stage]
             self._durations.add_one(stage, duration_ns)
@@ -305,18 +301,14 @@ class LatencyRing:
     def end_tick(self, t_ns: int) -> None:
         """End the tick and add it to the ring."""
         self._current_ns[-1] = t_ns - self._begin_ns
-        tick_ns = self._tick_ns
-        tick_ns[:] = self._current_ns
-        np.greater(tick_ns, self._limit_ns, out=self._over)
-        np.greater_equal(tick_ns, 0, out=self._ran)
+        self._tick_ns[:] = self._current_ns
         before_ns, self._last_cycle_begin_ns = self._last_cycle_begin_ns, self._cycle_begin_ns
         with self._lock:
-            i = self._ticks % self._capacity
-            self._begins_ns[i] = self._begin_ns
-            np.copyto(self._spans_ns[i], tick_ns, where=self._in_tick_columns)
-            self._overruns += self._over
-            self._count += self._ran
-            self._ticks += 1
+            i = self._count[-1] % len(self._spans_ns)
+            self._stamps_ns[i, -1] = self._begin_ns
+            np.copyto(self._spans_ns[i], self._tick_ns, where=_IN_TICK_MASK)
+            self._overruns += np.greater(self._tick_ns, self._limit_ns, out=self._flags)
+            self._count += np.greater_equal(self._tick_ns, 0, out=self._flags)
             self._durations.add(self._current_ns)
             if before_ns is not None:
                 self._intervals.add_one(0, self._cycle_begin_ns - before_ns)
@@ -339,49 +331,45 @@ class LatencyRing:
         """Return percentiles over the last `last` ticks and background spans (None: all kept)."""
         with self._lock:
             # By column: the newest ticks. Background stages have their own write positions.
-            windows = list(self._spans_ns[self._newest(self._ticks, last)].T)
-            for i in np.flatnonzero(~self._in_tick_columns):
-                windows[i] = self._spans_ns[self._newest(int(self._count[i]), last), i]
+            windows = list(self._spans_ns[self._newest(-1, last)].T)
+            for i in _BACKGROUND:
+                windows[i] = self._spans_ns[self._newest(i, last), i]
             count, overruns = self._count.tolist(), self._overruns.tolist()
-            drops = tuple(map(sum, zip(self._drops, self._abandoned, strict=True)))
-        rows = tuple(
-            StageLatency(s.name, budget_ms, *_summary(window), n, over, dropped, s.in_tick)
-            for s, budget_ms, window, n, over, dropped in zip(
-                STAGES, self._budget_ms, windows, count, overruns, drops, strict=False
+            drops = list(map(sum, zip(self._drops, self._abandoned, strict=True)))
+        *rows, tick = (
+            StageLatency(name, budget_ms, *_summary(window), n, over, dropped, in_tick)
+            for name, budget_ms, window, n, over, dropped, in_tick in zip(
+                _NAMES, self._budget_ms, windows, count, overruns, [*drops, sum(drops)], _IN_TICK,
+                strict=True,
             )
-        )
-        values = (*_summary(windows[-1]), count[-1], overruns[-1], sum(drops))
-        tick = StageLatency(TICK, self._tick_budget_ms, *values)
-        return LatencyReport(rows, tick, calibration=self._calibration)
+        )  # fmt: skip
+        return LatencyReport(tuple(rows), tick, calibration=self._calibration)
 
     def histograms(self) -> LatencyHistograms:
         """Return histograms of all ticks and background spans since the start."""
         with self._lock:
             *stages, tick = self._durations.read()
             (interval,) = self._intervals.read()
-        names = (stage.name for stage in STAGES)
-        return LatencyHistograms(dict(zip(names, stages, strict=True)), tick, interval)
+        return LatencyHistograms(dict(zip(_NAMES, stages, strict=False)), tick, interval)
 
     def spans(self, after_ns: int = 0) -> list[Span]:
         """Return the kept spans: ticks with their stages, oldest first, then background spans.
 
         Only ticks that began, and background spans that ended, after `after_ns`.
         """
-        background_columns = np.flatnonzero(~self._in_tick_columns)
         with self._lock:
-            rows = self._newest(self._ticks, None)
-            begins_ns, spans_ns = self._begins_ns[rows], self._spans_ns[rows]
-            background = [(i, self._newest(int(self._count[i]), None)) for i in background_columns]
+            rows = self._newest(-1, None)
+            begins_ns, spans_ns = self._stamps_ns[rows, -1], self._spans_ns[rows]
+            background = [(i, self._newest(i, None)) for i in _BACKGROUND]
             # By background stage: its column, and the end and duration of each span.
-            ends_ns = [(i, self._received_ns[at, i], self._spans_ns[at, i]) for i, at in background]
+            ends_ns = [(i, self._stamps_ns[at, i], self._spans_ns[at, i]) for i, at in background]
         wanted = begins_ns > after_ns
-        names = [stage.name for stage in STAGES]
         found: list[Span] = []
         for begin_ns, row in zip(
             begins_ns[wanted].tolist(), spans_ns[wanted].tolist(), strict=True
         ):
             found.append(Span(TICK, begin_ns, row[-1], True))
-            for name, in_tick, took_ns in zip(names, self._in_tick, row, strict=False):
+            for name, in_tick, took_ns in zip(_NAMES[:-1], _IN_TICK, row, strict=False):
                 if in_tick and took_ns >= 0:
                     found.append(Span(name, begin_ns, took_ns, True))
                     begin_ns += took_ns
@@ -390,14 +378,15 @@ class LatencyRing:
             for end_ns, took_ns in zip(
                 stage_ends_ns[wanted].tolist(), took[wanted].tolist(), strict=True
             ):
-                found.append(Span(names[i], end_ns - took_ns, took_ns, False))
+                found.append(Span(_NAMES[i], end_ns - took_ns, took_ns, False))
         return found
 
-    def _newest(self, written: int, last: int | None) -> np.ndarray:
-        """Return the rows of the newest `last` spans of the `written` ones."""
-        kept = min(written, self._capacity)
+    def _newest(self, column: int, last: int | None) -> np.ndarray:
+        """Return the rows of the newest `last` spans of a column."""
+        written, capacity = int(self._count[column]), len(self._spans_ns)
+        kept = min(written, capacity)
         take = kept if last is None else max(0, min(last, kept))
-        return np.arange(written - take, written) % self._capacity
+        return np.arange(written - take, written) % capacity
 
 
 def _summary(window_ns: np.ndarray) -> tuple[int, float, float, float, float]:
