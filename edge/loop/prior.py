@@ -38,20 +38,21 @@ class LocationPrior:
         by: `cooccurrence`, `rooms`, or `both`.
         table: Co-occurrence table of objects and rooms.
         words: Maps words to rows of the table.
+
+    Attributes:
+        words: As in `Args`; with the detector's vocabulary if it has one.
     """
 
     def __init__(self, by: str, table: ObjectPrior, words: PriorWordIndex) -> None:
-        self._by, self._table, self._words = by, table, words
+        self.words = words
+        self._by, self._table = by, table
         self._index = SeenObjectIndex(words)
-        self._p_object_given_kind = rooms.object_given_room(table)
-        self._p_kind = rooms.room_prior(table)
         self._objects: TrackedObjects | None = None
         self._regions_version = 0
         self._regions = NO_REGIONS
         # Places of the newest `likelihood_ratio`, what is around them (`_surroundings`), and the
-        # ratio by target; valid for this version of the objects, and of regions and places.
-        self._objects_version = -1
-        self._places_version: tuple[int, int] | None = None
+        # ratio by target; valid for this version of the objects and of the regions.
+        self._places_version = (-1, -1)
         self._xy_m = np.zeros((0, 2), np.float32)
         self._near_objects = np.zeros((0, len(table.things)), np.float32)
         self._room_kinds = np.zeros((0, len(table.kinds)))
@@ -59,11 +60,6 @@ class LocationPrior:
         # Layers by target, for this version of the objects and of the regions.
         self._layers: dict[str, Callable[[], Grid]] = {}
         self._layers_version = (-1, -1)
-
-    @property
-    def words(self) -> PriorWordIndex:
-        """Index of the words, with the detector's vocabulary if it has one."""
-        return self._words
 
     def step(self, regions: RegionMap, objects: TrackedObjects) -> None:
         """Use the newest regions of the map and the objects seen; call it once a tick."""
@@ -81,7 +77,7 @@ class LocationPrior:
             out: (n or more,) float32, written for the first n. 1 if nothing is known; always
                 between `LEAST` and `MOST`.
         """
-        row = self._words.row(target)
+        row = self.words.row(target)
         if row < 0 or n == 0 or self._objects is None or self._objects.n == 0:
             out[:n] = 1.0
             return
@@ -97,7 +93,7 @@ class LocationPrior:
             A function for any thread and any time. It returns a grid of uint8 on a logarithmic
             scale: 0 if nothing is known, else 1 (`LEAST`) … 128 (average place) … 255 (`MOST`).
         """
-        objects, regions, row = self._objects, self._regions, self._words.row(target)
+        objects, regions, row = self._objects, self._regions, self.words.row(target)
         if objects is None or objects.n == 0 or row < 0:
             return lambda: NO_REGIONS.grid
         if self._layers_version != (objects.generation, self._regions_version):
@@ -131,19 +127,15 @@ class LocationPrior:
         if self._by != "cooccurrence":
             # [0] is the exponent for `rooms` alone, [1] that for `both`.
             power = self._table.room_power[self._by == "both"]
-            by_room = rooms.likelihood_ratio(
-                self._p_object_given_kind, self._p_kind, row, room_kinds
-            )
-            ratio *= by_room**power
+            ratio *= rooms.likelihood_ratio(self._table, row, room_kinds) ** power
         return np.clip(ratio, LEAST, MOST, out=ratio)
 
     def _update_places(self, objects: TrackedObjects, xy_m: np.ndarray) -> None:
         """Compute the near objects and the rooms of these places, if something changed."""
-        version = self._regions_version, len(xy_m)
-        same = objects.generation == self._objects_version and self._places_version == version
-        if same and np.array_equal(xy_m, self._xy_m):
+        version = objects.generation, self._regions_version
+        if version == self._places_version and np.array_equal(xy_m, self._xy_m):
             return
-        self._objects_version, self._places_version = objects.generation, version
+        self._places_version = version
         self._xy_m = np.array(xy_m, np.float32)
         self._ratios.clear()
         seen = self._index.of(objects)
@@ -175,8 +167,7 @@ class LocationPrior:
     ) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
         objects = objects_by_region(regions, seen, len(self._table.things))
-        by_region = kinds_by_region(self._table, self._p_object_given_kind, regions.border, objects)
-        return by_region[regions.at(xy_m)]
+        return kinds_by_region(self._table, regions.border, objects)[regions.at(xy_m)]
 
 
 def make_prior(config: Config, words: PriorWordIndex) -> LocationPrior | None:

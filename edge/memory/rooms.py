@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +48,7 @@ _TYPICAL_RATIO = 1.5
 """
 
 
+@lru_cache(maxsize=8)
 def _kind_log_ratio(table: ObjectPrior) -> np.ndarray:
     """Return log P(thing in a room | kind) / P(thing in a room), (kinds, things) float64."""
     p_object_given_kind = kind_model.object_given_room(table)
@@ -101,20 +102,16 @@ def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -
     return confidence
 
 
-def kinds_by_region(
-    table: ObjectPrior, p_object_given_kind: np.ndarray, border: np.ndarray, held: np.ndarray
-) -> np.ndarray:
+def kinds_by_region(table: ObjectPrior, border: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
 
     Args:
         table: the prior.
-        p_object_given_kind: see `edge.perception.prior.rooms.object_given_room`.
         border: see `edge.mapping.regions.border_lengths`.
         held: see `objects_by_region`.
     """
-    return kind_model.room_posterior_at(
-        table, p_object_given_kind, held, held[kind_model.adjacent_regions(border, held)]
-    )
+    adjacent = kind_model.adjacent_regions(border, held)
+    return kind_model.room_posterior_at(table, held, held[adjacent])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,9 +193,7 @@ class RoomMemory:
         self.survey: RoomSurvey = NO_SURVEY
         self.version = 0
         self.rooms: tuple[MappedRoom, ...] = ()
-        # (kinds, things) P(thing in a room | kind of room).
-        self._table, self._p_object_given_kind = table, kind_model.object_given_room(table)
-        self._kind_log_ratio = _kind_log_ratio(table)
+        self._table = table
         self._index = SeenObjectIndex(words)
         # (regions + 1, kinds), P(kind of room | objects seen) of each region at the last update.
         self._belief = kind_model.room_prior(table)[None]
@@ -238,13 +233,11 @@ class RoomMemory:
         regions, objects = self.survey.regions, self._index.of(sightings)
         held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
-        self._belief = kinds_by_region(self._table, self._p_object_given_kind, regions.border, held)
+        self._belief = kinds_by_region(self._table, regions.border, held)
         shapes, named = self.survey.shapes, _names_by_room(self.survey, self._names)
         region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
-        chance = kind_model.included_kinds(
-            self._table, self._p_object_given_kind, held[region], area_m2
-        )
+        chance = kind_model.included_kinds(self._table, held[region], area_m2)
         self.rooms = tuple(
             _mapped_room(
                 shape,
@@ -346,9 +339,10 @@ class RoomMemory:
         is_inside = self.survey.ids[self.survey.regions.at(objects.xyz_m)] == room.id
         inside = np.flatnonzero(is_inside & (objects.row >= 0))
         others = [self._table.kinds.index(k) for k in room.kinds if k in self._table.kinds]
-        rows = [self._kind_log_ratio[other] for other in others if other != column]
+        log_ratio = _kind_log_ratio(self._table)
+        rows = [log_ratio[other] for other in others if other != column]
         other_kinds = np.maximum(0.0, np.max(rows, axis=0)) if rows else 0.0
-        ratio = np.maximum(self._kind_log_ratio[column] - other_kinds, -_MAX_AGAINST)
+        ratio = np.maximum(log_ratio[column] - other_kinds, -_MAX_AGAINST)
         weights = ratio[objects.row[inside]] * objects.weight[inside]
         return objects.xyz_m[inside, :2], weights.astype(np.float64)
 

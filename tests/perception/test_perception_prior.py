@@ -104,7 +104,7 @@ def test_room_kinds_follow_from_their_objects():
     assert chance[0, BED] == pytest.approx(4 * 50.5 / 101 / 44)
     held = np.zeros((3, 3), np.float32)
     held[1, TOILET] = held[2, BED] = 1
-    belief = rooms.room_posterior(TABLE, chance, held)
+    belief = rooms.room_posterior(TABLE, held)
     np.testing.assert_allclose(belief.sum(1), 1)
     assert belief[0] == pytest.approx(prior)
     by_bayes = prior * chance[:, TOILET]
@@ -120,22 +120,23 @@ def test_without_objects_the_adjacent_room_decides():
     """
     data = {**DATA["kinds"], "doors": [[0, 90], [90, 0]], "pairs": [[200, 100], [100, 200]]}
     t = table.parse({**DATA, "kinds": data})
-    chance, prior = rooms.object_given_room(t), rooms.room_prior(t)
+    prior = rooms.room_prior(t)
     nothing, toilet = np.zeros((1, 3), np.float32), np.eye(3, dtype=np.float32)[None, TOILET]
-    own = rooms.room_posterior_at(t, chance, toilet, nothing)
-    beside = rooms.room_posterior_at(t, chance, nothing, toilet)
-    assert rooms.room_posterior_at(t, chance, nothing, nothing)[0] == pytest.approx(prior)
+    own = rooms.room_posterior_at(t, toilet, nothing)
+    beside = rooms.room_posterior_at(t, nothing, toilet)
+    assert rooms.room_posterior_at(t, nothing, nothing)[0] == pytest.approx(prior)
     assert own[0, 0] > 0.9
     assert prior[1] < beside[0, 1] < 0.9
     assert t.neighbours[0, 0] == 1
 
 
-def test_rooms_lift():
+def test_rooms_lift(monkeypatch):
     chance = np.array([[0.1, 0.1, 0.8], [0.8, 0.3, 0.2]])
-    prior = np.array([0.5, 0.5])
+    monkeypatch.setattr(rooms, "object_given_room", lambda table: chance)
+    monkeypatch.setattr(rooms, "room_prior", lambda table: np.array([0.5, 0.5]))
     belief = np.array([[1.0, 0.0], [0.5, 0.5]])
-    assert rooms.likelihood_ratio(chance, prior, TOILET, belief) == pytest.approx([1.6, 1.0])
-    assert rooms.likelihood_ratio(chance, prior, -1, belief).tolist() == [1, 1]
+    assert rooms.likelihood_ratio(TABLE, TOILET, belief) == pytest.approx([1.6, 1.0])
+    assert rooms.likelihood_ratio(TABLE, -1, belief).tolist() == [1, 1]
 
 
 @given(seed=st.integers(0, 2**31))

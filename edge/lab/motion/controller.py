@@ -56,20 +56,18 @@ class Controller:
     """
 
     def __init__(self, settings: config.Config) -> None:
-        self._motion = settings.motion
-        self._limits = MotionLimits.of(settings.robot)
-        self.route = Route(self._limits)
+        self._settings = settings
+        self.route = Route(MotionLimits.of(settings.robot))
         self._stuck = StuckDetector(settings.motion.stuck_s)
         self._contact = ContactDetector(CONTACT_M, STUCK_M)
         self._progress = ProgressMonitor(6 * settings.motion.stuck_s)
-        self._radius_m = settings.robot.radius_m
         self._trail = BacktrackPath()  # the last metres that the robot drove
         self._recovery_failed_at: SE2 | None = None  # pose, if the last recovery did not move it
         self._now_ns: int | None = None
         self._last_command = STOP
         self._goal: SE2 | None = None  # None: the robot stands
-        self._newest_goal: tuple[int, SE2] | None = None  # stamp and pose, also after its end
-        self._replaced: deque[tuple[int, SE2]] = deque(maxlen=MAX_REPLACED)
+        # Stamps and poses of goals, the newest last, also after its end.
+        self._received: deque[tuple[int, SE2]] = deque(maxlen=1 + MAX_REPLACED)
         self._status: GoalStatus | None = None  # of the newest goal
         self._blocked: tuple[float, float] | None = None  # where this step was held up
         self._start_goal(None)
@@ -99,21 +97,19 @@ class Controller:
                 f"resolution of the map: expected {MIN_CELL_M:g} to {MAX_CELL_M:g} m, got "
                 f"{grid.resolution_m:g} m"
             )
-        clearance_m = self._motion.clearance_m
+        clearance_m = self._settings.motion.clearance_m
         self.route.on_map(costmap.from_occupancy(grid, clearance_m=clearance_m, near_m=NEAR_M))
 
     def on_goal(self, stamp_ns: int, goal: SE2) -> list[GoalStatus]:
         """Start a new goal, or answer again for a repeated one; return the answers."""
         received = (stamp_ns, goal)
-        if received == self._newest_goal:
-            return [self._status]
-        if received in self._replaced:
-            return [GoalStatus(stamp_ns, "failed", "replaced by a newer goal")]
+        if received in self._received:
+            is_newest = received == self._received[-1]
+            replaced = GoalStatus(stamp_ns, "failed", "replaced by a newer goal")
+            return [self._status if is_newest else replaced]
         if not _is_finite(goal):
             return [GoalStatus(stamp_ns, "failed", "goal pose is not finite")]
-        if self._newest_goal is not None:
-            self._replaced.append(self._newest_goal)
-        self._newest_goal = received
+        self._received.append(received)
         self._start_goal(goal)
         self._status = GoalStatus(stamp_ns, "accepted")
         return [self._status]
@@ -139,7 +135,7 @@ class Controller:
                 # Report the place once; the stored status does not have it.
                 answers = [replace(self._status, blocked=self._blocked)]
         last = self._last_command
-        self._last_command = self._limits.ramp(wanted, last, dt_s) if wanted.moves else STOP
+        self._last_command = self.route.limits.ramp(wanted, last, dt_s) if wanted.moves else STOP
         return self._last_command, answers
 
     def pause(self) -> None:
@@ -156,13 +152,13 @@ class Controller:
         last = now_ns if self._now_ns is None else self._now_ns
         if now_ns < last - RESTART_NS:
             self._start_goal(None)
-            self._newest_goal = self._status = self.route.map = None
-            self._replaced.clear()
+            self._status = self.route.map = None
+            self._received.clear()
         elif now_ns > last + RESTART_NS:
             self.pause()  # the robot's motion during the gap is unknown
         self._now_ns = now_ns
         # A first step, or one after a gap, may change the speed like any other.
-        return min(max((now_ns - last) / 1e9, 1.0 / self._motion.rate_hz), 0.2)
+        return min(max((now_ns - last) / 1e9, 1.0 / self._settings.motion.rate_hz), 0.2)
 
     # -- driving --------------------------------------------------------------------------------
 
@@ -175,7 +171,7 @@ class Controller:
             if command is not None:
                 return command
             if self._recovery.is_held(pose):  # something behind the robot blocks it
-                self._blocked = pose.ahead(-self._radius_m)
+                self._blocked = pose.ahead(-self._settings.robot.radius_m)
             # If no attempt moved the robot here, the next one takes another way (`_recover`).
             self._recovery_failed_at = None if self._recovery.has_moved(pose) else pose
             self._recovery = None
@@ -197,10 +193,9 @@ class Controller:
         if still and error <= YAW_TOLERANCE_RAD:
             self._finish("reached")
             return STOP
-        # Stop well inside the tolerance, so that coasting does not leave it.
-        return (
-            STOP if error <= 0.5 * YAW_TOLERANCE_RAD else turn_to(pose, goal.yaw_rad, self._limits)
-        )
+        if error <= 0.5 * YAW_TOLERANCE_RAD:  # well inside the tolerance: coasting stays in it
+            return STOP
+        return turn_to(pose, goal.yaw_rad, self.route.limits)
 
     def _travel(self, pose: SE2, now_ns: int) -> VelocityCommand:
         """Drive along the path; plan first if it is time for that."""
@@ -220,7 +215,8 @@ class Controller:
     def _recover(self, pose: SE2, repeat_m: float, now_ns: int) -> VelocityCommand:
         """Start a recovery; fail if the last one was nearer than `repeat_m`."""
         if self._last_command.v_mps != 0.0:
-            self._blocked = pose.ahead(math.copysign(self._radius_m, self._last_command.v_mps))
+            radius_m = self._settings.robot.radius_m
+            self._blocked = pose.ahead(math.copysign(radius_m, self._last_command.v_mps))
         last = self._last_recovery_at
         if last is not None and pose.distance_to(last.x_m, last.y_m) < repeat_m:
             self._finish("failed", "stuck")
@@ -232,7 +228,7 @@ class Controller:
             and pose.distance_to(failed_at.x_m, failed_at.y_m) < REPEAT_CONTACT_M
         )
         trail = None if failed_here else self._trail  # None: try another way than back
-        self._recovery = Recovery(pose, self.route.map, trail, self._limits, now_ns)
+        self._recovery = Recovery(pose, self.route.map, trail, self.route.limits, now_ns)
         return STOP
 
     def _finish(self, state: str, reason: str = "") -> None:

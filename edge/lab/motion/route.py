@@ -40,6 +40,7 @@ class Route:
     """The path to one goal.
 
     Attributes:
+        limits: highest speeds and accelerations.
         map: the newest map; None: there is none yet.
         path_m: (n, 2) float64, the path that the robot follows; (0, 2) if there is none.
         target: x and y of the goal, or of a free cell next to it, see `SNAP_M`.
@@ -47,7 +48,7 @@ class Route:
 
     def __init__(self, limits: MotionLimits) -> None:
         self.map: costmap.CostMap | None = None
-        self._limits = limits
+        self.limits = limits
         self._workspace = astar.Workspace()
         self.start(None)
 
@@ -163,13 +164,13 @@ class Route:
         for fraction in AIM_FRACTIONS:
             k = index_ahead(self.path_m, self._index, fraction * LOOKAHEAD_M)
             aim = (float(self.path_m[k, 0]), float(self.path_m[k, 1]))
-            command = pursue(pose, *aim, remaining_m, self._limits)
+            command = pursue(pose, *aim, remaining_m, self.limits)
             if smoothing.line_is_free(self.map, here, aim) and self._is_clear(pose, command):
                 return command
         # Every arc touches an obstacle: face the nearest aim, then creep towards it.
         bearing = pose.bearing_to(*aim)
         if abs(bearing) > FACING_RAD:
-            return turn_by(bearing, self._limits)
+            return turn_by(bearing, self.limits)
         scale = CAREFUL_MPS / max(command.v_mps, CAREFUL_MPS)
         return VelocityCommand(command.v_mps * scale, command.w_radps * scale)
 

@@ -7,6 +7,7 @@ doors; it holds one room, or two without a wall between them.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -27,6 +28,7 @@ _P_TWO = 0.1  # probability of two rooms in a region of at least _TWO_ROOMS_M2
 _TWO_ROOMS_M2 = 20.0  # area; below it, two rooms are less likely by a factor of e per m²
 
 
+@lru_cache(maxsize=8)
 def object_given_room(table: ObjectPrior) -> np.ndarray:
     """Return P(a thing is in view in a room | kind of the room).
 
@@ -40,12 +42,13 @@ def object_given_room(table: ObjectPrior) -> np.ndarray:
     return (rooms_with + _PRIOR_ROOMS * share) / (table.kind_rooms[:, None] + _PRIOR_ROOMS)
 
 
+@lru_cache(maxsize=8)
 def room_prior(table: ObjectPrior) -> np.ndarray:
     """Return P(kind) of a room without evidence: (kinds,) float64, sums to 1."""
     return table.kind_rooms / table.kind_rooms.sum()
 
 
-def room_posterior(table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def room_posterior(table: ObjectPrior, seen: np.ndarray) -> np.ndarray:
     """Return P(kind | things seen in the region): naive Bayes.
 
     Each thing counts with the weight `ObjectPrior.evidence`, since things are not independent.
@@ -53,33 +56,29 @@ def room_posterior(table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray) ->
 
     Args:
         table: the learned counts.
-        p_thing: see `object_given_room`.
         seen: (m, things) float32 in [0, 1], confidence that each thing is in each region.
 
     Returns:
         (m, kinds) float64, rows sum to 1.
     """
-    prior = room_prior(table)
+    prior, p_thing = room_prior(table), object_given_room(table)
     log_ratio = np.log(p_thing) - np.log(prior @ p_thing)
     log_p = np.log(prior) + table.evidence * (seen @ log_ratio.T)
     p = np.exp(log_p - log_p.max(1, keepdims=True))
     return p / p.sum(1, keepdims=True)
 
 
-def included_kinds(
-    table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray, area_m2: np.ndarray
-) -> np.ndarray:
+def included_kinds(table: ObjectPrior, seen: np.ndarray, area_m2: np.ndarray) -> np.ndarray:
     """Return P(a region holds a room of a kind | things seen in it): (m, kinds) float64.
 
     A region holds one room, or two of different kinds. So rows may sum to more than 1.
 
     Args:
         table: the learned counts.
-        p_thing: see `object_given_room`.
         seen: (m, things) float32 in [0, 1], confidence that each thing is in each region.
         area_m2: (m,) areas.
     """
-    prior, k = room_prior(table), len(table.kinds)
+    prior, p_thing, k = room_prior(table), object_given_room(table), len(table.kinds)
     # Hypotheses: each kind alone, then each pair of kinds.
     members = [(i,) for i in range(k)] + list(combinations(range(k), 2))
     log_p = np.empty((len(seen), len(members)))
@@ -108,7 +107,7 @@ def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarra
 
 
 def room_posterior_at(
-    table: ObjectPrior, p_thing: np.ndarray, seen: np.ndarray, seen_adjacent: np.ndarray
+    table: ObjectPrior, seen: np.ndarray, seen_adjacent: np.ndarray
 ) -> np.ndarray:
     """Return P(kind) of the room that each place is in: (m, kinds) float64.
 
@@ -117,14 +116,13 @@ def room_posterior_at(
 
     Args:
         table: the learned counts.
-        p_thing: see `object_given_room`.
         seen: (m, things) float32 in [0, 1], things in each place's region; see `room_posterior`.
         seen_adjacent: (m, things) float32 in [0, 1], things in the adjacent region; see
             `adjacent_regions`.
     """
-    belief = room_posterior(table, p_thing, seen)
+    belief = room_posterior(table, seen)
     nothing = ~seen.any(1)
-    adjacent = room_posterior(table, p_thing, seen_adjacent[nothing])
+    adjacent = room_posterior(table, seen_adjacent[nothing])
     belief[nothing] = adjacent_room_posterior(table, adjacent)
     belief[nothing & ~seen_adjacent.any(1)] = room_prior(table)
     return belief
@@ -145,14 +143,11 @@ def adjacent_regions(border: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.where(seen.any(1), border, 0).argmax(1)
 
 
-def likelihood_ratio(
-    p_thing: np.ndarray, prior: np.ndarray, row: int, belief: np.ndarray
-) -> np.ndarray:
+def likelihood_ratio(table: ObjectPrior, row: int, belief: np.ndarray) -> np.ndarray:
     """Return P(the room holds the target | belief) / P(a room holds the target).
 
     Args:
-        p_thing: see `object_given_room`.
-        prior: see `room_prior`.
+        table: the learned counts.
         row: the target's row in the table; -1: unknown, so the ratio is 1.
         belief: (m, kinds), P(kind) of each room.
 
@@ -161,4 +156,5 @@ def likelihood_ratio(
     """
     if row < 0:
         return np.ones(len(belief))
-    return (belief @ p_thing[:, row]) / (prior @ p_thing[:, row])
+    p_thing = object_given_room(table)[:, row]
+    return (belief @ p_thing) / (room_prior(table) @ p_thing)

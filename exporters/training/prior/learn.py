@@ -148,13 +148,12 @@ def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
 
 def fit_evidence(samples: Samples, table: ObjectPrior) -> float:
     """Return the `ObjectPrior.evidence` that best predicts the kind of regions with objects."""
-    p_object_given_kind = rooms.object_given_room(table)
     informative = (samples.kind >= 0) & samples.in_region.any(1)
     seen, kind = samples.in_region[informative].astype(np.float32), samples.kind[informative]
     weight = _weights(samples.house[informative])
 
     def loss(evidence: float) -> float:
-        p = rooms.room_posterior(replace(table, evidence=evidence), p_object_given_kind, seen)
+        p = rooms.room_posterior(replace(table, evidence=evidence), seen)
         return float(np.average(-np.log(p[np.arange(len(p)), kind]), weights=weight))
 
     return float(min(_GRID[1:], key=loss))
@@ -162,10 +161,9 @@ def fit_evidence(samples: Samples, table: ObjectPrior) -> float:
 
 def room_log_ratio(samples: Samples, table: ObjectPrior, target: int) -> np.ndarray:
     """Return the log likelihood ratio of each sample from the rooms only: (n,) float64."""
-    p_object_given_kind, p_kind = rooms.object_given_room(table), rooms.room_prior(table)
     seen = (part.astype(np.float32) for part in (samples.in_region, samples.in_adjacent))
-    posterior = rooms.room_posterior_at(table, p_object_given_kind, *seen)
-    return np.log(rooms.likelihood_ratio(p_object_given_kind, p_kind, target, posterior))
+    posterior = rooms.room_posterior_at(table, *seen)
+    return np.log(rooms.likelihood_ratio(table, target, posterior))
 
 
 def fit_powers(
