@@ -234,8 +234,8 @@ def _instance_cell(
         found = context.map.stopping_point(points_m, within_m, points)
         if found is not None:
             return found[:2]
-    avia_frontier_m = np.hypot(points_m[:, 0] - pose.x_m, points_m[:, 1] - pose.y_m)
-    xy_m = points_m[int(np.argmin(avia_frontier_m)), :2]
+    away_m = np.hypot(points_m[:, 0] - pose.x_m, points_m[:, 1] - pose.y_m)
+    xy_m = points_m[int(np.argmin(away_m)), :2]
     frontier, via_frontier_m = _frontier_towards(candidates, xy_m, held)
     for within_m in _OBSERVE_M:
         found = context.map.stopping_point(points_m, within_m)
