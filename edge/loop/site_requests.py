@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import TYPE_CHECKING
 
 from edge.bus.verbs import Request, Verb, check_flag, check_text, show
 from edge.errors import UserError
-from edge.memory import Place, RoomName, Site, Zone, item_of, merge_items, site_of, without_mapped
+from edge.memory import Place, RoomName, Site, Zone, item_of, site_of, without_mapped
 from edge.memory.site import MAX_NAME_CHARS, ZONE_KINDS, Item, name_of
 from edge.text import bounded_repr, one_line
 
@@ -92,7 +93,7 @@ def handle_site(service: Service, request: Request, now_ns: int) -> dict:
         text = f"removed: {name_of(fields['name'])}"
     elif request.do == "import":
         start = Site() if fields["replace"] else site
-        service.change_site(merge_items(start, fields["site"].items), now_ns)
+        service.change_site(reduce(Site.with_item, fields["site"].items, start), now_ns)
         text = f"imported: {len(fields['site'].items)} places and zones"
     if text:
         service.event(text, now_ns)

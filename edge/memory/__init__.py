@@ -31,7 +31,6 @@ from edge.memory.site import (
     Zone,
     item_of,
     memory_geojson,
-    merge_items,
     read_site,
     site_of,
     without_mapped,

@@ -323,9 +323,8 @@ class _PlaceFeature(_Model):
     geometry: _Point
 
     def item(self) -> Item:
-        x_m, y_m = self.geometry.coordinates[:2]
         heading_rad = math.radians(self.properties.heading_deg)
-        return Place(self.properties.name, SE2(x_m, y_m, heading_rad))
+        return Place(self.properties.name, SE2(*self.geometry.coordinates[:2], heading_rad))
 
 
 class _RoomFeature(_Model):
@@ -355,7 +354,7 @@ class _ZoneFeature(_Model):
 def _kind(value: Any) -> str:
     """Return the tag of a feature's class in the union; a feature without a kind is a place."""
     properties = value.get("properties") if isinstance(value, dict) else None
-    kind = properties.get("kind", "place") if isinstance(properties, dict) else None
+    kind = properties.get("kind") if isinstance(properties, dict) else None
     return "zone" if kind in ZONE_KINDS else "room" if kind == "room" else "place"
 
 
@@ -524,10 +523,3 @@ class SiteFile:
             write_site(self.path, site)
         except OSError as error:
             self.on_error(f"{one_line(self.path)}: not saved: {error.strerror}")
-
-
-def merge_items(site: Site, items: Iterable[Item]) -> Site:
-    """Return a site with items added. Each item replaces an item of the same name."""
-    for item in items:
-        site = site.with_item(item)
-    return site

@@ -53,31 +53,28 @@ _MIN_SCORE = -5.0
 
 Words = dict[str, float]
 """Word in the name of a topic → points."""
-# By our name of the topic: words that add points, and words that subtract them.
-_LIKELY_WORDS: dict[str, Words] = {
-    RGB: {"rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "front": 1},
-    DEPTH: {"depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "front": 1, "raw": 0.5},
-    CLOUD: {"lidar": 3, "velodyne": 3, "ouster": 3, "livox": 3, "points": 2, "front": 1},
-    SCAN: {"scan": 2, "front": 1},
-    ODOMETRY: {"odom": 2, "odometry": 2, "filtered": 1},
-}
-_UNLIKELY_WORDS: dict[str, Words] = {
+_DIRECTIONS: Words = {"front": 1, "rear": -2, "back": -2}
+_NO_PICTURES: Words = {
+    "ir": -4, "infra": -4, "mask": -6, "label": -6, "labels": -6, "segmentation": -6,
+    "semantic": -6, "disparity": -6, "confidence": -6,
+}  # fmt: skip
+_WORDS: dict[str, Words] = {
     RGB: {
-        "ir": 4, "infra": 4, "infra1": 4, "infra2": 4, "thermal": 4, "mask": 6, "label": 6,
-        "labels": 6, "segmentation": 6, "semantic": 6, "disparity": 6, "confidence": 6,
-        "debug": 3, "overlay": 3, "annotated": 3, "rear": 2, "back": 2,
+        "rgb": 4, "color": 4, "colour": 4, "image": 1, "raw": 0.5, "infra1": -4, "infra2": -4,
+        "thermal": -4, "debug": -3, "overlay": -3, "annotated": -3, **_NO_PICTURES, **_DIRECTIONS,
     },
     DEPTH: {
-        "ir": 4, "infra": 4, "mask": 6, "label": 6, "labels": 6, "segmentation": 6, "semantic": 6,
-        "disparity": 6, "confidence": 6, "rear": 2, "back": 2,
+        "depth": 4, "stereo": 2, "aligned": 3, "registered": 3, "raw": 0.5, **_NO_PICTURES,
+        **_DIRECTIONS,
     },
     CLOUD: {
-        "map": 4, "camera": 2, "depth": 2, "costmap": 6, "obstacles": 4, "ground": 3, "rear": 2,
-        "back": 2, "octomap": 6,
+        "lidar": 3, "velodyne": 3, "ouster": 3, "livox": 3, "points": 2, "map": -4, "camera": -2,
+        "depth": -2, "costmap": -6, "obstacles": -4, "ground": -3, "octomap": -6, **_DIRECTIONS,
     },
-    SCAN: {"rear": 2, "back": 2, "camera": 2, "depth": 2},
-    ODOMETRY: {"wheel": 1, "gps": 2, "gt": 1},
+    SCAN: {"scan": 2, "camera": -2, "depth": -2, **_DIRECTIONS},
+    ODOMETRY: {"odom": 2, "odometry": 2, "filtered": 1, "wheel": -1, "gps": -2, "gt": -1},
 }  # fmt: skip
+"""Points by our name of the topic."""
 
 
 @dataclass(slots=True)
@@ -129,13 +126,18 @@ class RecordingContents:
     def seconds(self) -> float:
         return (self.last_ns - self.first_ns) * 1e-9
 
-    def root(self, frame: str) -> str:
-        """Return the topmost ancestor of a frame."""
+    def _lineage(self, frame: str) -> Iterator[str]:
+        """Yield a frame and its ancestors, nearest first."""
+        yield frame
         for _ in range(len(self.parents)):  # a limit, since a damaged tree may have a cycle
             if frame not in self.parents:
                 break
             frame = self.parents[frame]
-        return frame
+            yield frame
+
+    def root(self, frame: str) -> str:
+        """Return the topmost ancestor of a frame."""
+        return list(self._lineage(frame))[-1]
 
     def connected(self, frame: str, other: str) -> bool:
         """Return True if tf connects two frames."""
@@ -146,11 +148,7 @@ class RecordingContents:
 
         This is `base` or its nearest ancestor that is not fixed.
         """
-        for _ in range(len(self.parents)):
-            if base in self.moving or base not in self.parents:
-                break
-            base = self.parents[base]
-        return base if base in self.moving else ""
+        return next((frame for frame in self._lineage(base) if frame in self.moving), "")
 
     def topic_list(self) -> str:
         """List the topics in one line."""
@@ -382,8 +380,7 @@ class _TopicChooser:
     def _score(self, name: str, topic: str, facts: TopicFacts) -> tuple:
         """Return the sort key of a candidate topic; the largest wins. It begins with the points."""
         words = set(re.split(r"[^a-z0-9]+", topic.lower()))
-        points = sum(_LIKELY_WORDS.get(name, {}).get(word, 0.0) for word in words)
-        points -= sum(_UNLIKELY_WORDS.get(name, {}).get(word, 0.0) for word in words)
+        points = sum(_WORDS.get(name, {}).get(word, 0.0) for word in words)
         ros2 = self._config.ros2
         if name == RGB:
             points += 2 * _n_shared_parts(topic, self.found.get(DEPTH, ""))

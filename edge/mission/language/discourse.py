@@ -48,10 +48,7 @@ from edge.mission.language.sequences import (
     single_visits,
     split_return,
 )
-from edge.mission.language.tokens import (
-    Token,
-    TokenReader,
-)
+from edge.mission.language.tokens import Token, TokenReader
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
 _OUT_OF_ORDER = "give the steps in their order"
@@ -79,14 +76,6 @@ def _is_participle_clause(reader: TokenReader) -> bool:
         return False
     rest = itertools.takewhile(lambda token: token.kind != "stop", reader.tokens[reader.at :])
     return not any(token.kind == "on the way" for token in rest)
-
-
-def _join(first: ClauseMeaning | None, second: ClauseMeaning) -> ClauseMeaning:
-    """Add the second meaning to the first, if there is one, and return it."""
-    if first is None:
-        return second
-    first.add(second)
-    return first
 
 
 @dataclass(slots=True)
@@ -203,12 +192,6 @@ class Discourse:
             rules += rules_of_each_at_most(goal, *self.each, self.reader)
         return [AllOf((), tuple(rules))] if rules else []
 
-    def _note_end(self, clause: Clause) -> None:
-        """Note that this clause is the end: it comes after all other goals."""
-        if clause.negated:
-            self.reader.refuse("say it in one sentence, with 'then'", clause.token)
-        self.halted = clause.token
-
     def _take_halt(self) -> bool:
         """Skip "and stay there" at the end: a mission ends where its last goal is reached.
 
@@ -266,14 +249,14 @@ class Discourse:
         unclear = no_pause or (comma_then and (short or has_either))
         if unclear and single and len(sequences[-1]) > 1:
             reader.refuse_finally("unclear what comes after which; use two sentences", start)
-        if len(sequences) > 1 and any(step.commas for step in sequences[0]):
-            reader.refuse_finally("unclear what the alternatives are; say 'either … or …'", start)
-        if len(sequences) > 1 and (self.listed or any(step.bans for step in sequences[-1])):
-            reader.refuse_finally("unclear what is forbidden; use a separate sentence", start)
-        if len(sequences) > 1 and not all(
-            any(step.goals for step in alternative) for alternative in sequences
-        ):
-            reader.refuse("each alternative needs something to reach", start)
+        if len(sequences) > 1:
+            if any(step.commas for step in sequences[0]):
+                hint = "unclear what the alternatives are; say 'either … or …'"
+                reader.refuse_finally(hint, start)
+            if self.listed or any(step.bans for step in sequences[-1]):
+                reader.refuse_finally("unclear what is forbidden; use a separate sentence", start)
+            if not all(any(step.goals for step in one) for one in sequences):
+                reader.refuse("each alternative needs something to reach", start)
         if not sequence:
             return
         options = tuple(sequence_goal(alternative, reader) for alternative in sequences)
@@ -316,7 +299,10 @@ class Discourse:
             kind = joint.kind if joint else ""
             # Rules without a goal wait until the next step, or the end, shows where they belong.
             if meaning.loose and kind != "but" and not meaning.follows:
-                loose = _join(loose, meaning)
+                if loose is None:
+                    loose = meaning
+                else:
+                    loose.add(meaning)
             else:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
@@ -417,9 +403,10 @@ class Discourse:
         then = self.flow.comes_after(clause, joint, sequence, asked, self.reader)
         if clause.again and clause.things and not (clause.negated or clause.count):
             then = then or bool(self.times.keys() & set(clause.things.names))
-        if clause.ends:
-            self._note_end(clause)
-            then = then or bool(sequence) or asked
+        if clause.ends:  # it comes after all other goals
+            if clause.negated:
+                self.reader.refuse("say it in one sentence, with 'then'", clause.token)
+            self.halted, then = clause.token, then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.things == self.last:
             self.reader.refuse_finally(
