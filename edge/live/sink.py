@@ -138,14 +138,10 @@ class LiveSink:
         self._shot_due_s: dict[int, float] = {}
         self._trail = DrivenPath(_TRAIL_POSES)
         self._events: tuple[Event, ...] = ()
-        self._objects: Sequence[KnownObject] = ()
-        self._rooms: Sequence[MappedRoom] = ()
         self._site = Site()
-        self._layers: dict[str, Callable[[], Grid]] = {}
-        self._health: dict[str, Any] = {}
-        self._n_events = self._n_shots = self._n_ticks = self._n_tasks = self._n_sites = 0
         self._task: TaskStatus | None = None
-        self._window_s, self._window_ticks = 0.0, 0  # start of the window, ticks until then
+        self._n_events = self._n_shots = self._n_tasks = self._n_sites = 0
+        self._window_s, self._n_ticks = 0.0, 0  # start of the window, ticks in it
         self._beat_hz = 0.0  # rate in the last window
 
     # -- for any thread ------------------------------------------------------------------------
@@ -168,8 +164,8 @@ class LiveSink:
             if result.pose is not None:
                 self._trail.append(result.now_ns, result.pose)
         if now_s - self._window_s >= _WINDOW_S:
-            self._beat_hz = (self._n_ticks - self._window_ticks) / (now_s - self._window_s)
-            self._window_s, self._window_ticks = now_s, self._n_ticks
+            self._beat_hz = self._n_ticks / (now_s - self._window_s)
+            self._window_s, self._n_ticks = now_s, 0
         if now_s - self._viewed_s > WATCHED_S:
             self._drop()
             return
@@ -198,10 +194,12 @@ class LiveSink:
         self._task = task
         self._n_sites += result.site is not self._site
         self._site = result.site
-        if now_s >= self._objects_due_s:
+        if (before := self.snapshot) is None or now_s >= self._objects_due_s:
             self._objects_due_s = now_s + OBJECTS_S
-            self._objects, self._rooms = result.objects(), result.rooms
-            self._layers, self._health = result.layers(), result.health()
+            slow = result.objects(), result.rooms, result.layers(), result.health()
+        else:
+            slow = before.objects, before.rooms, before.layers, before.health
+        objects, rooms, layers, health = slow
         self.snapshot = LiveSnapshot(
             at_s=now_s,
             result=result,
@@ -209,14 +207,14 @@ class LiveSink:
             task=task,
             n_tasks=self._n_tasks,
             instances=result.instances(),
-            objects=self._objects,
-            rooms=self._rooms,
+            objects=objects,
+            rooms=rooms,
             site=self._site,
             n_sites=self._n_sites,
             candidates=result.candidates(),
             path=result.path(),
-            layers=self._layers,
-            health=self._health,
+            layers=layers,
+            health=health,
             mark_letters={} if choice is None else _letters_by_candidate(choice),
             trail=self._trail.arrays()[0],
             beat_hz=self._beat_hz,
