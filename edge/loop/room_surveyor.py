@@ -27,12 +27,10 @@ class RoomSurveyor:
     """Cuts the map into rooms in the background, about once a second.
 
     Args:
-        memory: gets the surveys. A survey is one cut of the whole map.
         inline: cut the map inside `step`, so that a run is reproducible.
     """
 
-    def __init__(self, memory: RoomMemory, inline: bool) -> None:
-        self.memory = memory
+    def __init__(self, inline: bool) -> None:
         self._worker: Worker[Callable[[], RoomSurvey], RoomSurvey] = Worker(
             "rooms", lambda survey: survey(), inline=inline
         )
@@ -42,15 +40,18 @@ class RoomSurveyor:
         """Wrap the worker with `wrap`, which logs its requests and results."""
         self._worker = wrap("rooms", self._worker)
 
-    def step(self, view: MapView, now_ns: int) -> None:
-        """Collect a survey, and request the next one when it is due. Call it once a tick."""
+    def step(self, rooms: RoomMemory, view: MapView, now_ns: int) -> None:
+        """Pass a finished survey to `rooms`, and start the next when it is due, once a tick.
+
+        A survey is one cut of the whole map.
+        """
         is_due = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
         if is_due and self._worker.idle:
             self._requested_ns = now_ns
-            layers, window, before = view.layers, view.window, self.memory.survey
+            layers, window, before = view.layers, view.window, rooms.survey
             self._worker.submit(lambda: survey_rooms(survey_regions(layers, window, TALL), before))
         if (found := self._worker.poll()) is not None:
-            self.memory.on_survey(found)
+            rooms.on_survey(found)
 
     def discard_pending(self) -> None:
         """Drop surveys of a map that is gone."""
@@ -62,24 +63,18 @@ class RoomSurveyor:
         self._worker.close()
 
 
-def make_room_surveyor(config: Config, words: PriorWordIndex) -> RoomSurveyor:
-    """Return the surveyor of a service."""
-    return RoomSurveyor(RoomMemory(load(), words), config.loop.lockstep)
-
-
 def warm_up(config: Config) -> None:
     """Compile the kernels of rooms and prior, or read them from the cache."""
     grid, objects, table = RollingMap(config.mapping), TrackedObjects(1), load()
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     words = PriorWordIndex(table)
-    surveyor = RoomSurveyor(RoomMemory(table, words), inline=True)
-    prior = LocationPrior("both", table, words)
+    rooms, prior = RoomMemory(table, words), LocationPrior("both", table, words)
     objects.words.append(table.things[0])
     objects.n = 1
     seen = objects.read_only()
-    surveyor.step(MapView(grid), 0)
-    surveyor.memory.update(seen, 0)
-    prior.step(surveyor.memory.survey.regions, seen)
+    RoomSurveyor(inline=True).step(rooms, MapView(grid), 0)
+    rooms.update(seen, 0)
+    prior.step(rooms.survey.regions, seen)
     prior.likelihood_ratio(
         table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32)
     )

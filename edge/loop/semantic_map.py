@@ -9,20 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
-
 from edge.config import Config
 from edge.geometry import SE2, Grid, optical_yaw_rad
 from edge.host.checkpoint import Arrays
 from edge.loop.candidates import CandidatePool
 from edge.loop.prior import make_prior
 from edge.loop.result import VALUE_LAYER
-from edge.loop.room_surveyor import make_room_surveyor
+from edge.loop.room_surveyor import RoomSurveyor
 from edge.mapping.clusters import MAX_FRONTIERS
 from edge.mapping.grid import RollingMap
 from edge.mapping.results import MapUpdate
 from edge.mapping.view import MapView
-from edge.memory import CropStore, DescribedTargets, MappedRoom, Site
+from edge.memory import CropStore, DescribedTargets, MappedRoom, RoomMemory, Site
 from edge.perception.prior.table import load
 from edge.perception.prior.words import make_words
 from edge.perception.tracking.fusion import InstanceFusion
@@ -62,14 +60,13 @@ class SemanticMap:
         self.crops = CropStore()
         self.pool = CandidatePool(MAX_FRONTIERS + MAX_INSTANCES, config.policy.r_assoc_m)
         words = make_words(load(), perception.detector)
-        self.room_surveyor = make_room_surveyor(config, words)
-        self.rooms = self.room_surveyor.memory
+        self.room_surveyor = RoomSurveyor(config.loop.lockstep)
+        self.rooms = RoomMemory(load(), words)
         self.tracker.resolver = DescribedTargets(self.rooms.is_in)
         self.prior = make_prior(config, words)
         self.epoch = 0
         self._fov_rad: float | None = None  # of the first camera
         self._back_projector = BackProjector(perception)
-        self._zones_m: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         self._closed_rooms: dict[int, MappedRoom] = {}
         self._set_grid(RollingMap(config.mapping, config.robot))
 
@@ -114,7 +111,7 @@ class SemanticMap:
 
     def infer(self, pose: SE2, now_ns: int) -> None:
         """Update rooms and prior with the objects seen."""
-        self.room_surveyor.step(self.view, now_ns)
+        self.room_surveyor.step(self.rooms, self.view, now_ns)
         self.rooms.on_pose(pose.x_m, pose.y_m)
         self.rooms.update(self.objects.read_only, now_ns)
         if self.prior is not None:
@@ -149,7 +146,6 @@ class SemanticMap:
     def set_site(self, site: Site) -> None:
         """Close the cells that the site's zones close, and name the rooms that it names."""
         self.rooms.set_site(site)
-        self._zones_m = site.polygons_m("keep_out"), site.polygons_m("stay_inside")
         self._set_zones()
 
     def close_rooms(self, rooms: Sequence[MappedRoom]) -> None:
@@ -168,9 +164,11 @@ class SemanticMap:
             self._set_zones()
 
     def _set_zones(self) -> None:
-        keep_out_m, stay_inside_m = self._zones_m
+        site = self.rooms.site
         closed_m = [room.polygon_m for room in self._closed_rooms.values()]
-        self.grid.set_zones([*keep_out_m, *closed_m], stay_inside_m)
+        self.grid.set_zones(
+            [*site.polygons_m("keep_out"), *closed_m], site.polygons_m("stay_inside")
+        )
 
     def reconfigure(self, config: Config) -> None:
         """Use another configuration; see `edge.loop.reload.LIVE` for the keys that may differ."""

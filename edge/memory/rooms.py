@@ -187,6 +187,7 @@ class RoomMemory:
 
     Attributes:
         version: number that grows when anything about the rooms changes.
+        site: names that people gave; set by `set_site`.
     """
 
     def __init__(self, table: ObjectPrior, words: PriorWordIndex) -> None:
@@ -201,7 +202,7 @@ class RoomMemory:
             np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32)
         )
         self._votes: dict[tuple[int, str], np.ndarray] = {}  # of this `version`
-        self._names: tuple[RoomName, ...] = ()
+        self.site = Site()
         self._visited: set[int] = set()
         self._generation = -1  # `TrackedObjects.generation` of the last update
         self._updated_ns = 0
@@ -234,7 +235,7 @@ class RoomMemory:
         held = objects_by_region(regions, objects, len(self._table.things))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, regions.border, held)
-        shapes, named = self.survey.shapes, _names_by_room(self.survey, self._names)
+        shapes, named = self.survey.shapes, _names_by_room(self.survey, self.site.room_names)
         region = [shape.region for shape in shapes]
         area_m2 = np.array([shape.area_m2 for shape in shapes])
         chance = kind_model.included_kinds(self._table, held[region], area_m2)
@@ -251,7 +252,7 @@ class RoomMemory:
 
     def set_site(self, site: Site) -> None:
         """Use the names that people gave."""
-        self._names, self._is_due = site.room_names, True
+        self.site, self._is_due = site, True
 
     # -- questions --------------------------------------------------------------------------
 
