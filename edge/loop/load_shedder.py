@@ -131,8 +131,6 @@ class LoadShedder:
 
     def _restart(self) -> None:
         """Restart at level 0, whose model runs."""
-        detector = self._perception.detector
-        self._model = detector.model if detector.kind == "onnx" else None
         self._state = DegradationLevels(len(self._settings), self._perception.swap.budget_ms)
         self._unfit_models.clear()
         self._pending_change = None
@@ -231,9 +229,11 @@ class LoadShedder:
 
         None if the detector has no model.
         """
-        named = [setting.model for setting in self._settings[:level] if setting.model]
-        fit = [model for model in named if model not in self._unfit_models]
-        return fit[-1] if fit else self._model
+        detector = self._perception.detector
+        fit = [detector.model if detector.kind == "onnx" else None]
+        named = (setting.model for setting in self._settings[:level] if setting.model)
+        fit += [model for model in named if model not in self._unfit_models]
+        return fit[-1]
 
     def _paused_scorers(self, level: int) -> frozenset[str]:
         """Return the scorers that a level pauses."""
