@@ -64,6 +64,7 @@ class ValueMap:
         cell_m: side of a cell, a power of two of the map's cells.
         value: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
         weight: (m, m, targets) uint16 by storage cell; 65535 stands for 1.
+        targets: targets of the channels; set by `set_targets`.
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class ValueMap:
         self.cell_m = window.resolution_m * 2**self._cell_bits
         self._layers, self._window = layers, window
         self._range_m, self._beta = range_m, beta
-        self._targets: tuple[str, ...] = ()
+        self.targets: tuple[str, ...] = ()
         m = self._cells = window.n >> self._cell_bits
         self.value = np.zeros((m, m, 0), np.uint16)
         self.weight = np.zeros((m, m, 0), np.uint16)
@@ -95,22 +96,17 @@ class ValueMap:
 
     def set_targets(self, targets: Sequence[str]) -> None:
         """Make one channel per target, in this order; targets that stay keep their values."""
-        if tuple(targets) == self._targets:
+        if tuple(targets) == self.targets:
             return
         m = self._cells
         value, weight = (np.zeros((m, m, len(targets)), np.uint16) for _ in range(2))
         for channel, target in enumerate(targets):
-            if target in self._targets:
-                old = self._targets.index(target)
+            if target in self.targets:
+                old = self.targets.index(target)
                 value[..., channel] = self.value[..., old]
                 weight[..., channel] = self.weight[..., old]
-        self._targets, self.value, self.weight = tuple(targets), value, weight
+        self.targets, self.value, self.weight = tuple(targets), value, weight
         self._window.written[:] = True
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """Targets of the channels."""
-        return self._targets
 
     @property
     def n_side_cells(self) -> int:
@@ -166,8 +162,8 @@ class ValueMap:
             targets: targets of the scores; targets without a channel are ignored.
             score: (n,) one for each target, clipped to [0, 1].
         """
-        channel = [self._targets.index(t) for t in targets if t in self._targets]
-        scores = np.array([s for t, s in zip(targets, score, strict=True) if t in self._targets])
+        channel = [self.targets.index(t) for t in targets if t in self.targets]
+        scores = np.array([s for t, s in zip(targets, score, strict=True) if t in self.targets])
         n = self._find_seen_cells(profile)
         if n and channel:
             blend(
@@ -191,9 +187,9 @@ class ValueMap:
             scene: scene score S of eq. 5, in [0, 1].
         """
         n = self._find_seen_cells(profile)
-        if n == 0 or target not in self._targets:
+        if n == 0 or target not in self.targets:
             return
-        channel, half = self._targets.index(target), 0.5 * profile.fov_rad
+        channel, half = self.targets.index(target), 0.5 * profile.fov_rad
         bearing = profile.bearing_rad(xy_m)
         inside = np.flatnonzero(np.abs(bearing) <= half)
         # (bearing, fused value) of each frontier in view, from right to left; then both edges.
@@ -223,8 +219,8 @@ class ValueMap:
         Raises:
             IndexError: there is no such channel.
         """
-        if not 0 <= channel < len(self._targets):
-            raise IndexError(f"value channel {channel}: the map has {len(self._targets)} channels")
+        if not 0 <= channel < len(self.targets):
+            raise IndexError(f"value channel {channel}: the map has {len(self.targets)} channels")
         ox, oy = self._window.origin
         best_near(
             self.value, self.weight, channel, ox >> self._cell_bits, oy >> self._cell_bits,
@@ -240,7 +236,7 @@ class ValueMap:
 
         def plane() -> np.ndarray:
             # A mission that begins on another thread replaces all three: take them once.
-            targets, value, weight = self._targets, self.value, self.weight
+            targets, value, weight = self.targets, self.value, self.weight
             channel = targets.index(target) if target in targets else self.value.shape[2]
             if channel >= min(value.shape[2], weight.shape[2]):
                 return np.zeros(value.shape[:2], np.uint8)

@@ -29,7 +29,7 @@ class TravelCostEstimator:
     """Background computation of surveys: one at a time, at most one a second.
 
     Args:
-        inline: compute inside `request`, so that a replay gives identical results.
+        inline: compute inside `step`, so that a replay gives identical results.
     """
 
     def __init__(self, inline: bool) -> None:
@@ -49,57 +49,33 @@ class TravelCostEstimator:
         now_ns: int,
     ) -> None:
         """Pass a finished survey to the mission, and start another one if it is due."""
-        distance_m = self.poll()
+        distance_m = self._worker.poll()  # see `MissionKnowledge.distance_m`
         if distance_m is not None and not (mission.done or mission.paused):
             mission.sets.distance_m = distance_m
             mission.replan(now_ns)
-        if self.is_due(now_ns):
-            letters = mission.spec.automaton.propositions
-            places = {
-                name: destination.pose
-                for name, destination in mission.destinations.items()
-                if isinstance(destination, PlaceTarget) and destination.pose is not None
-            }
-            xy_m = [
-                [(places[letter].x_m, places[letter].y_m)]
-                if letter in places
-                else [instance.center_m[:2] for instance in tracker.of(letter)]
-                for letter in letters
-            ]
-            positions = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
-            self.request(grid, pose, positions, now_ns)
-
-    def is_due(self, now_ns: int) -> bool:
-        """Return True if another survey may start."""
         is_time = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
-        return is_time and self._worker.idle
-
-    def request(
-        self, grid: RollingMap, pose: SE2, positions: list[np.ndarray], now_ns: int
-    ) -> None:
-        """Start a survey.
-
-        Args:
-            grid: the map; the worker takes the snapshot.
-            pose: pose of the robot.
-            positions: for each letter of the automaton, (m, 2) float64 [m], the positions of its
-                known instances in `map`.
-            now_ns: time of the loop.
-        """
+        if not is_time or not self._worker.idle:
+            return
         self._requested_ns = now_ns
+        places = {
+            name: destination.pose
+            for name, destination in mission.destinations.items()
+            if isinstance(destination, PlaceTarget) and destination.pose is not None
+        }
+        # For each letter, the positions of its known instances in `map`.
+        xy_m = [
+            [(places[letter].x_m, places[letter].y_m)]
+            if letter in places
+            else [instance.center_m[:2] for instance in tracker.of(letter)]
+            for letter in mission.spec.automaton.propositions
+        ]
+        positions = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
 
         def survey() -> np.ndarray:
             # Cells that are too near to an obstacle for the robot get the value 50.
             return distances(grid.snapshot(inflated=50), (pose.x_m, pose.y_m), positions)
 
         self._worker.submit(survey)
-
-    def poll(self) -> np.ndarray | None:
-        """Return the distances [m] of a finished survey once; None if there is none.
-
-        For the shape see `MissionKnowledge.distance_m`.
-        """
-        return self._worker.poll()
 
     def discard_pending(self) -> None:
         """Discard the running survey because its targets have changed."""

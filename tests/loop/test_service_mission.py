@@ -134,7 +134,7 @@ def test_a_pose_jump_clears_known_distances():
         loop.step()
     loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
     assert loop.service.mission.sets.knowledge.distance_m is None
-    assert loop.service._travel_costs.poll() is None
+    assert loop.service._travel_costs._worker.poll() is None
     loop.service.close()
 
 

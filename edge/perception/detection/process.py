@@ -50,17 +50,13 @@ class ProcessDetector(SupervisedProcess):
         self.invalid_boxes = 0
         self._perception = perception.model_copy(update={"isolation": "thread"})
         # The prompts to use, and those of the last answer, which the model accepted.
-        self._prompts = self._accepted_prompts = tuple(prompts)
+        self.prompts = self._accepted_prompts = tuple(prompts)
         self._progress = progress
         self._process_health, self._model_health = Health(), Health()
         self._last_link: ModelProcessClient | None = None  # the process that answered last
         self._invalid_before = 0  # invalid boxes of earlier processes
         self._cancelled = cancelled or threading.Event()
         self._begin("model-process")
-
-    @property
-    def prompts(self) -> tuple[str, ...]:
-        return self._prompts
 
     def set_prompts(self, prompts: Sequence[str]) -> None:
         """See `Detector.set_prompts`.
@@ -71,7 +67,7 @@ class ProcessDetector(SupervisedProcess):
         prompts = check_prompts(prompts)
         if self._link is not None:
             self._link.check(prompts, _CHECK_S)
-        self._prompts = prompts
+        self.prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; takes at most twice `perception.process.timeout_s`.
@@ -84,7 +80,7 @@ class ProcessDetector(SupervisedProcess):
         if self._link is None or self._process_health.state != "ok":
             raise ModelProcessError(self._process_health.detail)
         link = self._link
-        answer = link.detect(rgb, self._prompts, self._rules.timeout_s)
+        answer = link.detect(rgb, self.prompts, self._rules.timeout_s)
         if link is not self._last_link:  # a new process counts from 0
             self._last_link, self._invalid_before = link, self.invalid_boxes
         self._accepted_prompts, self._model_health = answer.found.prompts, answer.health
@@ -107,7 +103,7 @@ class ProcessDetector(SupervisedProcess):
         an image. If they are unusable, the process starts with the last usable ones, and `detect`
         reports the error.
         """
-        wanted = self._prompts
+        wanted = self.prompts
         try:
             return self._run_with(wanted, first)
         except PromptError:

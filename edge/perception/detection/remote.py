@@ -60,12 +60,8 @@ class RemoteDetector:
         self._last_error: ModelError | None = None
         self._failures, self._next_s = 0, 0.0  # failures in a row, end of the pause
         self._asking = threading.Lock()
-        self._prompts: tuple[str, ...] = ()
+        self.prompts: tuple[str, ...] = ()
         self.set_prompts(prompts)
-
-    @property
-    def prompts(self) -> tuple[str, ...]:
-        return self._prompts
 
     @property
     def invalid_boxes(self) -> int:
@@ -76,7 +72,7 @@ class RemoteDetector:
         """See `Detector.set_prompts`; the server is not asked."""
         prompts = check_prompts(prompts)
         self._text.embed(prompts)
-        self._prompts = prompts
+        self.prompts = prompts
 
     def detect(self, observation: Observation) -> Detections:
         """See `Detector.detect`; takes at most the card's `server.time_limit_s`.
@@ -119,7 +115,7 @@ class RemoteDetector:
 
     def _detector(self) -> OnnxDetector:
         """Return the detector that uses the server's network, with the current prompts."""
-        wanted = self._prompts
+        wanted = self.prompts
         if self._inner is None:
             self._inner = OnnxDetector(
                 self._config, wanted, self._progress, self._session, self._text
