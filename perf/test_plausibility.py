@@ -36,7 +36,7 @@ def test_judging_an_observation(benchmark, against, budget, step_m):
     benchmark.extra_info["budget"] = budget
     frames = [view(k, step_m) for k in range(30)]
     against(lambda: np.multiply(frames[0].depth_m, np.float32(0.001)))
-    stage = Plausibility(CONFIG, 0.8, lambda *_: None)
+    stage = Plausibility(CONFIG, lambda *_: None)
     there_and_back = itertools.cycle((*frames, *frames[-2:0:-1]))
     now_ns = itertools.count(0, TICK_NS)
     benchmark.pedantic(

@@ -61,9 +61,7 @@ class _SensorMeasurements:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        # At low rates, three periods without a frame are normal.
-        blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
-        self._checks = Plausibility(config, blind_s, lambda text, now_ns, level: None)
+        self._checks = Plausibility(config, lambda text, now_ns, level: None)
         self._failed: dict[str, FailedCheck] = {}  # by name of the check
         # One value for each observation: its age at arrival; how much newer the newest pose is;
         # share of depth pixels with a value; height of the floor.
@@ -85,7 +83,7 @@ class _SensorMeasurements:
                 self._failed.setdefault(found.name, found)
             self._age_s.append((time.time_ns() - observation.stamp_ns) * 1e-9)
             self._lag_s.append(observation.lag_ns * 1e-9)
-            self._valid_shares.append(self._checks.facts.depth_valid)
+            self._valid_shares.append(self._checks.meter.facts.depth_valid)
             if (heights_m := _floor_heights(observation)).size:
                 self._lowest_m.append(float(np.percentile(heights_m, _LOWEST)))
             self._newest[observation.camera_index] = observation

@@ -219,7 +219,7 @@ def agent_handlers(
         pictures: see `Pictures`.
     """
     desk = AgentDesk(service, settings)
-    service.proposals = desk.waiting
+    service.publisher.proposals = desk.waiting
 
     def prepare_new(fields: dict) -> object:
         return prepare({name: fields[name] for name in ("instruction", "repeat") if name in fields})

@@ -78,7 +78,9 @@ class FrameMeter:
     """Measures the observations of one camera.
 
     Attributes:
-        surroundings_ns: See `Plausibility`.
+        facts: Measurements of the newest observation.
+        surroundings_ns: Loop time of the newest real picture of the surroundings. It is older than
+            the newest observation if that came late or is a repetition.
         floor_lost: True if the last update of the map found no floor; see `FrameFacts`.
     """
 

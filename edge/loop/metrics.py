@@ -57,12 +57,13 @@ class ScrapeSnapshot:
         service = running.service
         self.running, self.service, self.sinks = running, service, statuses(sinks)
         self.mission, self.goal = service.mission, service.goals.goal
-        self.source, self.inputs = dict(running.source.counters), service.inputs()
+        self.source, self.inputs = dict(running.source.counters), service.health.inputs()
         self.failed = {found.name for found in service.plausibility.failed}
         self.latency = service.latency.report(last=1)
         self.histograms = service.latency.histograms()
         self.detector, self.images = running.worker.detector, running.worker.stats
-        self.scorers: dict[str, Any] = {} if service.scorers is None else service.scorers.status()
+        scorers = service.perception.scorers
+        self.scorers: dict[str, Any] = {} if scorers is None else scorers.status()
         self.checkpoint = None if service.checkpoint is None else service.checkpoint.status()
 
     def by_stage(self, value: Callable[[Any], float]) -> dict[str, float]:
@@ -193,7 +194,7 @@ SERVICE_METRICS: tuple[MetricSpec[ScrapeSnapshot], ...] = (
            lambda s: dict(s.service.plausibility.refused), ("check",)),
     MetricSpec("edge_overruns_total", "counter",
            "Times that a message buffer (ring) was full, so that messages were lost, by ring.",
-           lambda s: s.service.overruns(), ("ring",)),
+           lambda s: s.service.health.overruns(), ("ring",)),
     MetricSpec("edge_pose_jumps_total", "counter", "Pose jumps; each one cleared the map.",
            lambda s: s.service.map.epoch),
     # Errors.

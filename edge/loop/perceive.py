@@ -32,6 +32,8 @@ class PerceptionStages:
 
     Attributes:
         images: Number of images of each camera that the detector has processed, as of this tick.
+        policy: Scores the candidates; may be replaced.
+        scorers: Models that are queried in the background; None if none is configured.
         scores: (n,) float32, the policy's scores of the candidates.
     """
 
@@ -40,13 +42,15 @@ class PerceptionStages:
         config: Config,
         semantic_map: SemanticMap,
         worker: DetectorWorker,
+        policy: Policy,
         scorers: Scorers | None,
         latency: LatencyRing,
         input_log: InputLog,
         on_detections: Callable[[Detections], None],
     ) -> None:
         self._lockstep, self._n_cameras = config.loop.lockstep, len(config.sensors.cameras)
-        self._map, self._scorers, self._latency = semantic_map, scorers, latency
+        self.policy, self.scorers = policy, scorers
+        self._map, self._latency = semantic_map, latency
         self._input_log, self._on_detections = input_log, on_detections
         self.worker = input_log.wrap(DETECTOR, worker)
         self.images, self.scores = 0, np.zeros(0, np.float32)
@@ -83,8 +87,8 @@ class PerceptionStages:
                 is_in_old_frame = detections.observation.seq <= self._last_seq_before_jump
                 if not is_in_old_frame and detections.prompts == mission.spec.prompts:
                     self._latency.span(DETECT, detections.latency_ns)
-                    if self._scorers is not None:
-                        self._scorers.on_detections(detections, self._map.grid.values)
+                    if self.scorers is not None:
+                        self.scorers.on_detections(detections, self._map.grid.values)
                     self._map.on_detections(detections)
                     self._detections = detections.without_suppressed()
                     self._on_detections(self._detections)
@@ -97,23 +101,21 @@ class PerceptionStages:
 
     def ask_scorers(self, mission: MissionRun, observation: Observation) -> None:
         """Before the stage `score`: ask the scorers, and collect their answers."""
-        if self._scorers is None:
+        if self.scorers is None:
             return
         semantic_map, values = self._map, self._map.grid.values
         if mission.active:
             targets, candidates = mission.spec.prompts, semantic_map.pool.candidates
             target = mission.spec.prompt_for(mission.target)
-            self._scorers.ask(
+            self.scorers.ask(
                 observation, targets, target, candidates, semantic_map.tracker, values,
                 semantic_map.prior, semantic_map.objects.read_only,
             )  # fmt: skip
-        self._scorers.collect_answers(values, idle=mission.done)
+        self.scorers.collect_answers(values, idle=mission.done)
         if self._lockstep:  # the models ran inside `ask`, which is no time of the tick
             self._latency.exclude_elapsed(perf_counter_ns())
 
-    def score(
-        self, policy: Policy, mission: MissionRun, observation: Observation, now_ns: int
-    ) -> PolicyInput:
+    def score(self, mission: MissionRun, observation: Observation, now_ns: int) -> PolicyInput:
         """Stage `score`: build the policy's context and score the candidates."""
         context = PolicyInput(
             observation,
@@ -122,21 +124,21 @@ class PerceptionStages:
             self._changed_cells,
             self._map.pool.read_only,
             self._detections,
-            ScorerOutputs() if self._scorers is None else self._scorers.answers,
+            ScorerOutputs() if self.scorers is None else self.scorers.answers,
             mission.spec.prompts,
             mission.spec.prompt_for(mission.target),
             now_ns,
             self._map.objects.read_only,
             self._map.prior,
         )
-        self.scores = scores_of(policy, context)
+        self.scores = scores_of(self.policy, context)
         return context
 
     def begin_mission(self) -> None:
         """Drop detections, answers and open questions, which were for the last mission."""
         self._detections = None
-        if self._scorers is not None:
-            self._scorers.discard_pending()
+        if self.scorers is not None:
+            self.scorers.discard_pending()
 
     def on_pose_jump(self) -> None:
         """Drop answers and open questions, and detections in images up to the newest one.
@@ -144,5 +146,5 @@ class PerceptionStages:
         They are in the old frame.
         """
         self._last_seq_before_jump = self._newest_seq
-        if self._scorers is not None:
-            self._scorers.discard_pending()
+        if self.scorers is not None:
+            self.scorers.discard_pending()

@@ -155,55 +155,43 @@ class Plausibility:
     """The plausibility stage. The loop's thread calls `permitted_use`.
 
     Args:
-        blind_s: See `edge.loop.service.Service`.
         event: Reports an event for people, at a loop time and a log level.
 
     Attributes:
+        blind_s: Time without an observation after which the robot must stand still.
+        meter: Measurements of the newest observation.
         failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
             whole, so any thread may read it.
         refused: Number of refused observations by check.
     """
 
-    def __init__(
-        self, config: Config, blind_s: float, event: Callable[[str, int, int], None]
-    ) -> None:
-        self.checks = checks_of(config, blind_s)
+    def __init__(self, config: Config, event: Callable[[str, int, int], None]) -> None:
+        # At low rates, three periods without an observation are normal.
+        self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
+        self.checks = checks_of(config, self.blind_s)
         self.failed: tuple[FailedCheck, ...] = ()
         self.refused = {check.name: 0 for check in self.checks if check.permits}
         self._event = event
         self._found: list[FailedCheck | None] = [None] * len(self.checks)  # failures now, by check
         self._logged_ns: dict[str, int] = {}  # loop time of the newest log line, by check
         self._meters = [FrameMeter(config) for _ in config.sensors.cameras]
-        self._meter = self._meters[0]  # of the newest observation
-
-    @property
-    def facts(self) -> FrameFacts:
-        """Measurements of the newest observation."""
-        return self._meter.facts
-
-    @property
-    def surroundings_ns(self) -> int:
-        """Loop time of the newest real picture of the surroundings.
-
-        It is older than the newest observation if that came late or is a repetition.
-        """
-        return self._meter.surroundings_ns
+        self.meter = self._meters[0]
 
     def on_mapped(self, update: MapUpdate) -> None:
         """Record whether the map found the floor. Some updates show neither a floor nor a gap."""
         if update.floor_missing or update.floor_seen:
-            self._meter.floor_lost = update.floor_missing
+            self.meter.floor_lost = update.floor_missing
 
     def permitted_use(self, observation: Observation, now_ns: int) -> Use:
         """Check an observation, report what fails, and return the use that is permitted."""
-        self._meter = self._meters[observation.camera_index]
-        self._meter.measure(observation, now_ns)
+        self.meter = self._meters[observation.camera_index]
+        self.meter.measure(observation, now_ns)
         use: Use = ""
         changed = False
         for i, check in enumerate(self.checks):
             if check.camera_index not in (None, observation.camera_index):
                 continue
-            value, found = check.measured(self.facts), self._found[i]
+            value, found = check.measured(self.meter.facts), self._found[i]
             if not (value < check.lowest or value > check.highest):
                 if found is not None:
                     self._found[i], changed = None, True

@@ -63,6 +63,8 @@ class ResultPublisher:
         goal_statuses: Goal statuses since the last result; bounded.
         events: Events since the last result; bounded.
         detections: New detections. Their frame is held until the result is published.
+        proposals: Returns the proposals of agents that wait for a person, at a loop time; set by
+            `edge.loop.agent_requests`.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class ResultPublisher:
         self.goal_statuses: deque[GoalStatus] = deque(maxlen=_MAX_EVENTS)
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.detections: Detections | None = None
+        self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._sinks = sinks
         self._map, self._site, self._goal_tracker, self._scorers = (
             semantic_map,
@@ -98,8 +101,6 @@ class ResultPublisher:
         mission: MissionRun,
         task: Callable[[], TaskStatus | None],
         scores: np.ndarray,
-        stopped: str,
-        proposals: Callable[[int], list[dict[str, object]]],
     ) -> TickResult:
         """Return the current state, and all events since the last published result.
 
@@ -111,8 +112,6 @@ class ResultPublisher:
             mission: The mission.
             task: Returns the facts of a task; see `TickResult.task`.
             scores: The policy's scores of the candidates.
-            stopped: Why the robot is stopped; "" if it is not.
-            proposals: Returns the proposals of agents at a loop time.
         """
         semantic_map, grid, goals = self._map, self._map.grid, self._goal_tracker
         targets, goal, scorers = mission.spec.targets, goals.goal, self._scorers
@@ -124,8 +123,8 @@ class ResultPublisher:
             goal=goal,
             goal_status=goals.goal_status,
             has_controller=goals.client.has_controller,
-            stopped=stopped,
-            proposals=partial(proposals, now_ns),
+            stopped=mission.stopped,
+            proposals=partial(self.proposals, now_ns),
             targets=targets,
             goals=tuple(self.goals),
             goal_statuses=tuple(self.goal_statuses),

@@ -185,7 +185,7 @@ class Reloader:
 
     def _apply_now(self, ready: _PreparedConfig, now_ns: int) -> None:
         service = self._service
-        policy = service.policy if ready.policy is None else ready.policy
+        policy = service.perception.policy if ready.policy is None else ready.policy
         service.reconfigure(ready.config, policy, ready.ground)
         self._report("switched", f"switched: {', '.join(ready.changed)}", now_ns)
 

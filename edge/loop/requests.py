@@ -69,7 +69,7 @@ def request_handlers(
         ),
         topics.MODELS_REQUEST: (
             MODEL_VERBS,
-            partial(handle_model, service.detector_swap, scorers=service.scorers),
+            partial(handle_model, service.detector_swap, scorers=service.perception.scorers),
         ),
         topics.SITE_REQUEST: (SITE_VERBS, partial(handle_site, service)),
         topics.MEMORY_REQUEST: (MEMORY_VERBS, partial(handle_memory, service)),

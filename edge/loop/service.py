@@ -93,12 +93,10 @@ class Service:
         load_shedder: Drops expensive work under load, in the order of
             `perception.load_shedding.levels`. None without levels, and in lockstep, where runs must
             be reproducible.
-        proposals: Returns the proposals of agents that wait for a person, at a loop time.
-        blind_s: Time without an observation after which the robot must stand still.
-        overruns: As in `Args`.
-        inputs: As in `Args`.
+        health: Collects the health of all parts.
+        publisher: Passes results and events to the sinks.
         error_boundary: Catches and counts the exceptions of stages, sinks and requests.
-        perception: The stages from the detector to the scores.
+        perception: The stages from the detector to the scores; it has the policy and the scorers.
         stage: Index of the running stage, or of the stage whose error ended the tick.
     """
 
@@ -121,23 +119,20 @@ class Service:
     ) -> None:
         self.config, self.ground = config, ground
         self._input_log = input_log = input_log or InputLog()
-        self.checkpoint, self.overruns, self.inputs = checkpoint, overruns, inputs
+        self.checkpoint = checkpoint
         self.map = SemanticMap(config, spec.prompts)
         self.site = site or SiteFile()
         self.map.set_site(self.site.site)
-        self.policy = policy
         self.latency = LatencyRing(calibration=calibration)
         self.goals = GoalTracker(
             config,
             self.map.pool,
             self.map.tracker,
-            lambda goal: self._publisher.goals.append(goal),
+            lambda goal: self.publisher.goals.append(goal),
             self.event,
         )
         self.control = MissionControl(spec, config.mission, self.goals, input_log, self.event)
         self.stamp_ns = 0
-        # Returns the proposals of agents that wait for a person (`edge.loop.agent_requests`).
-        self.proposals: Callable[[int], list[dict[str, object]]] = lambda now_ns: []
         self._travel_costs = make_travel_cost_estimator(
             config.mission.planner, config.loop.lockstep
         )
@@ -147,28 +142,26 @@ class Service:
                 part.wrap_workers(input_log.wrap)
         self.error_boundary = ErrorBoundary(self.event)
         self.stage = INGEST
-        self.scorers = scorers
         self.detector_swap = DetectorSwap(config.perception, worker, self.event)
         self.load_shedder: LoadShedder | None = None
         if config.perception.load_shedding.levels and not config.loop.lockstep:
             self.load_shedder = LoadShedder(
                 config.perception, worker, self.detector_swap, scorers, self.event
             )
-        self.blind_s = max(config.loop.blind_s, 3.0 / config.observed_hz)
-        self.plausibility = Plausibility(config, self.blind_s, self.event)
-        self._health = HealthWatch(
+        self.plausibility = Plausibility(config, self.event)
+        self.health = HealthWatch(
             worker, self.detector_swap, scorers, checkpoint, self.error_boundary, overruns,
             lambda: None if self.load_shedder is None else self.load_shedder.status(),
             self.event, sinks, inputs, self.plausibility.status,
             lambda: None if self.ground is None else self.ground.status(),
         )  # fmt: skip
-        self._publisher = ResultPublisher(
+        self.publisher = ResultPublisher(
             sinks, self.map, self.site, self.goals, scorers, input_log, self.latency,
-            self._health.status,
+            self.health.status,
         )  # fmt: skip
         self.perception = PerceptionStages(
-            config, self.map, worker, scorers, self.latency, input_log,
-            self._publisher.on_detections,
+            config, self.map, worker, policy, scorers, self.latency, input_log,
+            self.publisher.on_detections,
         )  # fmt: skip
         self._zone_exit = ZoneExit(self.goals, self.event)
         self.pose: SE2 | None = None
@@ -214,7 +207,8 @@ class Service:
             self.mission.locate(self.site.start.pose, pose)
         decide_use = partial(self.plausibility.permitted_use, observation, now_ns)
         use = self._input_log.record_decision(USE, decide_use, usual="")
-        if observation.camera_index and now_ns - self._last_tick_ns > 1e9 * self.blind_s:
+        blind_ns = 1e9 * self.plausibility.blind_s
+        if observation.camera_index and now_ns - self._last_tick_ns > blind_ns:
             use = use or "map"  # the robot does not drive by its second camera alone
         self._end_stage(CHECK)
         self.refused = use != ""  # "": everything; "map": mapping only; "none": nothing
@@ -228,7 +222,7 @@ class Service:
             # If the images are late or frozen, the ticks before this one were blind, too. So
             # `blind_s` counts from the last real picture of the surroundings.
             surroundings_ns = self._input_log.record_decision(
-                SIGHTED, lambda: str(self.plausibility.surroundings_ns)
+                SIGHTED, lambda: str(self.plausibility.meter.surroundings_ns)
             )
             self._last_tick_ns = min(self._last_tick_ns, int(surroundings_ns))
         if use != "none":
@@ -237,7 +231,7 @@ class Service:
             if update is not None:
                 self.plausibility.on_mapped(update)
             if update is not None and update.rolled:
-                self.policy.reset("map rolled")
+                self.perception.policy.reset("map rolled")
             self._end_stage(MAP)
         if self.refused:
             return self.goals.goal
@@ -247,7 +241,7 @@ class Service:
         self.map.gather(self.behaviour.gather(), observation, now_ns)
         self._end_stage(CANDIDATES)
         self.perception.ask_scorers(self.mission, observation)
-        context = self.perception.score(self.policy, self.mission, observation, now_ns)
+        context = self.perception.score(self.mission, observation, now_ns)
         self._end_stage(SCORE)
         context = self._plan(context)
         self._end_stage(PLAN)
@@ -277,7 +271,7 @@ class Service:
         grid, loaded = restored
         resumed = checkpoint.is_resumed(self.mission, loaded.state.targets)
         with self.error_boundary.contain("restore", last_pose.now_ns):
-            parts = MapParts(self.map, self.goals.chooser, self.policy)
+            parts = MapParts(self.map, self.goals.chooser, self.perception.policy)
             restore(parts, grid, loaded, last_pose, resumed)
             checkpoint.crops.restore(self.map.crops)
         if resumed:
@@ -302,7 +296,7 @@ class Service:
             return context
         self.goals.retarget(mission)  # forgets the goal and the attempts of the last target
         self.map.gather(self.behaviour.gather(), context.observation, now_ns)
-        return self.perception.score(self.policy, mission, context.observation, now_ns)
+        return self.perception.score(mission, context.observation, now_ns)
 
     def _select(self, context: PolicyInput) -> Goal | None:
         """Stage `select`: return the behaviour's goal, or None if no mission is active."""
@@ -316,17 +310,17 @@ class Service:
     def _report(self, observation: Observation | None, now_ns: int) -> None:
         """Write the checkpoint and publish the result to the sinks."""
         try:
-            self._health.check(now_ns)
+            self.health.check(now_ns)
             if self.checkpoint is not None:
                 last_pose = (
                     None if self.pose is None else StampedPose(self.pose, self.stamp_ns, now_ns)
                 )
                 with self.error_boundary.contain("checkpoint", now_ns):
-                    parts = MapParts(self.map, self.goals.chooser, self.policy)
+                    parts = MapParts(self.map, self.goals.chooser, self.perception.policy)
                     self.checkpoint.save_if_due(self.mission, self.status, parts, last_pose, now_ns)
-            self._publisher.publish(self.result(now_ns, observation), self.error_boundary)
+            self.publisher.publish(self.result(now_ns, observation), self.error_boundary)
         finally:
-            self._publisher.release_detections()
+            self.publisher.release_detections()
 
     # -- requests and events from outside -----------------------------------------------------
 
@@ -357,7 +351,7 @@ class Service:
     def _reset_search(self) -> None:
         """Forget what was examined and tried for the previous mission."""
         self.map.begin(self.mission.spec.prompts)
-        self.policy.reset("mission")
+        self.perception.policy.reset("mission")
         self.goals.forget_mission()
 
     def reconfigure(
@@ -372,7 +366,7 @@ class Service:
             ground: As `policy`, what names kinds of ground; None: all ground is of one kind.
         """
         self._input_log.note("config", config=config)
-        self.config, self.policy, self.ground = config, policy, ground
+        self.config, self.perception.policy, self.ground = config, policy, ground
         self.map.reconfigure(config)
         self.detector_swap.perception = config.perception
         if self.load_shedder is not None:
@@ -380,8 +374,8 @@ class Service:
         self.mission.config = config.mission
         self.behaviour.reconfigure(config, ground)
         self.goals.reconfigure(config)
-        if self.scorers is not None:
-            self.scorers.value_source = config.value_source
+        if self.perception.scorers is not None:
+            self.perception.scorers.value_source = config.value_source
 
     def change_site(self, site: Site, now_ns: int) -> None:
         """Replace places and zones; a zone closes cells from the next tick on."""
@@ -393,7 +387,7 @@ class Service:
         """Handle a goal status of the controller. A status for an old goal has no effect on it."""
         self._input_log.note("goal_status", goal_status=status)
         status = self.goals.client.with_sent_stamp(status)
-        self._publisher.goal_statuses.append(status)
+        self.publisher.goal_statuses.append(status)
         self.goals.on_goal_status(status)
 
     def idle(self, now_ns: int, pose: SE2 | None, dropped: Observation | None = None) -> None:
@@ -409,7 +403,8 @@ class Service:
             dropped: An observation that was refused, or on which a stage failed. It is published
                 as handled, because a simulator in lockstep waits for that.
         """
-        blind = self.pose is not None and now_ns - self._last_tick_ns > 1e9 * self.blind_s
+        blind_ns = 1e9 * self.plausibility.blind_s
+        blind = self.pose is not None and now_ns - self._last_tick_ns > blind_ns
         if blind and pose is not None:
             self.pose = pose
         self._input_log.note("idle", now_ns=now_ns, pose=pose if blind else None)
@@ -444,7 +439,7 @@ class Service:
             self.site.change(Site())
             self.map.set_site(self.site.site)
         self.map.on_pose_jump()
-        self.policy.reset("pose")
+        self.perception.policy.reset("pose")
         self.mission.sets.distance_m = None
         if self._travel_costs is not None:
             self._travel_costs.discard_pending()
@@ -457,7 +452,7 @@ class Service:
     def event(self, text: str, now_ns: int, level: int = logging.INFO) -> None:
         """Report an event, for people, to the log and the sinks."""
         log.log(level, text)
-        self._publisher.events.append(Event(now_ns, text))
+        self.publisher.events.append(Event(now_ns, text))
 
     def close(self) -> None:
         """Stop all background work. No tick may follow."""
@@ -482,7 +477,7 @@ class Service:
 
     def result(self, now_ns: int = 0, observation: Observation | None = None) -> TickResult:
         """Return the current state, and all events since the last published result."""
-        return self._publisher.result(
+        return self.publisher.result(
             now_ns, self.stamp_ns, observation, self.pose, self.mission, self.behaviour.facts,
-            self.perception.scores, self.control.stopped, self.proposals,
+            self.perception.scores,
         )  # fmt: skip

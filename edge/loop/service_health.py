@@ -184,9 +184,9 @@ def _problems(
     service = running.service
     if running.latch.reason:
         yield f"stopped: {running.latch.reason}"
-    if no_observation_s > service.blind_s:
+    if no_observation_s > service.plausibility.blind_s:
         why = service.error_boundary.call(
-            "inputs", running.now_ns, lambda: missing_inputs(service.inputs())
+            "inputs", running.now_ns, lambda: missing_inputs(service.health.inputs())
         )
         # Checks of the sensor data for which observations are refused, so that the robot stands.
         why = "; ".join(filter(None, (why, service.plausibility.why("stand"))))

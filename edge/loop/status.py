@@ -88,6 +88,10 @@ class HealthWatch:
         sinks: See `edge.loop.publish.statuses`.
         inputs: Returns the source's table of inputs; empty if it has none.
         plausibility: See `edge.loop.plausibility.Plausibility.status`.
+
+    Attributes:
+        overruns: As in `Args`.
+        inputs: As in `Args`.
     """
 
     def __init__(
@@ -106,14 +110,10 @@ class HealthWatch:
         ground: Callable[[], dict[str, object] | None] = lambda: None,
     ) -> None:
         self._worker, self._detector_swap, self._scorers = worker, detector_swap, scorers
-        self._checkpoint, self._error_boundary, self._overruns = (
-            checkpoint,
-            error_boundary,
-            overruns,
-        )
+        self._checkpoint, self._error_boundary = checkpoint, error_boundary
+        self.overruns, self.inputs = overruns, inputs
         self._load_shedding, self._event = load_shedding, event
-        self._sinks, self._inputs, self._plausibility = sinks, inputs, plausibility
-        self._ground = ground
+        self._sinks, self._plausibility, self._ground = sinks, plausibility, ground
         self._reported = Health()  # state and detail of the detector that were reported
 
     def check(self, now_ns: int) -> None:
@@ -135,7 +135,7 @@ class HealthWatch:
         """Return the health of each part for the status message."""
         worker = self._worker
         return {
-            "loop": {**self._error_boundary.status(), "overruns": self._overruns()},
+            "loop": {**self._error_boundary.status(), "overruns": self.overruns()},
             "checkpoint": None if self._checkpoint is None else self._checkpoint.status(),
             "detector": {
                 "model": worker.detector.name,
@@ -149,7 +149,7 @@ class HealthWatch:
             "load_shedding": self._load_shedding(),
             "scorers": {} if self._scorers is None else self._scorers.status(),
             "sinks": statuses(self._sinks),
-            "inputs": inputs_status(self._inputs()),
+            "inputs": inputs_status(self.inputs()),
             "plausibility": self._plausibility(),
         }
 

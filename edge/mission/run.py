@@ -87,7 +87,6 @@ class MissionRun:
         self.reason = ""
         self.results: tuple[str, ...] = ()
         self.log: tuple[MissionEvent, ...] = ()
-        self._instruction = one_line(spec.translation.instruction)
         self.config = config
         self._on_event = on_event
         self._planner: Planner = (
@@ -132,7 +131,7 @@ class MissionRun:
             self.reason or activity,
             self.meter.elapsed_s,
             self.meter.path_m,
-            self._instruction,
+            one_line(self.spec.translation.instruction),
         )
 
     # -- time, path and limits ----------------------------------------------------------------

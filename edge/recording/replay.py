@@ -283,7 +283,7 @@ class _ReplayedService:
             self._session.check(config)
             config, service = self._limit(config), self.service
             same = config.policy == service.config.policy
-            policy = service.policy if same else make_policy(config.policy, config.path)
+            policy = service.perception.policy if same else make_policy(config.policy, config.path)
             service.reconfigure(config, policy)
 
 

@@ -69,7 +69,7 @@ def test_choice_models_are_swapped_while_the_loop_runs(config, tmp_path, capsys)
         open_service(settings, []) as running,
         player(settings, path, loop=True),
     ):
-        service, scorers = running.service, running.service.scorers
+        service, scorers = running.service, running.service.perception.scorers
 
         def until(what) -> None:
             stop.clear()

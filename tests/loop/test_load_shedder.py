@@ -265,7 +265,7 @@ def test_each_step_is_in_the_status_and_the_events():
         eventually(lambda: shedder.step(next(s) * 10**9) or shedder.level == 1)
         closed.step()
         status = status_message(closed.service.result())
-        assert closed.service.scorers.shed == {"choice"}
+        assert closed.service.perception.scorers.shed == {"choice"}
     finally:
         closed.close()
     assert (status["load_shedding"]["level"], status["load_shedding"]["steps"]["down"]) == (1, 1)

@@ -55,7 +55,7 @@ class Classifier:
 
 def driving(task: str, classifier: Classifier | None, lockstep: bool = True) -> ClosedLoop:
     loop = ClosedLoop(settings(lockstep=lockstep), task=task)
-    loop.service.reconfigure(loop.config, loop.service.policy, classifier)
+    loop.service.reconfigure(loop.config, loop.service.perception.policy, classifier)
     return loop
 
 

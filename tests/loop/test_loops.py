@@ -84,7 +84,7 @@ def running_of(
     servers = {"mission/request": SimpleNamespace(serve=lambda now_ns: 0)}
     service, source = closed.service, Source(seen, jump_at)
     if worker is not None:
-        service.perception.worker = service._health._worker = worker
+        service.perception.worker = service.health._worker = worker
     return RunningService(closed.config, service, service.perception.worker, source, servers)
 
 
@@ -175,7 +175,7 @@ BREAKS: dict[str, Callable[[RunningService], tuple[object, str]]] = {
     "map": lambda run: (run.service.perception, "map"),
     "lift": lambda run: (run.service.map._back_projector, "back_project"),
     "candidates": lambda run: (run.service.map, "gather"),
-    "score": lambda run: (run.service.policy, "score"),
+    "score": lambda run: (run.service.perception.policy, "score"),
     "plan": lambda run: (run.service.mission, "observe"),
     "select": lambda run: (run.service.goals.chooser, "choose"),
     "publish": lambda run: (run.service.goals, "send_pending"),

@@ -109,7 +109,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     run.service.checkpoint.close()
     run.beside = run.another()
     # Its content is not trusted.
-    run.beside._publisher._sinks = [RunLog()]
+    run.beside.publisher._sinks = [RunLog()]
     return run
 
 
@@ -146,7 +146,7 @@ def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, polic
         assert one.map.objects.read_only.n == other.map.objects.read_only.n
     nowhere = StampedPose(SE2(0, 0, 0), 0, 0)
     mine, its = (
-        state_of(MapParts(s.map, s.goals.chooser, s.policy), nowhere, "", (), "")
+        state_of(MapParts(s.map, s.goals.chooser, s.perception.policy), nowhere, "", (), "")
         for s in (one, other)
     )
     assert mine.state == its.state

@@ -207,7 +207,7 @@ class Judge:
 
     def __init__(self, config: Config = CONFIG) -> None:
         self.said: list[tuple[str, int]] = []
-        self.stage = Plausibility(config, 0.8, self._say)
+        self.stage = Plausibility(config, self._say)
         self.now_ns = START_NS
 
     def _say(self, text: str, now_ns: int, level: int) -> None:
@@ -368,7 +368,7 @@ def test_a_lasting_fault_is_reported_at_intervals():
 
 def test_the_page_has_every_check():
     """Each row of the table: name, consequence."""
-    lidar = Plausibility(CLOUDS, 0.8, print).checks
+    lidar = Plausibility(CLOUDS, print).checks
     rows = re.findall(r"^\| `(\w+)` \| .* \| (warn|degrade|stand) \|$", PAGE.read_text(), re.M)
     found = {check.name: check.then for check in (*Judge().stage.checks, *lidar)}
     assert dict(rows) == found

@@ -89,7 +89,7 @@ def test_a_reload_requested_during_another_follows_it(bench):
 
 def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
     bench.closed.run(3)
-    before, goals = bench.service.policy, len(bench.closed.notes.goals)
+    before, goals = bench.service.perception.policy, len(bench.closed.notes.goals)
     new = config(
         policy={"kind": "nearest_frontier", "r_assoc_m": 0.4},
         perception={"tau_det": 0.45, "confirm_hits": 5},
@@ -99,8 +99,8 @@ def test_policy_and_thresholds_are_switched_while_the_robot_drives(bench):
     assert outcome.startswith("switched: ")
     for key in ("policy", "perception.tau_det", "perception.confirm_hits", "mission.path_limit_m"):
         assert key in outcome
-    assert type(bench.service.policy).__name__ == "NearestFrontierPolicy"
-    assert bench.service.policy is not before
+    assert type(bench.service.perception.policy).__name__ == "NearestFrontierPolicy"
+    assert bench.service.perception.policy is not before
     assert bench.service.map.tracker.config.tau_det == 0.45
     assert bench.service.map.pool.r_assoc_m == 0.4
     bench.closed.run(200)
@@ -143,14 +143,14 @@ def test_another_network_is_loaded_before_the_present_one_goes(bench, tmp_path, 
     ],
 )
 def test_a_setting_that_needs_a_restart_is_refused(bench, sections, says, caplog):
-    policy, before = bench.service.policy, bench.service.config
+    policy, before = bench.service.perception.policy, bench.service.config
     outcome = bench.reload(config(**sections))
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == [
         f"reload: {outcome}"
     ]
     assert outcome.startswith("refused, nothing has changed: ")
     assert says in outcome
-    assert bench.service.policy is policy
+    assert bench.service.perception.policy is policy
     assert bench.service.config is before
     assert bench.reload(config()) == "nothing has changed"
 

@@ -86,7 +86,7 @@ def test_the_service_is_ready_after_its_first_observation(watched):
 
 def test_a_missing_input_is_named_and_logged_once(watched, caplog):
     inputs = TimeSynchronizer(watched.closed.config, lambda: 0).inputs
-    watched.running.service.inputs = inputs.rows
+    watched.running.service.health.inputs = inputs.rows
     watched.vitals.ready()
     why = "no usable observations: no message yet on camera/rgb, camera/depth, camera/info, odom"
     assert watched.beat()[-1] == f"STATUS=not ready: {why} (searching: bed)"
@@ -111,7 +111,9 @@ def test_implausible_data_make_the_service_not_ready(watched):
     watched.beat(1.0)
     assert watched.page("/readyz")[0] == 200
     service = watched.running.service
-    service.plausibility = SimpleNamespace(why={"degrade": "floor: not there", "stand": ""}.get)
+    service.plausibility = SimpleNamespace(
+        why={"degrade": "floor: not there", "stand": ""}.get, blind_s=1.0
+    )
     watched.beat(1.0)
     assert watched.page("/readyz")[1]["why"] == ["floor: not there"]
 

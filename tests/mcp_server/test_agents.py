@@ -214,7 +214,7 @@ def test_an_agent_sees_its_tools_and_resources(make, cameras):
 def test_a_person_decides_on_each_proposal_once_and_in_time(make, tool, arguments):
     robot = make("ask")
     allowed, denied, late = (robot.propose(tool, **arguments) for _ in range(3))
-    waiting = robot.loop.service.proposals(robot.now_ns)
+    waiting = robot.loop.service.publisher.proposals(robot.now_ns)
     assert [one["id"] for one in waiting] == [allowed, denied, late]
     assert not robot.moves
     robot.ask(topics.CONFIRM_REQUEST, {"do": "deny", "id": denied})

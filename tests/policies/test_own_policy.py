@@ -43,12 +43,12 @@ def test_the_page_adds_a_policy_without_touching_another_file(written):
     config = simulated(data)
     warm_up(config)
     loop = ClosedLoop(config)
-    assert (loop.service.policy.turning, config.policy.switch_margin) == (0.8, 0.2)
+    assert (loop.service.perception.policy.turning, config.policy.switch_margin) == (0.8, 0.2)
     loop.run(60)
     assert loop.service.status.phase == "reached", loop.service.status
-    assert len(loop.service.policy.been) > 1
+    assert len(loop.service.perception.policy.been) > 1
     loop.service.on_pose_jump(loop.drive.motion.stamp_ns)
-    assert len(loop.service.policy.been) == 0
+    assert len(loop.service.perception.policy.been) == 0
 
 
 SEES = """
@@ -69,7 +69,7 @@ def test_a_policy_sees_a_read_only_context(written):
     data = {**LOCKSTEP, "policy": {"kind": "my_policy:Spy"}, "mapping": small}
     config = simulated({**data, "mission": instruction})
     loop = ClosedLoop(config)
-    policy, states = loop.service.policy, {}
+    policy, states = loop.service.perception.policy, {}
     while loop.service.goals.goal is None or loop.service.goals.goal.kind != "instance":
         before, window = dict(states), loop.service.map.grid.window.origin
         loop.step()
@@ -108,7 +108,7 @@ def test_a_policy_is_reset_with_the_reason(written):
     data = {**LOCKSTEP, "policy": {"kind": "my_policy:Spy"}}
     small = {"extent_m": 8.0, "range_m": 2.5}
     loop = ClosedLoop(simulated({**data, "mapping": small, "mission": {"target": "refrigerator"}}))
-    resets, now_ns = loop.service.policy.resets, loop.drive.motion.stamp_ns
+    resets, now_ns = loop.service.perception.policy.resets, loop.drive.motion.stamp_ns
     loop.step()
     assert resets == []
     loop.service.begin(prepare(loop.config.mission, "go to the refrigerator"), now_ns)
