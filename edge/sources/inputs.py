@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from edge.config import Config
 from edge.loop.source import InputState, InputStatus
@@ -30,6 +31,7 @@ _NO_FAULT = ("superseded", "pose_jump", "clock_reset")
 """Reasons that are no fault: a newer message was used instead, or this message was used."""
 
 
+@dataclass(slots=True, eq=False)
 class _Input:
     """Counters of one input.
 
@@ -53,37 +55,27 @@ class _Input:
         in_window: number of messages in the current window.
     """
 
-    __slots__ = (
-        "came_ns",
-        "detail",
-        "dropped",
-        "expected_hz",
-        "group",
-        "hz",
-        "in_window",
-        "name",
-        "needed",
-        "reason",
-        "received",
-        "silent_ns",
-        "since_ns",
-        "used_ns",
-        "warned_ns",
-        "warning",
-        "where",
-    )  # fmt: skip
+    name: str
+    where: str
+    group: str
+    needed: bool
+    expected_hz: float
+    silent_ns: float = field(init=False)
+    came_ns: int | None = None
+    used_ns: int | None = None
+    received: int = 0
+    warning: str = ""
+    warned_ns: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    reason: str = ""
+    detail: str = ""
+    hz: float = 0.0
+    since_ns: int = 0
+    in_window: int = 0
 
-    def __init__(self, name: str, group: str, needed: bool, expected_hz: float) -> None:
-        self.name, self.where, self.group = name, name, group
-        self.needed, self.expected_hz = needed, expected_hz
-        self.came_ns: int | None = None
-        self.used_ns: int | None = None
-        self.received = self.in_window = self.since_ns = 0
-        self.dropped: dict[str, int] = {}
-        self.reason = self.detail = self.warning = ""
-        self.warned_ns = 0
-        self.hz = 0.0
-        self.silent_ns = max(SILENT_S, 3.0 / expected_hz) * 1e9 if expected_hz else math.inf
+    def __post_init__(self) -> None:
+        hz = self.expected_hz
+        self.silent_ns = max(SILENT_S, 3.0 / hz) * 1e9 if hz else math.inf
 
     def on_message(self, now_ns: int) -> None:
         """Count a message, and measure the rate once a window."""
@@ -152,7 +144,7 @@ class InputTable:
 
     def add(self, name: str, group: str, needed: bool, expected_hz: float = 0.0) -> None:
         """Add an input; for the arguments see `_Input`."""
-        row = _Input(name, group, needed, expected_hz)
+        row = _Input(name, name, group, needed, expected_hz)
         self._inputs.append(row)
         self._by_name.setdefault(name, []).append(row)
 

@@ -206,8 +206,10 @@ class TimeSynchronizer:
         self._logged: set[tuple[str, str]] = set()  # (topic, reason) that were logged
         self._decoder = FrameDecoder(config, self._index, self.streams, self.inputs, self.count)
         camera, lidar = config.sensors.cameras[self._index], config.sensors.lidar
-        self._T_base_camera = camera.T_base_camera()
-        self._T_base_lidar = np.eye(4) if lidar is None else lidar.T_base_mount()
+        self._mounts = {  # those of the configuration
+            "T_base_camera": camera.T_base_camera(),
+            "T_base_lidar": np.eye(4) if lidar is None else lidar.T_base_mount(),
+        }
 
     def received(self, topic: str) -> None:
         """Count a message, before it is decoded and offered."""
@@ -343,7 +345,7 @@ class TimeSynchronizer:
                 pose_age_ns = leader.stamp_ns - self.odometry.newest_ns
         if T_map_base is None:
             return self._without_pose(leader, missing)
-        mounts = {"T_base_camera": self._T_base_camera, "T_base_lidar": self._T_base_lidar}
+        mounts = dict(self._mounts)
         for name, frame_id, stamp_ns in self._moving_mounts(frames):
             placed = self._mount_at(frame_id, stamp_ns)
             if placed.T is None:

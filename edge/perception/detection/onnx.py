@@ -183,7 +183,6 @@ class OnnxDetector:
         self._images = np.empty((1, 3, height, width), np.float32)
         self._place = _Placement(0, 0, 1.0, 0, 0, None)  # of no image yet
         self._scale = np.float32(self.card.preprocess.scale)
-        self._far_px = far_px(self.card)
         self._session = session or open_session(
             verify_model(self.card, believe_cache=True),
             detector.providers,
@@ -191,8 +190,7 @@ class OnnxDetector:
             detector.device_id,
             engine_options(self.card, detector, progress),
         )
-        self._anchors = self._count_anchors()
-        self._anchor_best = np.empty(self._anchors, np.float32)  # see `kernels.candidates`
+        self._anchor_best = np.empty(self._count_anchors(), np.float32)  # see `kernels.candidates`
         self._competing_score = np.empty(MAX_DETECTIONS, np.float32)
         self._target_boxes, self._context_boxes = (
             _BoxBuffer.empty(MAX_DETECTIONS) for _ in range(2)
@@ -212,7 +210,7 @@ class OnnxDetector:
         """Encode prompts and bind buffers for them, which may take GPU memory."""
         classes = text_classes_for(prompts, self._background, self._text, independent)
         embeddings = self._text.embed(classes.words)
-        texts = embeddings.shape[1]
+        anchors, texts = len(self._anchor_best), embeddings.shape[1]
         if texts > MAX_TEXTS and self._session.get_providers()[0] in TENSORRT_PROVIDERS:
             raise PromptError(
                 f"{texts} text classes (prompts, synonyms, background and contrast words), "
@@ -222,12 +220,12 @@ class OnnxDetector:
         bound = bind(
             self._session,
             dict(zip(INPUTS, (self._images, embeddings), strict=True)),
-            {"boxes": (1, self._anchors, 4), "scores": (1, self._anchors, texts)},
+            {"boxes": (1, anchors, 4), "scores": (1, anchors, texts)},
             live=("images",),
         )
-        n = self._anchors * (len(prompts) + len(classes.context))
+        n = anchors * (len(prompts) + len(classes.context))
         return _PromptSet(
-            prompts, classes, np.empty((self._anchors, classes.n_classes), np.float32),
+            prompts, classes, np.empty((anchors, classes.n_classes), np.float32),
             np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.float32), bound,
         )  # fmt: skip
 
@@ -287,7 +285,7 @@ class OnnxDetector:
         self._fill_input(np.ascontiguousarray(rgb))
         boxes, scores = prompt_set.bound.run()
         kernels.best_per_class(scores[0], prompt_set.classes.class_of_text, prompt_set.class_scores)
-        if invalid := kernels.count_invalid(boxes[0], prompt_set.class_scores, self._far_px):
+        if invalid := kernels.count_invalid(boxes[0], prompt_set.class_scores, far_px(self.card)):
             raise ModelError(f"model {self.name}: {invalid} boxes are {WHY_INVALID}")
         return prompt_set.class_scores[:, : len(prompt_set.prompts)].max(axis=0)
 
@@ -361,14 +359,14 @@ class OnnxDetector:
         named = targets + len(prompt_set.classes.context)
         kernels.best_per_class(scores, prompt_set.classes.class_of_text, prompt_set.class_scores)
         found, invalid = kernels.candidates(
-            boxes, prompt_set.class_scores, named, tau, self._far_px, prompt_set.anchor,
+            boxes, prompt_set.class_scores, named, tau, far_px(self.card), prompt_set.anchor,
             prompt_set.label, prompt_set.score, self._anchor_best,
         )  # fmt: skip
         if invalid:
             if not self.invalid_boxes:
                 log.error(
                     "model %s: %d of %d boxes are %s: dropped (further ones are only counted)",
-                    self.name, invalid, self._anchors, WHY_INVALID,
+                    self.name, invalid, len(self._anchor_best), WHY_INVALID,
                 )  # fmt: skip
             self.invalid_boxes += invalid
         kept = self._suppress(prompt_set, boxes, found, (0, targets), self._target_boxes)
