@@ -254,7 +254,7 @@ def test_a_server_may_return_with_another_model(model, far, picture):
             there.detect(picture)
         there.time.s = 1e3
         there.detect(picture)
-        assert there._inner._anchors == 100
+        assert len(there._inner._anchor_best) == 100
         server.behave = cut
         with pytest.raises(ServerError):
             there.detect(picture)
