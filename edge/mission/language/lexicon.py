@@ -19,24 +19,23 @@ _ROWS: dict[str, str] = {
         quadcopter; the vehicle; the delivery robot
     """,
     "ensure": """
-        make sure; make sure that; making sure; making sure that; ensure; ensure that; ensuring;
-        ensuring that; be sure; be sure that; being sure; remember; remembering; please make sure;
-        take care; taking care; be careful; being careful; see to it that; seeing to it that; do
-        not forget; never forget; without forgetting; do not fail; never fail; go ahead and;
+        make sure (|that); making sure (|that); (ensure|ensuring) (|that); (be|being) sure;
+        be sure that; remember; remembering; please make sure; take care; taking care;
+        (be|being) careful; (see|seeing) to it that; do not forget; never forget;
+        without forgetting; do not fail; never fail; go ahead and;
         (i want|i need|i would like|we want|we need|i like|i would love|we would like|i expect|i
-        should like|we should like)
-        (you|the robot|the drone|the agent|the car|the vehicle);
+        should like|we should like) (you|the robot|the drone|the agent|the car|the vehicle);
         (your|the) (task|mission|goal|job|objective|aim|assignment) is
     """,
     "addressed": "drone; rover; bot; quadcopter; droid",
     "must": """
-        must; should; shall; have; has; had; need; needs; need to; required; are required; is
-        required; ought; will; supposed; are supposed; is supposed; obliged; are obliged;
+        must; should; shall; have; has; had; need; needs; need to; ought; will; (|are|is) required;
+        (|are|is) supposed; (|are) obliged;
         it is (necessary|needed|required|mandatory|essential|important) to;
     """,
     "can": """
-        can; may; could; would; might; are allowed; is allowed; be allowed; allowed; are
-        permitted; permitted; are free; are welcome; are good
+        can; may; could; would; might; (|are|is|be) allowed; (|are) permitted;
+        are (free|welcome|good)
     """,
     "needless": """
         it is not (necessary|required|needed|mandatory|forbidden|prohibited|banned|compulsory);
@@ -46,18 +45,15 @@ _ROWS: dict[str, str] = {
     "be": "be; is; are; was; were; been; being",
     "not": """
         not you dare; not dare; not even think about; (i|we) do not want (you|the robot|the drone);
-        not; never; not ever; no; don; don t; doesn t; isn t; can t; won t; never ever; not
-        welcome; are not welcome; is not welcome; prohibited from; are prohibited from; are
-        forbidden; not allowed; are not allowed; not permitted; are not permitted; at no point; at
-        no time; at no stage; under no circumstances; under no circumstance; on no account; in no
-        case; by no means;
+        not; never; not ever; no; don; (don|doesn|isn|can|won) t; never ever;
+        (|are|is) not welcome; (|are) prohibited from; are forbidden;
+        (|are) not (allowed|permitted); at no (point|time|stage);
+        under no (circumstances|circumstance); on no account; in no case; by no means;
         it is (forbidden|prohibited|not allowed|not permitted|banned) to;
         (is|are|be|being|) (forbidden|banned|barred|prohibited) from
     """,
     "banned": """
-        is prohibited; is forbidden; is not allowed; is not permitted; are prohibited; are banned;
-        is off limits; are off limits; is out of bounds; are out of bounds; are forbidden; is
-        banned
+        (is|are) (prohibited|forbidden|banned|off limits|out of bounds); is not (allowed|permitted)
     """,
     "neither": "neither",
     # Reviewed: only these words can be removed from any sentence without changing its meaning.
@@ -71,22 +67,20 @@ _ROWS: dict[str, str] = {
         (would you|could you|) be so (kind|good) as to; (please|) help (me|us); in a straight line;
         it would be (nice|good|great|kind|lovely) if you (could|would);
         (just|) to be (on the safe side|safe|sure);
-        directly; would you mind; do you mind; if you do not mind; when you have a minute; when
-        you have time; when you have the chance; whenever you can; as many times as you want; on
-        your travels; eventually; sometime; some time; at some time; at some point; at any time;
-        at any point; at any point in time; at any stage; in the future; at some point in the
-        future; some time in the future; sometime in the future; ever; at all; at all costs; in
-        any way; under any circumstances; under any circumstance; no matter what; completely;
-        totally; entirely; under any condition; under any conditions; no matter what happens;
+        directly; (would|do) you mind; if you do not mind; when you have (a minute|time|the chance);
+        whenever you can; as many times as you want; on your travels; eventually; in the future;
+        (sometime|some time|at some point) (|in the future); at some time; ever; at all (|costs);
+        at any (time|point|point in time|stage); in any way; no matter what (|happens);
+        under any (circumstances|circumstance|condition|conditions); completely; totally; entirely;
         (sometime|some time|at some point|at some time|any time) today;
         on (your|this|the) (trip|journey|tour|round);
         there can be other (locations|landmarks|waypoints|places|stops) in between
     """,
     # Redundant in a ban or a condition; impossible for a goal.
     "always": """
-        the whole way through; the whole time; the entire time; throughout; all along; the whole
-        way; the entire way; at every point; at any moment; at every step; always; at all times;
-        all the time; each time you do; at every moment;
+        the whole way through; the (whole|entire) (time|way); throughout; all along;
+        at every (point|moment|step); at any moment; always; at all times; all the time;
+        each time you do;
         (for|during|throughout) the (whole|entire) (trip|mission|time|flight|journey);
         (for|during|throughout) the (trip|mission|flight|journey)
     """,
@@ -96,18 +90,15 @@ _ROWS: dict[str, str] = {
     "or": "or; or else; or alternatively; alternatively; nor",
     "but": "but; however; though; yet",
     "then": """
-        (and|) (that|this) done;
-        and than;
-        then; and then; then finally; and finally; finally; lastly; next; and next; after that;
-        and after that; afterwards; afterward; and afterwards; and afterward; sometime afterward;
-        sometime afterwards; and sometime afterward; and sometime afterwards; after this; and
-        after this; followed by; thereafter; secondly; thirdly; fourthly; later; later on; some
-        time later; and later; subsequently; move on; and then finally; second; third; fourth;
-        fifth; then next; and lastly; after which; then after that; move on to; from there; and
-        from there; from there on; from here; then from there; and then from there; then followed
-        by; and then after that; and then later; and later on; next up; last of all; at last;
-        sometime later; and sometime later; then sometime later; and then sometime later; then
-        later; and then some time later; from then on; and from then on;
+        (and|) (that|this) done; and than;
+        (|and) (then|finally|next|after that|afterwards|afterward|after this|later|from there|later
+        on); then finally; lastly; sometime (afterward|afterwards);
+        and sometime (afterward|afterwards); followed by; thereafter; secondly; thirdly; fourthly;
+        some time later; and then some time later; (|and|then|and then) sometime later;
+        subsequently; move on; and then finally; second; third; fourth; fifth; then next;
+        and lastly; after which; (|and) then after that; move on to; from there on; from here;
+        (|and) then from there; then followed by; (|and) then later; next up; last of all; at last;
+        (|and) from then on;
         (when|once|after|and when|and once|as soon as) (you are done|you are done there|that is
         done|this is done|done|done there|you are finished|you are finished there|you have done
         that|you have done so|there|you get there|you are there|you arrive there|you have arrived
@@ -116,21 +107,20 @@ _ROWS: dict[str, str] = {
         time|eventually|not long) (after that|after this|afterwards|thereafter|later on);
         at (some|a) later (point|time|stage|moment);
         (your|the|and your|and the|) (second|third|fourth|fifth|next)
-        (stop|destination|target|goal|waypoint|place|place to go|place to visit) (is|should
-        be|will be|must be)
+        (stop|destination|target|goal|waypoint|place|place to go|place to visit) (is|should be|will
+        be|must be)
     """,
-    "only then": "only then; and only then; only after that; and only after that; only afterwards",
+    "only then": "(|and) only then; (|and) only after that; only afterwards",
     "first": "first; beforehand; first of all; to begin with; firstly; initially",
     # Conditions.
     "before": "before; prior to; ahead of; earlier than",
     "after": "after; following; having",
     "until": "until; till; up until; until after",
     "unless": "unless; if not; except after",
-    "when": "when; as soon; as soon as; whenever; every time; each time; any time; if; if ever",
+    "when": "when; as soon (|as); whenever; (every|each|any) time; if; if ever",
     "while": "while; whilst; during which; as long as",
     "without": """
-        nowhere near; but nowhere near;
-        without; without ever; with no; instead of;
+        (|but) nowhere near; without (|ever); with no; instead of;
         (with|) no (stops at|stop at|visits to|visit to|stopping at|detour through);
         without (any|a|) (stops at|stop at|visits to|visit to|detour through);
         (not|but not) (through|via|past|near|over|across|along|by way of)
@@ -146,42 +136,34 @@ _ROWS: dict[str, str] = {
         (that|which) (goes|leads|passes|runs|takes you) (through|via|past)
     """,
     "bound": """
-        (while|when) (heading|bound) for;
-        en route to; on way to; on route to; while moving to; while going to; while heading to;
-        while traveling to; while travelling to; when on the way to; while on the way to; when on
-        your way to; while on your way to;
+        (while|when) (heading|bound) for; (en route|on way|on route) to;
+        while (moving|going|heading|traveling|travelling) to; (when|while) on (the|your) way to;
         (on the way|on your way|on its way|along the way|on your trip|on the trip|on your
         journey|on the road|on the route|on your route|on the path|on your path|on its path|along
         your path) (to|into|towards|toward);
         (when|in) (going|moving|walking|driving|flying|heading|traveling|proceeding)
-        (to|towards|toward);
-        (in order to|so as to) (reach|get to|go to|enter|get into);
+        (to|towards|toward); (in order to|so as to) (reach|get to|go to|enter|get into);
         (while|as) you (go|head|move|drive|fly|walk|travel|make your way|are going|are heading|are
         moving|are flying|are on your way) (to|towards|toward)
     """,
     "bound there": """
-        for this; to do so; to do this; to do that; to get there; to reach it; to get to it; in
-        order to get there
+        for this; to do (so|this|that); (|in order) to get there; to reach it; to get to it
     """,
     "on the way": """
-        (while|as) you are getting there;
-        on the road; on the route; along the path; in the way; in your way; in its way;
-        (on|in|along) (your|its|our|their) (path|route); on the way; on your way; on its
-        way; along the way; en route; on the way there; on your way there; on its way there; along
-        your way; as you go; as you do so; while doing so; in doing so; while you do it; while you
-        do so; as you do it;
+        (while|as) you are getting there; on the (road|route); along the path;
+        in (the|your|its) way; (on|in|along) (your|its|our|their) (path|route);
+        on (the|your|its) way (|there); along (the|your) way; en route; as you go; as you do so;
+        (while|in) doing so; while you do (it|so); as you do it;
         (while|as) you are (driving there|going there|heading there|moving there|on your way|at
         it|doing it|doing so)
     """,
     "around": "around; by going around; going around; by driving around; by walking around",
     "origin": """
-        starting on; start on; beginning on; begin on; starting off at; start off at; starting
-        from; starting at; starting in; starting out from; start from; start at; start in; start
-        out from; beginning at; beginning in; beginning from; begin at; begin in
+        (start|starting) (on|from|at|in|off at|out from); (begin|beginning) (on|at|in);
+        beginning from
     """,
     "opener": """
-        start by; begin by; start off by; starting by; beginning by; start with; begin with;
-        starting with; beginning with;
+        (start|starting|begin|beginning) (by|with); start off by;
         (your|the|) first (stop|destination|target|goal|waypoint|place|place to go|place to visit)
         (is|should be|will be|must be)
     """,
@@ -194,7 +176,7 @@ _ROWS: dict[str, str] = {
         on|go|move|drive|walk|fly|continue on|move on|do not stop|never stop) (until|till)
     """,
     "immediately": """
-        immediately; right; straight; straight away; right away; immediately in the next time step;
+        immediately; right; straight; (straight|right) away; immediately in the next time step;
         (at|in) (the next|the very next) (step|instant|time step|time instant|instance)
     """,
     # Counting.
@@ -206,20 +188,18 @@ _ROWS: dict[str, str] = {
         sixty; seventy; eighty; ninety; single; a single; one single
     """,
     "times": """
-        trip; trips; trip to; trips to; time; times; instances; separate instances; distinct
-        times; separate times; occasion; occasions; separate occasions; different times; different
-        occasions; times in total; distinct visit; separate visit; separate instance; different
-        instances; times overall; separate visits; visits; visits to; visit to; separate visits
-        to; in total; distinct visits; distinct visits to
+        (trip|trips|visits|distinct visits|separate visits) (|to); visit to;
+        (|distinct|separate|different) times; time; instances; (separate|different) instances;
+        occasion; (|separate|different) occasions; times (in total|overall);
+        (distinct|separate) visit; separate instance; in total
     """,
     "at least": """
-        minimum; minimum of; at least; a minimum of; no less than; no fewer than; not less than;
-        on at least; equal or more than; equal to or more than; greater than or equal to; more
-        than or equal to
+        minimum; (|a) minimum of; (|on) at least; (no|not) less than; no fewer than;
+        equal (|to) or more than; (greater|more) than or equal to
     """,
     "at most": """
-        at most; a maximum of; no more than; not more than; up to; on at most; maximum; equal or
-        less than; equal to or less than; less than or equal to
+        (|on) at most; a maximum of; (no|not) more than; up to; maximum;
+        (equal|equal to) or less than; less than or equal to
     """,
     "quota": """
         (the maximum|the minimum|the required|maximum|minimum) (number
@@ -232,17 +212,16 @@ _ROWS: dict[str, str] = {
     "more than": "more than; greater than; any more than; more often than",
     "less than": "less than; fewer than; any less than; any fewer than",
     "more or less": """
-        more or less than; any more or less than; any more or fewer than; no fewer or greater
-        than; any greater or fewer than; greater or fewer than; any more or any fewer than; any
-        more or any less than
+        more or less than; any more or (less|fewer) than; no fewer or greater than;
+        (|any) greater or fewer than; any more or any (fewer|less) than
     """,
     "or more": "or more; or more than; or more often; and more",
     "or less": "or less; or fewer; or less often; or fewer times",
     "only": "only; solely",
     "out of turn": "out of turn; out of order; out of sequence",
     "no return": """
-        no revisiting; no revisits; no going back; no turning back; repeated visits are not
-        permitted; repeated visits are not allowed;
+        no (revisiting|revisits|going back|turning back);
+        repeated visits are not (permitted|allowed);
         (no|without any|without) (repetition|repetitions|repeats|repeated visits);
         no (revisiting|revisits|returning|going back|turning back|repeated visits|repetitions) (is
         allowed|are allowed|allowed|is permitted|are permitted|permitted)
@@ -253,17 +232,12 @@ _ROWS: dict[str, str] = {
     """,
     # Order.
     "any order": """
-        either one first; either first;
-        in any order; in any order you like; in no particular order; in no specific order; in
-        arbitrary order; in an arbitrary order; in whatever order; any order; the order is not
-        important; the order does not matter; order does not matter; it can be done in any order;
-        regardless of order; in whichever order; in a random order; in whichever order you like;
-        in any order you want; in whatever order you like; in either order; in any order required;
-        the order is up to you; the order is arbitrary; order is not important; whatever order you
-        like; whichever order you like; order is up to you; order is arbitrary; in whatever order
-        suits you; in whichever order suits you; in no set order; in no fixed order; either one
-        can be first; either can be first; either one may come first; either may come first;
-        either one can come first; either can come first;
+        (either|either one) (first|can be first|may come first|can come first);
+        in any order (|you like|you want|required); in no (particular|specific|set|fixed) order;
+        in (arbitrary|an arbitrary|a random|either) order; any order; regardless of order;
+        in (whatever|whichever) order (|you like|suits you); (whatever|whichever) order you like;
+        (the|) order (is not important|does not matter|is up to you|is arbitrary);
+        it can be done in any order;
         (in whatever|in whichever) order (is|seems) (quickest|easiest|fastest|shortest|best);
         (any|whatever|whichever|either) order (is|will be) (fine|okay|ok|good|all right|alright);
         (any|whatever|whichever) order (works|will do|goes|suits you|you want|you prefer);
@@ -292,16 +266,14 @@ _ROWS: dict[str, str] = {
         (it does not matter|i do not care|i do not mind) (which|which one)
     """,
     "in order": """
-        in order; in that order; in this order; in the order given; in the given order; in turn;
-        in sequence; sequentially; consecutively; one after another; one after the other; in this
-        sequence; in that sequence; one by one
+        in order; in (that|this|the given) order; in the order given; in turn; in sequence;
+        sequentially; consecutively; one after (another|the other); in (this|that) sequence;
+        one by one
     """,
     "strict order": """
-        in strict order; in strictly this order; in this strict order; in that strict order; in
-        this exact order; in that exact order; in exact order; in this specific order; in that
-        specific order; in exactly this order; in exactly that order; strictly in order; strictly
-        in this order; in the exact order; in the strict order; in that exact sequence; in this
-        exact sequence
+        in (strict|exact) order; in the (strict|exact) order;
+        in (this|that) (strict|exact|specific) order; in (this|that) exact sequence;
+        in exactly (this|that) order; in strictly this order; strictly in (|this) order
     """,
     # Parts of noun phrases.
     "article": """
@@ -311,10 +283,7 @@ _ROWS: dict[str, str] = {
     """,
     "pronoun": "it; that; there; them; this; those; these; that one; this one; the same",
     "either": "either; one of; either one of; either of; any of; any one of; at least one of",
-    "all of": """
-        both; both of; all of; each of; all; all the following; the following; every one of; each;
-        every
-    """,
+    "all of": "both (|of); all (|of|the following); the following; every one of; each (|of); every",
     "group": """
         locations; location; place; places; landmarks; landmark; waypoints; objects; targets;
         rooms; things
@@ -325,8 +294,8 @@ _ROWS: dict[str, str] = {
     """,
     "to": "to; towards; toward; over to; through; into; onto; in to; inside of",
     "happen": """
-        happen; happens; happened; happening; occur; occurs; occurred; occured; occurring; hold;
-        holds; hold true; holds true; become true; becomes true; be true; is true;
+        happen; happens; happened; happening; occur; occurs; occurred; occured; occurring;
+        (hold|holds) (|true); (become|becomes|be|is) true;
         (is|should be|will be|must be) (your|the) (goal|target|destination|final destination|final
         goal|objective|final target);
         is where you (finish|end|end up|need to be|have to be|should be|must be|must go|need to
@@ -334,11 +303,10 @@ _ROWS: dict[str, str] = {
     """,
     # Only known to be refused with a reason, see `tokens.REASONS`.
     "endless": """
-        keep visiting; continuously; repeatedly; infinitely; endlessly; perpetually; again and
-        again; over and over again; over and over; patrol; cycle through; back and forth;
-        infinite; an infinite number of; do not stop visiting; do not stop going; never stop
-        visiting; never stop going; do not ever stop; can not stop; not stop visiting; not stop
-        going
+        keep visiting; continuously; repeatedly; infinitely; endlessly; perpetually;
+        again and again; over and over (|again); patrol; cycle through; back and forth; infinite;
+        an infinite number of; (do not|never) stop (visiting|going); do not ever stop;
+        can not stop; not stop (visiting|going)
     """,
     "going on": "continue; keep going; keep moving; keep on; go on; carry on",
     "stay": """
@@ -353,15 +321,13 @@ _ROWS: dict[str, str] = {
     "verb": """
         show up; turn up; (swing|swinging) (past|through|into|over to);
         (end|finish|conclude) (your|the|this) (trip|journey|tour|route|way) (at|in|on|with|by);
-        make your way; making your way; made your way; go near; going near; come near; get near;
-        continue to; continue on to; continue into; continue through; continue on into; keep going
-        to; keep moving to; keep walking to; go on to; carry on to; make a detour; making a
-        detour; take a detour; make a pass through; making a pass through; find yourself in; find
-        yourself at; make it; makes it; making it; cut through; cutting through; cut across; set a
-        wheel; setting a wheel; check in; checking in; deliver to; delivering to; make a delivery;
-        making a delivery; make a round of; do a round of; do the rounds of; find your way; get
-        yourself; bring yourself; take yourself; pay a visit; drop by; drop in at; swing by; stop
-        by; stopping by; stop off; set foot; setting foot; gain access; end up; ends up; ending up;
+        (make|making|made) your way; (go|going|come|get) near; (make|makes|making) it;
+        continue (to|on to|into|through|on into); keep (going|moving|walking) to; (go|carry) on to;
+        (make|making|take) a detour; (make|making) (a pass through|a delivery); find yourself
+        (in|at); (cut|cutting) through; cut across; (set|setting) (a wheel|foot); (check|checking)
+        in; (deliver|delivering) to; (make|do) a round of; do the rounds of; find your way;
+        (get|bring|take) yourself; pay a visit; (drop|swing|stop|stopping) by; drop in at; stop
+        off; gain access; (end|ends|ending) up;
         (go|come|get|going|coming) anywhere near;
         deliver (this|the|a|my) (package|parcel|letter|order) (to|at);
         (your|the|) (final destination|destination|last stop|last place|last place to go|last
@@ -381,13 +347,11 @@ _ROWS: dict[str, str] = {
     """,
     "avoid": """
         (stay|staying|keep|keeping|steer|steering) (well|far|right) (clear of|away from|out of);
-        avoid; avoids; avoiding; avoided; bypass; bypassing; stay away from; staying away from;
-        keep away from; keeping away from; keep avoiding; stay clear of; staying clear of; steer
-        clear of; steering clear of; keep off; stay off; keep out of; stay out of; skip; skipping;
-        keep clear of; go anywhere but; visit anywhere but; go anywhere except; go anywhere other
-        than; by avoiding; by bypassing; refrain from; ignore; leave out; leaving out; staying out
-        of; keeping out of; keeping off; keep well away from; stay well away from; keeping clear
-        of; getting around;
+        avoid; avoids; avoiding; avoided; (|by) bypassing; by avoiding; bypass; keep avoiding;
+        (stay|staying|keep|keeping) (away from|out of); (keep|keeping|stay) off;
+        (stay|staying|steer|steering|keep|keeping) clear of; (keep|stay) well away from; skip;
+        skipping; go anywhere (but|except|other than); visit anywhere but; refrain from; ignore;
+        (leave|leaving) out; getting around;
         (that|which) (avoids|bypasses|skips);
         (taking|by taking|using|by using|following) (a|any|the) (path|route|road|way) (that
         avoids|which avoids|that does not go through|that does not pass through);
