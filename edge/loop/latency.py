@@ -250,7 +250,7 @@ class LatencyRing:
         self._spans_ns = np.full((capacity, n), NOT_RUN, dtype=np.int64)
         self._stamps_ns = np.zeros((capacity, n), dtype=np.int64)  # tick: start; background: end
         # Durations of the tick that runs. They are a list, because setting the items of an array
-        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`.
+        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`. `_flags` is a buffer.
         self._current_ns = list(_NOTHING_RAN)
         self._tick_ns, self._flags = np.array(_NOTHING_RAN), np.zeros(n, dtype=bool)
         self._overruns = np.zeros(n, dtype=np.int64)
