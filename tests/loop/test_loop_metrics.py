@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -119,8 +120,10 @@ def test_names_follow_prometheus_rules():
 
 def test_no_text_of_others_is_a_label():
     watched = Watched().watch()
-    watched.running.service.mission._instruction = MISSION
-    watched.running.service.mission.target = MISSION
+    mission = watched.running.service.mission
+    translation = replace(mission.spec.translation, instruction=MISSION)
+    mission.spec, mission.target = replace(mission.spec, translation=translation), MISSION
+    assert "go to the bed" in watched.running.service.status.instruction
     watched.running.service.error_boundary.on_error("source", ValueError(MISSION), 0)
     page = watched.page()
     assert "xxxx" not in page
