@@ -31,7 +31,9 @@ try:
     if "elsewhere" in sys.argv:  # another thread gets it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     print("ready", flush=True)
-    stop.wait()
+    # Without `stop`, nothing wakes a thread whose signal came just before it began to wait.
+    while not stop.wait(None if "stop" in sys.argv else 1.0):
+        pass
     print("stopped", flush=True)
     threading.Event().wait()
 except KeyboardInterrupt as broken_off:
