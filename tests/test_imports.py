@@ -51,9 +51,17 @@ def module_name(path: Path) -> str:
 MODULES = {module_name(path): path for path in ROOT.rglob("*.py")}
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the statements inside a node at any depth; `ast.walk` takes three times as long."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for inner in getattr(node, field, ()):
+            yield inner
+            yield from statements(inner)
+
+
 def imports_of(module: str) -> Iterator[str]:
     """Modules that a module imports, anywhere: inside functions and for types as well."""
-    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+    for node in statements(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -186,9 +194,11 @@ def test_the_node_of_the_ros2_adapter_imports_names_that_exist():
 
 def crowded(source: str) -> list[tuple[str, int]]:
     """Return name and number of methods of the classes with more than `MOST_METHODS`."""
+    if source.count("def ") <= MOST_METHODS:
+        return []
     numbers = [
         (node.name, sum(isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef) for n in node.body))
-        for node in ast.walk(ast.parse(source))
+        for node in statements(ast.parse(source))
         if isinstance(node, ast.ClassDef)
     ]
     return [(name, n) for name, n in numbers if n > MOST_METHODS]

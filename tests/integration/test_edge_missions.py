@@ -88,56 +88,12 @@ def request_of(command) -> Callable[..., tuple[int, str]]:
     return request
 
 
-def test_requests_by_command(edge, endpoint, tmp_path, request_of):
-    config = write_config(
-        tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"}, **LOCKED
-    )
-    code, said = request_of("status", config, timeout_s=1)
-    assert code == os.EX_UNAVAILABLE
-    assert "no service" in said or "cannot connect" in said, said
-    edge("run", config).says("ready:")  # sees nothing, so that its mission does not end
-    code, said = request_of("status", config, "--json")
-    assert code == 0, said
-    assert json.loads(said)["formula"] == "F toilet"
-    code, said = request_of("pause", config)
-    assert (code, "paused" in said) == (0, True), said
-    code, said = request_of("resume", config)
-    assert code == 0, said
-    # A refused request does not change the running mission.
-    for bad, part in [
-        (("new", config, "frobnicate the chair"), "frobnicate"),
-        (("new", config, "F a & G !a", "--formula"), "contradiction"),
-        (("new", config, "F (a", "--formula"), "column"),
-    ]:
-        code, said = request_of(*bad)
-        assert code == os.EX_DATAERR, said
-        assert part in said
-    assert json.loads(request_of("status", config, "--json")[1])["formula"] == "F toilet"
-    code, said = request_of("new", config, "go to the sofa or the tv")
-    assert code == 0, said
-    assert (
-        json.loads(request_of("status", config, "--json")[1])["formula"] == "F (sofa | television)"
-    )
-    code, said = request_of("cancel", config)
-    assert code == 0, said
-    code, said = request_of("pause", config)
-    assert code == os.EX_DATAERR
-    assert "no mission is running" in said
-
-
 @pytest.mark.parametrize("suffix", ["svg", "png"])
 def test_its_automaton_is_drawn(tmp_path, suffix):
     file = tmp_path / f"automaton.{suffix}"
     assert main(["mission", "explain", WORDS, "--draw", str(file)]) == 0
     begin = {"svg": b"<?xml", "png": b"\x89PNG"}[suffix]
     assert file.read_bytes().startswith(begin)
-
-
-def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_path):
-    config = write_config(tmp_path, zenoh={"endpoint": endpoint})
-    run = edge("run", config, "--mission", "go to the chair and never go to the chair")
-    assert run.wait() == os.EX_DATAERR
-    assert "contradiction" in run.lines[-1]
 
 
 def test_a_language_model_that_is_silent_costs_only_its_mission(

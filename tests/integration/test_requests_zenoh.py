@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -131,30 +130,6 @@ def test_a_killed_service_answers_again_after_its_restart(start, endpoint, servi
             return False
 
     eventually(answers)
-
-
-def test_a_new_mission_replaces_one_still_being_translated(session, service):
-    def slow(thing: str) -> dict:
-        return {"do": "new", "instruction": f"slow F {thing}"}
-
-    with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(send_request, session, KEY, slow("sofa"), PATIENCE_S, "mission")]
-        assert service.stdout.readline() == "slow\n"
-        for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(
-                pool.submit(send_request, session, KEY, slow(thing), PATIENCE_S, "mission")
-            )
-        assert status(session)["formula"] == "F chair"
-        eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert send_request(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
-        errors = [str(future.exception(PATIENCE_S)) for future in asked]
-    assert "cancelled by a stop request that came later: send it again" in errors[0]
-    assert sum("busy" in error for error in errors) == 2
-    assert sum("cancelled by a stop request" in error for error in errors) == 3
-    release(service)
-    new = {"do": "new", "formula": "F bed"}
-    assert send_request(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"
-    assert status(session)["formula"] == "F bed"
 
 
 def test_a_request_outlives_its_killed_client(start, config, service, session):

@@ -82,12 +82,3 @@ def test_a_small_model_writes_a_valid_trajectory_or_an_error(url, scenes, capsys
         )
     with capsys.disabled():
         print("", *lines, sep="\n")
-
-
-def test_an_image_for_a_text_model_is_an_error(url):
-    """The server rejects the picture; that is an error of one line, not a crash."""
-    scene = street(*STREET, picture=True)
-    config = TasksConfig(planner=WriterModel(url=url, max_attempts=1, time_limit_s=LIMIT_S))
-    with pytest.raises(ChatError, match=r"answered HTTP \d+: .*image") as error:
-        write_trajectory("go to the gate", scene, config)
-    assert "\n" not in str(error.value)
