@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -29,25 +28,8 @@ def config(endpoint, tmp_path) -> Path:
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., subprocess.Popen]]:
-    """Start a peer with a role; kill all at the end."""
-    started = []
-
-    def start(role: str, *arguments: object) -> subprocess.Popen:
-        command = [sys.executable, str(PEER), role, *map(str, arguments)]
-        pipe = subprocess.PIPE
-        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.fixture
-def service(start, endpoint) -> subprocess.Popen:
-    return started_service(start, endpoint)
+def service(script, endpoint) -> subprocess.Popen:
+    return started_service(script, endpoint)
 
 
 @pytest.fixture
@@ -56,8 +38,8 @@ def session(endpoint, service) -> Iterator[zenoh.Session]:
         yield session
 
 
-def started_service(start: Callable[..., subprocess.Popen], endpoint: str) -> subprocess.Popen:
-    process = start("service", endpoint)
+def started_service(script: Callable[..., subprocess.Popen], endpoint: str) -> subprocess.Popen:
+    process = script(PEER, "service", endpoint)
     assert process.stdout.readline() == "ready\n"
     return process
 
@@ -115,13 +97,13 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
 
 
-def test_a_killed_service_answers_again_after_its_restart(start, endpoint, service, session):
+def test_a_killed_service_answers_again_after_its_restart(script, endpoint, service, session):
     send_request(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
     with pytest.raises(RequestError, match="mission: "):
         send_request(session, KEY, {"do": "status"}, 2.0, "mission")
-    started_service(start, endpoint)
+    started_service(script, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
         try:
@@ -132,8 +114,8 @@ def test_a_killed_service_answers_again_after_its_restart(start, endpoint, servi
     eventually(answers)
 
 
-def test_a_request_outlives_its_killed_client(start, config, service, session):
-    client = start("request", "new", config, "slow F sofa")
+def test_a_request_outlives_its_killed_client(script, config, service, session):
+    client = script(PEER, "request", "new", config, "slow F sofa")
     assert service.stdout.readline() == "slow\n"
     client.kill()
     client.wait()
