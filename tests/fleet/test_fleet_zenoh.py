@@ -23,7 +23,6 @@ from edge.bus import presence
 from edge.bus.session import BusError, open_session, zenoh_session
 from edge.cli.fleet import table
 from edge.cli.main import main
-from edge.errors import UserError
 from edge.fleet import dispatch, roster
 from edge.fleet.dispatch import Dispatcher, plan
 from edge.fleet.roster import Robot, open_roster
@@ -294,24 +293,6 @@ class Liar:
         for query in self._held:
             query.drop()
         self._session.close()
-
-
-def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
-    anna = robots("anna")
-    with open_roster(settings_of(port, "any")) as seen:
-        request = {"do": "new", "formula": "F bed", "id": "x.1", "if_free": True}
-        for _ in range(2):
-            assert seen.send("anna", request, PATIENCE_S)["id"] == "x.1"
-        assert anna.service.begun == 1
-        with pytest.raises(UserError, match="refused: not free: the last mission searching: F bed"):
-            seen.send("anna", {**request, "id": "x.2"}, PATIENCE_S)
-        seen.send("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
-        with pytest.raises(UserError, match=r"mission x\.1 is already over"):
-            seen.send("anna", request, PATIENCE_S)
-        with pytest.raises(UserError, match=r"no mission x\.1 is running"):
-            seen.send("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
-        assert anna.mission.target == "sofa"
-        assert not anna.mission.done
 
 
 def test_a_second_service_with_the_same_prefix_is_refused(port, robots, caplog):
