@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -28,7 +25,6 @@ from edge.fleet.dispatch import Dispatcher, plan
 from edge.fleet.roster import Robot, open_roster
 from edge.mission.spec import prepare
 
-FAKE = Path(__file__).parents[1] / "fake_robots.py"
 THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet"
 
 
@@ -336,36 +332,6 @@ def test_two_services_with_one_name_are_shown(port, robots):
             eventually(lambda: "2 services use this name" in seen.ask_status()["anna"].problem)
             token.undeclare()
             eventually(lambda: seen.ask_status()["anna"].status_reply)
-
-
-@pytest.fixture
-def carl(port) -> Iterator[subprocess.Popen]:
-    """Start a robot in its own process that never reaches anything."""
-    command = [sys.executable, FAKE, f"tcp/127.0.0.1:{port}", "carl", "1e9"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "ready\n"
-        yield process
-        process.kill()
-
-
-def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
-    both = [robots(name) for name in ("anna", "bob")]
-    command = Edge("mission", "new", "--fleet", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
-                   "--patience", "0.5", cwd=tmp_path)  # fmt: skip
-    # On a busy machine its answer may be late; then it is known by its state.
-    got = ("carl gets: ", "carl is working on it")
-    try:
-        command.until(lambda: any(text in command.output for text in got), "carl got no part")
-        carl.send_signal(signal.SIGKILL)
-        command.says("carl is offline; another robot gets the part unless it is back within 0.5 s")
-        for robot in both:
-            robot.reaches_in_s = 0.1
-        assert command.wait() == 0, command.output
-    finally:
-        command.kill()
-    told = json.loads("\n".join(command.lines[command.lines.index("{") :]))
-    assert told["phase"] == "reached"
-    assert {part["by"] for part in told["parts"]} <= {"anna", "bob"}
 
 
 def test_a_mission_survives_a_restarted_router(tmp_path, monkeypatch):
