@@ -286,18 +286,13 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
             "begins its answer with 'The', 'I', not with A",
         ),
         (model(scene={"Maybe": -0.1}), "begins its answer with 'Maybe', not with Yes, No"),
-        (model(direction={"A": float("nan")}), "an invalid logprob"),
         (model(scene={}), "no logprobs"),
-        (lambda handler: send(handler, b"[]"), "no logprobs"),
-        (lambda handler: send(handler, b"x" * 300_000), "more than 256 KB"),
         (lambda handler: send(handler, b"", 500), "HTTP 500"),
-        (lambda handler: handler.stopping.wait(), "no complete answer within 0.3 s"),
     ],
 )
 def test_an_invalid_answer_is_an_error_of_one_line(make_observation, behave, expected):
-    limit_s = 0.3 if "within" in expected else PATIENCE_S
     with serving(behave) as server:
-        asks = scorer_of(server, "text", time_limit_s=limit_s)
+        asks = scorer_of(server, "text", time_limit_s=PATIENCE_S)
         with pytest.raises(ChatError) as raised:
             put_to(asks, view(make_observation))
     assert str(raised.value).startswith(server.url)
