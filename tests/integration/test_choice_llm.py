@@ -32,7 +32,7 @@ SEEN = (DetectedObject("bed", 0.5, 2.1), DetectedObject("lamp", 0.1, 3.0))
 
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
-    with serving_llm() as (url, _):
+    with serving_llm() as url:
         yield url
 
 

@@ -81,13 +81,6 @@ def test_the_life_of_a_mission(config, service, command):
     assert reply("cancel")["phase"] == "cancelled"
 
 
-def test_a_request_without_a_service_is_an_error(endpoint):
-    settings = ZenohConfig(endpoint=endpoint)
-    nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
-    with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
-        status(session)
-
-
 def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
