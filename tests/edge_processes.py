@@ -132,6 +132,22 @@ def edge(tmp_path) -> Iterator[Callable[..., Edge]]:
 
 
 @pytest.fixture
+def script() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start other Python programs, with these arguments and pipes; kill all of them at the end."""
+    started = []
+
+    def start(*arguments: object, **options: object) -> subprocess.Popen[str]:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, **options}
+        started.append(subprocess.Popen([sys.executable, *map(str, arguments)], **pipes))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
 def command(capsys, monkeypatch) -> Callable[..., tuple[int, str]]:
     """Run a command in this process without changing its signal handlers; its code and output."""
     monkeypatch.setattr("signal.signal", lambda *_: None)

@@ -1,13 +1,10 @@
 """Robots with a fake body: they reach each target at once.
 
 Session, presence, requests and missions are the service's own; so a fleet cannot tell them apart.
-`python fake_robots.py ENDPOINT NAME SECONDS` is one in a process, which takes so long for a target.
 """
 
 from __future__ import annotations
 
-import logging
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -147,14 +144,3 @@ class FakeRobot:
                     continue
                 if time.monotonic() - since_s >= self.reaches_in_s:
                     self.mission.on_reached("made up", now_ns)
-
-
-def main(endpoint: str, name: str, seconds: str) -> None:
-    logging.basicConfig(level=logging.INFO)
-    robot = FakeRobot(int(endpoint.rpartition(":")[2]), name, reaches_in_s=float(seconds))
-    print("ready", flush=True)
-    robot._thread.join()
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

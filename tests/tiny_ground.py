@@ -8,8 +8,9 @@ from __future__ import annotations
 import hashlib
 from typing import Any
 
+import numpy as np
 import yaml
-from onnx import parser
+from onnx_text import onnx_of
 
 from edge import config
 from edge.host import resources
@@ -23,22 +24,17 @@ OUTPUTS = {
     "scores": ("float[1,19,r,c] y", "y = Conv (x, w, b)"),
     "best class": ("int64[1,r,c] y", "s = Conv (x, w, b) y = ArgMax<axis = 1, keepdims = 0> (s)"),
 }
-HEADER = '<ir_version: 8, opset_import: ["": 17]>'
 
 
-def _onnx_of(declared: str, made: str) -> bytes:
-    rows = [ROWS.get(name, (0, 0, 0, -99)) for name in CITYSCAPES]
-    w = ", ".join(str(float(value)) for row in rows for value in row[:3])
-    b = ", ".join(str(float(row[3])) for row in rows)
-    text = f"""{HEADER} g (float[1,3,{HW[0]},{HW[1]}] x) => ({declared}) {{
-      w = Constant<value = float[19,3,1,1] {{{w}}}> ()
-      b = Constant<value = float[19] {{{b}}}> () {made} }}"""
-    return parser.parse_model(text).SerializeToString()
+def _network(declared: str, made: str) -> bytes:
+    rows = np.array([ROWS.get(name, (0, 0, 0, -99)) for name in CITYSCAPES], np.float32)
+    text = f"g (float[1,3,{HW[0]},{HW[1]}] x) => ({declared}) {{ {made} }}"
+    return onnx_of(text, w=rows[:, :3, None, None], b=rows[:, 3])
 
 
 def put_network(output: str = "scores", name: str = "tiny-ground", **changes: Any):
     """Write the network and its card into the model cache; return its settings."""
-    content = _onnx_of(*OUTPUTS[output])
+    content = _network(*OUTPUTS[output])
     resources.models_dir().mkdir(parents=True, exist_ok=True)
     (resources.models_dir() / f"{name}.onnx").write_bytes(content)
     card = {

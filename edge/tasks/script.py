@@ -77,7 +77,11 @@ def run_script(code: str, functions: ScriptFunctions, limits: ScriptLimits) -> S
         return ScriptResult(
             error=f"the script has {len(code)} characters, at most {limits.max_chars}"
         )
-    begin_s, detected_s = time.monotonic(), functions.detecting_s
+    begin_s, detected_s = 0.0, functions.detecting_s
+
+    def begin() -> None:
+        nonlocal begin_s
+        begin_s = time.monotonic()
 
     def is_late() -> bool:
         """Return True if the time has passed; detections on demand do not count."""
@@ -85,7 +89,7 @@ def run_script(code: str, functions: ScriptFunctions, limits: ScriptLimits) -> S
         return spent_s > 2.0 * limits.time_s
 
     callables = {name: _guarded(name, f, is_late) for name, f in functions.table().items()}
-    return _run_sandboxed(code, callables, limits)
+    return _run_sandboxed(code, callables, limits, begin)
 
 
 def version() -> str:
@@ -94,7 +98,7 @@ def version() -> str:
     Raises:
         UnavailableError: the interpreter is not installed, or does not run.
     """
-    if error := _run_sandboxed("pass", {}, ScriptLimits()).error:
+    if error := _run_sandboxed("pass", {}, ScriptLimits(), lambda: None).error:
         raise UnavailableError(
             f"pydantic-monty does not run here: {error}; choose tasks.planner.kind: rules"
         )
@@ -102,9 +106,15 @@ def version() -> str:
 
 
 def _run_sandboxed(
-    code: str, callables: dict[str, Callable[..., Any]], limits: ScriptLimits
+    code: str,
+    callables: dict[str, Callable[..., Any]],
+    limits: ScriptLimits,
+    begin: Callable[[], None],
 ) -> ScriptResult:
-    """Run a script that may call `callables` by their names; see `run_script`."""
+    """Run a script that may call `callables` by their names; see `run_script`.
+
+    `begin` is called once the interpreter runs: its start is not the script's time.
+    """
     monty = _interpreter()
     printed = monty.CollectString(max_bytes=_PRINTED_BYTES)
     bounds = {
@@ -121,6 +131,7 @@ def _run_sandboxed(
             monty.Monty(max_processes=1, request_timeout=limits.time_s + _GRACE_S) as pool,
             pool.checkout(script_name="script.py", limits=bounds, os_policy=policy) as session,
         ):
+            begin()
             session.feed_run(code, print_callback=printed, external_lookup=callables)
             error = ""
     except monty.MontyError as raised:

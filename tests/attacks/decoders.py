@@ -261,7 +261,8 @@ def readers_of_payloads() -> set[str]:
     found, root = set(), Path(edge.__file__).parent
     own = {*root.glob("recording/*.py"), *root.glob("lab/eval/soak/*.py")}
     for path in set(root.rglob("*.py")) - own:
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        source = path.read_text(encoding="utf-8")
+        for node in ast.parse(source).body if "payload" in source else ():
             if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
                 names = [argument.arg for argument in node.args.args[:1]]
                 if names == ["payload"]:

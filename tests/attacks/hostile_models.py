@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from onnx import parser
+from onnx_text import onnx_of
 
 from edge.host import resources
 
 _TEXT = """
-<ir_version: 8, opset_import: ["": 17]>
 g (float[1,3,64,64] images, float[1,n,512] txt_feats)
   => (float[1,a,4] boxes, float[1,a,n] scores) {
   light = ReduceMean<keepdims = 0> (images)
@@ -50,7 +49,7 @@ def put_detector(name: str, **how: object) -> None:
         how: `over`: it does not end for images with a mean (0 to 1) over this; `corner` and
             `score`: of its boxes.
     """
-    content = parser.parse_model(_TEXT % {**_SOUND, **how}).SerializeToString()
+    content = onnx_of(_TEXT % {**_SOUND, **how})
     folder = resources.models_dir()
     folder.mkdir(parents=True, exist_ok=True)
     card = {**_CARD, "name": name, "file": f"{name}.onnx"}

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from pathlib import Path
 
 import zenoh
 from absurd_sensors import HEIGHT, WIDTH, Batch, batch
@@ -20,7 +17,6 @@ from simulated import simulated
 from edge.bus import topics
 from edge.bus.client import send_request
 from edge.bus.session import open_session
-from edge.config import Config
 from edge.host.ports import free_port
 from edge.launch import LaunchedService, open_service
 from edge.loop.runner import loop
@@ -52,10 +48,6 @@ class Live:
     def send(self, said: Batch) -> None:
         for topic, payload in said.items():
             self.peer.put(self._settings.key(topic.key), payload)
-
-    @property
-    def failures(self) -> dict[str, int]:
-        return dict(self.running.service.error_boundary.failures)
 
     def wait(self, ticks: int) -> None:
         enough = self.ticks + ticks
@@ -102,18 +94,3 @@ def _stand(service: Live, stop: threading.Event) -> None:
         if service.running.config.mapping.input == "depth":
             del said[topics.CLOUD]
         service.send({**said, topics.LABELS: b'["chair"]'})
-
-
-@contextmanager
-def flood(config: Config, *kinds: str) -> Iterator[None]:
-    """Start processes that send as fast as they can, one of each kind (see `flooder.py`)."""
-    script = Path(__file__).with_name("flooder.py")
-    senders = [
-        subprocess.Popen([sys.executable, script, config.zenoh.endpoint, kind]) for kind in kinds
-    ]
-    try:
-        yield
-    finally:
-        for sender in senders:
-            sender.kill()
-            sender.wait()

@@ -1,4 +1,4 @@
-"""Users without a home, code that is read-only, and signals at a bad moment."""
+"""A user without a home, and a stop at a bad moment."""
 
 from __future__ import annotations
 
@@ -55,25 +55,6 @@ def as_stranger(temporary) -> Callable[..., subprocess.CompletedProcess[str]]:
     return run
 
 
-def test_an_error_without_a_home_names_the_variable_to_set(as_stranger, temporary):
-    done = as_stranger("models", "list")
-    assert done.returncode == os.EX_CONFIG
-    assert f"user {STRANGER} has no home folder: set EDGE_CACHE_DIR" in done.stderr
-    done = as_stranger("doctor")
-    assert done.returncode == 1
-    assert done.stdout.count("set EDGE_CACHE_DIR") == 1
-    assert "please report" not in done.stdout
-    assert list(temporary.iterdir()) == []
-
-
-def test_without_a_kernel_cache_kernels_compile_with_a_warning(as_stranger, temporary):
-    for environ in ({}, {"HOME": "/"}):
-        done = as_stranger("mission", "explain", "go to the bed", **environ)
-        assert done.returncode == 0, done.stderr
-        assert "set EDGE_CACHE_DIR (or NUMBA_CACHE_DIR)" in done.stderr
-    assert list(temporary.iterdir()) == []
-
-
 def test_a_user_without_a_home_needs_only_one_folder(as_stranger, temporary):
     done = as_stranger("mission", "explain", "go to the bed", EDGE_CACHE_DIR=str(temporary))
     assert (done.returncode, done.stderr) == (0, "")
@@ -89,13 +70,3 @@ def test_a_stop_is_obeyed_while_kernels_are_compiled(edge, config, temporary, co
     assert "stopped during the start, before the service was ready" in service.output
     assert "preparing kernels 6/6" not in service.output
     assert "ready:" not in service.output
-
-
-def test_sigquit_stops_in_order_and_sigusr1_only_shows_threads(edge, config, tmp_path):
-    report = tmp_path / "report"
-    service = edge("run", config, "--report", report).says("ready:")
-    service.process.send_signal(signal.SIGUSR1)
-    service.says("most recent call last")
-    assert service.stop(signal.SIGQUIT) == 0, service.output
-    assert "SIGQUIT: stopping" in service.output
-    assert (report / "report.html").exists()

@@ -21,6 +21,7 @@ KEY = "edge/mission/request"
 FLOODERS = 3
 PAUSES = 16
 A_SECOND = 250  # requests of each flooder, if the machine is fast enough
+LEAST = 50  # requests of each flooder, on a slow one
 MOST_OPEN = 300  # requests of each flooder without an answer; together fewer than Zenoh buffers
 FLOODS = {
     "new": [{"do": "new", "formula": "F chair"}, {"do": "new", "instruction": "find the bed"}],
@@ -35,7 +36,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
     service = edge("run", config).says("ready:")
     edge("sim", config)
     service.says("frontier")
-    stop = threading.Event()
+    stop, under_way = threading.Event(), threading.Semaphore(0)
 
     def flood(_: int) -> list[list[bytes]]:
         """Return the answers to each request: their texts, or errors."""
@@ -48,7 +49,8 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         with open_session(ZenohConfig(endpoint=endpoint), "connect") as session:
             # A new session may not know the service yet; `send_request` then tries again.
             send_request(session, KEY, {"do": "status"}, PATIENCE_S, "mission")
-            while not stop.is_set():
+            under_way.release()
+            while not stop.is_set() or len(asked) <= LEAST:
                 payload = json.dumps(asked_for[len(asked) % len(asked_for)])
                 asked.append(session.get(KEY, payload=payload, timeout=PATIENCE_S))
                 if len(asked) - len(answers) >= MOST_OPEN:
@@ -65,6 +67,7 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
         flooding = [pool.submit(flood, n) for n in range(FLOODERS)]
         paused = []
         try:
+            assert all(under_way.acquire(timeout=PATIENCE_S) for _ in flooding)
             for _ in range(PAUSES):
                 paused.append(
                     send_request(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"]
@@ -74,7 +77,6 @@ def test_a_flood_is_answered_and_every_pause_is_honoured(edge, endpoint, tmp_pat
             stop.set()
         answered = [answers for future in flooding for answers in future.result(PATIENCE_S)]
         assert paused == [True] * PAUSES
-        assert len(answered) > 50 * FLOODERS
         assert {len(answers) for answers in answered} == {1}
         said = [json.loads(answer) for (answer,) in answered]
         assert not [answer for answer in said if "not running" in answer.get("error", "")]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -34,21 +33,15 @@ FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
 
 
 @pytest.fixture
-def start_viewer(endpoint) -> Iterator[Callable[[], subprocess.Popen]]:
-    """Start viewers of all topics; kill them at the end."""
-    started = []
+def start_viewer(endpoint, script) -> Callable[[], subprocess.Popen]:
+    """Return a function that starts a viewer of all topics."""
 
     def start() -> subprocess.Popen:
-        pipe = subprocess.PIPE
-        command = [sys.executable, str(PEER), endpoint]
-        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True))
-        assert started[-1].stdout.readline() == "ready\n"
-        return started[-1]
+        viewer = script(PEER, endpoint)
+        assert viewer.stdout.readline() == "ready\n"
+        return viewer
 
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
+    return start
 
 
 def let_go(session: zenoh.Session) -> threading.Event:

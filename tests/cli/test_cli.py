@@ -129,7 +129,10 @@ def test_an_address_in_use_fails_before_the_detector_loads(tmp_path, monkeypatch
         path = tmp_path / "mine.yaml"
         detector = {"detector": {"kind": "sim"}}
         path.write_text(json.dumps({"zenoh": {"endpoint": endpoint}, "perception": detector}))
-        assert "is in use" in fails(capsys, "run", str(path), code=os.EX_UNAVAILABLE)
+        assert fails(capsys, "run", str(path), code=os.EX_UNAVAILABLE) == (
+            f"zenoh.endpoint: {endpoint} is in use: another service runs there; stop it, or set "
+            "another port for this one"
+        )
 
 
 def test_a_missing_recording_is_an_error(capsys):

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from edge.host import resources
+
 os.environ["YOLO_AUTOINSTALL"] = "false"
 EXPORT = re.compile(r"^pytestmark = .*pytest\.mark\.export", re.MULTILINE)
 
@@ -46,3 +48,10 @@ def photos(shared_dir: Path) -> Path:
     if not path.is_dir():
         pytest.skip(f"test data not there: {path.name}/")
     return path
+
+
+@pytest.fixture
+def models(cache: Path, monkeypatch) -> Path:
+    """Return the folder of the models that the module's fixture `cache` has exported."""
+    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
+    return resources.models_dir()

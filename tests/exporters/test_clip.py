@@ -57,12 +57,6 @@ def cache(folders, photos, tmp_path_factory):
     return root
 
 
-@pytest.fixture
-def models(cache, monkeypatch):
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
-    return resources.models_dir()
-
-
 @pytest.fixture(scope="module")
 def rgb(photos):
     return read_rgb(sorted(photos.iterdir())[0])

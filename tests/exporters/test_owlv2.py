@@ -20,7 +20,6 @@ import torch
 from transformers import Owlv2ForObjectDetection, PreTrainedTokenizerFast
 
 from edge.config import DetectorOnnx
-from edge.host import resources
 from edge.models.check import check_model
 from edge.perception.detection.onnx import OnnxDetector
 from edge.perception.runtime.cards import load_card, made_parity
@@ -50,12 +49,6 @@ def cache(folder, photos, tmp_path_factory):
     words += ["--calibration", photos, "--validation", photos]
     assert main([*map(str, words)]) == 0
     return root
-
-
-@pytest.fixture
-def models(cache, monkeypatch):
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
-    return resources.models_dir()
 
 
 @pytest.fixture(scope="module")

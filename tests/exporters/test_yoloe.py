@@ -107,12 +107,6 @@ def cache(published, photos, tmp_path_factory):
     return root
 
 
-@pytest.fixture
-def models(cache, monkeypatch):
-    monkeypatch.setenv("EDGE_CACHE_DIR", str(cache))
-    return resources.models_dir()
-
-
 def test_prompts_as_an_input_are_prompts_folded_into_the_network(models, published, photos):
     image = load_input(list_images(photos)[0], HW)
     text = ClipTextEncoder(load_card(TEXT)).embed(["chair", "sofa", "fire extinguisher"])

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -23,13 +20,11 @@ from edge.bus import presence
 from edge.bus.session import BusError, open_session, zenoh_session
 from edge.cli.fleet import table
 from edge.cli.main import main
-from edge.errors import UserError
 from edge.fleet import dispatch, roster
 from edge.fleet.dispatch import Dispatcher, plan
 from edge.fleet.roster import Robot, open_roster
 from edge.mission.spec import prepare
 
-FAKE = Path(__file__).parents[1] / "fake_robots.py"
 THREE = "go to the bed, the sofa and the tv in any order; never go to the toilet"
 
 
@@ -296,24 +291,6 @@ class Liar:
         self._session.close()
 
 
-def test_a_mission_that_is_given_twice_is_begun_once(port, robots):
-    anna = robots("anna")
-    with open_roster(settings_of(port, "any")) as seen:
-        request = {"do": "new", "formula": "F bed", "id": "x.1", "if_free": True}
-        for _ in range(2):
-            assert seen.send("anna", request, PATIENCE_S)["id"] == "x.1"
-        assert anna.service.begun == 1
-        with pytest.raises(UserError, match="refused: not free: the last mission searching: F bed"):
-            seen.send("anna", {**request, "id": "x.2"}, PATIENCE_S)
-        seen.send("anna", {"do": "new", "formula": "F sofa"}, PATIENCE_S)
-        with pytest.raises(UserError, match=r"mission x\.1 is already over"):
-            seen.send("anna", request, PATIENCE_S)
-        with pytest.raises(UserError, match=r"no mission x\.1 is running"):
-            seen.send("anna", {"do": "cancel", "id": "x.1"}, PATIENCE_S)
-        assert anna.mission.target == "sofa"
-        assert not anna.mission.done
-
-
 def test_a_second_service_with_the_same_prefix_is_refused(port, robots, caplog):
     robots("anna")
     with pytest.raises(BusError, match=r"^zenoh.prefix: another service at tcp/.* robots/anna: "):
@@ -355,36 +332,6 @@ def test_two_services_with_one_name_are_shown(port, robots):
             eventually(lambda: "2 services use this name" in seen.ask_status()["anna"].problem)
             token.undeclare()
             eventually(lambda: seen.ask_status()["anna"].status_reply)
-
-
-@pytest.fixture
-def carl(port) -> Iterator[subprocess.Popen]:
-    """Start a robot in its own process that never reaches anything."""
-    command = [sys.executable, FAKE, f"tcp/127.0.0.1:{port}", "carl", "1e9"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "ready\n"
-        yield process
-        process.kill()
-
-
-def test_one_of_three_is_killed_in_the_middle(port, robots, carl, tmp_path):
-    both = [robots(name) for name in ("anna", "bob")]
-    command = Edge("mission", "new", "--fleet", f"tcp/127.0.0.1:{port}", THREE, "--share", "--json",
-                   "--patience", "0.5", cwd=tmp_path)  # fmt: skip
-    # On a busy machine its answer may be late; then it is known by its state.
-    got = ("carl gets: ", "carl is working on it")
-    try:
-        command.until(lambda: any(text in command.output for text in got), "carl got no part")
-        carl.send_signal(signal.SIGKILL)
-        command.says("carl is offline; another robot gets the part unless it is back within 0.5 s")
-        for robot in both:
-            robot.reaches_in_s = 0.1
-        assert command.wait() == 0, command.output
-    finally:
-        command.kill()
-    told = json.loads("\n".join(command.lines[command.lines.index("{") :]))
-    assert told["phase"] == "reached"
-    assert {part["by"] for part in told["parts"]} <= {"anna", "bob"}
 
 
 def test_a_mission_survives_a_restarted_router(tmp_path, monkeypatch):

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import pytest
 
@@ -31,7 +32,9 @@ try:
     if "elsewhere" in sys.argv:  # another thread gets it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     print("ready", flush=True)
-    stop.wait()
+    # Without `stop`, nothing wakes a thread whose signal came just before it began to wait.
+    while not stop.wait(None if "stop" in sys.argv else 1.0):
+        pass
     print("stopped", flush=True)
     threading.Event().wait()
 except KeyboardInterrupt as broken_off:
@@ -40,23 +43,15 @@ except KeyboardInterrupt as broken_off:
 
 
 @pytest.fixture
-def start():
-    """Start the program with these words; return once it handles signals."""
-    started = []
+def start(script) -> Callable[..., subprocess.Popen]:
+    """Start a program with these words; return once it handles signals."""
 
-    def _start(*words: str) -> subprocess.Popen:
-        process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *words], text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
-        started.append(process)
+    def start(*words: str, program: str = PROGRAM, **options: object) -> subprocess.Popen:
+        process = script("-c", program, *words, stderr=subprocess.PIPE, **options)
         assert process.stdout.readline() == "ready\n"
         return process
 
-    yield _start
-    for process in started:
-        process.kill()
-        process.communicate()
+    return start
 
 
 @pytest.mark.parametrize("number", STOP, ids=lambda number: number.name)
@@ -133,23 +128,9 @@ print("stopped", flush=True)
 
 
 @pytest.fixture
-def reloads() -> Iterator[Callable[..., subprocess.Popen]]:
+def reloads(start) -> Callable[..., subprocess.Popen]:
     """Start it without a terminal, as a service manager does."""
-    started = []
-
-    def start(*words: str) -> subprocess.Popen:
-        process = subprocess.Popen(
-            [sys.executable, "-c", RELOADS, *words], text=True, stdout=subprocess.PIPE,
-            start_new_session=True,
-        )  # fmt: skip
-        started.append(process)
-        assert process.stdout.readline() == "ready\n"
-        return process
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
+    return partial(start, program=RELOADS, start_new_session=True)
 
 
 def test_each_hangup_without_a_terminal_requests_a_reload(reloads):

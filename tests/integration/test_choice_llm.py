@@ -10,14 +10,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from live_patience import PATIENCE_S, eventually
+from live_patience import PATIENCE_S
 from llm_process import serving_llm
-from simulated import simulated
 
 from edge.chat import ChatError
 from edge.config import ChoiceOpenai, ChoiceText
-from edge.lab.eval.closed_loop import ClosedLoop
-from edge.loop.status import status_message
 from edge.perception.scoring.choice.question import (
     MAX_MARKS,
     DetectedObject,
@@ -35,7 +32,7 @@ SEEN = (DetectedObject("bed", 0.5, 2.1), DetectedObject("lamp", 0.1, 3.0))
 
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
-    with serving_llm() as (url, _):
+    with serving_llm() as url:
         yield url
 
 
@@ -98,32 +95,3 @@ def test_an_image_for_a_text_model_is_an_error(url):
     with pytest.raises(ChatError, match=r"answered HTTP [45]\d\d: .*image") as raised:
         put_to(blind, view("chair", 2, rgb=np.zeros((64, 80, 3), np.uint8)))
     assert "\n" not in str(raised.value)
-
-
-def test_the_robot_continues_when_the_server_is_killed():
-    with serving_llm() as (url, server):
-        choice = {"kind": "text", "url": url, "model": "default", "time_limit_s": PATIENCE_S}
-        loop = ClosedLoop(
-            simulated(
-                {
-                    "loop": {"lockstep": False},
-                    "sim": {"lockstep": True},
-                    "mission": {"target": "television"},
-                    "perception": {"choice": choice},
-                }
-            )
-        )
-        while loop.scorers.answers.choice is None and not loop.service.status.done:
-            loop.step()
-            worker = loop.scorers._choice
-            if worker.stats.submitted:
-                eventually(lambda w=worker: w.idle)
-        assert loop.scorers.answers.choice is not None
-        server.kill()
-        server.wait()
-        loop.run(240)
-        assert loop.service.status.phase == "reached"
-        status = status_message(loop.service.result())["scorers"]["choice"]
-        assert status["answered"] >= 1
-        assert status["failed"] == 0 or url in status["last_error"]
-        loop.close()

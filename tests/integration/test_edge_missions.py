@@ -1,36 +1,15 @@
-"""Missions as users give them: in words, by request, through a kill -9, and with bad input."""
+"""Missions as users give them: through a kill -9, and as a drawing."""
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import socket
-from collections.abc import Callable
 
 import pytest
-from edge_processes import LOCKED, LOCKSTEP, write_config
+from edge_processes import LOCKED, write_config
 
 from edge.cli.main import main
 
 WORDS = "Clean either the chair or the sofa, then turn on the tv; don't go to the bed before that."
-
-THREE = (
-    "Clean either the chair or the sofa, then turn on the tv, then go to the bed; "
-    "don't go to the toilet before that."
-)
-
-
-@pytest.mark.slow
-def test_three_targets_with_a_choice_and_a_prohibition(edge, tmp_path):
-    demo = edge("demo", "--mission", THREE, **LOCKSTEP)
-    assert demo.wait() == 0, demo.output
-    assert "target: sofa: sofa was seen" in demo.output, "the branch that was seen first"
-    assert re.search(r"reached: (sofa|chair), then television, then bed", demo.output)
-    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
-    assert "<svg" in page
-    assert "Do not reach the toilet until the bed is reached" in page
-
 
 HOLDS = """
 import pathlib, time
@@ -78,80 +57,9 @@ def test_a_mission_resumes_after_kill_9(edge, endpoint, tmp_path):
     assert "reached: sofa, then television, then trash can" in second.output
 
 
-@pytest.fixture
-def request_of(command) -> Callable[..., tuple[int, str]]:
-    """Run `edge mission` in this process."""
-
-    def request(*arguments: object, timeout_s: float = 60) -> tuple[int, str]:
-        return command("mission", *arguments, "--timeout", timeout_s)
-
-    return request
-
-
-def test_requests_by_command(edge, endpoint, tmp_path, request_of):
-    config = write_config(
-        tmp_path, zenoh={"endpoint": endpoint}, mission={"target": "toilet"}, **LOCKED
-    )
-    code, said = request_of("status", config, timeout_s=1)
-    assert code == os.EX_UNAVAILABLE
-    assert "no service" in said or "cannot connect" in said, said
-    edge("run", config).says("ready:")  # sees nothing, so that its mission does not end
-    code, said = request_of("status", config, "--json")
-    assert code == 0, said
-    assert json.loads(said)["formula"] == "F toilet"
-    code, said = request_of("pause", config)
-    assert (code, "paused" in said) == (0, True), said
-    code, said = request_of("resume", config)
-    assert code == 0, said
-    # A refused request does not change the running mission.
-    for bad, part in [
-        (("new", config, "frobnicate the chair"), "frobnicate"),
-        (("new", config, "F a & G !a", "--formula"), "contradiction"),
-        (("new", config, "F (a", "--formula"), "column"),
-    ]:
-        code, said = request_of(*bad)
-        assert code == os.EX_DATAERR, said
-        assert part in said
-    assert json.loads(request_of("status", config, "--json")[1])["formula"] == "F toilet"
-    code, said = request_of("new", config, "go to the sofa or the tv")
-    assert code == 0, said
-    assert (
-        json.loads(request_of("status", config, "--json")[1])["formula"] == "F (sofa | television)"
-    )
-    code, said = request_of("cancel", config)
-    assert code == 0, said
-    code, said = request_of("pause", config)
-    assert code == os.EX_DATAERR
-    assert "no mission is running" in said
-
-
 @pytest.mark.parametrize("suffix", ["svg", "png"])
 def test_its_automaton_is_drawn(tmp_path, suffix):
     file = tmp_path / f"automaton.{suffix}"
     assert main(["mission", "explain", WORDS, "--draw", str(file)]) == 0
     begin = {"svg": b"<?xml", "png": b"\x89PNG"}[suffix]
     assert file.read_bytes().startswith(begin)
-
-
-def test_a_mission_that_is_refused_never_starts_the_robot(edge, endpoint, tmp_path):
-    config = write_config(tmp_path, zenoh={"endpoint": endpoint})
-    run = edge("run", config, "--mission", "go to the chair and never go to the chair")
-    assert run.wait() == os.EX_DATAERR
-    assert "contradiction" in run.lines[-1]
-
-
-def test_a_language_model_that_is_silent_costs_only_its_mission(
-    edge, endpoint, tmp_path, request_of
-):
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        server.listen()
-        url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
-        translator = {"kind": "llm", "url": url, "time_limit_s": 2.0}
-        mission = {"target": "toilet", "translator": translator}
-        config = write_config(tmp_path, zenoh={"endpoint": endpoint}, mission=mission)
-        edge("run", config).says("ready:")
-        code, said = request_of("new", config, "go to the sofa")
-        assert code == os.EX_DATAERR, said
-        assert url.removesuffix("/v1") in said
-        assert json.loads(request_of("status", config, "--json")[1])["formula"] == "F toilet"

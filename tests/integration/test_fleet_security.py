@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from contextlib import ExitStack
@@ -125,9 +124,3 @@ def asked(session: zenoh.Session, key: str) -> dict | str:
         return client.send_request(session, key, {"do": "status"}, PATIENCE_S, "fleet")
     except client.RequestError as error:
         return str(error)
-
-
-def test_the_page_links_only_to_existing_files():
-    named = re.findall(r"\]\(\.\./([\w./]+)\)", PAGE)
-    assert named
-    assert [name for name in named if not (ROOT / name).exists()] == []

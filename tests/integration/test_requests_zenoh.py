@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -30,25 +28,8 @@ def config(endpoint, tmp_path) -> Path:
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., subprocess.Popen]]:
-    """Start a peer with a role; kill all at the end."""
-    started = []
-
-    def start(role: str, *arguments: object) -> subprocess.Popen:
-        command = [sys.executable, str(PEER), role, *map(str, arguments)]
-        pipe = subprocess.PIPE
-        started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.fixture
-def service(start, endpoint) -> subprocess.Popen:
-    return started_service(start, endpoint)
+def service(script, endpoint) -> subprocess.Popen:
+    return started_service(script, endpoint)
 
 
 @pytest.fixture
@@ -57,8 +38,8 @@ def session(endpoint, service) -> Iterator[zenoh.Session]:
         yield session
 
 
-def started_service(start: Callable[..., subprocess.Popen], endpoint: str) -> subprocess.Popen:
-    process = start("service", endpoint)
+def started_service(script: Callable[..., subprocess.Popen], endpoint: str) -> subprocess.Popen:
+    process = script(PEER, "service", endpoint)
     assert process.stdout.readline() == "ready\n"
     return process
 
@@ -100,13 +81,6 @@ def test_the_life_of_a_mission(config, service, command):
     assert reply("cancel")["phase"] == "cancelled"
 
 
-def test_a_request_without_a_service_is_an_error(endpoint):
-    settings = ZenohConfig(endpoint=endpoint)
-    nobody = pytest.raises(RequestError, match="no service answers at edge/mission/request")
-    with open_session(settings, "listen"), open_session(settings, "connect") as session, nobody:
-        status(session)
-
-
 def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
     service.send_signal(signal.SIGSTOP)
@@ -116,13 +90,13 @@ def test_a_service_that_hangs_and_wakes_up(service, session):
     assert status(session)["phase"] == "exploring"
 
 
-def test_a_killed_service_answers_again_after_its_restart(start, endpoint, service, session):
+def test_a_killed_service_answers_again_after_its_restart(script, endpoint, service, session):
     send_request(session, KEY, {"do": "new", "formula": "F bed"}, PATIENCE_S, "mission")
     service.kill()
     service.wait()
     with pytest.raises(RequestError, match="mission: "):
         send_request(session, KEY, {"do": "status"}, 2.0, "mission")
-    started_service(start, endpoint)
+    started_service(script, endpoint)
 
     def answers() -> bool:  # the session finds the new one by itself
         try:
@@ -133,32 +107,8 @@ def test_a_killed_service_answers_again_after_its_restart(start, endpoint, servi
     eventually(answers)
 
 
-def test_a_new_mission_replaces_one_still_being_translated(session, service):
-    def slow(thing: str) -> dict:
-        return {"do": "new", "instruction": f"slow F {thing}"}
-
-    with ThreadPoolExecutor(6) as pool:
-        asked = [pool.submit(send_request, session, KEY, slow("sofa"), PATIENCE_S, "mission")]
-        assert service.stdout.readline() == "slow\n"
-        for thing in ("bed", "tv", "lamp", "vase"):
-            asked.append(
-                pool.submit(send_request, session, KEY, slow(thing), PATIENCE_S, "mission")
-            )
-        assert status(session)["formula"] == "F chair"
-        eventually(lambda: sum(future.done() for future in asked) == 2)
-        assert send_request(session, KEY, {"do": "pause"}, PATIENCE_S, "mission")["paused"] is True
-        errors = [str(future.exception(PATIENCE_S)) for future in asked]
-    assert "cancelled by a stop request that came later: send it again" in errors[0]
-    assert sum("busy" in error for error in errors) == 2
-    assert sum("cancelled by a stop request" in error for error in errors) == 3
-    release(service)
-    new = {"do": "new", "formula": "F bed"}
-    assert send_request(session, KEY, new, PATIENCE_S, "mission")["formula"] == "F bed"
-    assert status(session)["formula"] == "F bed"
-
-
-def test_a_request_outlives_its_killed_client(start, config, service, session):
-    client = start("request", "new", config, "slow F sofa")
+def test_a_request_outlives_its_killed_client(script, config, service, session):
+    client = script(PEER, "request", "new", config, "slow F sofa")
     assert service.stdout.readline() == "slow\n"
     client.kill()
     client.wait()

@@ -135,26 +135,6 @@ def test_lockstep_sends_one_complete_instant_a_command_and_repeats_exactly():
     assert first == second
 
 
-def test_lockstep_repeats_the_first_instant_until_an_answer_comes():
-    data = settings(lockstep=True)
-    config = parse(data)
-    with open_session(config.zenoh, "listen") as session:
-        peer, stamps = Peer(session, config), []
-        with simulator(data):
-            for key, payload in peer.read():
-                if key != topics.ODOMETRY.key:
-                    continue
-                stamps.append(messages.peek_stamp_ns(payload))
-                if len(stamps) == 3:
-                    peer.drive(7, 0.1, 0.0)  # no instant's stamp: not an answer
-                if len(stamps) >= 5:
-                    peer.drive(10**9, 0.1, 0.0)
-                if stamps[-1] != 10**9:
-                    break
-        assert stamps[:5] == [10**9] * 5
-        assert stamps[-1] == 11 * 10**8
-
-
 def test_real_time_drives_on_command_and_stops_when_commands_stop():
     data = settings()
     config, fastest, stamps = parse(data), 0.0, []
@@ -173,12 +153,3 @@ def test_real_time_drives_on_command_and_stops_when_commands_stop():
                     break
     assert fastest == 0.6
     assert (np.diff(stamps) > 0).all()
-
-
-def test_a_start_in_a_wall_ends_with_one_line():
-    data = settings(start=[0.0, 0.0, 0.0])
-    done = subprocess.run(
-        [sys.executable, "-c", SIMULATE, json.dumps(data)], capture_output=True, text=True
-    )
-    assert done.returncode != 0
-    assert "sim.start: (0.00, 0.00) m in demo" in done.stderr.splitlines()[-1]

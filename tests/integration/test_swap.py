@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import struct
 import subprocess
 import sys
 import threading
@@ -18,9 +17,10 @@ import pytest
 import yaml
 from edge_processes import write_config
 from live_patience import PATIENCE_S
+from onnx_text import onnx_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "perception"))
-from onnx_bytes import DETECTOR, field, graph, interface, model, tensor
+from onnx_bytes import DETECTOR, graph, interface, model, tensor
 from test_perception_cards import CARD
 
 from edge.bus.client import RequestError
@@ -39,43 +39,24 @@ pytest.importorskip("onnxruntime")
 PLACES = ((8, 8, 40, 40), (9, 9, 41, 41), (44, 44, 60, 60))
 
 
-def constant(name: str, dims: tuple[int, ...], values) -> bytes:
-    raw = struct.pack(f"<{len(values)}f", *values)
-    shape = b"".join(field(1, n) for n in dims)
-    return shape + field(2, 1) + field(8, name) + field(9, raw)
-
-
-def node(op: str, inputs: list[str], output: str, **attributes) -> bytes:
-    body = b"".join(field(1, i) for i in inputs) + field(2, output) + field(4, op)
-    for name, value in attributes.items():
-        many = isinstance(value, list)
-        values = b"".join(field(8, v) for v in value) if many else field(3, value)
-        body += field(5, field(1, name) + values + field(20, 7 if many else 2))
-    return body
-
-
 def detector(shift: float = 0.0, bias: float = 0.0, in_black: str = "Div") -> bytes:
     """Write a detector with three boxes in every image, all with score 1 / (1 + exp(-bias)).
 
     The score is NaN in an image with black in it, unless `in_black` is "Mul".
     """
-    boxes = [v + shift for place in PLACES for v in place]
-    nodes = [
-        node("ReduceMin", ["images"], "darkest", keepdims=0),
-        node(in_black, ["zero", "darkest"], "nothing"),
-        node("Add", ["box", "nothing"], "boxes"),
-        node("Transpose", ["txt_feats"], "text_t", perm=[0, 2, 1]),
-        node("MatMul", ["zeros", "text_t"], "flat"),
-        node("Add", ["flat", "bias"], "raw"),
-        node("Sigmoid", ["raw"], "scores"),
-    ]
-    tensors = [
-        constant("zero", (), [0.0]),
-        constant("bias", (), [bias]),
-        constant("box", (1, 3, 4), boxes),
-        constant("zeros", (1, 3, 512), [0.0] * 1536),
-    ]
-    return model(graph(interface(**DETECTOR), tuple(nodes), tuple(tensors)), 8, 17)
+    text = f"""g (float[1,3,64,64] images, float[1,n,512] txt_feats)
+    => (float[1,3,4] boxes, float[1,3,n] scores) {{
+      darkest = ReduceMin <keepdims = 0> (images)
+      nothing = {in_black} (zero, darkest)
+      boxes = Add (box, nothing)
+      text = Transpose <perm = [0, 2, 1]> (txt_feats)
+      flat = MatMul (zeros, text)
+      raw = Add (flat, bias)
+      scores = Sigmoid (raw)
+    }}"""
+    zeros, box = np.zeros((1, 3, 512), np.float32), np.array([PLACES], np.float32)
+    box += shift
+    return onnx_of(text, zero=np.float32(0), bias=np.float32(bias), box=box, zeros=zeros)
 
 
 MODELS = {

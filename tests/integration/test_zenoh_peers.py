@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,20 +41,9 @@ def config() -> Config:
 
 
 @pytest.fixture
-def start(config) -> Iterator[Callable[[str], subprocess.Popen]]:
-    """Start a peer with a role; kill all at the end."""
-    started = []
-
-    def start(role: str) -> subprocess.Popen:
-        command = [sys.executable, str(PEER), role, config.zenoh.endpoint]
-        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+def robot(config, script) -> Callable[[], subprocess.Popen]:
+    """Return a function that starts a robot."""
+    return lambda: script(PEER, config.zenoh.endpoint)
 
 
 def see(source: ZenohSource, n: int = 3) -> list[Observation]:
@@ -67,10 +55,10 @@ def see(source: ZenohSource, n: int = 3) -> list[Observation]:
     return seen
 
 
-def test_a_robot_that_vanishes_is_received_again_later(config, start):
+def test_a_robot_that_vanishes_is_received_again_later(config, robot):
     with open_session(config.zenoh, "listen") as session:
         source = ZenohSource(config, session)
-        first = start("robot")
+        first = robot()
         seen = see(source)
         assert seen[-1].rgb.shape == (24, 32, 3)
         assert (seen[-1].pose.x_m, seen[-1].pose.y_m) == (1.0, 2.0)
@@ -78,30 +66,19 @@ def test_a_robot_that_vanishes_is_received_again_later(config, start):
         first.kill()
         first.wait()
         gone_ns = time.time_ns()
-        start("robot")
+        robot()
         while see(source, 1)[0].stamp_ns < gone_ns:  # messages that were still on their way
             pass
         source.close()
 
 
-def test_a_restarted_service_receives_the_robot_again(config, start):
-    start("robot")
+def test_a_restarted_service_receives_the_robot_again(config, robot):
+    robot()
     for _ in range(2):
         with open_session(config.zenoh, "listen") as session:
             source = ZenohSource(config, session)
             see(source)
             source.close()
-
-
-def test_a_second_service_reports_the_address_in_use(config):
-    with open_session(config.zenoh, "listen"):
-        command = [sys.executable, str(PEER), "service", config.zenoh.endpoint]
-        second = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-    assert second.returncode == 2
-    assert second.stderr.strip().splitlines() == [
-        f"zenoh.endpoint: {config.zenoh.endpoint} is in use: another service runs there; "
-        "stop it, or set another port for this one"
-    ]
 
 
 def record(session, config: Config, path: Path, enough: set[str]) -> None:

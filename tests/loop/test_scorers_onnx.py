@@ -67,6 +67,7 @@ def test_a_model_of_another_family_is_swapped_in(models_dir):
     assert request(loop, do="status")["state"] == "idle"
     begun = request(loop, do="use", model="eyes")
     assert (begun["state"], begun["model"], begun["number"]) == ("loading", "eyes", 1)
+    assert begun["key"] == "perception.choice.card"
     with pytest.raises(SwapError, match="eyes is still loading"):
         request(loop, do="use", model="eyes")
 

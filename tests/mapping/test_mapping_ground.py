@@ -157,16 +157,18 @@ def test_a_scan_without_floor_still_shows_walls(z_m):
 
 
 def lidar(ground, boxes: list[Box], blind_m: float = 3.0) -> RollingMap:
-    """Return the map of a 64-ring LiDAR 1.7 m over z = ground(x, y), blind in `blind_m`."""
+    """Return the map of a 64-ring LiDAR 1.7 m over z = ground(x, y), blind in `blind_m`.
+
+    The ground is a plane through the origin.
+    """
     azimuth, down = np.meshgrid(
         np.linspace(-math.pi, math.pi, 1440, endpoint=False), np.radians(np.linspace(-25, 2, 64))
     )
     ray = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(down)], axis=-1).reshape(-1, 3)
-    origin, t = np.array([0.0, 0.0, 1.7]), np.full(len(ray), np.inf)
-    for d in np.arange(0.5, 25.0, 0.02):  # along the ground, until the ray meets it
-        below = 1.7 + d * ray[:, 2] <= ground(d * ray[:, 0], d * ray[:, 1])
-        t = np.where(np.isinf(t) & below, d, t)
+    origin = np.array([0.0, 0.0, 1.7])
     with np.errstate(divide="ignore", invalid="ignore"):
+        t = 1.7 / (ground(ray[:, 0], ray[:, 1]) - ray[:, 2])
+        t = np.where((t > 0.5) & (t < 25.0), t, np.inf)
         for box in boxes:
             a, b = (np.array(box[:3]) - origin) / ray, (np.array(box[3:]) - origin) / ray
             enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)

@@ -30,7 +30,7 @@ def explored(seed: int, per_tick: int = 12000) -> tuple[RollingMap, SE2]:
         return seen_around(boxes, pose, SMALL), pose
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1), per_tick=st.sampled_from([100, 700, 12000]))
 def test_the_field_agrees_with_dijkstra(seed, per_tick):
     grid, pose = explored(seed, per_tick)
@@ -143,7 +143,7 @@ def test_the_stopping_point_is_near_and_in_sight():
     surface_m = np.array([[1.5, 0.5, 0.4]], np.float32)
     assert grid.travel_cost.stopping_point(surface_m, 0.7) is None
     for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
-        for yaw in np.arange(0, 6.4, 0.3):
+        for yaw in np.arange(0, 6.4, 0.7):
             look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
     complete(grid, SE2(0.0, 0.5, 0.0))
     x, y, way_m = grid.travel_cost.stopping_point(surface_m, 0.7)
@@ -160,7 +160,7 @@ def test_the_robot_does_not_stop_behind_a_wall():
     grid = RollingMap(SMALL)
     wall, thing = (1.0, -0.6, 0.0, 1.25, 2.5, 1.0), (1.25, 0.3, 0.0, 1.6, 0.7, 0.5)
     for x, y in ((0.0, 0.0), (0.0, -1.2), (2.0, -1.2), (2.0, 1.8)):
-        for yaw in np.arange(0, 6.4, 0.3):
+        for yaw in np.arange(0, 6.4, 0.7):
             look(grid, SE2(x, y, yaw), [wall, thing, *room(2.5)])
     complete(grid, SE2(0.0, 0.5, 0.0))
     # Depth noise puts points of a thing at a wall into the wall.
@@ -172,7 +172,7 @@ def test_the_robot_does_not_stop_behind_a_wall():
 def test_a_few_stray_points_do_not_set_the_stop():
     grid = RollingMap(SMALL)
     for x, y in ((0.0, 0.0), (-1.0, 0.0)):
-        for yaw in np.arange(0, 6.4, 0.3):
+        for yaw in np.arange(0, 6.4, 0.7):
             look(grid, SE2(x, y, yaw), [(1.7, -0.5, 0.0, 2.1, 0.5, 0.7), *room(2.5)])
     complete(grid, SE2(0.0, 0.0, 0.0))
     desk_m = np.column_stack([np.full(10, 1.7), np.linspace(-0.4, 0.4, 10), np.full(10, 0.7)])

@@ -7,6 +7,7 @@ import json
 import os
 
 import pytest
+from onnx_text import onnx_of
 
 from edge.cli.main import main
 from edge.host import resources
@@ -15,9 +16,7 @@ from edge.models.make import load_single_file_card
 from edge.perception.runtime.model_file import ModelError
 
 pytest.importorskip("onnxruntime")
-parser = pytest.importorskip("onnx.parser")
 
-HEADER = '<ir_version: 8, opset_import: ["": 17]>'
 DETECTOR = """
 g (float[1,3,64,64] images, float[1,n,8] txt_feats) => (float[1,a,4] boxes, float[1,a,n] scores) {
   boxes = Constant<value = float[1,2,4] {0.0, 0.0, 9.0, 9.0, 1.0, 1.0, 8.0, 8.0}> ()
@@ -61,10 +60,6 @@ CARDS = {
     "ground": {"input": SIZE, "preprocess": {**PIXELS, "mean": [0] * 3, "std": [1] * 3}},
 }  # fmt: skip
 MODELS = {"detect": DETECTOR, "text": TEXT, "image": IMAGE, "ground": GROUND}
-
-
-def onnx_of(text):
-    return parser.parse_model(HEADER + text).SerializeToString()
 
 
 @pytest.fixture

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import nullcontext
 
 import pytest
 
+from edge.bus import client
 from edge.bus.client import RequestError
 from edge.cli.main import main
 from edge.models.use import follow_swap
@@ -68,6 +70,17 @@ def test_patience_has_an_end():
     with pytest.raises(RequestError, match=line):
         followed(service, patience=3)
     assert len(service.requests) == 4
+
+
+@pytest.mark.parametrize("more", [{}, {"key": "perception.choice.card"}])
+def test_a_kept_model_names_the_key_that_keeps_it(monkeypatch, capsys, more):
+    monkeypatch.setattr(client, "connect", lambda *_: nullcontext())
+    monkeypatch.setattr(client, "send_request", lambda *_, **__: {**swap("kept", "ok"), **more})
+    assert main(["models", "use", "new", "demo"]) == 0
+    key = more.get("key", "perception.detector.model")
+    assert capsys.readouterr().out == (
+        f"kept: ok\nvalid until the service stops; to keep it, set {key}: new in demo\n"
+    )
 
 
 def test_without_a_service_the_command_fails_in_one_line(tmp_path, capsys):

@@ -1,8 +1,7 @@
 """A model process for tests: the first pixel of an image steers its detector.
 
-Started in place of `edge.perception.serve_detector`. With a model other than `steered` it serves
-that one, by the cards in `$EDGE_TEST_CARDS`. While the file `detector.vocabulary` names says
-`wait` or `build` a steered one is not ready; what else the file says keeps it from loading.
+Started in place of `edge.perception.serve_detector`. While the file `detector.vocabulary` names
+says `wait` or `build` it is not ready; what else the file says keeps it from loading.
 """
 
 from __future__ import annotations
@@ -19,10 +18,8 @@ import numpy as np
 import onnxruntime
 from onnx_bytes import FLOAT, INT64, graph, interface, model, node
 
-from edge.host import resources
 from edge.perception import serve_detector as serve
 from edge.perception.embedding.text import PromptError
-from edge.perception.factory import make_detector
 from edge.perception.process import wire
 from edge.perception.runtime.cards import ModelError
 from edge.perception.runtime.health import Health
@@ -97,8 +94,6 @@ class Steered:
 
 
 def make(perception, prompts, progress):
-    if perception.detector.model != "steered":
-        return make_detector(perception, prompts, progress)
     script = Path(perception.detector.vocabulary or os.devnull)
     if script.read_text() == "build":
         progress(Health("building engine", "1 of 2"))
@@ -113,6 +108,4 @@ def make(perception, prompts, progress):
 
 if __name__ == "__main__":
     atexit.register(gc.freeze)  # as `edge.host.children` does
-    if cards := os.environ.get("EDGE_TEST_CARDS"):
-        resources.data_dir = lambda kind: Path(cards)
     sys.exit(serve.main(make))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import itertools
-import logging
 import math
 from types import SimpleNamespace
 
@@ -286,18 +285,13 @@ def test_with_no_room_for_a_letter_nothing_is_asked(make_observation):
             "begins its answer with 'The', 'I', not with A",
         ),
         (model(scene={"Maybe": -0.1}), "begins its answer with 'Maybe', not with Yes, No"),
-        (model(direction={"A": float("nan")}), "an invalid logprob"),
         (model(scene={}), "no logprobs"),
-        (lambda handler: send(handler, b"[]"), "no logprobs"),
-        (lambda handler: send(handler, b"x" * 300_000), "more than 256 KB"),
         (lambda handler: send(handler, b"", 500), "HTTP 500"),
-        (lambda handler: handler.stopping.wait(), "no complete answer within 0.3 s"),
     ],
 )
 def test_an_invalid_answer_is_an_error_of_one_line(make_observation, behave, expected):
-    limit_s = 0.3 if "within" in expected else PATIENCE_S
     with serving(behave) as server:
-        asks = scorer_of(server, "text", time_limit_s=limit_s)
+        asks = scorer_of(server, "text", time_limit_s=PATIENCE_S)
         with pytest.raises(ChatError) as raised:
             put_to(asks, view(make_observation))
     assert str(raised.value).startswith(server.url)
@@ -318,17 +312,6 @@ def test_the_time_limit_is_for_both_questions(make_observation, monkeypatch):
     monkeypatch.setattr(made._client, "next_tokens", next_tokens)
     put_to(made, view(make_observation))
     assert left == [3.0, 1.0]
-
-
-def test_the_key_is_sent_and_never_shown(make_observation, monkeypatch, caplog):
-    monkeypatch.setenv("MY_KEY", "sk-secret")
-    echo = b'{"error": {"message": "wrong key sk-secret"}}'
-    with caplog.at_level(logging.DEBUG), serving(lambda h: send(h, echo, 401)) as server:
-        asks = scorer_of(server, "text", api_key_env="MY_KEY")
-        with pytest.raises(ChatError, match=r"wrong key \*\*\*"):
-            put_to(asks, view(make_observation))
-    assert server.requests[0][1]["Authorization"] == "Bearer sk-secret"
-    assert "sk-secret" not in caplog.text + asks.name
 
 
 @pytest.mark.parametrize("url", ["", "localhost:8080", "ftp://host/v1", "http://user:pw@host/v1"])

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from lifted_boxes import lifted
 
 from edge import config
 from edge.geometry import SE2
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.perception.tracking.instances import InstanceTracker
-from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.sightings import ObjectTracker
-from edge.types import Detections
 
 
 class Scene:
@@ -22,31 +21,17 @@ class Scene:
         self.fusion = InstanceFusion(self.tracker)
         self.make, self.seq = make_observation, 0
 
-    def see(self, *things, x_m=0.0, y_m=0.0, z_m=0.4, depth_m=6.0, **shape):
+    def see(self, *things, x_m=0.0, y_m=0.0, depth_m=6.0, **shape):
         """One frame with (label, x, y, score) each; returns all instances."""
         self.last = seen = self.frame(x_m, y_m, depth_m)
-        self.fusion.update(self.lifted(seen, things, z_m=z_m, **shape), seen.stamp_ns)
+        self.fusion.update(self.lifted(seen, things, **shape), seen.stamp_ns)
         return self.tracker.all
 
     @staticmethod
-    def lifted(seen, things, size_m=0.1, seed=0, competing_score=0.0, z_m=0.4):
-        things = sorted(things, key=lambda t: -t[3])
-        labels = [t[0] for t in things]
+    def lifted(seen, things, seed=0, **shape):
+        labels = [t[0] for t in sorted(things, key=lambda t: -t[3])]
         prompts = tuple(dict.fromkeys(labels)) or ("none",)
-        n = len(things)
-        places = np.array([(t[1], t[2], z_m) for t in things], np.float32).reshape(n, 3)
-        spread = np.random.default_rng(seed + seen.seq - 1).uniform(-size_m, size_m, (n, POINTS, 3))
-        detections = Detections(
-            seen,
-            np.zeros((n, 4), np.float32),
-            np.array([t[3] for t in things], np.float32),
-            np.array([prompts.index(label) for label in labels], np.int32),
-            prompts,
-            np.full(n, competing_score, np.float32),
-        )
-        full = np.full(n, POINTS, np.int32)
-        points = (places[:, None] + spread).astype(np.float32)
-        return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
+        return lifted(seen, things, prompts, seed + seen.seq - 1, **shape)
 
     def expire(self, observation, prompts=("chair", "desk")):
         return self.fusion.expire(observation, prompts)

@@ -9,6 +9,7 @@ import os
 import numpy as np
 import pytest
 import yaml
+from onnx_text import tiny_detector
 from test_perception_cards import CARD, flip_a_byte
 
 from edge import config
@@ -22,7 +23,6 @@ from edge.perception.runtime.health import WHY_INVALID
 from edge.perception.runtime.model_file import TRUST_CACHE
 
 pytest.importorskip("onnxruntime")
-onnx = pytest.importorskip("onnx")
 
 # Two places; the first looks like words 0 and 1 (chair, sofa), the second like word 2.
 BOXES = np.array([[[8, 8, 40, 40], [9, 9, 41, 41], [44, 44, 60, 60]]], np.float32)
@@ -30,43 +30,9 @@ LOGITS = np.full((3, 512), -9.0, np.float32)
 LOGITS[0, 0], LOGITS[1, 0], LOGITS[0, 1], LOGITS[2, 2] = 1.0, 0.5, 0.0, 2.0
 
 
-def build(path, boxes=BOXES, dim=512, names=("images", "txt_feats")):
-    """scores = sigmoid(LOGITS · txt), boxes constant; both touch the image so that it counts."""
-    from onnx import TensorProto, helper, numpy_helper
-
-    nodes = [
-        helper.make_node("ReduceMean", [names[0]], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Add", ["box", "nothing"], ["boxes"]),
-        helper.make_node("Transpose", [names[1]], ["text_t"], perm=[0, 2, 1]),
-        helper.make_node("MatMul", ["logits", "text_t"], ["raw"]),
-        helper.make_node("Sigmoid", ["raw"], ["scores"]),
-    ]
-    logits = LOGITS[None, :, :dim].copy()
-    graph = helper.make_graph(
-        nodes,
-        "tiny",
-        [
-            helper.make_tensor_value_info(names[0], TensorProto.FLOAT, [1, 3, 64, 64]),
-            helper.make_tensor_value_info(names[1], TensorProto.FLOAT, [1, "n", dim]),
-        ],
-        [
-            helper.make_tensor_value_info("boxes", TensorProto.FLOAT, [1, 3, 4]),
-            helper.make_tensor_value_info("scores", TensorProto.FLOAT, [1, 3, "n"]),
-        ],
-        [
-            numpy_helper.from_array(np.float32(0), "zero"),
-            numpy_helper.from_array(boxes, "box"),
-            numpy_helper.from_array(logits, "logits"),
-        ],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    path.write_bytes(model.SerializeToString())
-
-
 @pytest.fixture
 def tiny(tmp_path, monkeypatch, vocabulary):
-    """make(**kw): a detector on the small model; `boxes`, `dim`, `names` change the model."""
+    """make(**kw): a detector on the small model; `boxes`, `dim`, `names` are of the model."""
     folder = tmp_path / "cards"
     folder.mkdir()
     monkeypatch.setattr(resources, "data_dir", lambda kind: folder)
@@ -74,8 +40,15 @@ def tiny(tmp_path, monkeypatch, vocabulary):
     resources.models_dir().mkdir(parents=True)
     path = resources.models_dir() / "tiny.onnx"
 
-    def make(prompts=("chair", "sofa"), model=None, card=None, **settings):
-        build(path, **(model or {}))
+    def make(
+        prompts=("chair", "sofa"),
+        boxes=BOXES,
+        dim=512,
+        names=("images", "txt_feats"),
+        card=None,
+        **settings,
+    ):
+        path.write_bytes(tiny_detector(boxes, LOGITS[:, :dim], names=names))
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         data = {**CARD, "sha256": digest, **(card or {})}
         (folder / "tiny.yaml").write_text(yaml.safe_dump(data))
@@ -208,7 +181,7 @@ def test_a_bad_image_is_an_error_of_one_line(tiny, make_observation, rgb):
 def test_invalid_boxes_are_dropped_and_counted(tiny, make_observation, caplog, value):
     boxes = BOXES.copy()
     boxes[0, 2] = value
-    detector = tiny(prompts=("chair", "trash can"), model={"boxes": boxes})
+    detector = tiny(prompts=("chair", "trash can"), boxes=boxes)
     with caplog.at_level(logging.ERROR):
         for _ in range(3):
             found = detector.detect(make_observation(rgb=image()))
@@ -233,14 +206,14 @@ def test_an_unknown_provider_lists_the_available_ones(tiny):
 )
 def test_a_model_with_another_interface_is_refused(tiny, model):
     with pytest.raises(ModelError, match=r"tiny\.onnx: inputs .*export the model again"):
-        tiny(model=model)
+        tiny(**model)
 
 
 def test_boxes_of_another_rank_are_refused(tiny):
     with pytest.raises(
         ModelError, match=r"tiny\.onnx: boxes have the shape \(4,\) .*export the model again"
     ):
-        tiny(model={"boxes": np.zeros(4, np.float32)})
+        tiny(boxes=np.zeros(4, np.float32))
 
 
 def test_a_failed_encoding_keeps_the_old_prompts(tiny, monkeypatch, make_observation):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import threading
 from contextlib import ExitStack
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +12,7 @@ import onnxruntime
 import pytest
 import yaml
 from kserve_server import Handler, KServe, serving
-from patience import PATIENCE_S, eventually
+from patience import PATIENCE_S
 from tiny_clip import DIM, IMAGE, SIDE
 
 from edge import config
@@ -27,7 +26,6 @@ from edge.perception.factory import make_detector
 from edge.perception.runtime.card_types import ImageCard, InferenceServer
 from edge.perception.runtime.cards import ModelError, load_card, verify_model
 from edge.perception.runtime.kserve import ServerError
-from edge.perception.worker import DetectorWorker
 
 SMALL = "mini-house-256x320-int8-cpu"
 PROMPTS = ("chair", "bed")
@@ -159,28 +157,8 @@ def cut(handler: Handler) -> None:
     handler.connection.shutdown(socket.SHUT_RDWR)
 
 
-def part(handler: Handler) -> None:
-    handler.send_response(200)
-    handler.send_header("Content-Length", "1000")
-    handler.end_headers()
-    handler.wfile.write(b"{")
-    cut(handler)
-
-
-def garbage(handler: Handler) -> None:
-    handler.wfile.write(b"SSH-2.0-OpenSSH_9.2\r\n\r\n")
-    cut(handler)
-
-
 def silent(handler: Handler) -> None:
     handler.kserve.stopping.wait(PATIENCE_S)
-
-
-def drip(handler: Handler) -> None:
-    """Send a byte at a time of a header that never ends."""
-    handler.wfile.write(b"HTTP/1.1 200 OK\r\nX-Long: ")
-    while not handler.kserve.stopping.wait(0.02):
-        handler.wfile.write(b"a")
 
 
 def endless(handler: Handler) -> None:
@@ -198,10 +176,7 @@ def tensors(**shapes):
 GOOD = {"boxes": (1, 1680, 4), "scores": (1, 1680, 1)}
 BAD = [
     (cut, "no connection", "closed the connection before its answer was complete"),
-    (part, "no connection", "closed the connection before its answer was complete"),
-    (garbage, "no connection", "does not speak HTTP"),
     (silent, "timeout", "no complete answer within 0.3 s"),
-    (drip, "timeout", "no complete answer within 0.3 s"),
     (lambda h: h.send(b"", 500), "refused", "HTTP 500: it does not say why"),
     (lambda h: h.send_json({"error": "out of\nmemory"}, 400), "refused",
      "HTTP 400: out of memory; see the server's log"),
@@ -291,28 +266,6 @@ def _error(there, picture, later_s=0.0) -> str:
     except ModelError as error:
         return str(error)
     return ""
-
-
-def test_in_the_background_the_newest_image_wins(model, far, picture):
-    gate = threading.Event()
-
-    def slowly(handler):
-        assert gate.wait(PATIENCE_S)
-        handler.tell_the_truth()
-
-    with serving(KServe(model)) as server:
-        there = far(server)
-        there.detect(picture)
-        server.behave = slowly
-        worker = DetectorWorker(there)
-        for seq in range(50):
-            worker.submit(replace(picture, seq=seq))
-        assert not worker.idle  # none waited for the server
-        gate.set()
-        eventually(lambda: worker.idle)
-        assert worker.poll().observation.seq == 49
-        assert worker.stats.replaced >= 48 - 1
-        worker.close()
 
 
 def test_a_server_model_starts_without_server_or_process(tmp_path, monkeypatch):

@@ -16,7 +16,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import onnx
 import pytest
+from onnx_text import onnx_of
 from test_perception_cards import flip_a_byte
 
 from edge.host import resources
@@ -38,19 +40,12 @@ def engine(precision="fp32", **more):
 
 def save_adder(folder, op="Add", opset=17, ir=8):
     """Save a model with `twice` = `fresh` + `fixed`, (1, 4)."""
-    onnx = pytest.importorskip("onnx")
-    from onnx import TensorProto, helper
-
-    fresh, fixed, twice = (
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4])
-        for name in ("fresh", "fixed", "twice")
-    )
-    node = helper.make_node(op, ["fresh", "fixed"], ["twice"])
-    graph = helper.make_graph([node], "adds", [fresh, fixed], [twice])
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=ir)
-    path = folder / "adds.onnx"
-    onnx.save(model, path)
-    return path
+    ends = "(float[1,4] fresh, float[1,4] fixed) => (float[1,4] twice)"
+    text = f"g {ends} {{ twice = {op} (fresh, fixed) }}"
+    made = onnx.load_from_string(onnx_of(text))
+    made.ir_version, made.opset_import[0].version = ir, opset
+    onnx.save(made, folder / "adds.onnx")
+    return folder / "adds.onnx"
 
 
 @pytest.fixture

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lifted_boxes import lifted
 from twins import fuse, match, strongest_competing_score
 
 from edge import config
 from edge.geometry import invert, se3, to_optical
 from edge.perception.tracking import sighting_kernels as kernels
-from edge.perception.tracking.lift import POINTS, BackProjectedBoxes
 from edge.perception.tracking.look_kernels import NO_DEPTH
 from edge.perception.tracking.place_index import CELL_M, make_index, rebuild
 from edge.perception.tracking.sightings import ObjectTracker
-from edge.types import Detections
 
 NEAR, FAR = 2.0, 5.0
 
@@ -33,22 +32,12 @@ class Scene:
         self.seq += 1
         depth = np.full((64, 80), depth_m, np.float32)
         frame = self.make(seq=self.seq, depth_m=depth)
-        self.tracker.update(self.lifted(frame, things, targets), self.lifted(frame, things, words))
+        found, around = (
+            lifted(frame, things, looked_for, frame.seq, 0.15, 0.6)
+            for looked_for in (targets, words)
+        )
+        self.tracker.update(found, around)
         return self
-
-    @staticmethod
-    def lifted(frame, things, words):
-        mine = sorted((t for t in things if t[0] in words), key=lambda t: -t[3])
-        n = len(mine)
-        places = np.array([(t[1], t[2], 0.6) for t in mine], np.float32).reshape(n, 3)
-        spread = np.random.default_rng(frame.seq).uniform(-0.15, 0.15, (n, POINTS, 3))
-        detections = Detections(
-            frame, np.zeros((n, 4), np.float32), np.array([t[3] for t in mine], np.float32),
-            np.array([words.index(t[0]) for t in mine], np.int32), words,
-        )  # fmt: skip
-        full = np.full(n, POINTS, np.int32)
-        points = (places[:, None] + spread).astype(np.float32)
-        return BackProjectedBoxes(detections, places, points, full, full, np.ones(n, np.bool_))
 
     def table(self):
         s = self.seen

@@ -11,7 +11,7 @@ import pytest
 import tiny_vlm
 from hypothesis import given
 from hypothesis import strategies as st
-from onnx import TensorProto, helper, load, save
+from onnx import TensorProto, helper, load, parser, save
 from patience import PATIENCE_S, eventually
 from tiny_vlm import F32, HIDDEN, SIDE, Graph, pin, publish, train_tokenizer
 
@@ -595,21 +595,9 @@ def test_an_image_token_in_a_target_is_an_error(models_dir):
 def endless_encoder(rounds):
     """Count to `rounds`, then return the features."""
     g = Graph(np.random.default_rng(0), F32)
-    tick = helper.make_graph(
-        [
-            helper.make_node("Identity", ["more"], ["go"]),
-            helper.make_node("Add", ["x", "x"], ["y"]),
-        ],
-        "tick",
-        [
-            helper.make_tensor_value_info("round", TensorProto.INT64, []),
-            helper.make_tensor_value_info("more", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("x", F32, [4, HIDDEN]),
-        ],
-        [
-            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("y", F32, [4, HIDDEN]),
-        ],
+    tick = parser.parse_graph(
+        f"tick (int64 round, bool more, float[4,{HIDDEN}] x) => (bool go, float[4,{HIDDEN}] y)"
+        "{ go = Identity (more) y = Add (x, x) }"
     )
     dark = g("Less", g("ReduceMax", "pixel_values", keepdims=0), g.constant(np.float32(0.0)))
     count = g("Where", dark, g.constant(np.int64(1)), g.constant(np.int64(rounds)))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from onnx_text import onnx_of, tiny_detector
 
 WORDS = ("chair", "sofa", "red", "seems", "like", "there", "is", "a", "ahead")
 DIM, CONTEXT, SIDE = 16, 12, 32
@@ -61,79 +62,33 @@ def write_tokenizer(path: Path) -> None:
 
 def write_text_model(path: Path, table: np.ndarray | None = None, name: str = "tokens") -> None:
     """Write a model that sums one row of `table` for each token: token i counts on axis i."""
-    from onnx import TensorProto, helper, numpy_helper
-
     if table is None:
         table = np.eye(len(WORDS) + 4, DIM, dtype=np.float32)
         table[:3] = 0.0
-    nodes = [
-        helper.make_node("Gather", ["table", name], ["rows"], axis=0),
-        helper.make_node("ReduceSum", ["rows", "axes"], ["embeddings"], keepdims=0),
-    ]
-    _save(
-        path, nodes,
-        [helper.make_tensor_value_info(name, TensorProto.INT64, ["n", CONTEXT])],
-        [helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, ["n", table.shape[1]])],
-        [numpy_helper.from_array(table, "table"), numpy_helper.from_array(np.array([1]), "axes")],
-    )  # fmt: skip
+    text = f"""g (int64[n,{CONTEXT}] {name}) => (float[n,{table.shape[1]}] embeddings) {{
+      rows = Gather <axis = 0> (table, {name})
+      embeddings = ReduceSum <keepdims = 0> (rows, axes)
+    }}"""
+    path.write_bytes(onnx_of(text, table=table, axes=[1]))
 
 
 def write_image_model(path: Path) -> None:
     """Mean red counts for "chair", mean green for "sofa", mean blue for "red"; 1 for "is"."""
-    from onnx import TensorProto, helper, numpy_helper
-
     spread = np.zeros((3, DIM), np.float32)
     spread[[0, 1, 2], [3, 4, 5]] = 1.0
     always = np.zeros((1, DIM), np.float32)
     always[0, 3 + WORDS.index("is")] = 1e-3  # a black image has a direction too
-    nodes = [
-        helper.make_node("ReduceMean", ["pixels"], ["mean"], axes=[2, 3], keepdims=0),
-        helper.make_node("MatMul", ["mean", "spread"], ["colours"]),
-        helper.make_node("Add", ["colours", "always"], ["embeddings"]),
-    ]
-    _save(
-        path, nodes,
-        [helper.make_tensor_value_info("pixels", TensorProto.FLOAT, [1, 3, SIDE, SIDE])],
-        [helper.make_tensor_value_info("embeddings", TensorProto.FLOAT, [1, DIM])],
-        [numpy_helper.from_array(spread, "spread"), numpy_helper.from_array(always, "always")],
-    )  # fmt: skip
+    text = f"""g (float[1,3,{SIDE},{SIDE}] pixels) => (float[1,{DIM}] embeddings) {{
+      mean = ReduceMean <axes = [2, 3], keepdims = 0> (pixels)
+      colours = MatMul (mean, spread)
+      embeddings = Add (colours, always)
+    }}"""
+    path.write_bytes(onnx_of(text, spread=spread, always=always))
 
 
 def write_detector(path: Path, logits: np.ndarray) -> None:
-    """Two empty boxes; scores are the sigmoid of `logits` (2, 512) times the text features.
-
-    The image counts as its mean times 0, so that it is an input.
-    """
-    from onnx import TensorProto, helper, numpy_helper
-
-    nodes = [
-        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Add", ["box", "nothing"], ["boxes"]),
-        helper.make_node("Transpose", ["txt_feats"], ["text_t"], perm=[0, 2, 1]),
-        helper.make_node("MatMul", ["logits", "text_t"], ["raw"]),
-        helper.make_node("Sigmoid", ["raw"], ["scores"]),
-    ]
-    constants = {
-        "zero": np.float32(0), "box": np.zeros((1, 2, 4), np.float32), "logits": logits[None],
-    }  # fmt: skip
-    info = helper.make_tensor_value_info
-    _save(
-        path, nodes,
-        [info("images", TensorProto.FLOAT, [1, 3, SIDE, SIDE]),
-         info("txt_feats", TensorProto.FLOAT, [1, "n", logits.shape[1]])],
-        [info("boxes", TensorProto.FLOAT, [1, 2, 4]),
-         info("scores", TensorProto.FLOAT, [1, 2, "n"])],
-        [numpy_helper.from_array(np.asarray(v), k) for k, v in constants.items()],
-    )  # fmt: skip
-
-
-def _save(path, nodes, given, results, constants) -> None:
-    from onnx import helper
-
-    graph = helper.make_graph(nodes, "tiny", given, results, constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    path.write_bytes(model.SerializeToString())
+    """Two empty boxes; scores are the sigmoid of `logits` (2, 512) times the text features."""
+    path.write_bytes(tiny_detector(np.zeros((1, 2, 4), np.float32), logits, (SIDE, SIDE)))
 
 
 def write_card(folder: Path, card: dict, file: Path | None = None) -> None:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
+from onnx_text import onnx_of
 
 SIDE, CELLS = 128, 32
 """Side of the encoder's image and of its masks."""
@@ -93,53 +94,31 @@ def _sha256(path: Path) -> str:
 
 
 def _write_encoder(path: Path, layout: Layout, slow: bool) -> None:
-    """Each feature: a strided convolution, its first channel the mean of all colours there."""
-    from onnx import TensorProto, helper, numpy_helper
+    """Each feature: a strided convolution, its first channel the mean of all colours there.
 
-    random, nodes, constants, results = np.random.default_rng(0), [], [], []
+    A slow one first takes as many turns as the brightest pixel above black, times 10^12.
+    """
+    random, values, made, results = np.random.default_rng(0), {}, [], []
     pixels = layout.image
     if slow:
-        nodes, constants = _endless(pixels)
-        pixels = "in_the_end"
+        made = [
+            f"brightest = ReduceMax <keepdims = 0> ({pixels})",
+            "above = Add (brightest, one)", "turns = Mul (above, many)",
+            f"count = Cast <to = 7> (turns) end = Loop (count, , {pixels}) <body = turn "
+            "(int64 k, bool go, float held) => (bool goes, float kept) "
+            "{ goes = Identity (go) kept = Identity (held) }>",
+        ]  # fmt: skip
+        pixels, values = "end", {"one": np.float32(1.0), "many": np.float32(1e12)}
     for name, (channels, stride) in layout.made.items():
         weights = random.normal(size=(channels, 3, stride, stride)).astype(np.float32)
         weights[0] = 1.0 / (3 * stride * stride)
-        constants.append(numpy_helper.from_array(weights, f"{name}_weights"))
-        nodes.append(
-            helper.make_node("Conv", [pixels, f"{name}_weights"], [name], strides=[stride, stride])
-        )
-        shape = [1, channels, SIDE // stride, SIDE // stride]
-        results.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
-    shape = ["batch" if layout.image == "input_image" else 1, 3, SIDE, SIDE]
-    given = [helper.make_tensor_value_info(layout.image, TensorProto.FLOAT, shape)]
-    _save(path, nodes, given, results, constants)
-
-
-def _endless(pixels: str):
-    """Return a loop with as many turns as the sum of the pixels above black, times 10^12."""
-    from onnx import TensorProto, helper, numpy_helper
-
-    info = helper.make_tensor_value_info
-    body = helper.make_graph(
-        [helper.make_node("Identity", ["go"], ["goes"]),
-         helper.make_node("Identity", ["held"], ["kept"])],
-        "turn",
-        [info("turn", TensorProto.INT64, []), info("go", TensorProto.BOOL, []),
-         info("held", TensorProto.FLOAT, None)],
-        [info("goes", TensorProto.BOOL, []), info("kept", TensorProto.FLOAT, None)],
-    )  # fmt: skip
-    nodes = [
-        helper.make_node("ReduceMax", [pixels], ["brightest"], keepdims=0),
-        helper.make_node("Add", ["brightest", "one"], ["above"]),
-        helper.make_node("Mul", ["above", "many"], ["turns"]),
-        helper.make_node("Cast", ["turns"], ["count"], to=TensorProto.INT64),
-        helper.make_node("Loop", ["count", "", pixels], ["in_the_end"], body=body),
-    ]
-    constants = [
-        numpy_helper.from_array(np.float32(1.0), "one"),
-        numpy_helper.from_array(np.float32(1e12), "many"),
-    ]
-    return nodes, constants
+        values[f"{name}_weights"] = weights
+        made.append(f"{name} = Conv <strides = [{stride}, {stride}]> ({pixels}, {name}_weights)")
+        results.append(f"float[1,{channels},{SIDE // stride},{SIDE // stride}] {name}")
+    batch = "batch" if layout.image == "input_image" else 1
+    given = f"float[{batch},3,{SIDE},{SIDE}] {layout.image}"
+    text = f"g ({given}) => ({', '.join(results)}) {{ {' '.join(made)} }}"
+    path.write_bytes(onnx_of(text, **values))
 
 
 def _write_decoder(path: Path, layout: Layout) -> None:
@@ -147,65 +126,43 @@ def _write_decoder(path: Path, layout: Layout) -> None:
 
     The first mask is the reverse, with lower `iou_predictions`.
     """
-    from onnx import TensorProto, helper, numpy_helper
-
-    info, node = helper.make_tensor_value_info, helper.make_node
     px, k = layout.card["prompt_px"], layout.candidates
     middles = ((np.arange(CELLS) + 0.5) * px / CELLS).astype(np.float32)
     sign = np.ones((1, k, 1, 1), np.float32)
     if k > 1:
         sign[0, 0] = -1.0
-    arrays = {
-        "x": middles.reshape(1, 1, 1, CELLS), "y": middles.reshape(1, 1, CELLS, 1),
-        "zero": np.array([0]), "one": np.array([1]), "two": np.array([2]), "axes": np.array([1]),
-        "flat": np.array([4]), "outside": np.float32(-1.0), "sign": sign,
-        "iou": np.linspace(0.1, 0.9, k, dtype=np.float32).reshape(1, k),
-    }  # fmt: skip
-    feature = layout.taken[0]
-    nodes = [
-        node("Slice", [feature, "zero", "one", "axes"], ["bright"]),
-        node("Reshape", ["point_coords", "flat"], ["corners"]),
-        node("Split", ["corners"], ["x0", "y0", "x1", "y1"], axis=0),
-        node("Greater", ["x", "x0"], ["right_of"]),
-        node("Less", ["x", "x1"], ["left_of"]),
-        node("Greater", ["y", "y0"], ["below"]),
-        node("Less", ["y", "y1"], ["above"]),
-        node("And", ["right_of", "left_of"], ["across"]),
-        node("And", ["below", "above"], ["down"]),
-        node("And", ["across", "down"], ["within"]),
-        node("Where", ["within", "bright", "outside"], ["one_mask"]),
-        node("Mul", ["one_mask", "sign"], ["low"]),
-        # An unused input would be dropped from the graph.
-        node("ReduceSum", ["point_labels"], ["labels"], keepdims=0),
-        node("Sub", ["labels", "labels"], ["nothing"]),
-        node("Add", ["iou", "nothing"], ["iou_predictions"]),
+    shapes = {"mask_input": f"1,1,{CELLS},{CELLS}", "has_mask_input": "1", "orig_im_size": "2"}
+    given = ["float[1,points,2] point_coords", "float[1,points] point_labels"]
+    given += [f"float[{_shape(layout, name)}] {name}" for name in layout.taken]
+    given += [f"float[{shapes[name]}] {name}" for name in layout.prompts]
+    masks = [f"float[1,{k},rows,columns] {name}" for name in layout.masks[::-1]]
+    made = [
+        # The one of two that is enlarged is not to be taken.
+        f"{name} = {'Neg' if name == 'masks' and len(masks) > 1 else 'Identity'} (low)"
+        for name in layout.masks
     ]
-    given = [
-        info("point_coords", TensorProto.FLOAT, [1, "points", 2]),
-        info("point_labels", TensorProto.FLOAT, [1, "points"]),
-        *(info(name, TensorProto.FLOAT, [1, *_shape(layout, name)]) for name in layout.taken),
-    ]
-    shapes = {
-        "mask_input": [1, 1, CELLS, CELLS], "has_mask_input": [1], "orig_im_size": [2],
-    }  # fmt: skip
-    given += [info(name, TensorProto.FLOAT, shapes[name]) for name in layout.prompts]
-    results = [info("iou_predictions", TensorProto.FLOAT, [1, k])]
-    for name in layout.masks:
-        whole = name == "masks" and len(layout.masks) > 1  # enlarged: not to be taken
-        nodes.append(node("Neg" if whole else "Identity", ["low"], [name]))
-        results.insert(0, info(name, TensorProto.FLOAT, [1, k, "rows", "columns"]))
-    constants = [numpy_helper.from_array(np.asarray(v), key) for key, v in arrays.items()]
-    _save(path, nodes, given, results, constants)
+    # An unused input would be dropped from the graph: the labels count as 0.
+    text = f"""g ({", ".join(given)}) => ({", ".join(masks)}, float[1,{k}] iou_predictions) {{
+      bright = Slice ({layout.taken[0]}, zero, one, axes)
+      corners = Reshape (point_coords, flat)
+      x0, y0, x1, y1 = Split <axis = 0> (corners)
+      right_of = Greater (x, x0) left_of = Less (x, x1) across = And (right_of, left_of)
+      below = Greater (y, y0) above = Less (y, y1) down = And (below, above)
+      within = And (across, down)
+      one_mask = Where (within, bright, outside)
+      low = Mul (one_mask, sign)
+      labels = ReduceSum <keepdims = 0> (point_labels)
+      nothing = Sub (labels, labels)
+      iou_predictions = Add (iou, nothing)
+      {" ".join(made)}
+    }}"""
+    iou = np.linspace(0.1, 0.9, k, dtype=np.float32).reshape(1, k)
+    path.write_bytes(onnx_of(
+        text, x=middles.reshape(1, 1, 1, CELLS), y=middles.reshape(1, 1, CELLS, 1), zero=[0],
+        one=[1], axes=[1], flat=[4], outside=np.float32(-1.0), sign=sign, iou=iou,
+    ))  # fmt: skip
 
 
-def _shape(layout: Layout, name: str) -> list[int]:
-    made = layout.made.get(name) or next(iter(layout.made.values()))
-    return [made[0], SIDE // made[1], SIDE // made[1]]
-
-
-def _save(path, nodes, given, results, constants) -> None:
-    from onnx import helper
-
-    graph = helper.make_graph(nodes, "tiny", given, results, constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    path.write_bytes(model.SerializeToString())
+def _shape(layout: Layout, name: str) -> str:
+    channels, stride = layout.made.get(name) or next(iter(layout.made.values()))
+    return f"1,{channels},{SIDE // stride},{SIDE // stride}"

@@ -84,10 +84,6 @@ def made(sinks: list[object]) -> list[Sink]:
             ["zenoh", "nowhere:Sink"],
             r"sinks\.1\.kind: 'nowhere:Sink' cannot be imported: ModuleNotFoundError: .*PATH",
         ),
-        (
-            ["edge.sinks:Sinkk"],
-            r"sinks\.0\.kind: 'edge.sinks:Sinkk' cannot be imported: AttributeError",
-        ),
         ([{"kind": "zenoh", "options": {"hz": 3}}], r"sinks\.0\.options: .*'hz'"),
         ([{"kind": "zenoh", "option": {}}], r"sinks\.0\.option: unknown key"),
         ([7], r"sinks\.0: expected a section"),

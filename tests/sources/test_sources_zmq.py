@@ -17,8 +17,6 @@ import cv2
 import numpy as np
 import pytest
 from fake_zenoh import Flooded
-from hypothesis import given
-from hypothesis import strategies as st
 from live_patience import eventually
 from simulated import simulated
 
@@ -30,7 +28,7 @@ from edge.geometry import CameraModel
 from edge.host.ports import free_port
 from edge.loop.source import missing_inputs
 from edge.sources import find_source
-from edge.sources.zmq import ZmqSource, parse_header
+from edge.sources.zmq import ZmqSource
 from edge.types import Observation
 
 zmq = pytest.importorskip("zmq", reason="extra `zmq` is not installed")
@@ -186,12 +184,6 @@ def test_an_oversized_message_is_refused_and_logged_once(caplog):
         eventually(lambda: (send(RGB, b""), source.wait(0.05), source.counters["received"])[-1]
                    > before, "not found again")  # fmt: skip
     assert sum("the camera disconnected" in m for m in caplog.messages) == 1
-
-
-@given(st.binary(max_size=200), st.integers(0, 1 << 40))
-def test_no_header_does_more_than_be_refused(data, n_bytes):
-    with pytest.raises(ValueError, match=r"\S"):
-        parse_header(data, n_bytes)
 
 
 def test_a_host_without_an_address_is_logged(caplog):

@@ -10,6 +10,7 @@ import re
 import sys
 
 import pytest
+from pydantic_monty._binary import find_monty_binary
 from task_scenes import STREET, street
 
 from edge.config import TrajectoryLimits
@@ -122,3 +123,14 @@ def test_a_missing_monty_program_is_reported(functions, monkeypatch, tmp_path):
     monkeypatch.setenv("MONTY_BIN", str(tmp_path / "none"))
     with pytest.raises(UnavailableError, match="pydantic-monty does not run here: "):
         run_script("1", functions, ScriptLimits())
+
+
+def test_a_slow_start_of_the_interpreter_takes_no_time_of_the_script(
+    functions, monkeypatch, tmp_path
+):
+    program = tmp_path / "monty"
+    program.write_text(f'#!/bin/sh\nsleep 1.1\nexec "{find_monty_binary()}" "$@"\n')
+    program.chmod(0o700)
+    monkeypatch.setenv("MONTY_BIN", str(program))
+    code = "give_trajectory([(0, 0), (1, 0)])"
+    assert run_script(code, functions, ScriptLimits(time_s=0.5)).error == ""

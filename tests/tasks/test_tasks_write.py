@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import logging
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from chat_server import completion, recorded, saying, send, sends_100_mb, serving, stalls
+from chat_server import completion, recorded, saying, send, serving
 from task_scenes import STREET, street
 
 from edge.chat import ChatError
 from edge.config import TasksConfig, TrajectoryLimits, WriterModel
-from edge.errors import UserError
 from edge.mission.language.tokens import TranslationError
 from edge.tasks import write as writing
 from edge.tasks.functions import ScriptFunctions
@@ -274,45 +272,11 @@ def test_a_robot_without_free_ground_sends_no_request():
         assert server.requests == []
 
 
-def fails(handler):
-    send(handler, b'{"error": {"message": "out of\\nmemory\\u001b[2J"}}', 500)
-
-
-@pytest.mark.parametrize(
-    ("behave", "message"),
-    [
-        (stalls, "no complete answer within 0.3 s; raise time_limit_s or use a faster model"),
-        (sends_100_mb, "the answer has more than 256 KB; is it a chat server?"),
-        (fails, "answered HTTP 500: out of memory [2J"),
-        (lambda h: send(h, b"<html>welcome</html>"), "the answer is not JSON"),
-        (lambda h: send(h, b'{"choices": []}'), "the answer has no choices[0].message.content"),
-        (lambda h: send(h, b"[" * 100_000), "the answer is not JSON"),
-        (lambda h: send(h, json.dumps({"choices": [{"message": {"content": 7}}]}).encode()),
-         "the answer has no choices[0].message.content"),
-        (lambda h: send(h, completion("")), "the answer is empty"),
-        (lambda h: send(h, b"", 302, Location="http://evil.invalid/"), "the server redirects to http://evil.in"),
-    ],
-    ids=[
-        "stalls", "100 MB", "fails", "no JSON", "no choice", "a nest", "a number", "empty",
-        "redirects",
-    ],
-)  # fmt: skip
-def test_a_misbehaving_server_is_an_error_of_one_line(behave, message):
-    limit_s = 0.3 if behave is stalls else 60.0
-    with serving(behave) as server:
-        with pytest.raises(ChatError) as raised:
-            write_trajectory(INSTRUCTION, SCENE, by_model(server, time_limit_s=limit_s))
+def test_a_server_that_fails_is_not_asked_again():
+    with serving(lambda handler: send(handler, b"", 500)) as server:
+        with pytest.raises(ChatError, match=f"^{server.url}: the server answered HTTP 500"):
+            write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 1
-    assert str(raised.value).startswith(f"{server.url}: ")
-    assert message in str(raised.value)
-    assert "\n" not in str(raised.value)
-
-
-def test_an_unreachable_server_is_reported():
-    with pytest.raises(ChatError, match=r"^http://127\.0\.0\.1:1/v1: "):
-        write_trajectory(
-            INSTRUCTION, SCENE, TasksConfig(planner=WriterModel(url="http://127.0.0.1:1/v1"))
-        )
 
 
 def test_all_rounds_share_one_time_limit(monkeypatch):
@@ -327,16 +291,3 @@ def test_all_rounds_share_one_time_limit(monkeypatch):
         with pytest.raises(ChatError, match="no complete answer within 120 s; raise time_limit_s"):
             write_trajectory(INSTRUCTION, SCENE, by_model(server))
         assert len(server.requests) == 2
-
-
-def test_the_key_is_sent_only_to_the_server(monkeypatch, caplog):
-    monkeypatch.setenv("TASKS_KEY", "sk-secret-47")
-    with caplog.at_level(logging.DEBUG), serving(saying(THROUGH)) as server:
-        with pytest.raises(UserError) as raised:
-            write_trajectory(
-                INSTRUCTION, SCENE, by_model(server, api_key_env="TASKS_KEY", max_attempts=2)
-            )
-        for _, headers, body in server.requests:
-            assert headers["Authorization"] == "Bearer sk-secret-47"
-            assert "sk-secret" not in json.dumps(body)
-    assert "sk-secret" not in str(raised.value) + caplog.text

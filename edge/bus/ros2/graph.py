@@ -38,10 +38,8 @@ class Graph:
             self._apply(str(sample.key_expr), sample.kind == zenoh.SampleKind.DELETE)
         if changes == 0:
             return False
-        if changes == _MAX_TOKENS and not self._warned:
-            self._warned = True
-            log.warning("ros2: the ROS 2 graph has more than %d publishers, subscribers, servers "
-                        "and clients: some are ignored", _MAX_TOKENS)  # fmt: skip
+        if changes == _MAX_TOKENS:  # the ring was full
+            self._warn()
         self._index()
         return True
 
@@ -53,6 +51,15 @@ class Graph:
             endpoint = parse_token(key)
             if endpoint is not None and endpoint.zid != self._zid:
                 self._by_id[key] = endpoint
+        else:
+            self._warn()
+
+    def _warn(self) -> None:
+        """Log once that endpoints are ignored."""
+        if not self._warned:
+            self._warned = True
+            log.warning("ros2: the ROS 2 graph has more than %d publishers, subscribers, servers "
+                        "and clients: some are ignored", _MAX_TOKENS)  # fmt: skip
 
     def _index(self) -> None:
         """Rebuild the index: a dead robot's hash must not stay, and changes are rare."""

@@ -7,7 +7,6 @@ jobs. An error in a job affects only its own outcome.
 from __future__ import annotations
 
 import os
-import signal
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +22,7 @@ from edge.errors import Stopped
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.drive import in_process, over_zenoh, run_episode
 from edge.lab.eval.episodes import Episode
+from edge.lab.eval.interrupts import holding_interrupts, ignore_interrupts
 from edge.lab.eval.outcome import EpisodeOutcome, crashed_outcomes
 from edge.lab.eval.sessions import run_session
 from edge.lab.eval.world_list import WorldSection
@@ -152,7 +152,8 @@ def _start() -> _Worker:
     context = get_context("spawn")
     pipe, child_pipe = context.Pipe()
     process = context.Process(target=_serve, args=(child_pipe,), name="episodes", daemon=False)
-    with mock.patch.dict(os.environ, ONE_THREAD):  # libraries read them when they load
+    # Libraries read the variables when they load.
+    with holding_interrupts(), mock.patch.dict(os.environ, ONE_THREAD):
         process.start()
     child_pipe.close()
     return _Worker(process, pipe)
@@ -160,7 +161,7 @@ def _start() -> _Worker:
 
 def _serve(pipe: connection.Connection) -> None:
     """Run the jobs of a pipe until the parent closes it. Ctrl-C is for the parent only."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore_interrupts()
     cv2.setNumThreads(1)
     while True:
         try:

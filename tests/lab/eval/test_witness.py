@@ -70,49 +70,34 @@ def stage(tmp_path):
     return Stage(tmp_path)
 
 
-def test_an_episode_that_reaches_its_object_is_no_failure(stage):
-    stage.tick(5.0, shown=["bed"])
-    stage.tick(9.0, (5.2, 2.0), phase="reached", reached="bed")
-    assert stage.failure() is None
-    assert stage.logger.wrong_stops == []
+AWAY, AT_BED, SEEN = {"xy": (2.0, 2.0)}, {"xy": (5.2, 2.0)}, {"shown": ["bed"]}
+REACHED = {"phase": "reached", "reached": "bed"}
+PROBABLY = "reached: bed (probably, 0.62: bed or sofa)"
+FAILED = {"phase": "failed", "reason": "nothing left to search"}
 
 
-def test_a_stop_far_from_the_object_is_the_wrong_object(stage):
-    stage.tick(5.0, shown=["bed"])
-    stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed")
-    assert stage.failure() == "wrong thing"
-    assert [label for label, _ in stage.logger.wrong_stops] == ["bed"]
-
-
-@pytest.mark.parametrize("xy", [(5.2, 2.0), (2.0, 2.0)])  # at the bed, and far from it
-def test_a_probable_object_counts_as_neither_right_nor_wrong(stage, xy):
-    text = "reached: bed (probably, 0.62: bed or sofa)"
-    stage.tick(9.0, xy, phase="reached", reached="bed", text=text)
-    assert stage.failure() == "probable"
-    assert stage.logger.wrong_stops == []
-
-
-def test_an_object_that_a_person_confirmed_is_judged(stage):
-    text = "reached: bed (confirmed by a person)"
-    stage.tick(9.0, (2.0, 2.0), phase="reached", reached="bed", text=text)
-    assert stage.failure() == "wrong thing"
-
-
-def test_a_target_never_in_view_counts_as_never_seen(stage):
-    stage.tick(5.0, (3.0, 2.0), shown=["sofa"], phase="failed", reason="nothing left to search")
-    assert stage.failure() == "never seen"
-    assert stage.logger.first_sight() is None
-
-
-def test_a_target_in_view_counts_as_seen_not_confirmed(stage):
-    stage.tick(5.0, (3.0, 2.0), shown=["bed"])
-    stage.tick(9.0, (3.0, 2.0), phase="failed", reason="path limit of 100 m")
-    assert stage.failure() == "seen, not confirmed"
-
-
-def test_a_mission_without_an_end_is_out_of_budget(stage):
-    stage.tick(9.0, (3.0, 2.0))
-    assert stage.failure() == "budget"
+@pytest.mark.parametrize(
+    ("ticks", "failure", "wrong_stops"),
+    [
+        ([SEEN, {**AT_BED, **REACHED}], None, 0),
+        ([SEEN, {**AWAY, **REACHED}], "wrong thing", 1),
+        # A probable object is neither right nor wrong, unless a person confirmed it.
+        ([{**AT_BED, **REACHED, "text": PROBABLY}], "probable", 0),
+        ([{**AWAY, **REACHED, "text": PROBABLY}], "probable", 0),
+        ([{**AWAY, **REACHED, "text": "reached: bed (confirmed by a person)"}], "wrong thing", 1),
+        ([{**SEEN, "shown": ["sofa"], **FAILED}], "never seen", 0),
+        ([SEEN, FAILED], "seen, not confirmed", 0),
+        ([{"at_s": 9.0}], "budget", 0),
+        ([{**SEEN, "instances": [instance(1, BED)]}, {**AT_BED, **FAILED}], "stuck", 0),
+    ],
+    ids=["right", "wrong", "probably right", "probably wrong", "confirmed by a person", "hidden",
+         "unconfirmed", "endless", "given up"],
+)  # fmt: skip
+def test_an_episode_is_judged_by_its_ticks(stage, ticks, failure, wrong_stops):
+    for k, tick in enumerate(ticks):
+        stage.tick(**{"at_s": 5.0 + 4.0 * k, **tick})
+    assert stage.failure() == failure
+    assert [label for label, _ in stage.logger.wrong_stops] == ["bed"] * wrong_stops
 
 
 def test_a_minute_in_one_place_is_stuck(stage):
@@ -122,15 +107,10 @@ def test_a_minute_in_one_place_is_stuck(stage):
     assert stage.failure() == "stuck"
 
 
-def test_a_confirmed_object_that_was_given_up_counts_as_stuck(stage):
-    stage.tick(5.0, (3.0, 2.0), shown=["bed"], instances=[instance(1, BED)])
-    stage.tick(9.0, (5.0, 2.0), phase="failed", reason="no way to it")
-    assert stage.failure() == "stuck"
-
-
 @pytest.mark.parametrize(("near_m", "seen"), [(2.0, True), (6.0, True), (6.1, False)])
 def test_an_object_counts_as_seen_within_the_detectors_range(stage, near_m, seen):
     stage.tick(5.0, shown=["bed"], near_m=near_m)
+    assert (stage.logger.first_sight() is not None) == seen
     stage.tick(7.0, shown=["bed"], near_m=2.0)
     assert stage.logger.first_sight().seconds == (5.0 if seen else 7.0)
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_recall import image
 
 from edge.cli.main import main
 from edge.lab.eval.word_scores import NEVER, LabelledImage, WordCount, score_for
@@ -59,13 +60,6 @@ def found(*boxes: tuple[int, int, int, int]) -> Detections:
         np.array(boxes, np.float32).reshape(-1, 4), np.full(len(boxes), 0.8, np.float32),
         np.zeros(len(boxes), np.int32), ("bed",),
     )  # fmt: skip
-
-
-def image(*boxes: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    ids, depth_m = np.zeros((60, 80), np.uint16), np.full((60, 80), 2.0, np.float32)
-    for k, (x0, y0, x1, y1) in enumerate(boxes, start=1):
-        ids[y0:y1, x0:x1] = k
-    return ids, depth_m
 
 
 def test_the_command_prints_word_scores_and_the_configuration(capsys):

@@ -29,7 +29,7 @@ class Drive:
 
 
 class Bus:
-    """Answers an instant when it was sent for the `late`th time."""
+    """Answers an instant when it was sent for the `late`th time, and another one before."""
 
     def __init__(self, late: int) -> None:
         self._late, self.sent = late, 0
@@ -38,7 +38,7 @@ class Bus:
         self.sent += any(topic is topics.ODOMETRY for topic, _ in batch)
 
     def take_commands(self):
-        return [(0, 0.5, 0.1)] if self.sent >= self._late else []
+        return [(0, 0.5, 0.1)] if self.sent >= self._late else [(7, 9.0, 9.0)]
 
 
 @pytest.mark.parametrize("late", [1, 3])

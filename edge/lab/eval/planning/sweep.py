@@ -8,7 +8,6 @@ are made once for all of them.
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.errors import UserError
+from edge.lab.eval.interrupts import holding_interrupts, ignore_interrupts
 from edge.lab.eval.planning.delexicalised import delexicalise
 from edge.lab.eval.planning.executor import COMPLETE, PlanningProblem, draws_of, run_episode
 from edge.lab.eval.planning.planners import PLANNERS
@@ -152,11 +152,10 @@ def _run_all(
         yield from ((batch, run_batch(batch, settings)) for batch in work)
         return
     # A fork could copy locks that threads of the numerical libraries hold.
-    pool = ProcessPoolExecutor(
-        jobs, multiprocessing.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ignore_interrupts)
     try:
-        futures = {pool.submit(run_batch, batch, settings): batch for batch in work}
+        with holding_interrupts():
+            futures = {pool.submit(run_batch, batch, settings): batch for batch in work}
         for future in as_completed(futures):
             yield futures[future], future.result()
     except BrokenProcessPool:

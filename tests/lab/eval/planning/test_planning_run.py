@@ -77,7 +77,13 @@ def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent("""
-        import signal, sys, time
+        import pathlib, signal, sys, time
+        if __name__ != "__main__":
+            try:
+                pathlib.Path("first").touch(exist_ok=False)
+            except FileExistsError:  # the second worker still imports at the interrupt
+                while not pathlib.Path("interrupted").exists():
+                    time.sleep(0.01)
         from edge.cli.parsers import make_parser
         from edge.lab.eval.planning import run as command
         from edge.host import progress
@@ -98,11 +104,13 @@ def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
     argv = ["--n", "60", "--episodes", "50", "--jobs", "2", "--out", str(tmp_path)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # A group of its own gets the signal, as a terminal's Ctrl-C goes to all of its processes.
-    process = subprocess.Popen([sys.executable, script, *argv], start_new_session=True, **pipes)
+    command = [sys.executable, script, *argv]
+    process = subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **pipes)
     try:
         while "working" not in process.stdout.readline():
             assert process.poll() is None
         os.killpg(process.pid, signal.SIGINT)
+        (tmp_path / "interrupted").touch()
         _, err = process.communicate(timeout=PATIENCE_S)
     finally:
         if process.poll() is None:
