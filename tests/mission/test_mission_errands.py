@@ -96,6 +96,10 @@ PLACES = ["dock", "loading bay 2"]
         ("go to the dock and wait there for a couple of minutes",
          'go to "dock", then go to "wait 2 min"'),
         ("wait 90 seconds, and go to the bed", 'go to "wait 90 s", then go to the bed'),
+        ("see if the kitchen has a stool in it", 'go to "check stool in the kitchen"'),
+        ("stay at the dock until I tell you to go", 'go to "dock", then go to "wait"'),
+        ("go to the kitchen for five minutes", 'go to the kitchen, then go to "wait 5 min"'),
+        ("spend five minutes exploring the hall", 'go to "explored hall for 5 min"'),
         # Relations.
         ("find the mug that is standing on the table", 'find "mug on the table"'),
         ("go to the red chair beside the desk", 'go to "red chair beside the desk"'),
@@ -111,6 +115,12 @@ PLACES = ["dock", "loading bay 2"]
         ("find my keys, they should be on the desk", 'find "keys on the desk"'),
         ("go to the room with the piano", 'go to "room with the piano"'),
         ("go to the biggest room", 'go to "largest room"'),
+        ("go to the nearest chair", "go to the chair"),
+        ("go home", 'go to "start"'),
+        ("start at the desk, then the bed", "first go to the desk, then the bed"),
+        ("go to whichever is closer, the sofa or the bed", "go to the sofa or the bed"),
+        ("find a cup or a mug, I do not care which", "find a cup or a mug"),
+        ("find the cup and let me know when you have found it", "find the cup"),
         ("visit the bed at some point", "visit the bed at some point"),
         ("there is a crate behind the door, drive to it", 'go to "crate behind the door"'),
         # Named first.

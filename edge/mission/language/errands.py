@@ -90,6 +90,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         ([patterns.HINTED], _rewrite_hinted),
         ([patterns.WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([patterns.NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
+        ([patterns.NEAREST_TO_ROBOT], lambda found: f" the {found['thing']}"),
         ([patterns.INTRODUCED], _rewrite_introduced),
         ([patterns.ROOM_FIRST], _rewrite_room_first),
         (patterns.SEARCHES, _rewrite_search),

@@ -81,7 +81,8 @@ _ROWS: dict[str, str] = {
     "correction": """
         no sorry; sorry; sorry no; no wait; wait no; no i mean; i mean; i meant; no i meant; no no;
         oh no; no not that; make that; scratch that; actually no; no actually; or rather; no rather;
-        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry
+        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry; make it;
+        actually i (mean|meant); (i|) actually (mean|meant|wanted); oh wait; no i wanted
     """,
     # Kinds of rooms: the last word of a room's name, before a number.
     "room": """
@@ -99,7 +100,9 @@ _ROWS: dict[str, str] = {
         examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
         packing; shipping; receiving; loading; sorting; cold; isolation; therapy; music; games;
         reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment;
-        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family
+        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family; waiting;
+        breakfast; dining; seating; sitting; smoking; server; interview; consulting; fitness;
+        luggage; laundry; delivery; pickup; parking; charging; assembly; machine; sick; ironing
     """,
     "everything": """
         everything; everywhere; house; home; flat; apartment; building; floor; area; place;

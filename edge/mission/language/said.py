@@ -30,7 +30,7 @@ from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
-Topic = Literal["where", "exists", "rooms", "places", "seen", "self"]
+Topic = Literal["where", "exists", "rooms", "places", "doing", "seen", "self"]
 Learnt = Literal["place", "room", "forget", "keep_out", "stay_inside", "open"]
 
 
@@ -51,9 +51,10 @@ class MemoryQuestion:
 
     Attributes:
         topic: "where" and "exists" ask for objects of the name `about`; "rooms", "places" and
-            "seen" for all that are known; "self" for the robot's own place.
+            "seen" for all that are known; "self" for the robot's own place; "doing" for the state
+            of the mission.
         about: a name without an article, which may be related to another one, as in "mug on the
-            table"; "" if the topic needs none.
+            table". For "seen", what the objects are near. "" if the topic needs none.
         room: only objects in this room; "" for all.
     """
 
@@ -176,7 +177,7 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
             "instruction: unclear what to remember; say 'remember this as the …', or 'go to the …'"
         )
     question, _, order = speech.text.partition("?")
-    if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
+    if _GO_AND_LOOK.fullmatch(strip_politeness(order.strip(" .!"))):
         asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
             thing, room = asked.about, asked.room
@@ -288,7 +289,7 @@ def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
         if relation in ("in", "inside", "at", "on") and is_room(anchor):
             room = anchor
         elif anchor:
-            about = f"{about} {relation} the {anchor}".strip()
+            about = f"{about} {relation} the {anchor}" if about else anchor
         return MemoryQuestion(kind, about, room)  # type: ignore[arg-type]
     if kind in CONTROL:
         span = slots.get("span")
