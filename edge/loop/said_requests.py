@@ -29,6 +29,11 @@ if TYPE_CHECKING:
     from edge.loop.service import Service
 
 _MAX_NAMES = 20
+_HELP = (
+    "say for example: 'find my keys', 'go to the kitchen, then come back', 'explore the hall', "
+    "'check if the stove is in the kitchen', 'wait two minutes', 'remember this as the dock', "
+    "'stay out of the bathroom', 'where is the mug?', 'stop', 'go on'"
+)
 _NEAR_M = 1.5  # distance between the centres of two objects that are near each other
 
 
@@ -82,6 +87,8 @@ def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
     if said.topic == "doing":
         status = service.status
         return ": ".join(filter(None, (status.instruction, status.phase, status.reason)))
+    if said.topic == "help":
+        return _HELP
     if said.topic == "places":
         return _counted_names("places", [place.name for place in service.site.known.places])
     if said.topic == "rooms":

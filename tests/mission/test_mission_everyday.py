@@ -107,6 +107,13 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("How many rooms does this flat have?", MemoryQuestion("rooms")),
         ("What are you doing?", MemoryQuestion("doing")),
         ("Why did you stop?", MemoryQuestion("doing")),
+        ("Did you find it?", MemoryQuestion("doing")),
+        ("How much longer?", MemoryQuestion("doing")),
+        ("What can you do?", MemoryQuestion("help")),
+        ("Which rooms have a sink?", MemoryQuestion("where", "sink")),
+        ("How many beds are in room 12?", MemoryQuestion("exists", "beds", "room 12")),
+        ("Is there a printer on this floor?", MemoryQuestion("exists", "printer")),
+        ("Anything in the kitchen?", MemoryQuestion("seen", "", "kitchen")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
         ("Call this place the reading corner.", SiteOrder("place", "reading corner")),
@@ -132,6 +139,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("I'd rather you never went into the hall from now on.", SiteOrder("keep_out", "hall")),
         ("It's called the den.", SiteOrder("room", "den")),
         ("Scrap the name dock.", SiteOrder("forget", "dock")),
+        ("Remember this spot as home.", SiteOrder("place", "home")),
         ("Save where you're standing. Call it the base.", SiteOrder("place", "base")),
         # Control.
         ("Stop!", Control("pause")),
@@ -177,6 +185,7 @@ def test_questions_and_direct_orders_are_recognised(said, found):
         "this is fun", "this is the worst",
         "this place is crowded", "it is the red one", "drop the mug",
         "which rooms have you not seen?", "which rooms are blocked?", "could you see if it is red",
+        "forget everything you have seen", "forget that you saw the mug",
         "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip

@@ -205,13 +205,14 @@ _NOT_IN_NAMES = """
     any more anywhere once twice okay ok still never that which who what where without via through
     so as than can could would should must may go come drive find return wait stop today since
     during around over up out off away back just only below above underneath opposite against
-    between close nearest closest across top front look be me us him this how why standing
+    between close nearest closest across top look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
     the a an my our your his her their those these some last lately recently earlier kept located
     gone exactly been ever always forever
     """
 AFTER_A_NAME = (
-    f"(?:{'|'.join(_NOT_IN_NAMES.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
+    r"(?:front(?! (?:door|desk|gate|yard|garden|room|office|entrance|row|seat)s?\b)|"
+    f"{'|'.join(_NOT_IN_NAMES.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
 )
 """Regular expression for a word that cannot be part of a name, so that a name ends before it."""
 

@@ -175,8 +175,10 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
 
 
 def _is_object(words: Sequence[Token], i: int) -> bool:
-    """Return True for the "robot" of "find a little robot", which addresses nobody, and for the
-    "mop" of "the mop" and the "water" of "the water cooler", which are no verbs.
+    """Return True for a word that is part of a name here, and not of its kind in the lexicon.
+
+    The "robot" of "find a little robot" addresses nobody; the "mop" of "the mop" and the "water" of
+    "the water cooler" are no verbs.
     """
     kind = TABLE[(words[i].text,)]
     pair = " ".join(word.text for word in words[i : i + 2])

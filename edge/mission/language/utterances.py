@@ -10,11 +10,14 @@ PARTS = {
     # Questions.
     "known": """
         [(are|is) there|there (are|is)|(do|did) you [already] (know|see|find|remember|have)|
-        you [already] (know|see|saw|found|remember|have|visited)|have you [already|ever|been]*
-            [seen|found|visited|mapped|explored|learned|learnt|been|been to|been in|got]|
+        you [already] (know|see|saw|found|remember|have|visited|saved)|
+            have you [already|ever|been]*
+            [seen|found|visited|mapped|explored|learned|learnt|saved|stored|been|been to|been in|
+            got]|
         have (i|we) [already] (taught|shown|told) you|(i|we) [have] (taught|showed|told) you|
         [does|do] (this|the|our|we|it) [flat|house|
-            home|apartment|building|place|floor] (has|have)|of|about|in|in all|to|here|in here|so far|already|now|
+            home|apartment|building|place|floor] (has|have)|of|about|in|in all|to|
+            here|in here|so far|already|now|
         by now|until now|up to now|yet|in (this|the|our) (flat|house|home|apartment|building|place)|
         on (this|the|your) (floor|map|list)|in your memory|by heart]*
         """,
@@ -147,6 +150,18 @@ QUESTIONS = {
         [{tell}] why (did you stop|have you stopped|are you (not moving|standing still|waiting|
             standing [there|here]|stuck)|do you (not move|wait|stand [there|here]))
         (what|where) are you (going|heading|driving|headed) [to] [next|now]
+        what (comes|is|will you do|do you do) next
+        (did|have|can) you [already] (find|found|see|seen|reach|reached) (it|them|that)
+            [yet|already]*
+        how (much longer|long (will|does) (it|this|that) take|long (until|till) ...|far along ...)
+    """,
+    "help": """
+        what (can|do) you do [for me|for us]
+        (what|which) [kinds of] (commands|orders|things|sentences) (can|do) (you|i)
+            (understand|know|do|say|ask|give)
+        what can i (ask|tell|say|order) [you] [to do]
+        how do (you work|i use you)
+        help [me]
     """,
     "seen": """
         {tell} (what|which things|which objects|what things|what objects) [all|else] {you}
@@ -156,6 +171,7 @@ QUESTIONS = {
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
+        [(is|was) there|(did|do) you see] [anything|something] [else] (in|inside) <room> {last}
         [{tell}] (what|which things|which objects) (is|are|was|were) [there|standing|lying|sitting]*
             <relation> <anchor> {last}
     """,
@@ -173,7 +189,7 @@ QUESTIONS = {
             <thing>
         {tell} [in] (which|what) (room|aisle|bay|ward|cupboard|drawer) [there] (is|are|was|were)
             <thing> [in] {last}
-        {tell} (which|what) room (has|have) <thing> [in it] {last}
+        {tell} (which|what) (room|rooms) (has|have) <thing> [in (it|them)] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <thing> (is|are) in
         {tell} when {you} {seen} <thing> {last}
@@ -210,6 +226,7 @@ QUESTIONS = {
         how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
         (does|do|has) <room> (have|got|contain) [any] <thing> [(in|inside) it] {last}
         how many <thing> {you} count {in} {last}
+        how many <thing> (are|is) {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
@@ -305,9 +322,9 @@ CONTROL = {
         {quit} [, {quit}]*
             [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
                 somewhere else)]
-        {quit} {reason}
+        {quit} , (i|we) (do not need|do not want|have found|found|got it|changed|am|are) ...
         do nothing (more|else|further)
-        [you (can|may)] forget [about] [the whole|all of] {task} {reason}
+        [you (can|may)] forget [about] [the whole|all of] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
