@@ -10,6 +10,7 @@ the places and zones that people gave (`service.site.site`); `service.site.known
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
     from edge.loop.service import Service
 
 _MAX_NAMES = 20
+_HELP = (
+    "say for example: 'find my keys', 'go to the kitchen, then come back', 'explore the hall', "
+    "'check if the stove is in the kitchen', 'wait two minutes', 'remember this as the dock', "
+    "'stay out of the bathroom', 'where is the mug?', 'stop', 'go on'"
+)
+_NEAR_M = 1.5  # distance between the centres of two objects that are near each other
 
 
 def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
@@ -74,7 +81,14 @@ def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
     if said.topic == "seen":
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
         in_room = _in_room(service, answer["objects"], said.room)
+        if said.about:
+            return _seen_near(service, said.about, in_room, now_ns)
         return _counted_names("seen", [one["name"] for one in in_room])
+    if said.topic == "doing":
+        status = service.status
+        return ": ".join(filter(None, (status.instruction, status.phase, status.reason)))
+    if said.topic == "help":
+        return _HELP
     if said.topic == "places":
         return _counted_names("places", [place.name for place in service.site.known.places])
     if said.topic == "rooms":
@@ -104,6 +118,24 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
         raise UserError(f"no room called {one_line(name)} is known (known: {known})")
     at = [rooms.room_at(*one["xyz"][:2]) for one in objects]
     return [one for one, room in zip(objects, at, strict=True) if room and room.id in ids]
+
+
+def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) -> str:
+    """Return what is near the known objects of a name, or that there are none.
+
+    The memory has no surfaces, so it cannot tell what is on an object from what is next to it.
+    """
+    answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
+    anchors = {one["id"]: one["xyz"] for one in answer["objects"]}
+    if not anchors:
+        return str(answer["text"])
+    near = [
+        one["name"]
+        for one in objects
+        if one["id"] not in anchors
+        and min(math.dist(one["xyz"][:2], xyz[:2]) for xyz in anchors.values()) <= _NEAR_M
+    ]
+    return _counted_names(f"within {_NEAR_M:g} m of the {one_line(name)}", near)
 
 
 def _counted_names(title: str, found: list[str]) -> str:

@@ -51,6 +51,7 @@ from edge.text import one_line
 _NO_SITE = Site()
 # Spelled-out text that means more than the words as they were given.
 _MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
+_NEAREST = re.compile(r"\b(?:nearest|closest)\b", re.I)
 _MOST_SHOWN = 600  # characters of the parts of a contradiction
 
 
@@ -218,6 +219,8 @@ def translate(
         english += f" (Not part of the order: {unused}.)"
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
+    if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
+        english += " (The nearest that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
 
 

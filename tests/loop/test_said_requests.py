@@ -43,6 +43,11 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     seen = say(loop, "What have you seen?")["text"].removeprefix("seen: ").split(", ")[0]
     name = seen.rpartition(" × ")[2]
     assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
+    assert say(loop, "What is near the unicorn?")["text"].startswith("no unicorn has been seen")
+    near = say(loop, f"What is next to the {name}?")["text"]
+    assert near.startswith(f"within 1.5 m of the {name}: ")
+    assert say(loop, "What can you do?")["text"].startswith("say for example: 'find my keys'")
+    assert say(loop, "What are you doing?")["text"].startswith("find the bed: ")
     assert loop.service.mission is before
 
 

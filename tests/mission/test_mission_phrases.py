@@ -293,7 +293,6 @@ NO_LONGER_READ = [  # too rare to keep their rules: they are refused, not misrea
     "visit the sofa, leave it and repeat this exactly once more",
     "visit the sofa, then leave and repeat this at least two more times",
     "turn the tv off",
-    "go to a vacuum",
     "go to the bed; until then do not go to the tv",
     "Do not go to the bed or touch the tv. Go to the sofa.",
     "travel from a to b to c",

@@ -44,6 +44,10 @@ PARTS = {
     "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] "
             "[again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
+    "told": """
+        until ((i|we) (come|am|are|get|call|say|tell|give|ask|release|need|order|let)|
+            (someone|somebody) (calls|says|tells|comes|asks)|you (hear|are told)) ...
+        """,
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """
         [keep|keep on|start|begin] [to] (patrol|patrolling|guard|[make|do] [a|the] patrol|going
@@ -70,7 +74,7 @@ PARTS = {
         """,
     "hold": """
         (wait|stay|stop|remain|hold|hold on|pause|park|rest|hang on|stand still|stand|hang around|
-        stay put|make a (break|pause))
+        stay put|sit|sit down|make a (break|pause))
         """,
     "there": "[there|here|in there|in here|at that place|put|on the spot|for me|inside|still]*",
 }  # fmt: skip

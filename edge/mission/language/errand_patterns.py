@@ -43,6 +43,8 @@ CHECKS = """
     {then} {goes} check for <thing> {at}
     {then} {goes} check [on] <thing> {at} [for me|for us]*
     {then} {goes} {check} <room> for <thing>
+    {then} {goes} {check} {if} <into> (has|have|contains|has got) {still} <thing>
+            [(in|inside) it|there]
 """
 SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
@@ -53,6 +55,8 @@ EXPLORES = """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
     {goes} {look} <stops> {time}
+    spend <span> (exploring|looking around|looking round|looking about|wandering [around|round])
+            [in] [<room>|{whole}]
     {goes} (see|look|check|find out) what is (in|inside) <room>
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
     give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
@@ -88,6 +92,7 @@ ERRAND_AND_BACK = """
 """
 STARTS = """
     {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
+    {then} (come|go|get|drive|head|run|return|move) [yourself] [straight|right|back]* home
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
 """
@@ -103,8 +108,12 @@ WAITS = """
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} {where} <thing> [for] <span>
     {then} wait [for (me|us)] {where} <thing>
-    {then} stay [for (me|us)] (at|by|near|next to|in front of) <thing>
-    {then} (wait|stay) (there|here|in there) [for me|until i (come|am there|get there|call|say) ...]
+    {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <thing> [{told}]
+    {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{told}]
+    {then} go to <thing> [and (stay|remain|wait) [there]] for <span>
+    {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|her) [for] [<span>]
+            [{told}]
+    {then} (wait|stay|remain) {told}
 """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
 # (`other`), "the mug on the desk or by the bed" (`again`, `else`)
@@ -141,10 +150,16 @@ ROOM_FIRST = re.compile(
 )
 # "find the mug, it should be on the desk"
 HINTED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
-    rf" (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:i think )?(?:(?:it|they|he|"
+    rf"she) (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
     rf"(?: {phrase_of('standing')})? (?P<relation>"
     rf"{phrase_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
+    re.I,
+)
+# "find my mug, it is a white one"
+COLOURED = re.compile(
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]| and|(?= it| they)) (?:(?:it|they|he|she)"
+    r" (?:is|are) )(?:the |an? )?(?P<colour>\w+)(?: ones?)?(?=[.!]*$)",
     re.I,
 )
 # "I need the mug to be found"
@@ -158,6 +173,10 @@ NEAREST = re.compile(
     rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
     rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
+)
+# "the nearest chair": to the robot
+NEAREST_TO_ROBOT = re.compile(
+    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME}){END}(?! (?:to|from|of)\b)", re.I
 )
 # "the room with a piano"
 ROOM_WITH = re.compile(
@@ -191,7 +210,8 @@ _NUMBERED = re.compile(
 FIRST_REWRITES = (
     # "afterwards to the hall", "and then into the hall"
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
-    (re.compile(r",? (?:and )?(?:(?:after|afterwards|then) (?:in|into)|at the end (?:in|into|to))"
+    (re.compile(r",? (?:and )?(?:(?:after|afterwards|then)(?: out| over| on| back)? (?:in|into)|"
+                r"then out to|at the end (?:in|into|to))"
                 rf" (?={ARTICLE} |{phrase_of('room')}\b|{MARK})", re.I), ", then to "),
     # "and keep going until …"
     (re.compile(r",?(?: and)? (?:keep (?:going|on|at it|driving|doing (?:it|that))|carry on|"
@@ -213,6 +233,25 @@ FIRST_REWRITES = (
     # "and after go to …"
     (re.compile(r"(?:,|,? and) after(?: you)?(?= (?:go|come|drive|return|find|look)\b)", re.I),
      ", then"),
+    # "first the hall, then the bed, in that order", "on this floor"
+    (re.compile(r"(?<= then )([^.;!?]*?),? in (?:that|this) order(?=[.!]*$)", re.I), r"\1"),
+    (re.compile(r" (?:on this floor|in this (?:building|house|flat|apartment))(?=[,.;!?]|$)", re.I),
+     ""),
+    # "start at the hall, then …"
+    (re.compile(rf"^ (?:start|begin)(?: off)? (?:at|in|by|with|from) (?={NAME}(?:,| and| then))",
+                re.I), " first go to "),
+    # "a cup or a mug, I do not care which"
+    (re.compile(r"(?<= or )([^,.;!?]+), (?:i|we) do not (?:care|mind) which(?: one)?\b", re.I),
+     r"\1"),
+    # "whichever is closer, the sofa or the bed"
+    (re.compile(r"\b(?:whichever|whatever)(?: one)? is (?:closer|closest|nearer|nearest|quicker)"
+                r"[,:]? (?=\S.* or )", re.I), ""),
+    # "…, and tell me when you are there": the answer says it
+    (re.compile(r",? (?:and |then )*(?:(?:let|tell) (?:me|us)(?: know)?|"
+                r"report(?: back)?(?: to me)?|"
+                r"(?:send|give|drop) (?:me|us) a (?:message|note|text)|message (?:me|us))"
+                r"(?: (?:when|once|as soon as|where|(?:in )?(?:which|what) room)\b[^.;!?,]*)?"
+                r"(?=[.!]*$)", re.I), ""),
     # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),
     (re.compile(r"\bfind(?: for)?(?: me| us)? one (?!of\b|or\b|more\b)", re.I), "find a "),
@@ -252,7 +291,8 @@ UNCLEAR = (
     (  # "go to the room and …"
         re.compile(
             rf"\b(?:{ARTICLE}|every|each|any|all) rooms?"
-            r"(?=[.,;!?]|$| (?:and|then|but|or|again|for)\b)",
+            r"(?=[.,;!?]|$| (?:and|then|but|or|again|for|once|twice|in turn|one by one|one after)"
+            r"\b)",
             re.I,
         ),
         "unclear which room; name it",

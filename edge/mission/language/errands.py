@@ -88,8 +88,10 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
     """
     rules: tuple[tuple[str | list[re.Pattern[str]], _Change], ...] = (
         ([patterns.HINTED], _rewrite_hinted),
+        ([patterns.COLOURED], _rewrite_coloured),
         ([patterns.WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([patterns.NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
+        ([patterns.NEAREST_TO_ROBOT], lambda found: f" the {found['thing']}"),
         ([patterns.INTRODUCED], _rewrite_introduced),
         ([patterns.ROOM_FIRST], _rewrite_room_first),
         (patterns.SEARCHES, _rewrite_search),
@@ -203,6 +205,14 @@ def _rewrite_hinted(found: re.Match[str]) -> str | None:
     if where is None or is_room(thing) or is_marked(thing) or is_vague(thing):
         return None
     return f"{found['order']} the {thing}{where}"
+
+
+def _rewrite_coloured(found: re.Match[str]) -> str | None:
+    """Return "find my mug, it is a white one" as the order to find the white mug."""
+    colour = found["colour"].lower()
+    if colour not in nouns.QUALITIES or is_vague(colour) or is_vague(found["thing"]):
+        return None
+    return f"{found['order']} the {colour} {bare(found['thing'])}"
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:

@@ -81,7 +81,8 @@ _ROWS: dict[str, str] = {
     "correction": """
         no sorry; sorry; sorry no; no wait; wait no; no i mean; i mean; i meant; no i meant; no no;
         oh no; no not that; make that; scratch that; actually no; no actually; or rather; no rather;
-        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry
+        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry; make it;
+        actually i (mean|meant); (i|) actually (mean|meant|wanted); oh wait; no i wanted
     """,
     # Kinds of rooms: the last word of a room's name, before a number.
     "room": """
@@ -99,7 +100,9 @@ _ROWS: dict[str, str] = {
         examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
         packing; shipping; receiving; loading; sorting; cold; isolation; therapy; music; games;
         reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment;
-        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family
+        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family; waiting;
+        breakfast; dining; seating; sitting; smoking; server; interview; consulting; fitness;
+        luggage; laundry; delivery; pickup; parking; charging; assembly; machine; sick; ironing
     """,
     "everything": """
         everything; everywhere; house; home; flat; apartment; building; floor; area; place;
@@ -202,13 +205,14 @@ _NOT_IN_NAMES = """
     any more anywhere once twice okay ok still never that which who what where without via through
     so as than can could would should must may go come drive find return wait stop today since
     during around over up out off away back just only below above underneath opposite against
-    between close nearest closest across top front look be me us him this how why standing
+    between close nearest closest across top look be me us him this how why standing
     sitting lying hanging it's already same order everywhere somewhere thing right yet like
     the a an my our your his her their those these some last lately recently earlier kept located
     gone exactly been ever always forever
     """
 AFTER_A_NAME = (
-    f"(?:{'|'.join(_NOT_IN_NAMES.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
+    r"(?:front(?! (?:door|desk|gate|yard|garden|room|office|entrance|row|seat)s?\b)|"
+    f"{'|'.join(_NOT_IN_NAMES.split())}|left(?= (?:on|in|under|at|by|near|next|behind|inside) ))"
 )
 """Regular expression for a word that cannot be part of a name, so that a name ends before it."""
 

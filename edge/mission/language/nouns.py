@@ -55,7 +55,8 @@ _OBJECTS = """
     sponge stapler statue stick stone sunglasses surfboard swing switch tank tap tape tent tie
     tissue toolbox tool toothbrush toy tractor traffic|light trailer train tray tree tricycle
     trolley truck typewriter vehicle van vent vending|machine violin walker wallet watch
-    water|cooler whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear
+    water|cooler water|dispenser whiteboard blackboard wheel wheelchair wine wire workbench zebra
+    elephant bear
     charging|station charger dock docking|station
 """
 _EVERYDAY = """

@@ -30,7 +30,7 @@ from edge.mission.language.tidy import TidySpeech, strip_politeness, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.language.utterances import CONTROL, ORDERS, PARTS, QUESTIONS
 
-Topic = Literal["where", "exists", "rooms", "places", "seen", "self"]
+Topic = Literal["where", "exists", "rooms", "places", "doing", "help", "seen", "self"]
 Learnt = Literal["place", "room", "forget", "keep_out", "stay_inside", "open"]
 
 
@@ -51,9 +51,10 @@ class MemoryQuestion:
 
     Attributes:
         topic: "where" and "exists" ask for objects of the name `about`; "rooms", "places" and
-            "seen" for all that are known; "self" for the robot's own place.
+            "seen" for all that are known; "self" for the robot's own place; "doing" for the state
+            of the mission; "help" for what can be said.
         about: a name without an article, which may be related to another one, as in "mug on the
-            table"; "" if the topic needs none.
+            table". For "seen", what the objects are near. "" if the topic needs none.
         room: only objects in this room; "" for all.
     """
 
@@ -119,6 +120,9 @@ _QUESTION_REWRITES = (
     # "my keys, they are on the desk?"
     (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)"
                 rf"(?= {phrase_of('relation')} [^.;:!]*\?$)", re.I), r"\2 \1"),
+    # "is there a mug on this floor?"
+    (re.compile(r" (?:on this floor|in this (?:building|house|flat|apartment))(?=[.?!]*$)", re.I),
+     ""),
     # "so there is a mug?", "it is there a mug?"
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),
@@ -176,7 +180,7 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
             "instruction: unclear what to remember; say 'remember this as the …', or 'go to the …'"
         )
     question, _, order = speech.text.partition("?")
-    if _GO_AND_LOOK.fullmatch(strip_politeness(order)):
+    if _GO_AND_LOOK.fullmatch(strip_politeness(order.strip(" .!"))):
         asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
             thing, room = asked.about, asked.room
@@ -275,7 +279,8 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
-    return not any(is_vague(name) for slot, name in slots.items() if slot in _OBJECT_SLOTS)
+    named = {**slots, "name": ""} if bare(slots.get("name", "")) == "home" else slots
+    return not any(is_vague(name) for slot, name in named.items() if slot in _OBJECT_SLOTS and name)
 
 
 def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
@@ -288,7 +293,7 @@ def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
         if relation in ("in", "inside", "at", "on") and is_room(anchor):
             room = anchor
         elif anchor:
-            about = f"{about} {relation} the {anchor}".strip()
+            about = f"{about} {relation} the {anchor}" if about else anchor
         return MemoryQuestion(kind, about, room)  # type: ignore[arg-type]
     if kind in CONTROL:
         span = slots.get("span")

@@ -18,8 +18,9 @@ from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
-_SPOKEN = {"its": "it is", "id": "i would", "till": "until", "whichever's": "whichever is",
-           "wanna": "want to", "gonna": "going to", "gotta": "must"}  # fmt: skip
+_SPOKEN = {"its": "it is", "u": "you", "id": "i would", "till": "until",
+           "whichever's": "whichever is", "wanna": "want to", "gonna": "going to",
+           "gotta": "must"}  # fmt: skip
 # "the door's painted" has "is" only at the end of a clause: "the robot's painted door" is the
 # robot's. "room 3's painted" and the listed words have it anywhere.
 _APOSTROPHE_IS = re.compile(
@@ -60,7 +61,7 @@ _LIKE = re.compile(
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""
 # The middle of "the bed, sorry, the sofa" and "the bed, no, the sofa".
 _CORRECTION = (
-    rf"[ ,.]*\b{phrase_of('correction')}\b[ ,]*|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
+    rf"[ ,.]*(?:\b{phrase_of('correction')}\b[ ,.]*)+|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 )
 _CORRECTS = re.compile(_CORRECTION, re.I)
 # Removed at the start, in lines from the top: "be a pirate and", "could you please", "I want you"
@@ -68,7 +69,7 @@ _CORRECTS = re.compile(_CORRECTION, re.I)
 # "can you see a mug", the "let us" of "let us play", the "you" of "you may go".
 _OPENING = re.compile(
     rf"(?:(?:let us play|pretend (?:(?:that )?you are|to be)|be) {NAME} and(?: you)? |"
-    rf"(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b)|"
+    rf"(?!let us play\b)(?:{phrase_of('opening')}\b(?!(?<=you) see\b(?! (?:if|whether)\b))|"
     r"i (?:want|need) you (?=go|come|find|look|drive|check|wait)|"
     r"you (?!got|may|can|are|will|must|should|have|could|were)|"
     r"do (?=(?:go|come|find|check|look|hunt|have|please|you mind|stop|wait)\b))[ ,.!]*)+",

@@ -175,14 +175,21 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
 
 
 def _is_object(words: Sequence[Token], i: int) -> bool:
-    """Return True for the "robot" of "find a little robot", which addresses nobody."""
-    if TABLE[(words[i].text,)] not in ("filler", "addressed") or not nouns.is_noun(words[i].text):
+    """Return True for a word that is part of a name here, and not of its kind in the lexicon.
+
+    The "robot" of "find a little robot" addresses nobody; the "mop" of "the mop" and the "water" of
+    "the water cooler" are no verbs.
+    """
+    kind = TABLE[(words[i].text,)]
+    pair = " ".join(word.text for word in words[i : i + 2])
+    named = nouns.is_noun(words[i].text) or (kind == "verb" and nouns.is_noun(pair))
+    if kind not in ("filler", "addressed", "verb") or not named:
         return False
     first = i
     while first and words[first - 1].text in nouns.QUALITIES:
         first -= 1
     article = words[first - 1].text if first else ""
-    return article in _ARTICLES or (article == "the" and first < i)
+    return article in _ARTICLES or (article == "the" and (first < i or kind == "verb"))
 
 
 def _phrase_length(words: Sequence[Token], i: int) -> int:

@@ -8,11 +8,25 @@ from __future__ import annotations
 # Name → template, for `{name}` in another template.
 PARTS = {
     # Questions.
+    "known": """
+        [(are|is) there|there (are|is)|(do|did) you [already] (know|see|find|remember|have)|
+        you [already] (know|see|saw|found|remember|have|visited|saved)|
+            have you [already|ever|been]*
+            [seen|found|visited|mapped|explored|learned|learnt|saved|stored|been|been to|been in|
+            got]|
+        have (i|we) [already] (taught|shown|told) you|(i|we) [have] (taught|showed|told) you|
+        [does|do] (this|the|our|we|it) [flat|house|
+            home|apartment|building|place|floor] (has|have)|of|about|in|in all|to|
+            here|in here|so far|already|now|
+        by now|until now|up to now|yet|in (this|the|our) (flat|house|home|apartment|building|place)|
+        on (this|the|your) (floor|map|list)|in your memory|by heart]*
+        """,
     "last": """
         [last|before|lately|recently|anywhere|somewhere|around|about|here|earlier|today|right now|
         at the moment|now|kept|located|exactly|at|gone|hiding|so far|already|lying|standing|
         yet|by now|by any chance|at all|again|on your (map|way|tour|rounds|trip)|in your memory|
-        this (morning|afternoon|evening)|yes or no|or (not|(did|has|have) ...)|(when|while|as)
+        this (morning|afternoon|evening)|yes or no|where (you [last] (saw|seen|left|found|put) (it|
+        them)|(it|they) (was|were) [before|last]*)|or (not|(did|has|have) ...)|(when|while|as)
                 you [last] (were|was|drove|went|looked|
             came|passed|checked) ...|
         [the] last [time|when] you (saw|seen|noticed|spotted|passed) (it|them|her|him|one)|
@@ -35,13 +49,14 @@ PARTS = {
             [do|would] [you] [would] [not] happen to (know|remember|recall)|
         have you any idea])
         """,
+    "now": "[now|right now|at|exactly|at the moment|currently|just now|at present|today|then]*",
     "in": "[anywhere|somewhere|still|left|at all]* [on your (map|way|tour|rounds|trip)|"
           "in your memory|"
           "<relation> <anchor> [in <within>]]",
     # Orders to learn.
     "here": """
         ((the|this|this here) (spot|place|position|location|point|corner|area|aisle|bay)|this|
-            here|where (you|we) are|what you are [standing] in|
+            here|where (you|we) are [standing|now]*|what you are [standing] in|
         your (position|location|place|spot))
         [here|now|right here|where you are|you are at|you are in]*
         """,
@@ -91,7 +106,7 @@ PARTS = {
              "where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
-    "task": "[it|that|this|everything|the mission|the task|the search|the tour|the patrol|"
+    "task": "[it|that|this|everything|the [whole] mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
             "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
@@ -108,22 +123,45 @@ PARTS = {
 
 QUESTIONS = {
     "self": """
-        where are (you|we) [now|right now|at|exactly]*
-        where (am i|you are|is the robot) [now]
-        {tell} where you are [now|right now|exactly]*
-        (what|which) (room|place) (are you|is this|are we|am i) [in|now|at]*
+        where are (you|we) {now}
+        where (am i|you are|is the robot) {now}
+        {tell} where you are {now}
+        [in] (what|which) (room|place) (are you|is this|are we|am i) [in] {now}
         what is your (position|location)
     """,
     "rooms": """
-        (what|which) [other|kinds of] rooms ...
-        {tell} [me] (what|which|the|all the|your) rooms ...
-        (list|name) [me] [all|the|your|known]* rooms ...
-        how many rooms ...
+        (what|which) [other|kinds of] rooms {known}
+        {tell} [me] (what|which|the|all the|your) rooms {known}
+        (list|name) [me] [all|the|your|known]* rooms {known}
+        [{tell}|find out] how many rooms {known}
     """,
     "places": """
-        (what|which) places ...
-        {tell} [me] (what|which|the|all the|your) places ...
-        (list|name) [me] [all|the|your|known]* places ...
+        (what|which) places {known}
+        {tell} [me] (what|which|the|all the|your) places {known}
+        (list|name) [me] [all|the|your|known]* places {known}
+    """,
+    "doing": """
+        what are you (doing|up to|working on|looking for|searching for|waiting for) {now}
+        what is your [current] (mission|task|job|errand|goal|target|status)
+        {tell} what you are (doing|up to|looking for) {now}
+        {tell} [me] [about] (your|the) [current] (mission|task|status|progress)
+        [{tell}] how (is it|are you) (going|getting on|doing|coming along) [with ...]
+        (are you|have you) (done|finished|ready|there|busy|stuck|lost) [yet|already|now]*
+        [{tell}] why (did you stop|have you stopped|are you (not moving|standing still|waiting|
+            standing [there|here]|stuck)|do you (not move|wait|stand [there|here]))
+        (what|where) are you (going|heading|driving|headed) [to] [next|now]
+        what (comes|is|will you do|do you do) next
+        (did|have|can) you [already] (find|found|see|seen|reach|reached) (it|them|that)
+            [yet|already]*
+        how (much longer|long (will|does) (it|this|that) take|long (until|till) ...|far along ...)
+    """,
+    "help": """
+        what (can|do) you do [for me|for us]
+        (what|which) [kinds of] (commands|orders|things|sentences) (can|do) (you|i)
+            (understand|know|do|say|ask|give)
+        what can i (ask|tell|say|order) [you] [to do]
+        how do (you work|i use you)
+        help [me]
     """,
     "seen": """
         {tell} (what|which things|which objects|what things|what objects) [all|else] {you}
@@ -133,6 +171,9 @@ QUESTIONS = {
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
+        [(is|was) there|(did|do) you see] [anything|something] [else] (in|inside) <room> {last}
+        [{tell}] (what|which things|which objects) (is|are|was|were) [there|standing|lying|sitting]*
+            <relation> <anchor> {last}
     """,
     "where": """
         {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
@@ -148,7 +189,7 @@ QUESTIONS = {
             <thing>
         {tell} [in] (which|what) (room|aisle|bay|ward|cupboard|drawer) [there] (is|are|was|were)
             <thing> [in] {last}
-        {tell} (which|what) room (has|have) <thing> [in it] {last}
+        {tell} (which|what) (room|rooms) (has|have) <thing> [in (it|them)] {last}
         {tell} where did <thing> (go|end up|get to|go to)
         {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <thing> (is|are) in
         {tell} when {you} {seen} <thing> {last}
@@ -159,6 +200,7 @@ QUESTIONS = {
             (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
         {tell} the (place|location|position) of <thing>
         do you know where [i|we] [can find|left|put] <thing> [is|are] {last}
+        [{tell}] how far [away] (is|are) [it|they] [from here] [to] <thing> [from here|away]*
     """,
     "exists": """
         (can|could|do) you [still] see <thing> {in} {last}
@@ -168,6 +210,7 @@ QUESTIONS = {
         {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
         any <thing> [left|still]* <relation> <anchor> {last}
         {tell} (if|whether) there (is|are) <thing> {in} {last}
+        (i|we) can not find <thing> . {you} {seen} (it|them|one) {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
             <thing> {in} {last}
         do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
@@ -181,6 +224,9 @@ QUESTIONS = {
         you have not {seen} [any|my]* <thing> {in} {last}
         any (sign|trace) of <thing> {in} {last}
         how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
+        (does|do|has) <room> (have|got|contain) [any] <thing> [(in|inside) it] {last}
+        how many <thing> {you} count {in} {last}
+        how many <thing> (are|is) {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
@@ -248,6 +294,7 @@ ORDERS = {
         the name of {here} is <name>
         {keep} , {here} (is|is called) <name>
         {here} , {keep} it [as|like] <name>
+        {keep} {here} [.|,|and]* (call|name) it <name>
         {here} (is called|is named|will be called|shall be called) <name>
         make {here} <name>
         (we|i) call {here} <name>
@@ -275,8 +322,9 @@ CONTROL = {
         {quit} [, {quit}]*
             [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
                 somewhere else)]
+        {quit} , (i|we) (do not need|do not want|have found|found|got it|changed|am|are) ...
         do nothing (more|else|further)
-        [you (can|may)] forget [about] {task}
+        [you (can|may)] forget [about] [the whole|all of] {task}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
@@ -320,6 +368,11 @@ IDIOMS = """
     [and|then|after that]* you are (done|finished|free)
     (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
     [it] does not matter [to me|to us] [which|which one]
+    (i|we) do not (care|mind) (where|when|how|[about] [the] order)
+    take your time
+    (whichever|whatever) (order|sequence|way) (is|you find) [the] (shortest|fastest|quickest|best|
+            easiest|you like)
+    there is no (rush|hurry)
     [you are allowed to] (you|) (pick|choose|decide)
     [and] whichever you (please|like|prefer)
     [it] is all one to (me|us)
