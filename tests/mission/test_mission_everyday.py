@@ -113,6 +113,8 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Which rooms have a sink?", MemoryQuestion("where", "sink")),
         ("How many beds are in room 12?", MemoryQuestion("exists", "beds", "room 12")),
         ("Is there a printer on this floor?", MemoryQuestion("exists", "printer")),
+        ("Is there anything on the bed?", MemoryQuestion("seen", "bed")),
+        ("What can you see?", MemoryQuestion("seen")),
         ("Anything in the kitchen?", MemoryQuestion("seen", "", "kitchen")),
         # Orders to learn.
         ("Remember this as the dock.", SiteOrder("place", "dock")),
@@ -162,6 +164,7 @@ def test_everyday_sentences_are_mostly_right_and_never_wrong(name, least):
         ("Oh goodness, do stop, I very nearly went over you!", Control("pause")),
         ("Freeze, like in musical statues!", Control("pause")),
         ("Pause for a sec.", Control("pause")),
+        ("Pause for five minutes, then keep going.", Control("pause", 300.0)),
     ],
 )
 def test_questions_and_direct_orders_are_recognised(said, found):
@@ -217,6 +220,7 @@ def test_an_order_to_remember_needs_a_name(said):
         ("go to room 3 I mean room 4", "go to room 4", ()),
         ("go to the table, no wait, I meant the shelf", "go to the shelf", ()),
         ("find the bed... actually no, make it the sofa", "find the sofa", ()),
+        ("wait at the till till I come", "wait at the till until I come", ()),
         ("go to the bed, take your time", "go to the bed", ("take your time",)),
         ("Go in the kitchen, I heard a noise!", "Go in the kitchen", ("I heard a noise",)),
         ("It's all right, go to the bed", "go to the bed", ("it is all right",)),

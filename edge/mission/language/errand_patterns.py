@@ -92,7 +92,8 @@ ERRAND_AND_BACK = """
 """
 STARTS = """
     {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
-    {then} (come|go|get|drive|head|run|return|move) [yourself] [straight|right|back]* home
+    {then} (come|go|get|drive|head|run|return|move) [yourself] [straight|right|back]* (home|to
+            [the|your] [home] base)
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
 """

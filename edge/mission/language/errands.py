@@ -269,7 +269,7 @@ def _relation_text(
     bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
     if idiom or verb or bare_by or is_vague(anchor) or words[-1] in NOWHERE:
         return None  # "at some point", "by passing the desk"
-    if names.number(words) is not None:
+    if names.number(words) is not None and not is_room(name):
         return None  # "between the two"
     relation = patterns.RELATIONS.get(relation.lower(), relation.lower())
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
@@ -441,7 +441,10 @@ def _quote_compound(found: re.Match[str]) -> str | None:
     head = nouns.is_noun(words[-1]) and not nouns.is_plural(words[-1])
     if not is_room(" ".join(words)) and not (articled and head):
         return None
-    if not all(_modifies(word) for word in words[:-1]) or all(map(names.is_known, words[-2:])):
+    numbered = words[-2] == "room" and (words[-1].isdigit() or number_of(words[-1]) is not None)
+    if not all(map(_modifies, words[: -2 if numbered else -1])) or all(
+        map(names.is_known, words[-2:])
+    ):
         return None
     return f' "{" ".join(words)}"'
 

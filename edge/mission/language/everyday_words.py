@@ -92,7 +92,7 @@ _ROWS: dict[str, str] = {
         canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard;
         aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom;
         ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
-        entrance hall; sunroom; studio; mezzanine; sluice
+        entrance hall; sunroom; studio; mezzanine; sluice; gallery
     """,
     # First words of rooms' names that are no names of things.
     "room of": """

@@ -56,7 +56,7 @@ _OBJECTS = """
     tissue toolbox tool toothbrush toy tractor traffic|light trailer train tray tree tricycle
     trolley truck typewriter vehicle van vent vending|machine violin walker wallet watch
     water|cooler water|dispenser whiteboard blackboard wheel wheelchair wine wire workbench zebra
-    elephant bear
+    elephant bear till
     charging|station charger dock docking|station
 """
 _EVERYDAY = """

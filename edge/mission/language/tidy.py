@@ -152,7 +152,8 @@ def tidy_up(utterance: str) -> TidySpeech:
 def _expand(found: re.Match[str]) -> str:
     """Return the words of a contraction; other words stay as they are."""
     word = found[0]
-    if plain := _SPOKEN.get(word.lower()):
+    is_noun = re.search(rf"\b{ARTICLE} $", found.string[: found.start()], re.I)  # "the till"
+    if (plain := _SPOKEN.get(word.lower())) and not is_noun:
         return plain
     parts = expand_word(word.lower())
     return " ".join(parts) if len(parts) > 1 else word

@@ -106,15 +106,17 @@ PARTS = {
              "where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
-    "task": "[it|that|this|everything|the [whole] mission|the task|the search|the tour|the patrol|"
+    "task": "[everything|{job}]",
+    "job": "(it|that|this|the [whole] mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
-            "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand)]",
+            "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand))",
     "quit": "((cancel|abort|kill|never mind|nevermind|quit|scrap|drop|give up|call off) [on] "
             "{task} [about (it|that)]|(leave|bin|forget) (it|that))",
     "reason": """
         [, [and] ((until|while|because|so) (i|we|he|she|they|it|someone|somebody|you hear) ...|
-        for (me|us|him|her|them)|until (further notice|then)|then (go on|continue)|
+        for (me|us|him|her|them)|until (further notice|then)|then (go on|continue|
+            carry on|keep going|resume)|
         (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go|do not need|do
         not want) ...|wrong (one|order|room|place|thing|way)|
         there (is|are) ...|let <thing> (through|past|by|pass|in|out))]
@@ -172,6 +174,8 @@ QUESTIONS = {
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
         [(is|was) there|(did|do) you see] [anything|something] [else] (in|inside) <room> {last}
+        [(is|was) there|(did|do) you see] [anything|something] [else] <relation> <anchor> {last}
+        what can you see {in} {last}
         [{tell}] (what|which things|which objects) (is|are|was|were) [there|standing|lying|sitting]*
             <relation> <anchor> {last}
     """,
@@ -324,7 +328,7 @@ CONTROL = {
                 somewhere else)]
         {quit} , (i|we) (do not need|do not want|have found|found|got it|changed|am|are) ...
         do nothing (more|else|further)
-        [you (can|may)] forget [about] [the whole|all of] {task}
+        [you (can|may)] forget [about] [all of] {job}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
