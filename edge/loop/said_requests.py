@@ -126,16 +126,22 @@ def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) ->
     The memory has no surfaces, so it cannot tell what is on an object from what is next to it.
     """
     answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
-    anchors = {one["id"]: one["xyz"] for one in answer["objects"]}
+    # Without an object of this name, the answer has similar ones.
+    anchors = [one for one in answer["objects"] if names.is_kind_of(one["name"], name)]
     if not anchors:
         return str(answer["text"])
     near = [
         one["name"]
         for one in objects
-        if one["id"] not in anchors
-        and min(math.dist(one["xyz"][:2], xyz[:2]) for xyz in anchors.values()) <= _NEAR_M
+        if all(one["id"] != anchor["id"] for anchor in anchors)
+        and any(_are_near(one, anchor) for anchor in anchors)
     ]
     return _counted_names(f"within {_NEAR_M:g} m of the {one_line(name)}", near)
+
+
+def _are_near(one: dict, other: dict) -> bool:
+    same_room = one["room"] == other["room"] or not (one["room"] and other["room"])
+    return same_room and math.dist(one["xyz"][:2], other["xyz"][:2]) <= _NEAR_M
 
 
 def _counted_names(title: str, found: list[str]) -> str:

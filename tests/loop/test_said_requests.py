@@ -44,11 +44,29 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     name = seen.rpartition(" × ")[2]
     assert say(loop, f"Is there a {name}?")["text"].startswith(f"yes, {name}: ")
     assert say(loop, "What is near the unicorn?")["text"].startswith("no unicorn has been seen")
-    near = say(loop, f"What is next to the {name}?")["text"]
-    assert near.startswith(f"within 1.5 m of the {name}: ")
     assert say(loop, "What can you do?")["text"].startswith("say for example: 'find my keys'")
     assert say(loop, "What are you doing?")["text"].startswith("find the bed: ")
     assert loop.service.mission is before
+
+
+def test_near_is_what_is_close_to_an_object_of_the_name(loop, monkeypatch):
+    seen = [
+        {"id": 1, "name": "desk", "xyz": [0.0, 0.0, 0.5], "room": "office"},
+        {"id": 2, "name": "mug", "xyz": [0.5, 0.0, 0.8], "room": "office"},
+        {"id": 3, "name": "mug", "xyz": [3.0, 0.0, 0.8], "room": "office"},
+        {"id": 4, "name": "bed", "xyz": [0.0, 0.5, 0.3], "room": "bedroom"},
+        {"id": 5, "name": "lamp", "xyz": [0.0, 1.0, 0.8], "room": ""},
+    ]
+
+    def handle(service, request, now_ns):
+        name = request.fields.get("name")
+        found = [one for one in seen if name in (None, one["name"])]
+        return {"objects": found or seen[:1], "text": f"no {name} has been seen; a desk has"}
+
+    monkeypatch.setattr("edge.loop.said_requests.handle_memory", handle)
+    assert say(loop, "What is next to the desk?")["text"] == "within 1.5 m of the desk: mug, lamp"
+    assert say(loop, "What is on the bed?")["text"] == "within 1.5 m of the bed: lamp"
+    assert say(loop, "What is on the sofa?")["text"] == "no sofa has been seen; a desk has"
 
 
 def test_a_place_is_learned_and_forgotten(loop):

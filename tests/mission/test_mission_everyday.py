@@ -188,7 +188,8 @@ def test_questions_and_direct_orders_are_recognised(said, found):
         "this is fun", "this is the worst",
         "this place is crowded", "it is the red one", "drop the mug",
         "which rooms have you not seen?", "which rooms are blocked?", "could you see if it is red",
-        "forget everything you have seen", "forget that you saw the mug",
+        "forget everything you have seen", "forget that you saw the mug", "in the kitchen",
+        "next to the bed", "do not go to the hall before you make it to the kitchen",
         "enough, now the kitchen", "stop, go to the kitchen", "is it on the desk or is it broken?",
     ],
 )  # fmt: skip
@@ -289,9 +290,44 @@ def test_a_remark_about_a_target_is_asked_about():
         translate(MissionConfig(), "Go to the bed, don't go near the sofa, I heard the sofa.", SITE)
 
 
-def test_a_correction_of_nothing_is_refused():
+@pytest.mark.parametrize(
+    "said",
+    ["explore, sorry, bathroom", "go to the hall before the bed, sorry, to the sofa"],
+)
+def test_a_correction_of_nothing_or_of_a_condition_is_refused(said):
     with pytest.raises(TranslationError, match="unclear what this corrects"):
-        tidy_up("explore, sorry, bathroom")
+        tidy_up(said)
+
+
+@pytest.mark.parametrize(
+    ("said", "formula"),
+    [
+        (
+            "go to the hall before you make it to the kitchen",
+            "F (hall & F kitchen) & !kitchen W hall",
+        ),
+        ("go to the bedroom, then make it to the kitchen", "F (bedroom & F kitchen)"),
+        ("stay out of the bathroom and make it to the sofa", "F sofa & G !bathroom"),
+        ("find the mop, it is a blue one", 'F "blue mop"'),
+    ],
+)
+def test_words_of_a_correction_keep_their_other_meaning(said, formula):
+    assert str(translate(MissionConfig(), said).formula) == formula
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "go to the hall, then report once you have checked the bathroom", "find the report",
+        "find my keys and tell me when you find the door", "never go to the nearest bed",
+        "go to the base of the stairs", "go home depot", "explore the kitchen until I come home",
+        "find the kitchen, it is big", "find my red mug, it is white", "stay on this floor in here",
+        "find the bed and stay by it until I say go to the kitchen",
+    ],
+)  # fmt: skip
+def test_no_part_of_an_order_is_lost(said):
+    with pytest.raises(TranslationError):
+        translate(MissionConfig(), said)
 
 
 def test_a_reason_that_is_left_out_is_reported():

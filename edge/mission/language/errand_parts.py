@@ -46,7 +46,10 @@ PARTS = {
             "before (we|i|they) (start|begin|leave|open|close)]*",
     "told": """
         until ((i|we) (come|am|are|get|call|say|tell|give|ask|release|need|order|let)|
-            (someone|somebody) (calls|says|tells|comes|asks)|you (hear|are told)) ...
+            (someone|somebody) (calls|says|tells|comes|asks)|you (hear|are told))
+            [me|us|you|back|home|here|there|so|stop|it|that|otherwise|done|ready|finished|again|
+            for (me|you|it)|from (me|us)|a (sign|signal)|to (leave|go|move|come|stop|continue|
+            go on|drive on)]*
         """,
     "where": "(at|in|by|near|near to|close to|inside|next to|in front of)",
     "patrol": """

@@ -159,7 +159,7 @@ HINTED = re.compile(
 )
 # "find my mug, it is a white one"
 COLOURED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]| and|(?= it| they)) (?:(?:it|they|he|she)"
+    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
     r" (?:is|are) )(?:the |an? )?(?P<colour>\w+)(?: ones?)?(?=[.!]*$)",
     re.I,
 )
@@ -177,7 +177,9 @@ NEAREST = re.compile(
 )
 # "the nearest chair": to the robot
 NEAREST_TO_ROBOT = re.compile(
-    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME}){END}(?! (?:to|from|of)\b)", re.I
+    rf" (?:the )?(?:nearest|closest) (?=(?P<thing>{PLAIN_NAME}))(?P=thing){END}"
+    r"(?! (?:to|from|of)\b)",
+    re.I,
 )
 # "the room with a piano"
 ROOM_WITH = re.compile(
@@ -236,7 +238,8 @@ FIRST_REWRITES = (
      ", then"),
     # "first the hall, then the bed, in that order", "on this floor"
     (re.compile(r"(?<= then )([^.;!?]*?),? in (?:that|this) order(?=[.!]*$)", re.I), r"\1"),
-    (re.compile(r" (?:on this floor|in this (?:building|house|flat|apartment))(?=[,.;!?]|$)", re.I),
+    (re.compile(r"(?<!stay)(?<!remain)(?<!keep)(?<!drive)(?<!go)(?<!move)(?<!wait)(?<!only)(?<!be)"
+                r" (?:on this floor|in this (?:building|house|flat|apartment))(?=[,.;!?]|$)", re.I),
      ""),
     # "start at the hall, then …"
     (re.compile(rf"^ (?:start|begin)(?: off)? (?:at|in|by|with|from) (?={NAME}(?:,| and| then))",
@@ -248,10 +251,12 @@ FIRST_REWRITES = (
     (re.compile(r"\b(?:whichever|whatever)(?: one)? is (?:closer|closest|nearer|nearest|quicker)"
                 r"[,:]? (?=\S.* or )", re.I), ""),
     # "…, and tell me when you are there": the answer says it
-    (re.compile(r",? (?:and |then )*(?:(?:let|tell) (?:me|us)(?: know)?|"
+    (re.compile(r"(?:,|,? and| then)+ (?:let (?:me|us) know|tell (?:me|us)|"
                 r"report(?: back)?(?: to me)?|"
                 r"(?:send|give|drop) (?:me|us) a (?:message|note|text)|message (?:me|us))"
-                r"(?: (?:when|once|as soon as|where|(?:in )?(?:which|what) room)\b[^.;!?,]*)?"
+                r"(?: (?:when|once|as soon as) (?:you (?:are (?:there|done|finished)|arrive|"
+                r"get there|(?:have )?f(?:ind|ound) (?:it|them|one))|it is done)|"
+                r" (?:where|(?:in )?(?:which|what) room) (?:it|they) (?:is|are|was|were)(?: in)?)?"
                 r"(?=[.!]*$)", re.I), ""),
     # "a cup or one mug", "find me one mug"
     (re.compile(r"\bor one (?=\w)(?!of\b|more\b)", re.I), "or a "),

@@ -91,7 +91,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         ([patterns.COLOURED], _rewrite_coloured),
         ([patterns.WANTED_FOUND], lambda found: f" find {found['thing']}"),
         ([patterns.NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
-        ([patterns.NEAREST_TO_ROBOT], lambda found: f" the {found['thing']}"),
+        ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
         ([patterns.ROOM_FIRST], _rewrite_room_first),
         (patterns.SEARCHES, _rewrite_search),
@@ -110,7 +110,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         ([patterns.FINDS], lambda found: f"{found['lead']}find {found['name']}"),
         ([patterns.THERE_AND], _insert_then),
         ([patterns.COMPOUND], _quote_compound),
-        (patterns.STARTS, lambda found: _go_to(START, found)),
+        (patterns.STARTS, _rewrite_start),
         (patterns.BACK_TO, _rewrite_back_to),
         (patterns.BACKS, _rewrite_back),
         (patterns.CALLS, lambda found: f' go to "{CALLER}"' if not found.start() else None),
@@ -209,10 +209,19 @@ def _rewrite_hinted(found: re.Match[str]) -> str | None:
 
 def _rewrite_coloured(found: re.Match[str]) -> str | None:
     """Return "find my mug, it is a white one" as the order to find the white mug."""
-    colour = found["colour"].lower()
-    if colour not in nouns.QUALITIES or is_vague(colour) or is_vague(found["thing"]):
+    colour, thing = found["colour"].lower(), bare(found["thing"])
+    if colour not in nouns.COLOURS or is_vague(thing) or is_room(thing):
         return None
-    return f"{found['order']} the {colour} {bare(found['thing'])}"
+    if nouns.COLOURS & set(thing.split()):
+        return None
+    return f"{found['order']} the {colour} {thing}"
+
+
+def _rewrite_nearest(found: re.Match[str]) -> str | None:
+    """Return "the nearest chair" as the chair; None in a ban, which would mean all chairs."""
+    clause = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
+    banned = re.search(r"\b(?:not|never|avoid\w*|without|except|away|out of)\b", clause, re.I)
+    return None if banned else f" the {found['thing']}"
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
@@ -471,6 +480,16 @@ def _rewrite_back_to(found: re.Match[str]) -> str | None:
     return f"{', then' * bool(found.start())} go to {_with_article(thing)}"
 
 
+def _rewrite_start(found: re.Match[str]) -> str | None:
+    """Return "go home" as the order to go to the start; None within a name or a clause."""
+    before, after = found.string[: found.start()], found.string[found.end() :]
+    if re.search(r"\b(?:i|we|you|they|he|she|not|never|to)$", before, re.I):
+        return None
+    ends = re.match(r"[,.;!?]|$| (?:and|then|but|or)\b", after)
+    is_word = re.search(r"\b(?:home|base)$", found[0], re.I)
+    return None if is_word and not ends else _go_to(START, found)
+
+
 def _rewrite_back(found: re.Match[str]) -> str | None:
     """Return "come back" as the order to go where the mission began; None before a destination."""
     after = found.string[found.end() :]
@@ -484,6 +503,9 @@ def _rewrite_back(found: re.Match[str]) -> str | None:
 def _rewrite_wait(found: re.Match[str]) -> str | None:
     """Return "wait for ten minutes at the door" as orders with `wait 10 min`."""
     slots = found.groupdict()
+    # "until I say go to the kitchen": the rest may be what is said then
+    if " until " in found[0] and re.match(r" (?!and\b|then\b)\w", found.string[found.end() :]):
+        return None
     wait = f"{WAIT} {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else WAIT
     if slots.get("thing"):
         return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'

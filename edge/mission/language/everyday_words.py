@@ -81,7 +81,7 @@ _ROWS: dict[str, str] = {
     "correction": """
         no sorry; sorry; sorry no; no wait; wait no; no i mean; i mean; i meant; no i meant; no no;
         oh no; no not that; make that; scratch that; actually no; no actually; or rather; no rather;
-        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry; make it;
+        sorry i mean; sorry i meant; no make that; or actually; wait i mean; wait sorry;
         actually i (mean|meant); (i|) actually (mean|meant|wanted); oh wait; no i wanted
     """,
     # Kinds of rooms: the last word of a room's name, before a number.

@@ -148,10 +148,13 @@ _MATERIALS = """
     wood wooden metal metallic plastic glass leather stone brick concrete steel iron marble wicker
     bamboo paper cotton velvet fabric ceramic rubber
 """
-_QUALITIES = """
+_COLOURS = """
     red green blue yellow orange purple violet pink brown black white gray grey beige golden silver
-    cyan magenta turquoise maroon navy tan crimson scarlet olive lime colored coloured
-    dark light bright pale large big huge small little tiny mini tall high short low long wide broad
+    cyan magenta turquoise maroon navy tan crimson scarlet olive lime
+"""
+_QUALITIES = """
+    colored coloured dark light bright pale
+    large big huge small little tiny mini tall high short low long wide broad
     narrow slim thin thick round square rectangular oval circular flat curved striped checkered
     old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
     folding rocking sliding electric digital front back rear left right main upper lower top bottom
@@ -198,7 +201,8 @@ NOUNS = (
     | split_entries(_PEOPLE)
 )
 """All nouns of the lists; the alias table of `edge.names` has more."""
-QUALITIES = split_entries(_QUALITIES) | split_entries(_MATERIALS)
+COLOURS = split_entries(_COLOURS)
+QUALITIES = COLOURS | split_entries(_QUALITIES) | split_entries(_MATERIALS)
 """Words that may precede a noun in a name: "red", "wooden"."""
 PLAIN_WORDS = split_entries(_PLAIN) - NOUNS
 """Words that name no object, so a refusal must not suggest them as one."""

@@ -121,8 +121,9 @@ _QUESTION_REWRITES = (
     (re.compile(rf"^({NAME}),? (?:it|they) (is|are|was|were)"
                 rf"(?= {phrase_of('relation')} [^.;:!]*\?$)", re.I), r"\2 \1"),
     # "is there a mug on this floor?"
-    (re.compile(r" (?:on this floor|in this (?:building|house|flat|apartment))(?=[.?!]*$)", re.I),
-     ""),
+    (re.compile(r"^((?:is|are|was|were|do|does|did|have|where|which|what|how|any)\b.*) "
+                r"(?:on this floor|in this (?:building|house|flat|apartment))(?=[.?!]*$)", re.I),
+     r"\1"),
     # "so there is a mug?", "it is there a mug?"
     (re.compile(r"^(?:so )?there (is|are)\b(?=[^.;:!]*\?$)", re.I), r"\1 there"),
     (re.compile(r"^it (is|was) there (?=[^.;:!]*\?$)", re.I), r"\1 there "),

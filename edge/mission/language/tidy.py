@@ -61,9 +61,14 @@ _LIKE = re.compile(
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""
 # The middle of "the bed, sorry, the sofa" and "the bed, no, the sofa".
 _CORRECTION = (
-    rf"[ ,.]*(?:\b{phrase_of('correction')}\b[ ,.]*)+|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
+    rf"[ ,.]*(?:\b(?:{phrase_of('correction')}|(?<=[,.] )make it(?= (?:the|an?|room)\b))\b[ ,.]*)+"
+    r"|,? no,? (?=(?:the|to|go|not the|room|in)\b)"
 )
 _CORRECTS = re.compile(_CORRECTION, re.I)
+# Words that a correction may not take away: without them, a ban or a condition would mean more.
+_LIMITS = re.compile(
+    r"\b(?:before|after|until|unless|if|when|while|not|never|without|except)\b", re.I
+)
 # Removed at the start, in lines from the top: "be a pirate and", "could you please", "I want you"
 # before "go", the "you" of "you go to the bed", the "do" of "do go". Kept: the "can you" of
 # "can you see a mug", the "let us" of "let us play", the "you" of "you may go".
@@ -198,7 +203,7 @@ def _apply_corrections(text: str) -> str:
         if not before or not after:
             return text
         begin = _find_replaced(before, after)
-        if begin is None:
+        if begin is None or _LIMITS.search(before[begin:]):
             hint = "unclear what this corrects; say the whole sentence again"
             raise not_understood(text[found.start() :].strip(), found.start() + 1, hint)
         text = before[:begin] + after

@@ -8,6 +8,7 @@ from __future__ import annotations
 # Name → template, for `{name}` in another template.
 PARTS = {
     # Questions.
+    "anything": "([(is|was) there|(did|do) you see] (anything|something) [else])",
     "known": """
         [(are|is) there|there (are|is)|(do|did) you [already] (know|see|find|remember|have)|
         you [already] (know|see|saw|found|remember|have|visited|saved)|
@@ -173,8 +174,8 @@ QUESTIONS = {
         {tell} [me] (what|all|everything) [that|what] you [have|did|all]* {seen} {in} {last}
         (list|name) [me] (what|all|everything) [that] you [have|did]* {seen} {in} {last}
         what do you (know|remember) [about this place|so far]
-        [(is|was) there|(did|do) you see] [anything|something] [else] (in|inside) <room> {last}
-        [(is|was) there|(did|do) you see] [anything|something] [else] <relation> <anchor> {last}
+        {anything} (in|inside) <room> {last}
+        {anything} <relation> <anchor> {last}
         what can you see {in} {last}
         [{tell}] (what|which things|which objects) (is|are|was|were) [there|standing|lying|sitting]*
             <relation> <anchor> {last}
@@ -326,7 +327,7 @@ CONTROL = {
         {quit} [, {quit}]*
             [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
                 somewhere else)]
-        {quit} , (i|we) (do not need|do not want|have found|found|got it|changed|am|are) ...
+        {quit} , (i|we) do not (need|want) (it|them|that|this) [any more|anymore|now]*
         do nothing (more|else|further)
         [you (can|may)] forget [about] [all of] {job}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
