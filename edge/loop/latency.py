@@ -250,9 +250,10 @@ class LatencyRing:
         self._spans_ns = np.full((capacity, n), NOT_RUN, dtype=np.int64)
         self._stamps_ns = np.zeros((capacity, n), dtype=np.int64)  # tick: start; background: end
         # Durations of the tick that runs. They are a list, because setting the items of an array
-        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`. `_flags` is a buffer.
+        # one by one takes twice as long; `end_tick` copies it to `_tick_ns`.
         self._current_ns = list(_NOTHING_RAN)
-        self._tick_ns, self._flags = np.array(_NOTHING_RAN), np.zeros(n, dtype=bool)
+        self._tick_ns = np.array(_NOTHING_RAN)
+        self._mask = np.zeros(n, dtype=bool)  # buffer of `end_tick`
         self._overruns = np.zeros(n, dtype=np.int64)
         self._count = np.zeros(n, dtype=np.int64)
         self._drops, self._abandoned = [0] * len(STAGES), [0] * len(STAGES)
@@ -307,8 +308,8 @@ class LatencyRing:
             i = self._count[-1] % len(self._spans_ns)
             self._stamps_ns[i, -1] = self._begin_ns
             np.copyto(self._spans_ns[i], self._tick_ns, where=_IN_TICK_MASK)
-            self._overruns += np.greater(self._tick_ns, self._limit_ns, out=self._flags)
-            self._count += np.greater_equal(self._tick_ns, 0, out=self._flags)
+            self._overruns += np.greater(self._tick_ns, self._limit_ns, out=self._mask)
+            self._count += np.greater_equal(self._tick_ns, 0, out=self._mask)
             self._durations.add(self._current_ns)
             if before_ns is not None:
                 self._intervals.add_one(0, self._cycle_begin_ns - before_ns)

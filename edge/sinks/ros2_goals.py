@@ -1,4 +1,4 @@
-"""Ways of `ros2.goals` to send goals: to a topic, or to Nav2's actions. One thread uses them."""
+"""Senders of navigation goals, chosen by `ros2.goals`: to a topic, or to Nav2's actions."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class GoalActions:
             client.send(goal)
 
     def cancel_all(self) -> None:
-        """Cancel all goals of the actions, also those of others."""
+        """Cancel all goals of the actions, also goals that other clients sent."""
         for client in (self._navigator, *self._docking):
             client.cancel_all()
 
@@ -89,7 +89,7 @@ class GoalActions:
             client.update()
 
     def close(self) -> None:
-        """Stop to publish answers."""
+        """Stop publishing answers."""
         self._status_publisher.undeclare()
 
     def _client_for(self, goal: Goal) -> NavigateToPoseClient:

@@ -47,10 +47,12 @@ class Graph:
         """Add or remove the endpoint of a token."""
         if is_gone:
             self._by_id.pop(key, None)
-        elif len(self._by_id) < _MAX_TOKENS:
-            endpoint = parse_token(key)
-            if endpoint is not None and endpoint.zid != self._zid:
-                self._by_id[key] = endpoint
+            return
+        endpoint = parse_token(key)
+        if endpoint is None or endpoint.zid == self._zid:
+            return
+        if key in self._by_id or len(self._by_id) < _MAX_TOKENS:
+            self._by_id[key] = endpoint
         else:
             self._warn()
 

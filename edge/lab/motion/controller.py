@@ -66,7 +66,7 @@ class Controller:
         self._now_ns: int | None = None
         self._last_command = STOP
         self._goal: SE2 | None = None  # None: the robot stands
-        # Stamps and poses of goals, the newest last, also after its end.
+        # Received goals (stamp, pose), the newest last. A goal stays here after its end.
         self._received: deque[tuple[int, SE2]] = deque(maxlen=1 + MAX_REPLACED)
         self._status: GoalStatus | None = None  # of the newest goal
         self._blocked: tuple[float, float] | None = None  # where this step was held up

@@ -44,7 +44,7 @@ PARTS = {
     "time": "[, [only|for|during] <span> [long] [, no (longer|more)]] "
             "[again|once more|one more time|"
             "before (we|i|they) (start|begin|leave|open|close)]*",
-    "told": """
+    "until_told": """
         until ((i|we) (come|am|are|get|call|say|tell|give|ask|release|need|order|let)|
             (someone|somebody) (calls|says|tells|comes|asks)|you (hear|are told))
             [me|us|you|back|home|here|there|so|stop|it|that|otherwise|done|ready|finished|again|

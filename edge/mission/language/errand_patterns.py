@@ -109,12 +109,12 @@ WAITS = """
     {then} {hold} {there} [for] <span> [there|here]
     {then} {hold} {where} <thing> [for] <span>
     {then} wait [for (me|us)] {where} <thing>
-    {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <thing> [{told}]
-    {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{told}]
+    {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <thing> [{until_told}]
+    {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{until_told}]
     {then} go to <thing> [and (stay|remain|wait) [there]] for <span>
     {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|her) [for] [<span>]
-            [{told}]
-    {then} (wait|stay|remain) {told}
+            [{until_told}]
+    {then} (wait|stay|remain) {until_told}
 """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
 # (`other`), "the mug on the desk or by the bed" (`again`, `else`)

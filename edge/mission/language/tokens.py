@@ -175,7 +175,7 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
 
 
 def _is_object(words: Sequence[Token], i: int) -> bool:
-    """Return True for a word that is part of a name here, and not of its kind in the lexicon.
+    """Return True if a word of the lexicon is used as a noun here.
 
     The "robot" of "find a little robot" addresses nobody; the "mop" of "the mop" and the "water" of
     "the water cooler" are no verbs.

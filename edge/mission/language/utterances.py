@@ -9,7 +9,7 @@ from __future__ import annotations
 PARTS = {
     # Questions.
     "anything": "([(is|was) there|(did|do) you see] (anything|something) [else])",
-    "known": """
+    "so_far": """
         [(are|is) there|there (are|is)|(do|did) you [already] (know|see|find|remember|have)|
         you [already] (know|see|saw|found|remember|have|visited|saved)|
             have you [already|ever|been]*
@@ -107,8 +107,8 @@ PARTS = {
              "where you are|what you are doing|the robot|robot|okay]*",
     "halt": "(stop|halt|freeze|hold|pause|[do] not (move|continue|go on|drive on) "
             "[again|anymore|any more|a muscle])",
-    "task": "[everything|{job}]",
-    "job": "(it|that|this|the [whole] mission|the task|the search|the tour|the patrol|"
+    "task": "[everything|{the_mission}]",
+    "the_mission": "(it|that|this|the [whole] mission|the task|the search|the tour|the patrol|"
             "the errand|the job|your mission|your task|your search|your tour|your patrol|"
             "your rounds|your round|your errand|your job|your work|your way|mission|"
             "what i [just] said|(that|the|my) [last] (order|command|instruction|task|job|errand))",
@@ -133,15 +133,15 @@ QUESTIONS = {
         what is your (position|location)
     """,
     "rooms": """
-        (what|which) [other|kinds of] rooms {known}
-        {tell} [me] (what|which|the|all the|your) rooms {known}
-        (list|name) [me] [all|the|your|known]* rooms {known}
-        [{tell}|find out] how many rooms {known}
+        (what|which) [other|kinds of] rooms {so_far}
+        {tell} [me] (what|which|the|all the|your) rooms {so_far}
+        (list|name) [me] [all|the|your|known]* rooms {so_far}
+        [{tell}|find out] how many rooms {so_far}
     """,
     "places": """
-        (what|which) places {known}
-        {tell} [me] (what|which|the|all the|your) places {known}
-        (list|name) [me] [all|the|your|known]* places {known}
+        (what|which) places {so_far}
+        {tell} [me] (what|which|the|all the|your) places {so_far}
+        (list|name) [me] [all|the|your|known]* places {so_far}
     """,
     "doing": """
         what are you (doing|up to|working on|looking for|searching for|waiting for) {now}
@@ -329,7 +329,7 @@ CONTROL = {
                 somewhere else)]
         {quit} , (i|we) do not (need|want) (it|them|that|this) [any more|anymore|now]*
         do nothing (more|else|further)
-        [you (can|may)] forget [about] [all of] {job}
+        [you (can|may)] forget [about] [all of] {the_mission}
         [you (can|may|should)] (stop|end) (searching|looking|exploring|patrolling|the|your)
             [search|mission|task|patrol|tour|errand|rounds|job|for it]
     """,
