@@ -49,7 +49,7 @@ def test_a_question_is_answered_and_the_mission_stays(loop):
     assert loop.service.mission is before
 
 
-def test_near_is_what_is_close_to_an_object_of_the_name(loop, monkeypatch):
+def test_objects_within_range_of_a_named_one_are_near(loop, monkeypatch):
     seen = [
         {"id": 1, "name": "desk", "xyz": [0.0, 0.0, 0.5], "room": "office"},
         {"id": 2, "name": "mug", "xyz": [0.5, 0.0, 0.8], "room": "office"},
