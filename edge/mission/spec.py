@@ -220,7 +220,7 @@ def translate(
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
-        english += " (The nearest that it knows, else the first that it finds.)"
+        english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
 
 

@@ -335,6 +335,12 @@ def test_a_reason_that_is_left_out_is_reported():
     assert found.english == "Reach the bed. (Not part of the order: 'I heard a noise'.)"
 
 
+def test_nearest_is_not_promised():
+    found = translate(MissionConfig(), "Go to the nearest chair.")
+    assert str(found.formula) == "F chair"
+    assert found.english.endswith("(One that it knows, else the first that it finds.)")
+
+
 def test_a_formula_is_not_read_as_speech():
     config = MissionConfig(translator=TranslatorLtl())
     assert str(translate(config, "F stop").formula) == "F stop"

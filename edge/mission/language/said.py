@@ -280,8 +280,11 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
         return False
     if bare(slots.get("anchor", "x")).split()[-1] in NOWHERE:
         return False
-    named = {**slots, "name": ""} if bare(slots.get("name", "")) == "home" else slots
-    return not any(is_vague(name) for slot, name in named.items() if slot in _OBJECT_SLOTS and name)
+    return not any(
+        is_vague(name) and not (slot == "name" and bare(name) == "home")  # people name places so
+        for slot, name in slots.items()
+        if slot in _OBJECT_SLOTS
+    )
 
 
 def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
