@@ -158,3 +158,20 @@ def test_a_flood_of_tokens_is_bounded_and_logs_a_warning(session, port, monkeypa
         assert sum(bool(seen.endpoints("MP", e.topic)) for e in said) == 4
         del open_tokens
     seen.close()
+
+
+def test_a_full_table_ignores_own_endpoints_without_a_warning(session, port, monkeypatch, caplog):
+    monkeypatch.setattr(graph, "_MAX_TOKENS", 4)
+    seen = graph.Graph(session, 0)
+    with ours(port) as other:
+        zids = ["z"] * 4 + [str(session.info.zid())]
+        said = [Endpoint("MP", z, "/n", f"/t{i}", POSE, "RIHS01_0") for i, z in enumerate(zids)]
+        open_tokens = []
+        for i, endpoint in enumerate(said):
+            token = names.endpoint_token(0, 0, i, endpoint, names.RELIABLE)
+            open_tokens.append(other.liveliness().declare_token(token))
+            eventually(seen.update)
+        assert [bool(seen.endpoints("MP", e.topic)) for e in said] == [True] * 4 + [False]
+        assert "more than 4 publishers" not in caplog.text
+        del open_tokens
+    seen.close()
