@@ -27,10 +27,10 @@ def unordered(k: int):
 
 def half_known(automaton) -> MissionKnowledge:
     """Return knowledge in which every second object is detected, with random distances."""
-    letters = automaton.propositions
-    k = len(letters)
+    propositions = automaton.propositions
+    k = len(propositions)
     metres = np.random.default_rng(0).uniform(1.0, 20.0, (k + 1, k))
-    return MissionKnowledge(frozenset(letters[::2]), frozenset(), frozenset(), metres)
+    return MissionKnowledge(frozenset(propositions[::2]), frozenset(), frozenset(), metres)
 
 
 @pytest.mark.parametrize(

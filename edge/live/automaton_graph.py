@@ -1,10 +1,9 @@
 """Graph of an automaton to draw: selection of states, transitions and labels.
 
-A letter is one input of the automaton: a proposition of the formula, or `NOTHING`. Letters that
-lead from one state to the same next state share an arrow. Two kinds of letters have no arrow: those
-that keep the state, and fatal ones, which make success impossible. The state lists its fatal
-letters ("not tv"). So a letter that is neither on an arrow nor in that list changes nothing, and
-the drawing is complete.
+In each step one proposition of the formula is true, or `NOTHING`. Steps that lead from one state to
+the same next state share an arrow. Two kinds of steps have no arrow: those that keep the state, and
+fatal ones, which make success impossible. The state lists its fatal steps ("not tv"). So a step
+that is neither on an arrow nor in that list changes nothing, and the drawing is complete.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class StateNode(NamedTuple):
         accepting: True if the mission succeeds here.
         dead: True if success is impossible from here.
         current: True for the current state.
-        forbidden: lines with the letters that are fatal here.
+        forbidden: lines with the steps that are fatal here.
         hidden: number of next states that are not shown.
         title: a full description in one sentence.
     """
@@ -97,57 +96,55 @@ def make_automaton_graph(
     Args:
         automaton: the automaton.
         state: the current state, which is marked; None: no mark.
-        plan: letters to reach next, from `state` (or the initial state).
-        path: letters reached so far, from the initial state.
+        plan: planned trace from `state` (or the initial state).
+        path: trace so far, from the initial state.
     """
     visited = _walk(automaton, 0, path)
     planned = _walk(automaton, 0 if state is None else state, plan)
     shown = _choose_states(automaton, state, planned, visited)
     index = {s: i for i, s in enumerate(shown)}  # state → index of its node
-    # (state, next state) → role, and the letter that was taken. The plan overrides the past.
+    # (state, next state) → role, and the step that was taken. The plan overrides the past.
     roles = _roles(visited, path, "visited") | _roles(planned, plan, "plan")
     nodes, arrows = [], []
     for s in shown:
         next_states = transitions_from(automaton, s)
-        fatal = [] if automaton.is_dead(s) else _fatal_letters(automaton, s)
+        fatal = [] if automaton.is_dead(s) else _fatal_steps(automaton, s)
         hidden = [t for t in next_states if t not in index and not automaton.is_dead(t)]
         nodes.append(_node(automaton, s, s == state, fatal, len(hidden)))
-        for t, letters in next_states.items():
+        for t, steps in next_states.items():
             if t not in index or (automaton.is_dead(t) and (s, t) not in roles):
                 continue  # not shown, or fatal and not taken
-            arrows.append(_arrow(automaton, (s, t), letters, index, roles))
+            arrows.append(_arrow(automaton, (s, t), steps, index, roles))
     return AutomatonGraph(tuple(nodes), tuple(arrows), _note(automaton, shown, nodes))
 
 
-def _walk(automaton: Automaton, state: int, letters: Sequence[str]) -> list[int]:
-    """Return the states that the letters lead through, from this state on."""
+def _walk(automaton: Automaton, state: int, trace: Sequence[str]) -> list[int]:
+    """Return the states that a trace leads through, from this state on."""
     states = [state]
-    for letter in letters:
-        states.append(automaton.step(states[-1], letter))
+    for step in trace:
+        states.append(automaton.step(states[-1], step))
     return states
 
 
 def _roles(
-    states: Sequence[int], letters: Sequence[str], role: Role
+    states: Sequence[int], trace: Sequence[str], role: Role
 ) -> dict[tuple[int, int], tuple[Role, str]]:
-    """Return the role of each transition along a path, and the letter on which it is taken."""
-    return {pair: (role, letter) for pair, letter in zip(pairwise(states), letters, strict=True)}
+    """Return the role of each transition along a path, and the step that takes it."""
+    return {pair: (role, step) for pair, step in zip(pairwise(states), trace, strict=True)}
 
 
 def transitions_from(automaton: Automaton, state: int) -> dict[int, list[str]]:
-    """Return next states with the letters that lead there, without letters that change nothing."""
+    """Return next states with the steps that lead there, without steps that change nothing."""
     next_states: dict[int, list[str]] = {}
-    for letter, to in zip((*automaton.propositions, NOTHING), automaton.delta[state], strict=True):
+    for step, to in automaton.edges(state):
         if to != state:
-            next_states.setdefault(int(to), []).append(letter)
+            next_states.setdefault(to, []).append(step)
     return next_states
 
 
-def _fatal_letters(automaton: Automaton, state: int) -> list[str]:
-    """Return the letters that lead from this state to one from which success is impossible."""
-    letters, next_states = (*automaton.propositions, NOTHING), automaton.delta[state]
-    is_fatal = automaton.steps_left[next_states] < 0
-    return [letter for letter, fatal in zip(letters, is_fatal, strict=True) if fatal]
+def _fatal_steps(automaton: Automaton, state: int) -> list[str]:
+    """Return the steps that lead from this state to one from which success is impossible."""
+    return [step for step, to in automaton.edges(state) if automaton.is_dead(to)]
 
 
 def _choose_states(
@@ -204,9 +201,9 @@ def _node(
     parts += ["accepting"] if accepting else []
     parts += ["success impossible"] if left < 0 else []
     parts += [f"at least {left} to reach"] if left > 0 else []
-    parts += [f"not {', '.join(map(_letter_text, fatal))}"] if fatal else []
+    parts += [f"not {', '.join(map(_step_text, fatal))}"] if fatal else []
     parts += [f"{hidden} more next states, not shown"] if hidden else []
-    caption = f"not {format_letters(fatal, automaton.propositions)}"
+    caption = f"not {format_steps(fatal, automaton.propositions)}"
     words = wrap(caption, CAPTION_LENGTH) if fatal else ()
     return StateNode(
         state, state == 0, accepting, left < 0, current, words, hidden, "; ".join(parts)
@@ -216,17 +213,17 @@ def _node(
 def _arrow(
     automaton: Automaton,
     ends: tuple[int, int],
-    letters: Sequence[str],
+    steps: Sequence[str],
     index: Mapping[int, int],
     roles: Mapping[tuple[int, int], tuple[Role, str]],
 ) -> StateArrow:
-    """Return the arrow between two states, labelled with its letters."""
+    """Return the arrow between two states, labelled with its steps."""
     role, taken = roles.get(ends, ("other", ""))
-    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_letter_text, letters))}"
-    if taken in letters and role != "other":  # name the letter that was taken first
-        words = ", ".join(map(_letter_text, dict.fromkeys((taken, *letters))))
+    title = f"{ends[0]} to {ends[1]}: {', '.join(map(_step_text, steps))}"
+    if taken in steps and role != "other":  # name the step that was taken first
+        words = ", ".join(map(_step_text, dict.fromkeys((taken, *steps))))
     else:
-        words = format_letters(letters, automaton.propositions)
+        words = format_steps(steps, automaton.propositions)
     return StateArrow(index[ends[0]], index[ends[1]], wrap(words), title, role)
 
 
@@ -245,30 +242,29 @@ def _note(automaton: Automaton, shown: Collection[int], nodes: Sequence[StateNod
     return " ".join([*parts, "Names that a state does not list change nothing there."])
 
 
-def format_letters(letters: Sequence[str], alphabet: Sequence[str]) -> str:
-    """Format a set of letters (which may include `NOTHING`) as a short list.
+def format_steps(steps: Sequence[str], propositions: Sequence[str]) -> str:
+    """Format some of the propositions, and possibly `NOTHING`, as a short list.
 
-    >>> format_letters(["chair", ""], ["chair", "tv"])
+    >>> format_steps(["chair", ""], ["chair", "tv"])
     'chair, nothing'
-    >>> format_letters(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
+    >>> format_steps(["a", "b", "c", "d"], ["a", "b", "c", "d", "e"])
     'all but e'
     """
-    names = [letter for letter in letters if letter != NOTHING]
-    # `others`: the letters that are not in the set.
-    others = [letter for letter in alphabet if letter not in set(names)]
-    nothing = len(names) < len(letters)
+    names = [step for step in steps if step != NOTHING]
+    others = [name for name in propositions if name not in set(names)]
+    nothing = len(names) < len(steps)
     if nothing and not others:
         return "anything or nothing"
-    words = ", ".join(map(_letter_text, names))
+    words = ", ".join(map(_step_text, names))
     if len(names) > 3 and len(others) <= 2:
         words = (
-            f"all but {', '.join(map(_letter_text, others))}" if others else f"any of {len(names)}"
+            f"all but {', '.join(map(_step_text, others))}" if others else f"any of {len(names)}"
         )
-    return ", ".join(part for part in (words, _letter_text(NOTHING) if nothing else "") if part)
+    return ", ".join(part for part in (words, _step_text(NOTHING) if nothing else "") if part)
 
 
-def _letter_text(letter: str) -> str:
-    return "nothing" if letter == NOTHING else shorten(letter, 60)
+def _step_text(step: str) -> str:
+    return "nothing" if step == NOTHING else shorten(step, 60)
 
 
 def wrap(words: str, length: int = LABEL_LENGTH) -> tuple[str, ...]:

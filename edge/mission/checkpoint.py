@@ -20,7 +20,7 @@ from edge.text import bounded_repr
 # Types that check the file's values.
 ShortText = Annotated[str, Field(max_length=1000)]
 NotNegative = Annotated[float, Field(ge=0)]
-Letters = Annotated[tuple[ShortText, ...], Field(max_length=10_000)]
+Names = Annotated[tuple[ShortText, ...], Field(max_length=10_000)]
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class MissionState:
     formula: str
     backend: ShortText
     english: str
-    trace: Letters
-    reached: Letters
-    failed: Letters
-    detected: Letters
+    trace: Names
+    reached: Names
+    failed: Names
+    detected: Names
     target: ShortText | None
     phase: ShortText
     reason: str
@@ -108,8 +108,8 @@ def state_of(mission: MissionRun, phase: str) -> MissionState:
 
 def restore(mission: MissionRun, saved: MissionState) -> None:
     """Continue from the saved state of a mission with the same formula; call it before `start`."""
-    for letter in saved.trace:
-        mission.progress.advance(letter)
+    for reached in saved.trace:
+        mission.progress.advance(reached)
     mission.progress.round = saved.round
     mission.sets.restore(saved.reached, saved.failed)
     mission.id, mission.results, mission.paused = saved.id, saved.results, saved.paused
@@ -120,19 +120,19 @@ def restore(mission: MissionRun, saved: MissionState) -> None:
 
 def _check(state: MissionState) -> None:
     """Raise a one-line ValueError if a set has a name that is not in the formula."""
-    letters = _letters(state.formula)
+    names = _propositions_of(state.formula)
     if state.task:
         return
     for name in ("trace", "reached", "failed", "detected"):
-        unknown = set(getattr(state, name)) - letters - ({NOTHING} if name == "trace" else set())
+        unknown = set(getattr(state, name)) - names - ({NOTHING} if name == "trace" else set())
         if unknown:
             raise ValueError(f"{name}: {bounded_repr(min(unknown), 60)} is not in the formula")
-    if state.target is not None and state.target not in letters:
+    if state.target is not None and state.target not in names:
         raise ValueError(f"target: {bounded_repr(state.target, 60)} is not in the formula")
 
 
 @lru_cache(maxsize=4)
-def _letters(formula: str) -> frozenset[str]:
+def _propositions_of(formula: str) -> frozenset[str]:
     """Return the propositions of a formula; raise ValueError if its text cannot be parsed."""
     try:
         return frozenset(propositions(parse(formula)))

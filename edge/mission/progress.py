@@ -32,12 +32,12 @@ class MissionProgress:
         """Targets that would make success impossible if they were reached now."""
         return tuple(label for label in self._spec.targets if self._is_forbidden(label))
 
-    def advance(self, letter: str) -> None:
+    def advance(self, reached: str) -> None:
         """Take a step: a target was reached, or `NOTHING`."""
-        if letter != NOTHING:
+        if reached != NOTHING:
             self._n_left_out = 0
-        self.state = self._spec.automaton.step(self.state, letter)
-        self.trace = (*self.trace, letter)
+        self.state = self._spec.automaton.step(self.state, reached)
+        self.trace = (*self.trace, reached)
 
     def leave_out(self, label: str) -> bool:
         """Leave out a target in this round, as if it had been reached.

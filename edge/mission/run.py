@@ -31,7 +31,7 @@ _RESULT_CHARS = 400  # longest text of one result
 class MissionRun:
     """A running mission: it advances the automaton and chooses the target to pursue.
 
-    A target is a proposition of the formula, and its label is its name. A letter of a trace is a
+    A target is a proposition of the formula, and its label is its name. Each step of a trace is a
     label or `NOTHING`. The instances of a target are the known objects of its name.
 
     The automaton moves when the active target is reached. If the formula requires it, it also takes
@@ -314,7 +314,7 @@ class MissionRun:
         if not progress.accepted:
             return False
         if repeat is None:
-            taken = [letter for letter in progress.trace if letter != NOTHING]
+            taken = [label for label in progress.trace if label != NOTHING]
             order = ", then ".join(taken) if len(taken) > 1 else evidence
             self.finish("reached", "; ".join(self.results) or order, now_ns)
         elif progress.round == repeat.rounds:

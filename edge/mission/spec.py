@@ -1,7 +1,4 @@
-"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error.
-
-A letter is the name of a proposition, such as "bed".
-"""
+"""Preparation of a mission: from an instruction or formula to a `MissionSpec`, or an error."""
 
 from __future__ import annotations
 
@@ -204,8 +201,8 @@ def translate(
     chosen = given if not means_more and _is_understood(given) else plain
     chosen, repeat = split_repetition(chosen)
     translation = translator.translate(chosen, reading, ask)
-    letters = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
-    if letters == {"a"} and '"a"' not in text:  # "find a" has lost its noun
+    short = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
+    if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     for reason in order.speech.reasons:
@@ -276,15 +273,14 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     """
     found: dict[str, Destination] = {}
     english = translation.english
-    for letter in ltl.propositions(translation.formula):
-        destination = destination_of(letter, site)
+    for name in ltl.propositions(translation.formula):
+        destination = destination_of(name, site)
         if destination is not None:
-            _refuse_closed(letter, destination, site)
-            found[letter] = destination
-            plain = describe_destination(letter, destination)
-            english = english.replace(f'"{letter}"', plain)
+            _refuse_closed(name, destination, site)
+            found[name] = destination
+            english = english.replace(f'"{name}"', describe_destination(name, destination))
         else:
-            _refuse_unknown_room(letter, site)
+            _refuse_unknown_room(name, site)
     formula_english = describe(translation.formula)
     orders = orders_of(translation.formula, found)
     if found and orders and translation.english.startswith(formula_english):
@@ -292,12 +288,12 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     return replace(translation, destinations=found, english=english)
 
 
-def _refuse_unknown_room(letter: str, site: Site) -> None:
+def _refuse_unknown_room(name: str, site: Site) -> None:
     """Refuse a thing in a room whose name is no kind of room, and which no person gave."""
-    room = thing.room if (thing := parse_description(letter)) is not None else ""
+    room = thing.room if (thing := parse_description(name)) is not None else ""
     if room and not is_room_name(room) and site.room_name(room) is None:
         raise MissionError(
-            f"mission: {one_line(letter, 80)}: no room or thing is called {one_line(room, 60)!r}; "
+            f"mission: {one_line(name, 80)}: no room or thing is called {one_line(room, 60)!r}; "
             "leave it out, or give a room this name first"
         )
 
@@ -317,8 +313,8 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     """Compile and check a translated formula for the configured planner; see `prepare`."""
     formula = _with_one_name(translation.formula, translation.destinations)
     translation = replace(translation, formula=formula)
-    letters = ltl.propositions(formula)
-    _check_number(config, len(letters))
+    names = ltl.propositions(formula)
+    _check_number(config, len(names))
     automaton = compile_formula(formula, compiler=config.compiler)
     diagnosis = diagnose(automaton)
     if diagnosis.contradiction:
@@ -333,7 +329,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
             f"mission: {one_line(formula)} ({one_line(translation.english)}) is fulfilled by doing "
             f"nothing{always}; name something to reach"
         )
-    targets = tuple(letter for letter in letters if letter not in diagnosis.unused)
+    targets = tuple(name for name in names if name not in diagnosis.unused)
     automaton = _without_unused(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
@@ -365,12 +361,12 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
 
 def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) -> None:
     """Raise a MissionError if the mission only forbids something that cannot be forbidden."""
-    for letter in set(automaton.propositions).difference(automaton.possible):
-        destination = destinations.get(letter)
+    for name in set(automaton.propositions).difference(automaton.possible):
+        destination = destinations.get(name)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
         if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
             raise MissionError(
-                f"mission: {one_line(letter, 60)}: the robot can do this, but it cannot be "
+                f"mission: {one_line(name, 60)}: the robot can do this, but it cannot be "
                 "forbidden; leave it out"
             )
 
@@ -392,7 +388,7 @@ def spec_of_task(
     states = np.arange(len(steps) + 1, dtype=np.int32)
     delta = np.repeat(states[:, None], len(targets) + 1, axis=1)
     delta[:-1, -1] += 1
-    # Only NOTHING, the last letter, moves the state, and the last state has no successor.
+    # Only NOTHING, the last column, moves the state, and the last state has no successor.
     chain = Automaton(ltl.TRUE, targets, delta, states == len(steps), np.zeros_like(states))
     return MissionSpec(translation, chain, Diagnosis((), True, ()), targets, targets, steps)
 
@@ -422,13 +418,13 @@ def _check_number(config: MissionConfig, targets: int) -> None:
         )
 
 
-def _without_unused(automaton: Automaton, letters: tuple[str, ...]) -> Automaton:
+def _without_unused(automaton: Automaton, used: tuple[str, ...]) -> Automaton:
     """Remove propositions that make no difference, so that the planner never searches for them."""
-    if letters == automaton.propositions:
+    if used == automaton.propositions:
         return automaton
-    columns = [automaton.propositions.index(letter) for letter in letters]
+    columns = [automaton.propositions.index(name) for name in used]
     delta = np.ascontiguousarray(automaton.delta[:, [*columns, len(automaton.propositions)]])
-    return replace(automaton, propositions=letters, delta=delta)
+    return replace(automaton, propositions=used, delta=delta)
 
 
 def _with_one_name(formula: Formula, destinations: Collection[str]) -> Formula:

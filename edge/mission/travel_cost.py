@@ -62,12 +62,12 @@ class TravelCostEstimator:
             for name, destination in mission.destinations.items()
             if isinstance(destination, PlaceTarget) and destination.pose is not None
         }
-        # For each letter, the positions of its known instances in `map`.
+        # For each proposition of the formula, the positions of its known instances in `map`.
         xy_m = [
-            [(places[letter].x_m, places[letter].y_m)]
-            if letter in places
-            else [instance.center_m[:2] for instance in tracker.of(letter)]
-            for letter in mission.spec.automaton.propositions
+            [(places[name].x_m, places[name].y_m)]
+            if name in places
+            else [instance.center_m[:2] for instance in tracker.of(name)]
+            for name in mission.spec.automaton.propositions
         ]
         positions = [np.array(xy, np.float64).reshape(-1, 2) for xy in xy_m]
 

@@ -51,30 +51,30 @@ def table_automaton(delta: list[list[int]], accepting: list[bool]) -> Automaton:
 
 
 @st.composite
-def automata(draw, max_states: int = 7, max_letters: int = 4) -> Automaton:
-    n, k = draw(st.integers(1, max_states)), draw(st.integers(0, max_letters))
+def automata(draw, max_states: int = 7, max_propositions: int = 4) -> Automaton:
+    n, k = draw(st.integers(1, max_states)), draw(st.integers(0, max_propositions))
     row = st.lists(st.integers(0, n - 1), min_size=k + 1, max_size=k + 1)
     delta = draw(st.lists(row, min_size=n, max_size=n))
     return table_automaton(delta, draw(st.lists(st.booleans(), min_size=n, max_size=n)))
 
 
 @st.composite
-def knowledge_of(draw, letters: tuple[str, ...]) -> MissionKnowledge:
+def knowledge_of(draw, propositions: tuple[str, ...]) -> MissionKnowledge:
     sets: dict[str, set[str]] = {"detected": set(), "reached": set(), "failed": set()}
-    for letter in letters:
+    for proposition in propositions:
         kind = draw(st.sampled_from([None, *sets]))
         if kind is not None:
-            sets[kind].add(letter)
+            sets[kind].add(proposition)
     return knowing(**sets)
 
 
-def eq_1(letter: str, k: MissionKnowledge, w_det: float) -> float:
+def eq_1(proposition: str, k: MissionKnowledge, w_det: float) -> float:
     """Return the weight of a proposition; inf if it failed."""
-    if letter == NOTHING:
+    if proposition == NOTHING:
         return W_NOTHING
-    if letter in k.failed:
+    if proposition in k.failed:
         return math.inf
-    return w_det if letter in k.detected | k.reached else 1.0
+    return w_det if proposition in k.detected | k.reached else 1.0
 
 
 def shortest(automaton: Automaton, state: int, weight) -> tuple[float, int]:
@@ -83,18 +83,18 @@ def shortest(automaton: Automaton, state: int, weight) -> tuple[float, int]:
     Args:
         automaton: of the mission.
         state: first state.
-        weight: (letter before or None, letter) -> float, inf = not to be taken.
+        weight: (proposition before or None, proposition) -> float, inf = not to be taken.
     """
     graph, start = nx.DiGraph(), (state, None)
     graph.add_node(start)
     queue, seen = [start], {start}
     while queue:
         node = queue.pop()
-        for letter, t in automaton.edges(node[0]):
-            w = weight(node[1], letter)
+        for proposition, t in automaton.edges(node[0]):
+            w = weight(node[1], proposition)
             if math.isinf(w) or t == node[0]:
                 continue
-            after = (t, node[1] if letter == NOTHING else letter)
+            after = (t, node[1] if proposition == NOTHING else proposition)
             w = round(w * 1e6) + 1e-4  # one more step costs least
             if not graph.has_edge(node, after) or graph[node][after]["weight"] > w:
                 graph.add_edge(node, after, weight=w)

@@ -1,4 +1,4 @@
-"""The automaton of a formula: right on every word, minimal, and within its limits."""
+"""The automaton of a formula: right on every trace, minimal, and within its limits."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ CASE_2 = (
     " & (!couch U toilet) & (!bed U tv) & (!plant U chair)"
 )
 CASE_1_WEAK, CASE_2_WEAK = CASE_1.replace(" U ", " W "), CASE_2.replace(" U ", " W ")
-LETTERS = ("a", "b", "c", None)
-WORDS = [word for n in range(5) for word in itertools.product(LETTERS, repeat=n)]
+PROPOSITIONS = ("a", "b", "c", None)
+TRACES = [trace for n in range(5) for trace in itertools.product(PROPOSITIONS, repeat=n)]
 
 
 def targets(n: int) -> str:
@@ -65,13 +65,13 @@ def test_state_counts(text, states):
 @given(formulas())
 def test_agrees_with_the_definition_on_all_short_words(f):
     automaton = compile_formula(f)
-    for word in WORDS:
-        assert automaton.accepts(word) == holds(f, word)
+    for trace in TRACES:
+        assert automaton.accepts(trace) == holds(f, trace)
 
 
 @given(formulas())
 def test_minimal(f):
-    """Myhill–Nerode: a word distinguishes any two states, every state can be reached."""
+    """Myhill–Nerode: a trace distinguishes any two states, every state can be reached."""
     automaton = compile_formula(f)
     n = automaton.n_states
     apart = automaton.accepting[:, None] != automaton.accepting[None, :]
@@ -95,7 +95,7 @@ def test_states_are_numbered_breadth_first(f):
 
 @given(formulas())
 def test_steps_left_is_the_fewest_objects(f):
-    """Against a search over words with up to four objects and idle steps between them."""
+    """Against a search over traces with up to four objects and idle steps between them."""
     automaton = compile_formula(f)
     left = automaton.steps_left
     for state in range(automaton.n_states):

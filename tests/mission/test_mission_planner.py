@@ -50,7 +50,7 @@ def test_case_studies_of_the_paper(text, steps):
     """Tables II and III, under the weak until."""
     plan = planned(text)
     assert plan.target == steps[0]
-    if text == CASE_1:  # one of two optima; this one wins by nothing but the order of letters
+    if text == CASE_1:  # one of two optima; this one wins by nothing but the order of propositions
         assert plan.steps in (steps, ("plant", *steps[:1], "tv"))
         assert [cost for _, cost in plan.options[:2]] == [3.0, 3.0]
     else:
@@ -192,7 +192,7 @@ def test_constant_plans_are_shortest_paths(data, automaton):
         check(automaton, state, plan, knowledge)
 
 
-@given(data=st.data(), automaton=automata(max_letters=3), seed=st.integers(0, 1000))
+@given(data=st.data(), automaton=automata(max_propositions=3), seed=st.integers(0, 1000))
 def test_distance_plans_are_shortest_paths(data, automaton, seed):
     knowledge = data.draw(knowledge_of(automaton.propositions))
     k = len(automaton.propositions)
@@ -207,14 +207,14 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
     for _, a, b in itertools.product(placed, repeat=3):
         start[b] = min(start[b], start[a] + metres[column[a], column[b]])
 
-    def weight(before, letter):
-        if letter == "" or letter in knowledge.failed:
-            return eq_1(letter, knowledge, 0.01)
-        if letter not in placed:
+    def weight(before, proposition):
+        if proposition == "" or proposition in knowledge.failed:
+            return eq_1(proposition, knowledge, 0.01)
+        if proposition not in placed:
             return 10.0
-        here, j = metres[k, column[letter]], column[letter]
+        here, j = metres[k, column[proposition]], column[proposition]
         if before is None:
-            return start[letter]
+            return start[proposition]
         between = metres[column[before], j] if before in placed else math.inf
         return between if math.isfinite(between) else math.hypot(10.0, here)
 
@@ -237,8 +237,8 @@ def check(automaton, state, plan, knowledge):
         return
     costs = [cost for _, cost in plan.options]
     assert costs == sorted(costs)
-    for letter, _ in plan.options:
-        after = automaton.step(state, letter)
+    for proposition, _ in plan.options:
+        after = automaton.step(state, proposition)
         assert after != state
         assert not automaton.is_dead(after)
     if not plan.feasible:
@@ -248,10 +248,10 @@ def check(automaton, state, plan, knowledge):
         return
     assert plan.target == (plan.steps[0] or None)
     assert plan.options[0] == (plan.steps[0], plan.cost)
-    for letter in plan.steps:
-        assert letter not in knowledge.failed
+    for proposition in plan.steps:
+        assert proposition not in knowledge.failed
         assert not automaton.accepting[state]
-        state = automaton.step(state, letter)
+        state = automaton.step(state, proposition)
         assert not automaton.is_dead(state)
     assert automaton.accepting[state]
 
@@ -269,17 +269,17 @@ def test_missions_end_accepted_while_objects_are_met_by_chance(config, automaton
         assert plan.feasible
         if not plan.steps:
             break
-        letter = plan.steps[0]
-        if letter in (*detected, *reached, "") or rng.random() < 0.4:
-            state, current = automaton.step(state, letter), None
+        proposition = plan.steps[0]
+        if proposition in (*detected, *reached, "") or rng.random() < 0.4:
+            state, current = automaton.step(state, proposition), None
             assert not automaton.is_dead(state)
-            if letter:
-                detected.discard(letter)
-                reached.add(letter)
+            if proposition:
+                detected.discard(proposition)
+                reached.add(proposition)
         else:
-            unknown = set(automaton.propositions) - detected - reached - {letter}
+            unknown = set(automaton.propositions) - detected - reached - {proposition}
             detected |= set(rng.permutation(sorted(unknown))[:1].tolist())
-            current = letter
+            current = proposition
     assert automaton.accepting[state]
 
 
@@ -301,10 +301,10 @@ class Alphabetical:
     """A plugin planner."""
 
     def __init__(self, automaton, instruction, last=False):
-        self.letters, self.instruction, self.last = automaton.propositions, instruction, last
+        self.propositions, self.instruction, self.last = automaton.propositions, instruction, last
 
     def plan(self, state, knowledge, current=None):
-        target = sorted(self.letters, reverse=self.last)[0]
+        target = sorted(self.propositions, reverse=self.last)[0]
         return TargetPlan(target, (target,), 1.0, True, (), self.instruction, ((target, 1.0),))
 
 

@@ -14,11 +14,11 @@ def progress(formula: str = IN_ORDER, repeat: Repetition | None = None) -> Missi
     return MissionProgress(prepare(MissionConfig(), formula=formula, repeat=repeat))
 
 
-def test_letters_lead_to_acceptance_and_a_new_round_begins_again():
+def test_a_trace_leads_to_acceptance_and_a_new_round_begins_again():
     run = progress(repeat=Repetition(3))
     assert (run.trace, run.accepted, run.forbidden) == ((), False, ("bed",))
-    for letter in ("dock", "shelf"):
-        run.advance(letter)
+    for proposition in ("dock", "shelf"):
+        run.advance(proposition)
     assert (run.trace, run.accepted, run.forbidden) == (("dock", "shelf"), True, ())
     run.begin_round()
     assert (run.round, run.trace, run.accepted, run.forbidden) == (2, (), False, ("bed",))

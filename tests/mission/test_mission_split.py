@@ -1,4 +1,4 @@
-"""A mission cut into parts: any interleaving of words that fulfil them fulfils the whole."""
+"""A mission cut into parts: any interleaving of traces that fulfil them fulfils the whole."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def test_the_reason_why_a_mission_stays_whole(formula, why):
 
 
 def test_the_sentence_of_the_page_has_three_parts():
-    words = "go to the bed, the sofa and the lamp in any order; never go to the toilet"
-    (formula,) = readings(words)
+    text = "go to the bed, the sofa and the lamp in any order; never go to the toilet"
+    (formula,) = readings(text)
     assert [str(part) for part in split(formula).parts] == [
         "F bed & G !toilet",
         "F sofa & G !toilet",
@@ -63,9 +63,9 @@ def test_the_sentence_of_the_page_has_three_parts():
     ]
 
 
-LETTERS = "abcdef"
+PROPOSITIONS = "abcdef"
 SMALL = st.recursive(
-    st.sampled_from([ltl.ap(x) for x in LETTERS]),
+    st.sampled_from([ltl.ap(x) for x in PROPOSITIONS]),
     lambda f: st.one_of(
         st.builds(ltl.neg, f),
         st.builds(ltl.eventually, f),
@@ -78,8 +78,8 @@ SMALL = st.recursive(
     ),
     max_leaves=3,
 )
-REACH = st.builds(lambda x: ltl.eventually(ltl.ap(x)), st.sampled_from(LETTERS))
-AVOID = st.builds(lambda x: ltl.always(ltl.neg(ltl.ap(x))), st.sampled_from(LETTERS))
+REACH = st.builds(lambda x: ltl.eventually(ltl.ap(x)), st.sampled_from(PROPOSITIONS))
+AVOID = st.builds(lambda x: ltl.always(ltl.neg(ltl.ap(x))), st.sampled_from(PROPOSITIONS))
 MISSIONS = st.builds(
     lambda parts: ltl.conj(*parts),
     st.lists(st.one_of(REACH, REACH, AVOID, SMALL), min_size=2, max_size=5),
@@ -87,17 +87,17 @@ MISSIONS = st.builds(
 
 
 @given(MISSIONS, st.data())
-def test_words_of_the_parts_fulfil_the_whole_in_any_order(formula, data):
+def test_traces_of_the_parts_fulfil_the_whole_in_any_order(formula, data):
     found = split(formula)
-    words = [data.draw(fulfilling(part)) for part in found.parts]
-    if any(word is None for word in words):
+    traces = [data.draw(fulfilling(part)) for part in found.parts]
+    if any(trace is None for trace in traces):
         return  # a part that nothing fulfils: so is the whole
-    word = []
-    while any(words):
-        chosen = data.draw(st.sampled_from([w for w in words if w]))
-        word.append(chosen.pop(0))
-    assert holds(formula, word)
-    assert compile_formula(formula).accepts(word)
+    trace = []
+    while any(traces):
+        chosen = data.draw(st.sampled_from([w for w in traces if w]))
+        trace.append(chosen.pop(0))
+    assert holds(formula, trace)
+    assert compile_formula(formula).accepts(trace)
 
 
 @st.composite
@@ -107,23 +107,23 @@ def fulfilling(draw, formula):
     Some random steps, then the path to acceptance.
     """
     automaton = compile_formula(formula)
-    state, word = 0, []
+    state, trace = 0, []
     if automaton.is_dead(0):
         return None
     for _ in range(draw(st.integers(0, 3))):
         hopeful = [(x, to) for x, to in automaton.edges(state) if not automaton.is_dead(to)]
         if not hopeful:
             break
-        letter, state = draw(st.sampled_from(hopeful))
-        word.append(letter or None)
+        proposition, state = draw(st.sampled_from(hopeful))
+        trace.append(proposition or None)
     seen = {state: []}
     todo = [state]
     for at in todo:  # grows
         if automaton.accepting[at]:
-            return word + seen[at]
-        for letter, to in automaton.edges(at):
+            return trace + seen[at]
+        for proposition, to in automaton.edges(at):
             if to not in seen:
-                seen[to] = [*seen[at], letter or None]
+                seen[to] = [*seen[at], proposition or None]
                 todo.append(to)
     return None
 

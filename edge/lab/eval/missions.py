@@ -113,7 +113,7 @@ class MissionCostFields:
         Returns:
             (rows, columns) float64 in metres; inf if there is no path.
         """
-        near = {letter: self.near(letter) for letter in automaton.propositions}
+        near = {name: self.near(name) for name in automaton.propositions}
         cells = cost_to_go_cells(automaton, near, self._free)
         return cells * self._world.plan.grid.resolution_m
 
@@ -135,17 +135,17 @@ def cost_to_go_cells(
     left = {s: np.full(free.shape, np.inf) for s in range(automaton.n_states)}
     before: dict[int, list[tuple[int, str]]] = {s: [] for s in left}
     for s in left:
-        for letter, after in automaton.edges(s):
+        for proposition, after in automaton.edges(s):
             if after != s and not automaton.accepting[s]:
-                before[after].append((s, letter))
+                before[after].append((s, proposition))
     queue = deque(s for s in left if automaton.accepting[s])
     for s in queue:
         left[s][free] = 0.0
     # Propagate backwards from the accepting states, until no distance becomes shorter.
     while queue:
         after = queue.popleft()
-        for s, letter in before[after]:
-            can_step = free if letter == NOTHING else near[letter] & free
+        for s, proposition in before[after]:
+            can_step = free if proposition == NOTHING else near[proposition] & free
             shorter = can_step & (left[after] < left[s])
             if shorter.any():
                 left[s][shorter] = left[after][shorter]

@@ -25,21 +25,21 @@ __all__ = [
 # Name → function that returns the arrays `delta` and `accepting` of a formula.
 COMPILERS = {"own": own_compiler.minimal_automaton, "spot": spot_compiler.minimal_automaton_by_spot}
 NOTHING = ""
-"""The letter of a step in which no object of the formula is reached."""
+"""The entry of a trace for a step in which no object of the formula is reached."""
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
     """The minimal complete deterministic automaton of a formula over finite traces.
 
-    A letter is a proposition of the formula, or `NOTHING`. States are numbered breadth-first from
-    the initial state 0, letters in their order. So two formulas with the same letters are
-    equivalent exactly if their arrays are equal.
+    In each step one proposition is true, or none (`NOTHING`). States are numbered breadth-first
+    from the initial state 0, propositions in their order. So two formulas with the same
+    propositions are equivalent exactly if their arrays are equal.
 
     Attributes:
         propositions: its propositions, in order of first appearance.
-        delta: (n_states, len(propositions) + 1) int32, the next state for each letter; the last
-            column is NOTHING.
+        delta: (n_states, len(propositions) + 1) int32, the next state for each proposition; the
+            last column is NOTHING.
         accepting: (n_states,) bool.
         steps_left: (n_states,) int32, the fewest objects to reach until acceptance; steps without
             an object are free. -1 if success is impossible.
@@ -60,15 +60,15 @@ class Automaton:
     def _column(self) -> dict[str, int]:
         return {name: k for k, name in enumerate(self.propositions)}
 
-    def step(self, state: int, letter: str | None) -> int:
-        """Return the state after one step; a letter outside the formula counts as NOTHING."""
-        return int(self.delta[state, self._column.get(letter or NOTHING, len(self.propositions))])
+    def step(self, state: int, proposition: str | None) -> int:
+        """Return the state after one step; a proposition outside the formula counts as NOTHING."""
+        return int(self.delta[state, self._column.get(proposition, len(self.propositions))])
 
     def run(self, trace: Sequence[str | None]) -> int:
         """Return the state after a trace."""
         state = 0
-        for letter in trace:
-            state = self.step(state, letter)
+        for proposition in trace:
+            state = self.step(state, proposition)
         return state
 
     def accepts(self, trace: Sequence[str | None]) -> bool:
@@ -81,19 +81,19 @@ class Automaton:
 
     @property
     def possible(self) -> tuple[str, ...]:
-        """The letters that may be reached in at least one state without making success impossible.
+        """The propositions that can be true in some step of a trace that fulfils the formula.
 
-        The other letters are only forbidden.
+        The others are only forbidden.
         """
         alive = [q for q in range(self.n_states) if not self.is_dead(q)]
         return tuple(
-            letter
-            for letter in self.propositions
-            if any(not self.is_dead(self.step(q, letter)) for q in alive)
+            name
+            for name in self.propositions
+            if any(not self.is_dead(self.step(q, name)) for q in alive)
         )
 
     def edges(self, state: int) -> Iterator[tuple[str, int]]:
-        """Return pairs of a letter and the next state, NOTHING last."""
+        """Return pairs of a proposition and the next state, NOTHING last."""
         return zip((*self.propositions, NOTHING), self.delta[state].tolist(), strict=True)
 
 
@@ -122,27 +122,27 @@ def compile_formula(
         (True, False)
     """
     budget = CompileBudget(max_states, max_steps)
-    letters = propositions(formula)
-    delta, accepting = COMPILERS[compiler](formula, letters, budget)
-    return Automaton(formula, letters, delta, accepting, steps_left(delta, accepting, budget))
+    names = propositions(formula)
+    delta, accepting = COMPILERS[compiler](formula, names, budget)
+    return Automaton(formula, names, delta, accepting, steps_left(delta, accepting, budget))
 
 
 def shortest_trace(
     first: Automaton, second: Automaton, wanted: Callable[[int, int], bool]
 ) -> tuple[str, ...] | None:
     """Return a shortest trace to a pair of states that `wanted` accepts; None if there is none."""
-    letters = (*dict.fromkeys((*first.propositions, *second.propositions)), NOTHING)
+    names = (*dict.fromkeys((*first.propositions, *second.propositions)), NOTHING)
     seen = {(0, 0)}
     queue: deque[tuple[int, int, tuple[str, ...]]] = deque([(0, 0, ())])
     while queue:
         s, t, trace = queue.popleft()
         if wanted(s, t):
             return trace
-        for letter in letters:
-            pair = first.step(s, letter), second.step(t, letter)
+        for name in names:
+            pair = first.step(s, name), second.step(t, name)
             if pair not in seen:
                 seen.add(pair)
-                queue.append((*pair, (*trace, letter)))
+                queue.append((*pair, (*trace, name)))
     return None
 
 

@@ -1,13 +1,14 @@
 """The compiler "own": builds a minimal automaton for each operator from its operands' automata.
 
-An automaton is a pair of delta (n, letters + 1) int32, NOTHING last, and accepting (n,) bool. It
-is complete, and state 0 is initial. ! inverts acceptance, & | -> <-> are products, X adds a state
-in front, and U is a subset construction. The other operators are rewritten:
+An automaton is a pair of delta (n, columns) int32, a column for each proposition and then NOTHING,
+and accepting (n,) bool. It is complete, and state 0 is initial. ! inverts acceptance, & | -> <->
+are products, X adds a state in front, and U is a subset construction. The other operators are
+rewritten:
 
     F b = true U b        G b = !F !b               WX a = !X !a
     a M b = b U (a & b)   a W b = !(!b U !(a | b))  a R b = !(!a U !b)
 
-F (p & g) = !p U (p & g) is used if p depends on the next letter only, and if g holds earlier
+F (p & g) = !p U (p & g) is used if p depends on the next step only, and if g holds earlier
 whenever it holds later (as F does). Then the first p decides, and subsets have one state.
 """
 
@@ -30,7 +31,7 @@ Key = tuple[str, tuple[int, ...], str]  # operator, numbers of its operands, pro
 MAX_NODES = 10_000
 # A NumPy call for one column takes as long as this number of cells.
 _CALL_CELLS = 500
-_PER_ALTERNATIVE = 16  # steps to advance one alternative by a letter
+_PER_ALTERNATIVE = 16  # steps to advance one alternative by a step
 
 _TABLES = {
     "&": np.logical_and,
@@ -40,12 +41,12 @@ _TABLES = {
 }
 
 
-def minimal_automaton(formula: Formula, letters: Sequence[str], budget: CompileBudget) -> Dfa:
-    """Return the minimal complete automaton of a formula over given letters and NOTHING.
+def minimal_automaton(formula: Formula, propositions: Sequence[str], budget: CompileBudget) -> Dfa:
+    """Return the minimal complete automaton of a formula over these propositions and NOTHING.
 
     Args:
         formula: the formula.
-        letters: distinct; they contain all propositions of the formula.
+        propositions: distinct; all of the formula, possibly more.
         budget: limits of the compilation.
 
     Returns:
@@ -56,14 +57,17 @@ def minimal_automaton(formula: Formula, letters: Sequence[str], budget: CompileB
     """
     nodes = _subformulas(formula, budget)
     uses = Counter(arg for _, args, _ in nodes for arg in args)
-    column = {name: k for k, name in enumerate(letters)}
+    column = {name: k for k, name in enumerate(propositions)}
     automata: dict[int, Dfa] = {}
     for number, (op, args, name) in enumerate(nodes):
         budget.spend(PER_NODE * (1 + len(args)))
         if op == "ap":
-            automata[number] = _letter_automaton(column[name], len(letters) + 1)
+            automata[number] = _proposition_automaton(column[name], len(propositions) + 1)
         elif not args:
-            automata[number] = np.zeros((1, len(letters) + 1), np.int32), np.array([op == "true"])
+            automata[number] = (
+                np.zeros((1, len(propositions) + 1), np.int32),
+                np.array([op == "true"]),
+            )
         else:
             automata[number] = _automaton_of(op, [automata[arg] for arg in args], budget)
         uses.subtract(args)
@@ -89,7 +93,7 @@ class _Nodes:
         self.keys: list[Key] = []
         self._numbers: dict[Key, int] = {}
         self._negated: dict[int, int] = {}
-        # Numbers of subformulas that depend on the next letter only, and of subformulas that hold
+        # Numbers of subformulas that depend on the next step only, and of subformulas that hold
         # earlier whenever they hold later; see the module.
         self._of_next: set[int] = set()
         self._early: set[int] = set()
@@ -146,10 +150,10 @@ class _Nodes:
         return number(f.op, *args, name=f.name)
 
 
-def _letter_automaton(letter: int, width: int) -> Dfa:
-    """Return the automaton of "the first letter is this one"."""
+def _proposition_automaton(column: int, width: int) -> Dfa:
+    """Return the automaton of a proposition: it is true in the first step."""
     delta = np.full((3, width), 2, np.int32)
-    delta[0, letter] = delta[1] = 1
+    delta[0, column] = delta[1] = 1
     return delta, np.array([False, True, False])
 
 
@@ -191,7 +195,7 @@ def _next(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Df
 
 
 def _product(op: str, a: Dfa, b: Dfa, budget: CompileBudget) -> Dfa:
-    """Return the reachable product of two automata over the same letters."""
+    """Return the reachable product of two automata over the same propositions."""
     (delta_a, accepts_a), (delta_b, accepts_b) = a, b
     width = len(delta_b)
     index = {0: 0}  # pair i * width + j of states of a and b → state of the product
@@ -238,9 +242,9 @@ class _Until:
         rows, accepting = [], []
         for waiting, alternatives in states:
             row = []
-            for letter in range(self._width):
+            for column in range(self._width):
                 self._budget.spend(_PER_ALTERNATIVE * (1 + len(alternatives)))
-                state = self._step(waiting, alternatives, letter)
+                state = self._step(waiting, alternatives, column)
                 if state not in index:
                     index[state] = len(states)
                     states.append(state)
@@ -251,23 +255,23 @@ class _Until:
         return np.array(rows, np.int32), np.array(accepting)
 
     def _step(
-        self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], letter: int
+        self, waiting: tuple[int, ...] | None, alternatives: Sequence[Alternative], column: int
     ) -> tuple[tuple[int, ...] | None, tuple[Alternative, ...]]:
-        """Return the state after a letter; see the class."""
-        # b may begin with this letter, unless it is too late.
+        """Return the state after the step of a column of delta; see the class."""
+        # b may begin with this step, unless it is too late.
         begun = [*alternatives] if waiting is None else [*alternatives, (waiting, 0)]
         moved: list[Alternative] = []
         for held, state in begun:
-            still, to = self._advance_held(held, letter), self._b[state][letter]
+            still, to = self._advance_held(held, column), self._b[state][column]
             if still is not None and to != self._b_none:
                 moved.append((still, to))
         if waiting is not None:
-            waiting = self._advance_held((*waiting, 0), letter)
+            waiting = self._advance_held((*waiting, 0), column)
         return waiting, self._widest(moved)
 
-    def _advance_held(self, states: Sequence[int], letter: int) -> tuple[int, ...] | None:
-        """Return the states of a after a letter; None if one of them can never accept."""
-        moved = sorted({self._a[state][letter] for state in states} - {self._a_all})
+    def _advance_held(self, states: Sequence[int], column: int) -> tuple[int, ...] | None:
+        """Return the states of a after a step; None if one of them can never accept."""
+        moved = sorted({self._a[state][column] for state in states} - {self._a_all})
         if self._a_none in moved:
             return None
         self._budget.spend(len(moved) ** 2)
@@ -343,7 +347,7 @@ class _Inclusion:
 def minimise(delta: np.ndarray, accepting: np.ndarray, budget: CompileBudget) -> Dfa:
     """Return the automaton with equivalent states merged by partition refinement (Moore).
 
-    Only reachable states stay; they are numbered breadth-first, letters in their order.
+    Only reachable states stay; they are numbered breadth-first, propositions in their order.
     """
     n = len(delta)
     # Number of each state's block, and the number of blocks: first one or two, by acceptance.

@@ -52,7 +52,7 @@ def available() -> bool:
 
 
 def minimal_automaton_by_spot(
-    formula: Formula, letters: Sequence[str], budget: CompileBudget
+    formula: Formula, propositions: Sequence[str], budget: CompileBudget
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the automaton, like `edge.mission.logic.compiler.minimal_automaton`, computed by Spot.
 
@@ -72,9 +72,9 @@ def minimal_automaton_by_spot(
             "choose 'own'"
         )
     spot, buddy = (importlib.import_module(name) for name in _NEEDED)
-    embedded = spot.from_ltlf(spot.formula(_text(formula, letters)), _ALIVE)
+    embedded = spot.from_ltlf(spot.formula(_text(formula, propositions)), _ALIVE)
     finite = spot.to_finite(spot.translate(embedded, "buchi", "sbacc", "deterministic"), _ALIVE)
-    steps = _step_conditions(finite, buddy, len(letters))
+    steps = _step_conditions(finite, buddy, len(propositions))
     rows, accepting = _determinise(finite, steps, buddy.bddfalse, budget)
     # The empty trace may differ from other traces that lead to the initial state. So a copy of the
     # initial state comes first, and all numbers grow by 1.
@@ -86,7 +86,7 @@ def minimal_automaton_by_spot(
 def _determinise(
     automaton, steps: list, impossible, budget: CompileBudget
 ) -> tuple[list[list[int]], list[bool]]:
-    """Return the subset construction over letters; a deterministic input keeps its states."""
+    """Return the subset construction; a deterministic input keeps its states."""
     states = [frozenset({automaton.get_init_state_number()})]
     index = {states[0]: 0}
     rows: list[list[int]] = []
@@ -109,14 +109,14 @@ def _determinise(
     return rows, accepting
 
 
-def _step_conditions(automaton, buddy: ModuleType, n_letters: int) -> list:
-    """Return for each letter, NOTHING last, the values of all propositions in that step."""
-    variables = [automaton.register_ap(f"p{k}") for k in range(n_letters)]
+def _step_conditions(automaton, buddy: ModuleType, n_propositions: int) -> list:
+    """Return Spot's condition of each step: one proposition is true, or none (last)."""
+    variables = [automaton.register_ap(f"p{k}") for k in range(n_propositions)]
     steps = []
-    for letter in range(n_letters + 1):
+    for true_one in range(n_propositions + 1):
         values = buddy.bddtrue
         for k, variable in enumerate(variables):
-            literal = buddy.bdd_ithvar if k == letter else buddy.bdd_nithvar
+            literal = buddy.bdd_ithvar if k == true_one else buddy.bdd_nithvar
             values = values & literal(variable)
         steps.append(values)
     return steps
@@ -140,9 +140,9 @@ def _accepts_empty_trace(formula: Formula) -> bool:
     return truth[id(formula)]
 
 
-def _text(formula: Formula, letters: Sequence[str]) -> str:
+def _text(formula: Formula, propositions: Sequence[str]) -> str:
     """Return the formula in Spot's syntax: propositions p0, p1 …, each operand in parentheses."""
-    number = {name: k for k, name in enumerate(letters)}
+    number = {name: k for k, name in enumerate(propositions)}
     out: list[str] = []
     todo: list[Formula | str] = [formula]
     while todo:

@@ -6,18 +6,17 @@ import numpy as np
 
 from edge.config import PlannerInOrder, PlannerVitl
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, letter_text
+from edge.mission.planning.plan import ACCEPTED, DEAD, MissionKnowledge, TargetPlan, step_text
 from edge.mission.planning.vitl import VitlPlanner
 
 
 class InOrderPlanner:
-    """Planner that takes the first letter that changes the state and keeps success possible.
+    """Planner that takes the first proposition that changes the state and keeps success possible.
 
-    A letter is a proposition of the formula, or `NOTHING`. A state is hopeful if acceptance can be
-    reached from it without a failed object; all planned steps lead to hopeful states. So the plan
-    respects the constraints of the mission. It ignores detections and distances: a
-    comparison with it shows their value. It may loop if the automaton leads back to an earlier
-    state.
+    `NOTHING` comes after all propositions. A state is hopeful if acceptance can be reached from it
+    without a failed object; all planned steps lead to hopeful states. So the plan respects the
+    constraints of the mission. It ignores detections and distances: a comparison with it shows
+    their value. It may loop if the automaton leads back to an earlier state.
     """
 
     def __init__(self, config: PlannerInOrder, automaton: Automaton) -> None:
@@ -40,11 +39,10 @@ class InOrderPlanner:
         seen: set[int] = set()
         while not a.accepting[state] and state not in seen:
             seen.add(state)
-            letter = self._first_letter(state, hopeful, knowledge.failed)
-            steps.append(letter)
-            state = a.step(state, letter)
+            steps.append(self._first_step(state, hopeful, knowledge.failed))
+            state = a.step(state, steps[-1])
         cost, first = float(len(steps)), steps[0]
-        reason = f"{letter_text(first)} is the first in the sentence that is possible now"
+        reason = f"{step_text(first)} is the first in the sentence that is possible now"
         return TargetPlan(
             target=first or None,
             steps=tuple(steps),
@@ -55,18 +53,18 @@ class InOrderPlanner:
             options=((first, cost),),
         )
 
-    def _first_letter(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
-        """Return the first letter of the formula that leads to another hopeful state."""
-        for letter in (*self.automaton.propositions, NOTHING):
-            after = self.automaton.step(state, letter)
-            if letter not in failed and after != state and hopeful[after]:
-                return letter
+    def _first_step(self, state: int, hopeful: np.ndarray, failed: frozenset[str]) -> str:
+        """Return the first step that leads to another hopeful state."""
+        for proposition in (*self.automaton.propositions, NOTHING):
+            after = self.automaton.step(state, proposition)
+            if proposition not in failed and after != state and hopeful[after]:
+                return proposition
         raise AssertionError("a bug in edge: no step leads on from a state that can still succeed")
 
     def _hopeful_states(self, failed: frozenset[str]) -> np.ndarray:
         """Return (n,) bool: states from which acceptance needs no failed object."""
         a = self.automaton
-        usable = [i for i, letter in enumerate((*a.propositions, NOTHING)) if letter not in failed]
+        usable = [i for i, name in enumerate((*a.propositions, NOTHING)) if name not in failed]
         hopeful = a.accepting.copy()
         while True:
             more = hopeful | hopeful[a.delta[:, usable]].any(axis=1)

@@ -13,13 +13,13 @@ from edge.mission.logic.automaton import NOTHING
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissionKnowledge:
-    """The sets of ViTL IV-A2, by letter of the automaton; unknown names are ignored.
+    """The sets D, R and B of ViTL IV-A2, of propositions; unknown names are ignored.
 
     Attributes:
         detected: D, detected and not reached yet.
-        failed: B, abandoned. Takes precedence if a letter is in another set too.
-        distance_m: (k + 1, k) float64, driving distance in metres from letter i (row k: from the
-            robot) to letter j; inf or NaN if unknown. Only used with distances as weights.
+        failed: B, abandoned. Takes precedence if a proposition is in another set too.
+        distance_m: (k + 1, k) float64, driving distance in metres from object i (row k: from the
+            robot) to object j; inf or NaN if unknown. Only used with distances as weights.
     """
 
     detected: frozenset[str] = frozenset()
@@ -35,13 +35,14 @@ class TargetPlan:
     Attributes:
         target: the next object; None if accepted, if infeasible, or if the first step reaches no
             object of the formula.
-        steps: letters along the path, possibly `NOTHING` (""); () if accepted or infeasible.
+        steps: the trace along the path; `NOTHING` ("") is a step that reaches no object. () if
+            accepted or infeasible.
         cost: the sum of eq. 2; inf if infeasible.
         feasible: True if acceptance can be reached without a failed object.
         blocked_by: failed objects on the shortest path to acceptance; () if feasible, or if
             success is impossible in any case.
-        options: (first letter, cost of the best path that begins with it), cheapest first.
-            Letters that lead to a dead state or change nothing are left out.
+        options: (first proposition, cost of the best path that begins with it), cheapest first.
+            Those that lead to a dead state or change nothing are left out.
     """
 
     target: str | None
@@ -56,8 +57,8 @@ class TargetPlan:
 class Planner(Protocol):
     """Interface that chooses the next object.
 
-    Ties go to the path with the fewest steps, then to the current target, then to the letter that
-    comes first in the formula.
+    Ties go to the path with the fewest steps, then to the current target, then to the proposition
+    that comes first in the formula.
     """
 
     def plan(
@@ -92,17 +93,17 @@ _OTHER_PHRASES = {**_TARGET_PHRASES, "unknown": "{} would have to be found", "no
 _SAME_COST = 1e-9  # costs that differ by less are equal
 
 
-def letter_text(letter: str) -> str:
-    """Return the letter, or a phrase for the step that reaches nothing."""
-    return "a step with none of the objects" if letter == NOTHING else letter
+def step_text(reached: str) -> str:
+    """Return the name of the reached object, or a phrase for the step that reaches nothing."""
+    return "a step with none of the objects" if reached == NOTHING else reached
 
 
-def status(letter: str, knowledge: MissionKnowledge) -> str:
-    """Return the state of a letter, as a key of `_TARGET_PHRASES`."""
-    if letter == NOTHING:
+def status(proposition: str, knowledge: MissionKnowledge) -> str:
+    """Return the state of a proposition, as a key of `_TARGET_PHRASES`."""
+    if proposition == NOTHING:
         return "nothing"
     for key in ("failed", "detected", "reached"):
-        if letter in getattr(knowledge, key):
+        if proposition in getattr(knowledge, key):
             return "seen" if key == "detected" else key
     return "unknown"
 
@@ -116,7 +117,7 @@ def explain(
     """Return the status and cost of the target, and the best other choice, in one line.
 
     Args:
-        target: the chosen letter.
+        target: the chosen proposition.
         options: see `TargetPlan.options`.
         knowledge: see `MissionKnowledge`.
         text: formats a cost.
@@ -126,23 +127,23 @@ def explain(
     'sofa was seen: 1.01 to the end; chair would have to be found: 2.00'
     """
     cost = dict(options)
-    words = _TARGET_PHRASES[status(target, knowledge)].format(letter_text(target))
+    words = _TARGET_PHRASES[status(target, knowledge)].format(step_text(target))
     words = f"{words}: {text(cost[target])} to the end"
-    second = next((letter for letter, _ in options if letter != target), None)
+    second = next((name for name, _ in options if name != target), None)
     if second is None:
         return f"{words}; nothing else can come first"
     kind = status(second, knowledge)
-    other = _OTHER_PHRASES[kind].format(letter_text(second))
+    other = _OTHER_PHRASES[kind].format(step_text(second))
     if kind == "failed":
         return f"{words}; {other}"
     if abs(cost[second] - cost[target]) < _SAME_COST:
-        return f"{words}; {letter_text(second)} first would cost the same"
+        return f"{words}; {step_text(second)} first would cost the same"
     return f"{words}; {other}: {text(cost[second])}"
 
 
 def explain_hysteresis(current: str, best: str, gain: str, margin: str) -> str:
     """Return why the current target is kept although another one is slightly better."""
-    return f"{current} is kept: {letter_text(best)} first would save {gain}, not more than {margin}"
+    return f"{current} is kept: {step_text(best)} first would save {gain}, not more than {margin}"
 
 
 def explain_blocked(needed: Sequence[str]) -> str:

@@ -1,10 +1,11 @@
 """Numba kernels for shortest paths over the transition table of an automaton.
 
 A node is a pair of automaton state and place. With constant weights there is one place. With
-distances there are k + 1: one for each letter (the robot is at that object), and the last one for
-the robot's current position. Costs are integers, so ties are exact and sums do not depend on order.
+distances there are k + 1: one for each object (the robot is there), and the last one for the
+robot's current position. Costs are integers, so ties are exact and sums do not depend on order.
 
-Names in the kernels: s and t are states, c is a letter, p and q are places; t and q come after c.
+Names in the kernels: s and t are states, p and q are places, and c is a column of `delta` (an
+object of the formula, or nothing); t and q come after c.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ UNREACHABLE = np.int64(2**63 - 1)
 
 
 @jit
-def _place_after(letter, place, n_places, nothing):
+def _place_after(c, place, n_places, nothing):
     """Return the robot's place after a step; a step that reaches nothing does not move it."""
-    return place if letter == nothing else min(letter, n_places - 1)
+    return place if c == nothing else min(c, n_places - 1)
 
 
 @jit
@@ -37,11 +38,11 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
         delta: (n, k + 1) int32; the last column is the step that reaches nothing.
         accepting: (n,) bool.
         order: (m,) int32, states that are neither accepting nor dead.
-        weight: (k + 1, places) int64, at least 0, of each letter from each place.
+        weight: (k + 1, places) int64, at least 0, of each column from each place.
         cost: (n, places) int64 output; UNREACHABLE if there is no path.
         steps: (n, places) int32 output, steps of the best path.
     """
-    n_letters, n_places = weight.shape
+    n_columns, n_places = weight.shape
     for s in range(delta.shape[0]):
         for p in range(n_places):
             cost[s, p] = 0 if accepting[s] else UNREACHABLE
@@ -50,12 +51,12 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
     while changed:
         changed = False
         for s in order:
-            for c in range(n_letters):
+            for c in range(n_columns):
                 t = delta[s, c]
                 if t == s:
                     continue
                 for p in range(n_places):
-                    q = _place_after(c, p, n_places, n_letters - 1)
+                    q = _place_after(c, p, n_places, n_columns - 1)
                     ahead, n_steps = cost[t, q], steps[t, q] + 1
                     if ahead == UNREACHABLE:
                         continue
@@ -67,7 +68,7 @@ def cost_to_go(delta, accepting, order, weight, cost, steps):
 
 @jit
 def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_steps):
-    """Write cost and steps of the best path that begins with each letter.
+    """Write cost and steps of the best path that begins with each column.
 
     Args:
         delta: see `cost_to_go`.
@@ -76,13 +77,13 @@ def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_ste
         steps: output of `cost_to_go`.
         state: state of the automaton.
         place: place of the robot.
-        out_cost: (k + 1,) int64 output; UNREACHABLE if a letter leads nowhere or keeps the state.
+        out_cost: (k + 1,) int64 output; UNREACHABLE if a step leads nowhere or keeps the state.
         out_steps: (k + 1,) int32 output.
     """
-    n_letters, n_places = weight.shape
-    for c in range(n_letters):
+    n_columns, n_places = weight.shape
+    for c in range(n_columns):
         t = delta[state, c]
-        q = _place_after(c, place, n_places, n_letters - 1)
+        q = _place_after(c, place, n_places, n_columns - 1)
         out_cost[c], out_steps[c] = UNREACHABLE, 0
         if t != state and cost[t, q] != UNREACHABLE:
             out_cost[c], out_steps[c] = weight[c, place] + cost[t, q], steps[t, q] + 1
@@ -90,7 +91,7 @@ def first_step_costs(delta, weight, cost, steps, state, place, out_cost, out_ste
 
 @jit
 def follow(delta, accepting, weight, cost, steps, state, place, first, path):
-    """Write the best path that begins with the letter `first`; ties go to the first letter.
+    """Write the best path that begins with the column `first`; ties go to the first column.
 
     Args:
         delta: see `cost_to_go`.
@@ -100,29 +101,29 @@ def follow(delta, accepting, weight, cost, steps, state, place, first, path):
         steps: output of `cost_to_go`.
         state: state of the automaton.
         place: place of the robot.
-        first: number of the first letter.
-        path: int32 output, numbers of the letters.
+        first: the first column.
+        path: int32 output, columns.
 
     Returns:
         Length of the path.
     """
-    n_letters, n_places = weight.shape
-    letter, length = first, 0
+    n_columns, n_places = weight.shape
+    column, length = first, 0
     while True:
-        path[length] = letter
+        path[length] = column
         length += 1
-        place = _place_after(letter, place, n_places, n_letters - 1)
-        state = delta[state, letter]
+        place = _place_after(column, place, n_places, n_columns - 1)
+        state = delta[state, column]
         if accepting[state]:
             return length
-        for c in range(n_letters):
+        for c in range(n_columns):
             t = delta[state, c]
-            q = _place_after(c, place, n_places, n_letters - 1)
+            q = _place_after(c, place, n_places, n_columns - 1)
             if (
                 t != state
                 and cost[t, q] != UNREACHABLE
                 and weight[c, place] + cost[t, q] == cost[state, place]
                 and steps[t, q] + 1 == steps[state, place]
             ):
-                letter = c
+                column = c
                 break

@@ -34,7 +34,7 @@ W_NOTHING = 1e-6
 class VitlPlanner:
     """Shortest-path planner (eq. 2) with constant weights (eq. 1) or driving distances.
 
-    Constant weights: a letter weighs `W_DET` if its object was detected, else 1. A failed one
+    Constant weights: a proposition weighs `W_DET` if its object was detected, else 1. A failed one
     weighs more than any path without it. So a plan contains a failed edge only if every path does
     (the paper's "sum >= w_fail", for paths of any length). Weights are multiples of 1e-6.
 
@@ -44,7 +44,7 @@ class VitlPlanner:
     `EXPLORE_M` and its distance from the robot. The current target is kept unless another path is
     better by more than `REPLAN_MARGIN_M`. With constant weights the target changes at once.
 
-    Letters that keep the state are never planned. The planner reuses its buffers: use it from one
+    Steps that keep the state are never planned. The planner reuses its buffers: use it from one
     thread at a time.
     """
 
@@ -72,7 +72,7 @@ class VitlPlanner:
         """Return the plan; see `Planner.plan`.
 
         Raises:
-            ValueError: `distance_m` does not fit the number of letters.
+            ValueError: `distance_m` does not fit the number of propositions.
         """
         a = self.automaton
         if a.accepting[state]:
@@ -87,7 +87,7 @@ class VitlPlanner:
         )  # fmt: skip
         cost, steps = self._first_cost.tolist(), self._first_steps.tolist()
         names = (*a.propositions, NOTHING)
-        # Columns of the letters, best first.
+        # Columns of `delta`, best first.
         ranked = sorted(
             (c for c in range(len(names)) if cost[c] != kernels.UNREACHABLE),
             key=lambda c: (cost[c], steps[c], names[c] != current),
@@ -97,7 +97,7 @@ class VitlPlanner:
         if cost[best] >= kernels.FAILED:
             return self._blocked_plan(self._follow(best, state), knowledge, options)
         if self._by_distance and names[best] != current:
-            first = self._letter_to_pursue(ranked, cost, current)
+            first = self._column_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
         if first == best:
             reason = explain(path[0], options, knowledge, self._cost_text)
@@ -120,18 +120,18 @@ class VitlPlanner:
         reason = explain_blocked(needed)
         return TargetPlan(None, (), math.inf, False, needed, reason, options)
 
-    def _letter_to_pursue(self, ranked: list[int], cost: list[int], current: str | None) -> int:
-        """Return the current target's letter if it is within the margin, else the best letter."""
+    def _column_to_pursue(self, ranked: list[int], cost: list[int], current: str | None) -> int:
+        """Return the current target's column if it is within the margin, else the best one."""
         limit = cost[ranked[0]] + round(REPLAN_MARGIN_M * kernels.SCALE)
-        letters = self.automaton.propositions
-        if current in letters:
-            c = letters.index(current)
+        names = self.automaton.propositions
+        if current in names:
+            c = names.index(current)
             if c in ranked and cost[c] <= min(limit, int(kernels.FAILED) - 1):
                 return c
         return ranked[0]
 
     def _follow(self, first: int, state: int) -> tuple[str, ...]:
-        """Return the letters of the best path that begins with the letter number `first`."""
+        """Return the best trace that begins with column `first` of `delta`."""
         a = self.automaton
         length = kernels.follow(
             a.delta, a.accepting, self._weight, self._cost, self._steps, state, self._robot_place,
@@ -150,28 +150,28 @@ class VitlPlanner:
 
     def _weigh(self, knowledge: MissionKnowledge) -> None:
         """Write the weights (eq. 1, or metres) to `_weight`."""
-        letters, weight = self.automaton.propositions, self._weight
+        names, weight = self.automaton.propositions, self._weight
         # Unlike eq. 1, a reached object weighs as a detected one, because its place is known.
         known = knowledge.detected | knowledge.reached
         if self._by_distance:
-            metres = _weights_m(knowledge.distance_m, [x in known for x in letters])
+            metres = _weights_m(knowledge.distance_m, [x in known for x in names])
             weight[:-1] = np.minimum(np.rint(metres.T * kernels.SCALE), self._heaviest)
         else:
             near, far = (min(max(round(w * kernels.SCALE), 1), self._heaviest)
                          for w in (W_DET, 1.0))  # fmt: skip
-            weight[:-1, 0] = [near if x in known else far for x in letters]
-        for i, letter in enumerate(letters):
-            if letter in knowledge.failed:
+            weight[:-1, 0] = [near if x in known else far for x in names]
+        for i, name in enumerate(names):
+            if name in knowledge.failed:
                 weight[i] = kernels.FAILED
         weight[-1] = round(W_NOTHING * kernels.SCALE)
 
 
 def _weights_m(distance_m: np.ndarray | None, known: list[bool]) -> np.ndarray:
-    """Return the weight in metres of each letter from each place; see `VitlPlanner`.
+    """Return the weight in metres of each object from each place; see `VitlPlanner`.
 
     Args:
         distance_m: see `MissionKnowledge.distance_m`; None if no distance is known.
-        known: True for each letter whose object is known.
+        known: True for each object that is known.
 
     Returns:
         (k + 1, k) float64.

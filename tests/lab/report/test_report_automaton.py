@@ -63,8 +63,8 @@ def automata(draw: st.DrawFn) -> Automaton:
     left = np.where(accepting, 0, 1000)
     for _ in range(n):
         left = np.minimum(left, left[delta].min(axis=1) + 1)
-    letters = tuple("abcd"[:k])
-    return Automaton(parse("true"), letters, delta, accepting, np.where(left > n, -1, left))
+    propositions = tuple("abcd"[:k])
+    return Automaton(parse("true"), propositions, delta, accepting, np.where(left > n, -1, left))
 
 
 def draw_svg(*shown) -> bytes:
@@ -93,15 +93,15 @@ def test_the_titles_say_all_that_the_automaton_does(automaton):
     scene = make_automaton_graph(automaton)
     steps: dict[int, dict[str, int]] = defaultdict(dict)
     for arrow in scene.arrows:
-        source, target, letters = re.fullmatch(r"(\d+) to (\d+): (.*)", arrow.title).groups()
-        steps[int(source)].update(dict.fromkeys(letters.split(", "), int(target)))
+        source, target, propositions = re.fullmatch(r"(\d+) to (\d+): (.*)", arrow.title).groups()
+        steps[int(source)].update(dict.fromkeys(propositions.split(", "), int(target)))
     for node in scene.nodes:
         if node.dead:
             continue
         fatal = re.search(r"; not ([a-d, nothing]+)", node.title)
         lost = set(fatal.group(1).split(", ")) if fatal else set()
-        for letter, to in automaton.edges(node.state):
-            word = letter or "nothing"
+        for proposition, to in automaton.edges(node.state):
+            word = proposition or "nothing"
             if word in lost:
                 assert automaton.is_dead(to)
                 assert word not in steps[node.state]
@@ -145,9 +145,9 @@ def test_a_large_automaton_is_drawn_in_part(n, reached):
 def test_a_dense_automaton_is_drawn_with_few_arrows(n, k, ahead):
     delta = np.random.default_rng(n).integers(0, n, (n, k + 1)).astype(np.int32)
     accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
-    letters = tuple(f"thing {i}" for i in range(k))
-    dense = Automaton(parse("true"), letters, delta, accepting, left)
-    scene = make_automaton_graph(dense, 3, letters[:ahead], letters[:ahead])
+    propositions = tuple(f"thing {i}" for i in range(k))
+    dense = Automaton(parse("true"), propositions, delta, accepting, left)
+    scene = make_automaton_graph(dense, 3, propositions[:ahead], propositions[:ahead])
     assert 5 < len(scene.nodes) <= MAX_PART
     assert len(scene.arrows) <= MAX_ARROWS
     assert any(node.current for node in scene.nodes)

@@ -48,9 +48,9 @@ def test_important_steps_are_highlighted(long_run):
 
 @pytest.mark.parametrize(("name", "n"), [(BAD, 40), ("x" * 190, 1), ("$a^ \\frac", 1)])
 def test_any_names_and_many(run, name, n):
-    letters = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
-    steps = [(0.5 * k, "target", letter.strip('"'), BAD) for k, letter in enumerate(letters)]
-    told = story_of(f"F({' | '.join(letters)}) & F tv", (), steps, BAD * 300)
+    quoted = [f'"{name.replace(chr(34), chr(39))} {k}"' for k in range(n)]
+    steps = [(0.5 * k, "target", target.strip('"'), BAD) for k, target in enumerate(quoted)]
+    told = story_of(f"F({' | '.join(quoted)}) & F tv", (), steps, BAD * 300)
     record = replace(run, mission_facts=told, targets=told.spec.automaton.propositions)
     text = page.html(record, picture.png(record))
     reader = Reader(text)

@@ -48,7 +48,7 @@ COMPLETE, VIOLATED, GAVE_UP, OUT_OF_ATTEMPTS = range(len(OUTCOMES))
 class PlanningProblem:
     """A task's automaton, extended to all objects of its world.
 
-    The automaton is delexicalised: its propositions are letters in place of objects' names.
+    The automaton is delexicalised: its propositions are a, b, … in place of the objects' names.
 
     Attributes:
         automaton: over the objects that the formula names.
@@ -68,11 +68,11 @@ class PlanningProblem:
     @classmethod
     def of(cls, automaton: Automaton, others: int) -> PlanningProblem:
         """Build the problem of an automaton in a world with `others` unnamed objects."""
-        n_letters = len(automaton.propositions)
-        by_letter, nothing = automaton.delta[:, :n_letters], automaton.delta[:, n_letters:]
-        moves = np.hstack([by_letter, np.repeat(nothing, others, axis=1), nothing])
+        n_named = len(automaton.propositions)
+        by_object, nothing = automaton.delta[:, :n_named], automaton.delta[:, n_named:]
+        moves = np.hstack([by_object, np.repeat(nothing, others, axis=1), nothing])
         return cls(
-            automaton, n_letters, n_letters + others, moves,
+            automaton, n_named, n_named + others, moves,
             automaton.accepting, automaton.steps_left,
         )  # fmt: skip
 

@@ -24,31 +24,31 @@ CASE_2 = (
 class Exploration:
     """The executor of ViTL V-C as a Markov decision process, written out.
 
-    A node is (state, known letters, objects outside the formula that were not met).
+    A node is (state, known propositions, objects outside the formula that were not met).
     """
 
     def __init__(self, automaton, p_obs, extra=0):
         self.a, self.p_obs = automaton, p_obs
-        self.letters = automaton.propositions
+        self.propositions = automaton.propositions
         subsets = chain.from_iterable(
-            combinations(self.letters, r) for r in range(len(self.letters) + 1)
+            combinations(self.propositions, r) for r in range(len(self.propositions) + 1)
         )
         known = [frozenset(x) for x in subsets]
         self.nodes = [
             (s, k, e) for s in range(automaton.n_states) for k in known for e in range(extra + 1)
         ]
 
-    def outcomes(self, node, letter):
+    def outcomes(self, node, proposition):
         """(cost, [(probability, next node)])."""
         s, known, extra = node
-        after = self.a.step(s, letter)
-        if letter == NOTHING:
+        after = self.a.step(s, proposition)
+        if proposition == NOTHING:
             return 1e-6, [(1.0, (after, known, extra))]
-        if letter in known:
+        if proposition in known:
             return 1e-5, [(1.0, (after, known, extra))]
-        others = [x for x in self.letters if x not in known and x != letter]
+        others = [x for x in self.propositions if x not in known and x != proposition]
         n = len(others) + extra
-        out = [(self.p_obs, (after, known | {letter}, extra))]
+        out = [(self.p_obs, (after, known | {proposition}, extra))]
         if n == 0:
             return 1.0, [*out, (1 - self.p_obs, node)]
         out += [((1 - self.p_obs) / n, (s, known | {x}, extra)) for x in others]
@@ -72,7 +72,7 @@ class Exploration:
         policy = {}
         for node in self.nodes:
             s = node[0]
-            steps = [(self._left(self.a.step(s, x)), x) for x in (*self.letters, NOTHING)]
+            steps = [(self._left(self.a.step(s, x)), x) for x in (*self.propositions, NOTHING)]
             if not self.a.accepting[s] and self._left(s) < math.inf:
                 policy[node] = min(steps)[1]
         while policy:
@@ -80,7 +80,7 @@ class Exploration:
             better = dict(policy)
             for node in policy:
                 best = value[node] - 1e-9
-                for x in (*self.letters, NOTHING):
+                for x in (*self.propositions, NOTHING):
                     q = self.cost(node, x, value)
                     if q < best:
                         best, better[node] = q, x
@@ -89,9 +89,9 @@ class Exploration:
             policy = better
         return {}
 
-    def cost(self, node, letter, value):
+    def cost(self, node, proposition, value):
         """Return the expected cost of one step and then of `value`; inf for a dead end."""
-        cost, outcomes = self.outcomes(node, letter)
+        cost, outcomes = self.outcomes(node, proposition)
         return cost + sum(
             p * (0.0 if self.a.accepting[after[0]] else value.get(after, math.inf))
             for p, after in outcomes
@@ -104,7 +104,7 @@ class Exploration:
             graph = nx.DiGraph()
             graph.add_nodes_from(range(self.a.n_states))
             for s in range(self.a.n_states):
-                graph.add_edges_from((self.a.step(s, x), s) for x in (*self.letters, NOTHING))
+                graph.add_edges_from((self.a.step(s, x), s) for x in (*self.propositions, NOTHING))
             goals = set(np.flatnonzero(self.a.accepting).tolist())
             self._steps = (
                 nx.multi_source_dijkstra_path_length(graph, goals, weight=None) if goals else {}
@@ -124,9 +124,9 @@ def test_nothing_to_go_to(text, best):
 def test_searching_for_another_object_can_be_the_better_choice():
     """At p_obs = 0.1 the tv's attempt, which serves nothing else, shows the chair 9 times of 10."""
     problem = problem_of("F chair & (F tv | true)")
-    letters = problem.automaton.propositions
-    assert letters[Optimum(problem, 0.1).choose(PlannerInput(0))] == "tv"
-    assert letters[Optimum(problem, 0.5).choose(PlannerInput(0))] == "chair"
+    propositions = problem.automaton.propositions
+    assert propositions[Optimum(problem, 0.1).choose(PlannerInput(0))] == "tv"
+    assert propositions[Optimum(problem, 0.5).choose(PlannerInput(0))] == "chair"
 
 
 @pytest.mark.parametrize(
@@ -143,10 +143,10 @@ def test_searching_for_another_object_can_be_the_better_choice():
 )  # fmt: skip
 def test_optimal_costs_agree_with_policy_iteration(text, others, p_obs):
     problem = problem_of(text, others)
-    letters = problem.automaton.propositions
+    propositions = problem.automaton.propositions
     found = Optimum(problem, p_obs).value
     exact = Exploration(problem.automaton, p_obs, others).optimum()
     assert len(exact) > 0 or problem.accepting[0]
     for (state, known, extra), cost in exact.items():
-        place = sum(1 << letters.index(x) for x in known), extra, state
+        place = sum(1 << propositions.index(x) for x in known), extra, state
         assert found[place] == pytest.approx(cost, abs=1e-6)
