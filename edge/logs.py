@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--log-level",
         choices=LEVELS,
         default="info",
-        help="log messages of this level and of more severe levels (default: info)",
+        help="log messages of this level and of more severe levels",
     )
     parser.add_argument(
         "--log-json",

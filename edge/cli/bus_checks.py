@@ -19,14 +19,12 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
     """Check that Zenoh can send a message on this machine."""
     version = metadata.version("eclipse-zenoh")
     took_ms = loopback_ms(LOOPBACK_S)
+    message = f"Zenoh {version}: {'a' if took_ms else 'no'} test message over TCP on 127.0.0.1"
     if took_ms is not None:
-        yield ok(f"Zenoh {version}: a test message over TCP on 127.0.0.1 took {took_ms:.0f} ms")
+        yield ok(f"{message} took {took_ms:.0f} ms")
     else:
         todo = "allow TCP on 127.0.0.1: check sandbox and firewall, run `ip link set lo up`"
-        yield fail(
-            f"Zenoh {version}: no test message over TCP on 127.0.0.1 came within {LOOPBACK_S:g} s",
-            todo,
-        )
+        yield fail(f"{message} came within {LOOPBACK_S:g} s", todo)
 
 
 def loopback_ms(limit_s: float) -> float | None:
@@ -58,19 +56,16 @@ def check_endpoint(config: Config) -> Iterator[Finding]:
     """Check that the service can listen at `zenoh.endpoint`."""
     from edge.bus.session import BusError, open_session
 
+    address = config.zenoh.address
     if config.zenoh.mode == "client":
-        yield ok(
-            f"the service will connect to a Zenoh router at {config.zenoh.address} (not tried)"
-        )
+        yield ok(f"the service will connect to a Zenoh router at {address} (not tried)")
         return
     try:
         open_session(config.zenoh, "listen").close()
     except BusError as error:
-        yield warn(
-            f"the service cannot listen at {config.zenoh.address} (zenoh.endpoint)", str(error)
-        )
+        yield warn(f"the service cannot listen at {address} (zenoh.endpoint)", str(error))
     else:
-        yield ok(f"the service can listen at {config.zenoh.address}")
+        yield ok(f"the service can listen at {address}")
 
 
 def check_access(config: Config) -> Iterator[Finding]:

@@ -12,28 +12,9 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import util
 
-from edge.cli.bus_checks import check_access, check_endpoint, check_zenoh
+from edge.cli import bus_checks, machine_checks, model_checks
 from edge.cli.findings import Check, Finding, Level, fail, finding_of, ok
 from edge.cli.live_checks import check_live_sensors
-from edge.cli.machine_checks import (
-    check_cache,
-    check_cores,
-    check_jetson,
-    check_numba,
-    check_opencv,
-    check_packages,
-    check_python,
-    check_shared_memory,
-    check_speed,
-    check_stop,
-)
-from edge.cli.model_checks import (
-    check_models,
-    check_onnxruntime,
-    check_scorers,
-    check_tensorrt,
-    check_vocabulary,
-)
 from edge.cli.preflight import CLASSES
 from edge.config import Config, load
 from edge.errors import UserError
@@ -67,9 +48,8 @@ def examine(config: Config) -> list[Finding]:
         except Exception as error:
             name = check.__name__.removeprefix("check_").replace("_", " ")
             reason = one_line(f"{type(error).__name__}: {error}")
-            findings.append(
-                fail(f"check of {name} crashed: {reason}", "please report this bug of edge")
-            )
+            todo = "please report this bug of edge"
+            findings.append(fail(f"check of {name} crashed: {reason}", todo))
     return list(dict.fromkeys(findings))  # several checks may find the same problem
 
 
@@ -123,9 +103,8 @@ def check_tasks(config: Config) -> Iterator[Finding]:
         level_if_missing: Level = "fail" if config.tasks.planner.kind == "model" else "warn"
         yield finding_of(error, level_if_missing)
     else:
-        yield ok(
-            f"tasks: pydantic-monty {version} can run the scripts that a language model writes"
-        )
+        can = "can run the scripts that a language model writes"
+        yield ok(f"tasks: pydantic-monty {version} {can}")
 
 
 def check_worlds(config: Config) -> Iterator[Finding]:
@@ -136,35 +115,17 @@ def check_worlds(config: Config) -> Iterator[Finding]:
         yield ok("textured worlds: trimesh, pillow and embreex are installed")
         return
     level_if_missing: Level = "fail" if config.sim.world.kind == "mesh" else "warn"
+    what = f"textured worlds cannot be simulated: not installed: {', '.join(missing)}"
     todo = "pip install 'edge-vln[worlds]' (embreex: x86_64 only)"
-    yield Finding(
-        level_if_missing,
-        f"textured worlds cannot be simulated: not installed: {', '.join(missing)}",
-        todo,
-    )
+    yield Finding(level_if_missing, what, todo)
 
 
 CHECKS: tuple[Check, ...] = (
-    check_python,
-    check_packages,
-    check_opencv,
-    check_cores,
-    check_speed,
-    check_jetson,
-    check_shared_memory,
-    check_cache,
-    check_stop,
-    check_numba,
-    check_zenoh,
-    check_endpoint,
-    check_access,
-    check_onnxruntime,
-    check_tensorrt,
-    check_classes,
-    check_models,
-    check_mission,
-    check_vocabulary,
-    check_scorers,
-    check_tasks,
-    check_worlds,
-)
+    machine_checks.check_python, machine_checks.check_packages, machine_checks.check_opencv,
+    machine_checks.check_cores, machine_checks.check_speed, machine_checks.check_jetson,
+    machine_checks.check_shared_memory, machine_checks.check_cache, machine_checks.check_stop,
+    machine_checks.check_numba, bus_checks.check_zenoh, bus_checks.check_endpoint,
+    bus_checks.check_access, model_checks.check_onnxruntime, model_checks.check_tensorrt,
+    check_classes, model_checks.check_models, check_mission, model_checks.check_vocabulary,
+    model_checks.check_scorers, check_tasks, check_worlds,
+)  # fmt: skip

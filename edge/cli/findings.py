@@ -38,6 +38,11 @@ def warn(what: str, todo: str) -> Finding:
     return Finding("warn", what, todo)
 
 
+def ok_or_warn(is_ok: bool, what: str, todo: str) -> Finding:
+    """Return the finding of a measurement, which is shown whether it is as it should be or not."""
+    return ok(what) if is_ok else warn(what, todo)
+
+
 def fail(what: str, todo: str) -> Finding:
     """Return the finding of a problem with which the configuration cannot run."""
     return Finding("fail", what, todo)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from edge.bus.session import BusError, ConnectInterrupted, zenoh_session
-from edge.cli.findings import Finding, Level, fail, ok, warn
+from edge.cli.findings import Finding, Level, fail, ok, ok_or_warn, warn
 from edge.config import Config
 from edge.geometry import FARTHEST_M
 from edge.loop.plausibility import FailedCheck, Plausibility
@@ -95,10 +95,8 @@ class _SensorMeasurements:
         for row in rows:
             yield from _check_input(row)
         if not self._newest:
-            why = (
-                missing_inputs(rows)
-                or "no frame has image, depth or cloud, and pose of the same time"
-            )
+            same_time = "no frame has image, depth or cloud, and pose of the same time"
+            why = missing_inputs(rows) or same_time
             yield fail(f"sensors give no observation: {why}", "see docs/robot.md, step 5")
             return
         yield from _check_stamps(float(np.median(self._age_s)), float(np.median(self._lag_s)))
@@ -131,11 +129,9 @@ class _SensorMeasurements:
             return
         lowest_m = float(np.median(self._lowest_m))
         what = f"floor: measured at {lowest_m:+.2f} m in the base frame, expected at 0 m"
-        if abs(lowest_m) <= _FLOOR_M:
-            yield ok(what)
-        else:
-            todo = "correct height and pitch of the sensor mount, the base frame or the depth unit"
-            yield warn(what, f"{todo}; or point the sensor at open floor")
+        todo = "correct height and pitch of the sensor mount, the base frame or the depth unit"
+        todo += "; or point the sensor at open floor"
+        yield ok_or_warn(abs(lowest_m) <= _FLOOR_M, what, todo)
 
 
 def _check_input(row: InputStatus) -> Iterator[Finding]:
@@ -143,11 +139,9 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
     if row.state == "unused":
         return
     if row.state == "missing":
-        level: Level = "fail" if row.needed else "ok"
-        todo = (
-            "start the driver that sends it, or correct the key or topic name" if row.needed else ""
-        )
-        yield Finding(level, f"{row}: no message", todo)
+        todo = "start the driver that sends it, or correct the key or topic name"
+        what = f"{row}: no message"
+        yield fail(what, todo) if row.needed else ok(what)
         return
     rate = f"{row}: {row.hz:g} Hz" if row.expected_hz else f"{row}: {row.received} messages"
     if row.is_lacking:
@@ -169,14 +163,8 @@ def _check_input(row: InputStatus) -> Iterator[Finding]:
 def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
     """Check that frames are neither old nor in the future."""
     what = f"stamps: frames are {age_s:.2f} s old when the service gets them"
-    if -_AHEAD_S <= age_s <= _OLD_S:
-        yield ok(what)
-    else:
-        todo = (
-            "synchronise the clocks of the computers (chrony), or speed up the driver or the "
-            "network"
-        )
-        yield warn(what, todo)
+    todo = "synchronise the clocks of the computers (chrony), or speed up the driver or the network"
+    yield ok_or_warn(-_AHEAD_S <= age_s <= _OLD_S, what, todo)
     yield ok(f"poses: the newest pose is {lag_s:.2f} s newer than the newest frame")
 
 

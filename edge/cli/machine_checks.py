@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from importlib import import_module, metadata
 from pathlib import Path
 
-from edge.cli.findings import Finding, Level, fail, ok, warn
+from edge.cli.findings import Finding, fail, ok, ok_or_warn, warn
 from edge.cli.onnx_probe import probe
 from edge.config import Config
 from edge.host import calibration, machine, resources
@@ -44,20 +44,17 @@ _MB = 1 << 20
 def check_python(config: Config) -> Iterator[Finding]:
     version = sys.version_info[:2]
     what = f"Python {platform.python_version()} on {platform.machine()}"
+    low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
     if PYTHON_FROM <= version < PYTHON_BELOW:
         yield ok(what)
     else:
-        low, high = (".".join(map(str, v)) for v in (PYTHON_FROM, PYTHON_BELOW))
         yield fail(f"{what} is not supported", f"install Python >= {low}, < {high}")
 
 
 def check_cores(config: Config) -> Iterator[Finding]:
     cores = len(os.sched_getaffinity(0))
-    if cores >= MIN_CORES:
-        yield ok(f"{cores} CPU cores")
-    else:
-        todo = f"use at least {MIN_CORES} cores: with 1, a detector on the CPU delays the ticks"
-        yield warn(f"{cores} CPU core", todo)
+    todo = f"use at least {MIN_CORES} cores: with 1, a detector on the CPU delays the ticks"
+    yield ok_or_warn(cores >= MIN_CORES, f"{cores} CPU core{'s' * (cores > 1)}", todo)
 
 
 def check_speed(config: Config) -> Iterator[Finding]:
@@ -120,20 +117,13 @@ def check_shared_memory(config: Config) -> Iterator[Finding]:
     """Check that Zenoh's shared memory is large enough."""
     if not config.zenoh.shared_memory:
         return
+    what = f"shared memory: {SHM}"
     if not SHM.is_dir():
-        yield warn(
-            f"shared memory: {SHM} does not exist", f"mount {SHM}; until then images go over TCP"
-        )
+        yield warn(f"{what} does not exist", f"mount {SHM}; until then images go over TCP")
         return
     size_mb = shutil.disk_usage(SHM).total // _MB
-    if size_mb >= MIN_SHM_MB:
-        yield ok(f"shared memory: {SHM} has {size_mb} MB")
-    else:
-        todo = (
-            f"give {SHM} at least {MIN_SHM_MB} MB, else images may not fit (docker run "
-            "--shm-size=256m or --ipc=host)"
-        )
-        yield warn(f"shared memory: {SHM} has {size_mb} MB", todo)
+    todo = f"give it {MIN_SHM_MB} MB or more for images (docker run --shm-size=256m or --ipc=host)"
+    yield ok_or_warn(size_mb >= MIN_SHM_MB, f"{what} has {size_mb} MB", todo)
 
 
 def check_stop(config: Config) -> Iterator[Finding]:
@@ -160,9 +150,8 @@ def check_cache(config: Config) -> Iterator[Finding]:
         yield warn(f"cache folder {path} cannot be written: {reason}", todo)
         return
     free_mb = shutil.disk_usage(path).free // _MB
-    level: Level = "ok" if free_mb >= MIN_FREE_MB else "warn"
-    todo = "" if level == "ok" else f"free some space: models and recordings need {MIN_FREE_MB} MB"
-    yield Finding(level, f"cache folder {path}: {free_mb} MB free", todo)
+    todo = f"free some space: models and recordings need {MIN_FREE_MB} MB"
+    yield ok_or_warn(free_mb >= MIN_FREE_MB, f"cache folder {path}: {free_mb} MB free", todo)
 
 
 def _add(a: int, b: int) -> int:
@@ -175,21 +164,16 @@ def check_numba(config: Config) -> Iterator[Finding]:
     import numba
 
     before = time.perf_counter()
-    kernel = numba.njit(nogil=True)(_add)
-    if kernel(2, 3) != 5:
-        yield fail(
-            f"numba {numba.__version__}: a compiled function returns a wrong result",
-            "reinstall numba",
-        )
+    what = f"numba {numba.__version__}"
+    if numba.njit(nogil=True)(_add)(2, 3) != 5:
+        yield fail(f"{what}: a compiled function returns a wrong result", "reinstall numba")
         return
     took_s = time.perf_counter() - before
-    yield ok(f"numba {numba.__version__} works: compiled a test function in {took_s:.1f} s")
+    yield ok(f"{what} works: compiled a test function in {took_s:.1f} s")
     try:
         path = Path(numba.njit(cache=True)(_add).stats.cache_path)
     except RuntimeError:
-        todo = (
-            "set NUMBA_CACHE_DIR to a writable folder, else every start compiles all kernels again"
-        )
+        todo = "set NUMBA_CACHE_DIR to a writable folder, else every start compiles all kernels"
         yield warn("numba finds no writable folder for compiled kernels", todo)
-        return
-    yield ok(f"numba stores compiled kernels in {path}")
+    else:
+        yield ok(f"numba stores compiled kernels in {path}")

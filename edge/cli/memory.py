@@ -10,6 +10,7 @@ import base64
 import json
 from pathlib import Path
 
+from edge.cli.options import flag
 from edge.cli.service_request import add_action, connected
 
 
@@ -29,26 +30,19 @@ def add_memory(commands) -> None:  # type: ignore[no-untyped-def]
         if do == "crop":
             action.add_argument("id", type=int, help="number of the object, as `list` shows it")
         if do != "list":
-            argument, meaning = (
-                ("name", "name of the object") if do == "find" else ("file", "file to write")
-            )
-            action.add_argument(argument, help=meaning)
+            is_find = do == "find"
+            meaning = "name of the object" if is_find else "file to write"
+            action.add_argument("name" if is_find else "file", help=meaning)
         if do == "export":
-            action.add_argument(
-                "--geojson",
-                action="store_true",
-                help="write objects, rooms, places and zones as GeoJSON (default: objects as JSON)",
-            )
+            flag(action, "--geojson", "write objects, rooms, places and zones as GeoJSON (default: "
+                 "objects as JSON)")  # fmt: skip
         if do in ("find", "list"):
-            action.add_argument("--json", action="store_true", help="print the objects as JSON")
+            flag(action, "--json", "print the objects as JSON")
         if do != "crop":
-            action.add_argument(
-                "--room", help="only objects in the room with this name (default: all rooms)"
-            )
-            action.add_argument(
-                "--since", type=float, metavar="S", help="only objects seen in the last S seconds "
-                "(default: all)",
-            )  # fmt: skip
+            action.add_argument("--room", help="only objects in the room with this name (default: "
+                                "all rooms)")  # fmt: skip
+            action.add_argument("--since", type=float, metavar="S", help="only objects seen in the "
+                                "last S seconds (default: all)")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:

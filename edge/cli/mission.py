@@ -9,8 +9,17 @@ import argparse
 import json
 import math
 from collections.abc import Callable
+from typing import Any
 
-from edge.cli.options import CONFIG, WHERE, count, dispatch_on_option, lazy_handler, positive
+from edge.cli.options import (
+    CONFIG,
+    WHERE,
+    count,
+    dispatch_on_option,
+    flag,
+    lazy_handler,
+    positive,
+)
 from edge.cli.service_request import ANSWER_S, connected
 from edge.cli.site import pose
 from edge.text import one_line
@@ -21,14 +30,6 @@ NEW_S = 120.0
 """Time for the answer to `new`: a language model may be asked twice, and the mission compiled."""
 PATIENCE_S = 10.0
 """Default time to wait for a lost robot of a fleet."""
-# Options of `add_argument` for the text of a mission, and for the robots of a fleet.
-_TEXT = {"help": "instruction in words, such as 'find the sofa, then the bed'"}
-_ROBOTS = {
-    "nargs": "*",
-    "metavar": "ROBOT",
-    "help": "with --fleet: names of the robots (default: all)",
-}
-
 _VERBS = {
     "new": "start a mission; it replaces the running one",
     "pause": "stop the robot, and keep the mission for `resume`",
@@ -47,18 +48,16 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
         action = actions.add_parser(verb, help=text)
         option = action.add_argument
         option("config", help=f"{CONFIG}; with --fleet: {WHERE}")
-        option("text" if is_new else "robots", **_TEXT if is_new else _ROBOTS)
-        option(
-            "--timeout", type=_seconds, metavar="S",
-            help="how long to wait for the answer, in s (default: "
-            f"{NEW_S if is_new else ANSWER_S:g})",
-        )  # fmt: skip
-        option("--json", action="store_true", help="print the answer as JSON")
-        option(
-            "--fleet",
-            action="store_true",
-            help="send the request to the robots of a fleet (default: to one service)",
-        )
+        if is_new:
+            option("text", help="instruction in words, such as 'find the sofa, then the bed'")
+        else:
+            option("robots", nargs="*", metavar="ROBOT",
+                   help="with --fleet: names of the robots (default: all)")  # fmt: skip
+        option("--timeout", type=_seconds, metavar="S", help="how long to wait for the answer, in "
+               f"s (default: {NEW_S if is_new else ANSWER_S:g})")  # fmt: skip
+        flag(action, "--json", "print the answer as JSON")
+        flag(action, "--fleet", "send the request to the robots of a fleet (default: to one "
+             "service)")  # fmt: skip
         only_service, only_fleet = _add_new(action) if is_new else ((), ("--robots",))
         handle_fleet = lazy_handler("edge.cli.fleet", "new" if is_new else "ask")
         dispatch_on_option(
@@ -67,65 +66,45 @@ def add_arguments(parser: argparse.ArgumentParser):  # type: ignore[no-untyped-d
     return actions
 
 
+# fmt: off
 def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Add the options of `new`; return those only without `--fleet`, and those only with it."""
     kind = action.add_mutually_exclusive_group()
-    kind.add_argument(
-        "--formula",
-        action="store_true",
-        help="read the text as an LTL formula (default: as an instruction)",
-    )
-    kind.add_argument(
-        "--task", action="store_true", help="read the text as a description of a path to drive"
-    )
+    add_formula(kind)
+    flag(kind, "--task", "read the text as a description of a path to drive")
     add_reading(kind)
-    action.add_argument(
-        "--rounds", type=count, metavar="N", help="do the mission N times (default: once)"
-    )
-    action.add_argument(
-        "--for", dest="for_s", type=positive, metavar="S", help="repeat the mission for S seconds "
-        "(default: once)",
-    )  # fmt: skip
-    action.add_argument(
-        "--from-pose", type=pose, metavar="X,Y,DEG",
-        help="position of the person for instructions such as `come here`: x and y in the map "
-        "frame in m, heading in degrees",
-    )  # fmt: skip
+    option = action.add_argument
+    option("--rounds", type=count, metavar="N", help="do the mission N times (default: once)")
+    option("--for", dest="for_s", type=positive, metavar="S",
+           help="repeat the mission for S seconds (default: once)")
+    option("--from-pose", type=pose, metavar="X,Y,DEG", help="position of the person for "
+           "instructions such as `come here`: x and y in the map frame in m, heading in degrees")
     fleet = action.add_argument_group("with --fleet")
     whom = fleet.add_mutually_exclusive_group()
-    whom.add_argument(
-        "--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of these robots "
-        "(default: `any`, the free robot that knows most of the objects and is nearest to them)",
-    )  # fmt: skip
-    whom.add_argument(
-        "--share",
-        action="store_true",
-        help="divide the mission among several robots, if its parts are independent",
-    )
-    fleet.add_argument(
-        "--restart",
-        action="store_true",
-        help="start the mission again, although it still runs (default: follow the running one)",
-    )
-    fleet.add_argument(
-        "--patience", type=positive, metavar="S", help="give the part of a lost robot to "
-        f"another one after S seconds (default: {PATIENCE_S:g})",
-    )  # fmt: skip
-    return ("--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"), (
-        "--to",
-        "--share",
-        "--restart",
-        "--patience",
-    )
+    whom.add_argument("--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of "
+                      "these robots (default: `any`, the free robot that knows most of the objects "
+                      "and is nearest to them)")
+    flag(whom, "--share",
+         "divide the mission among several robots, if its parts are independent")
+    flag(fleet, "--restart", "start the mission again, although it still runs (default: follow the "
+         "running one)")
+    fleet.add_argument("--patience", type=positive, metavar="S", help="give the part of a lost "
+                       f"robot to another one after S seconds (default: {PATIENCE_S:g})")
+    only_service = "--task", "--reading", "--from-pose", "--rounds", "--for", "--timeout"
+    return only_service, ("--to", "--share", "--restart", "--patience")
 
 
-def add_reading(parser) -> None:  # type: ignore[no-untyped-def]
+def add_formula(parser: Any) -> None:
+    """Add the option that makes the text a formula."""
+    flag(parser, "--formula", "read the text as an LTL formula (default: as an instruction)")
+
+
+def add_reading(parser: Any) -> None:
     """Add the option that chooses a reading of an ambiguous instruction."""
-    parser.add_argument(
-        "--reading", type=count, metavar="N",
-        help="for an ambiguous instruction: number of the reading to use, as `edge mission "
-        "explain` lists them (default: refuse the instruction)",
-    )  # fmt: skip
+    parser.add_argument("--reading", type=count, metavar="N", help="for an ambiguous instruction: "
+                        "number of the reading to use, as `edge mission explain` lists them "
+                        "(default: refuse the instruction)")
+# fmt: on
 
 
 def run(args: argparse.Namespace) -> int:

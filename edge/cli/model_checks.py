@@ -33,19 +33,16 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
         yield warn("onnxruntime and onnxruntime-gpu are both installed", todo)
     probed = probe()
     if probed is None:
-        todo = "pip install 'edge-vln[cpu]' (or [gpu])"
-        yield Finding(
-            level_if_missing, "onnxruntime is not installed, so no neural detector can run", todo
-        )
+        what = "onnxruntime is not installed, so no neural detector can run"
+        yield Finding(level_if_missing, what, "pip install 'edge-vln[cpu]' (or [gpu])")
         return
     what = f"onnxruntime {probed.version}".strip()
     if not probed.fault:
         names = ", ".join(name.removesuffix("ExecutionProvider") for name in probed.providers)
         yield ok(f"{what} runs a model; execution providers: {names}")
     elif CPU in probed.ran:  # so the fault is in another provider
-        yield warn(
-            f"{what} {probed.fault}", "check the GPU driver and CUDA, or use CPUExecutionProvider"
-        )
+        todo = "check the GPU driver and CUDA, or use CPUExecutionProvider"
+        yield warn(f"{what} {probed.fault}", todo)
     else:
         todo = (
             "another version may work (pip install 'onnxruntime==1.20.1'), and on arm64 all cores "
@@ -53,14 +50,11 @@ def check_onnxruntime(config: Config) -> Iterator[Finding]:
         )
         yield Finding(level_if_missing, f"{what} {probed.fault}", todo)
         return
+    key = "perception.detector.providers"
     for name in wanted:
         if name != TENSORRT and name not in probed.providers:
-            todo = (
-                "install an onnxruntime with this provider, or change perception.detector.providers"
-            )
-            yield fail(
-                f"perception.detector.providers: {name} is not in the installed onnxruntime", todo
-            )
+            todo = f"install an onnxruntime with this provider, or change {key}"
+            yield fail(f"{key}: {name} is not in the installed onnxruntime", todo)
 
 
 def _sessions_crash() -> bool:
@@ -113,11 +107,8 @@ def check_models(config: Config) -> Iterator[Finding]:
             yield from (ok(f"model {name}: {path}") for path in paths)
             yield from (_server_finding(name, server.url) for server in served)
     if n_absent:
-        what = (
-            f"{n_absent} other models are not on this machine, and this configuration needs none "
-            "of them"
-        )
-        yield ok(f"{what} (`edge models list`)")
+        what = "other models are not on this machine, and this configuration needs none of them"
+        yield ok(f"{n_absent} {what} (`edge models list`)")
 
 
 def _verify(file: FileCard | ChoiceCard) -> Path:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any, NoReturn
 
 from edge.errors import UnavailableError
 
@@ -26,7 +27,37 @@ EXTRAS = {"lab": ("matplotlib", "networkx", "scipy"), "worlds": ("PIL", "collada
 """Extra → packages that it installs, and that commands of `edge.lab` import."""
 
 
-def lazy_handler(module: str, function: str, extra: str = "") -> Handler:
+class Parser(argparse.ArgumentParser):
+    """A parser whose help shows defaults, and which exits with the codes of `edge.errors`."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, formatter_class=_HelpFormatter, **options)
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        super().exit(os.EX_USAGE if status else os.EX_OK, message)
+
+
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter, argparse.ArgumentDefaultsHelpFormatter):
+    """Formatter that adds the default of an option, if it has one and its help does not name it."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        named = action.help is None or "(default" in action.help
+        is_set = action.default not in (None, "", []) and action.default is not False
+        return super()._get_help_string(action) if is_set and not named else action.help
+
+
+def flag(command: Any, name: str, text: str) -> None:
+    """Add an option without a value to a parser or a group of one."""
+    command.add_argument(name, action="store_true", help=text)
+
+
+def config_argument(command: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add the argument that names a configuration; without a default it is required."""
+    nargs = None if default is None else "?"
+    command.add_argument("config", nargs=nargs, default=default, help=CONFIG)
+
+
+def lazy_handler(module: str, function: str = "run", extra: str = "") -> Handler:
     """Return a handler that imports its module when it is called.
 
     Args:
@@ -78,7 +109,7 @@ def dispatch_on_option(
 def trust_option(command: argparse.ArgumentParser) -> None:
     """Add `--trust-cache`."""
     text = "start faster: skip the hash check of model files unchanged since their last check"
-    command.add_argument("--trust-cache", action="store_true", help=text)
+    flag(command, "--trust-cache", text)
 
 
 def require_extra(extra: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 
+from edge.cli.options import flag
 from edge.cli.service_request import add_action, connected
 
 
@@ -25,7 +26,7 @@ def add_room(commands) -> None:  # type: ignore[no-untyped-def]
         action = add_action(actions, do, text, "edge.cli.room")
         if do != "list":
             action.add_argument("name", help="name of the room")
-        action.add_argument("--json", action="store_true", help="print the answer as JSON")
+        flag(action, "--json", "print the answer as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

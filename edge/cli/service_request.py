@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from edge.cli.options import CONFIG, lazy_handler
+from edge.cli.options import config_argument, lazy_handler
 
 ANSWER_S = 5.0
 """Default time for the connection, and for each answer."""
@@ -19,8 +19,8 @@ ANSWER_S = 5.0
 def add_action(actions: Any, name: str, text: str, module: str) -> argparse.ArgumentParser:
     """Add an action that takes a configuration, and return its parser."""
     action: argparse.ArgumentParser = actions.add_parser(name, help=text)
-    action.add_argument("config", help=CONFIG)
-    action.set_defaults(handler=lazy_handler(module, "run"))
+    config_argument(action)
+    action.set_defaults(handler=lazy_handler(module))
     return action
 
 

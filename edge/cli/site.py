@@ -10,6 +10,7 @@ import json
 import math
 from pathlib import Path
 
+from edge.cli.options import flag
 from edge.cli.service_request import add_action, connected
 
 
@@ -26,7 +27,7 @@ def add_places(commands) -> None:  # type: ignore[no-untyped-def]
         help="pose: x and y in the map frame in m, heading in degrees; write --at=X,Y,DEG if X is "
         "negative (default: the robot's pose)",
     )  # fmt: skip
-    _add_common_actions(actions, "places and zones")
+    _add_common_actions(actions)
 
 
 def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
@@ -44,27 +45,25 @@ def add_zones(commands) -> None:  # type: ignore[no-untyped-def]
             help="at least three corners, x and y in the map frame in m; if an X is negative, "
             "write -- before the first corner",
         )  # fmt: skip
-    _add_common_actions(actions, "places and zones")
+    _add_common_actions(actions)
 
 
 def _action(actions, name: str, text: str):  # type: ignore[no-untyped-def]
     action = add_action(actions, name, text, "edge.cli.site")
-    action.add_argument("--json", action="store_true", help="print the answer as GeoJSON")
+    flag(action, "--json", "print the answer as GeoJSON")
     return action
 
 
-def _add_common_actions(actions, content: str) -> None:  # type: ignore[no-untyped-def]
+def _add_common_actions(actions) -> None:  # type: ignore[no-untyped-def]
     """Add the actions that places and zones share."""
-    _action(actions, "list", f"list {content}")
+    _action(actions, "list", "list places and zones")
     remove = _action(actions, "remove", "remove a place or zone")
     remove.add_argument("name", help="name of the place or zone, as `list` shows it")
-    export = _action(actions, "export", f"write {content} as GeoJSON")
+    export = _action(actions, "export", "write places and zones as GeoJSON")
     export.add_argument("file", help="GeoJSON file to write")
-    load = _action(actions, "import", f"read {content} from GeoJSON")
+    load = _action(actions, "import", "read places and zones from GeoJSON")
     load.add_argument("file", help="GeoJSON file to read")
-    load.add_argument(
-        "--replace", action="store_true", help="first remove all places and zones of the service"
-    )
+    flag(load, "--replace", "first remove all places and zones of the service")
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:
@@ -98,22 +97,20 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: the configuration cannot be read.
     """
     from edge.bus import topics
-    from edge.memory import read_site, site_of, write_site
+    from edge.memory import SiteError, read_site, site_of, write_site
 
-    path = Path(args.file) if args.do in ("export", "import") else None
-    if path is not None and args.do == "import" and not path.exists():
-        from edge.memory import SiteError
-
-        raise SiteError(f"{path}: no such file; give a GeoJSON file, as `export` writes it")
     request = _request(args)
-    if path is not None and args.do == "import":
+    if args.do == "import":
+        path = Path(args.file)
+        if not path.exists():
+            raise SiteError(f"{path}: no such file; give a GeoJSON file, as `export` writes it")
         request["site"] = read_site(path, imported=True).geojson()
     with connected(args.config) as ask:
         answer = ask(topics.SITE_REQUEST, request)
     site = site_of(answer["site"], "the service's answer")
-    if path is not None and args.do == "export":
-        write_site(path, site)
-        print(f"{path}: {len(site.items)} places and zones")
+    if args.do == "export":
+        write_site(Path(args.file), site)
+        print(f"{args.file}: {len(site.items)} places and zones")
     elif args.json:
         print(json.dumps(answer["site"], indent=1))
     elif args.do == "list":
@@ -129,19 +126,15 @@ def _request(args: argparse.Namespace) -> dict:
     """Return the request of a command, without the site of a file."""
     if args.do in ("keep-out", "stay-inside"):
         ring = [list(corner) for corner in (*args.corners, args.corners[0])]
-        return {
-            "do": "set",
-            "feature": _feature(args, args.do.replace("-", "_"), "Polygon", [ring]),
-        }
+        feature = _feature(args, args.do.replace("-", "_"), "Polygon", [ring])
+        return {"do": "set", "feature": feature}
     if args.do == "set" and args.at is not None:
         x_m, y_m, heading_deg = args.at
         feature = _feature(args, "place", "Point", [x_m, y_m])
         feature["properties"]["heading_deg"] = heading_deg
         return {"do": "set", "feature": feature}
-    if args.do == "set":
-        return {"do": "set", "name": args.name}
-    if args.do == "remove":
-        return {"do": "remove", "name": args.name}
+    if args.do in ("set", "remove"):
+        return {"do": args.do, "name": args.name}
     if args.do == "import":
         return {"do": "import", "replace": args.replace}
     return {"do": "list"}

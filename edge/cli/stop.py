@@ -9,7 +9,7 @@ import argparse
 import json
 import os
 
-from edge.cli.options import CONFIG, lazy_handler
+from edge.cli.options import config_argument, flag, lazy_handler
 from edge.cli.service_request import connected
 from edge.errors import FAILED
 
@@ -19,14 +19,14 @@ def add_stop(commands) -> None:  # type: ignore[no-untyped-def]
     stop = commands.add_parser(
         "stop", help="stop the robot of a running service until `edge release`, also over restarts"
     )
-    stop.add_argument("config", help=CONFIG)
+    config_argument(stop)
     stop.add_argument("--why", default="", metavar="TEXT", help="reason, for status and log")
     release = commands.add_parser("release", help="end a stop, so that the robot drives again")
-    release.add_argument("config", help=CONFIG)
+    config_argument(release)
     for parser in (stop, release):
-        parser.add_argument("--json", action="store_true", help="print the answer as JSON")
-    stop.set_defaults(handler=lazy_handler("edge.cli.stop", "run"))
-    release.set_defaults(handler=lazy_handler("edge.cli.stop", "run"), why=None)
+        flag(parser, "--json", "print the answer as JSON")
+    stop.set_defaults(handler=lazy_handler("edge.cli.stop"))
+    release.set_defaults(handler=lazy_handler("edge.cli.stop"), why=None)
 
 
 def run(args: argparse.Namespace) -> int:

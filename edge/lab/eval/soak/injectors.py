@@ -35,13 +35,25 @@ LATE_S = 0.4  # delay of the messages by `delay_messages`
 _BATCH = 40  # messages of a flood in one step; there are several steps a second
 
 
-def hold_until_end(end: Callable[[], object] = lambda: None) -> Injection:
-    """Wait until the fault is over, then call `end`."""
-    try:
-        while True:
-            yield
-    finally:
-        end()
+Action = Callable[[SoakHarness], object]
+
+
+def between(begin: Action, end: Action = lambda harness: None) -> Injector:
+    """Return an injector that calls `begin`, waits until the fault is over, and calls `end`."""
+
+    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+        begin(harness)
+        try:
+            yield from _wait()
+        finally:
+            end(harness)
+
+    return fault
+
+
+def _wait() -> Injection:
+    while True:
+        yield
 
 
 def alter_messages(make: Callable[[np.random.Generator], MessageFilter]) -> Injector:
@@ -50,7 +62,7 @@ def alter_messages(make: Callable[[np.random.Generator], MessageFilter]) -> Inje
     def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         harness.relay.alter = make(rng)
         try:
-            yield from hold_until_end()
+            yield from _wait()
         finally:
             harness.relay.alter = None
 
@@ -70,40 +82,23 @@ def flood_messages(*payloads: Callable[[np.random.Generator], tuple[str, bytes]]
     return fault
 
 
-def delay_messages(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.relay.delay(LATE_S)
-    yield from hold_until_end(lambda: harness.relay.delay(0.0))
-
-
-def stop_simulator(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.children.send_signal("simulator", signal.SIGSTOP)
-    yield from hold_until_end(lambda: harness.children.send_signal("simulator", signal.SIGCONT))
-
-
-def enter_next_house(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.start_next_house()
-    yield from hold_until_end()
-
-
-def cut_session(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.relay.cut()
-    yield from hold_until_end(harness.relay.connect)
-
-
-def kill_router(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.children.kill("router")
-    yield from hold_until_end(harness.start_router)
-
-
-def kill_controller(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.children.kill("controller")
-    yield from hold_until_end(harness.start_controller)
+DELAY_MESSAGES = between(lambda h: h.relay.delay(LATE_S), lambda h: h.relay.delay(0.0))
+STOP_SIMULATOR = between(
+    lambda h: h.children.send_signal("simulator", signal.SIGSTOP),
+    lambda h: h.children.send_signal("simulator", signal.SIGCONT),
+)
+ENTER_NEXT_HOUSE = between(lambda h: h.start_next_house())
+CUT_SESSION = between(lambda h: h.relay.cut(), lambda h: h.relay.connect())
+KILL_ROUTER = between(lambda h: h.children.kill("router"), lambda h: h.start_router())
+KILL_CONTROLLER = between(lambda h: h.children.kill("controller"), lambda h: h.start_controller())
+SWAP_TO_BAD_MODEL = between(lambda h: h.request_models(do="use", model=BROKEN))
+BLOCK_LOG_READER = between(lambda h: h.log.block(), lambda h: h.log.open_reader())
 
 
 def signal_model(number: int) -> Injector:
     """Return an injector that sends a signal to the model's process."""
 
-    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    def send(harness: SoakHarness) -> None:
         process = harness.model_process()
         if process is None:
             raise UserError(
@@ -111,39 +106,35 @@ def signal_model(number: int) -> Injector:
                 "process"
             )
         os.kill(process.pid, number)
-        yield from hold_until_end()
 
-    return fault
+    return between(send)
 
 
 def fill_disk(harness: SoakHarness, rng: np.random.Generator) -> Injection:
     """Stop the growth of all files of the service, as on a full disk. Written data stays intact."""
-    before = resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(harness.service.pid, resource.RLIMIT_FSIZE, (0, before[1]))
+    pid = harness.service.pid
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, before[1]))
     try:
-        yield from hold_until_end()
+        yield from _wait()
     finally:  # a child started during the fault has inherited the limit
-        for pid in (
-            harness.service.pid,
-            *(child.pid for child in descendants(harness.service.pid)),
-        ):
+        for limited in (pid, *(child.pid for child in descendants(pid))):
             with suppress(ProcessLookupError):
-                resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+                resource.prlimit(limited, resource.RLIMIT_FSIZE, before)
 
 
 def reload_changed_config(*choices: dict[str, dict[str, object]]) -> Injector:
     """Return an injector that reloads the first of these changes that makes a difference."""
 
-    def fault(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+    def reload(harness: SoakHarness) -> None:
         present = harness.config_file.read_bytes()
         for changes in choices:
             harness.write_config(**changes)
             if harness.config_file.read_bytes() != present:
                 break
         harness.service.send_signal(signal.SIGHUP)
-        yield from hold_until_end()
 
-    return fault
+    return between(reload)
 
 
 def reload_bad_config(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -151,45 +142,38 @@ def reload_bad_config(harness: SoakHarness, rng: np.random.Generator) -> Injecti
     bad = (b"mission: [", b'{"perception": {"detector": {"kind": "guess"}}}', present[:-9], b"\xff")
     harness.config_file.write_bytes(bad[rng.integers(len(bad))])
     harness.service.send_signal(signal.SIGHUP)
-    yield from hold_until_end(lambda: harness.config_file.write_bytes(present))
+    try:
+        yield from _wait()
+    finally:
+        harness.config_file.write_bytes(present)
 
 
-def swap_model(harness: SoakHarness, rng: np.random.Generator) -> Injection:
+def _swap_model(harness: SoakHarness) -> None:
     """Switch to the copy of the model, or back, with `force` as the computer may be slow."""
     running = harness.request_models(do="status")
     configured = harness.config.perception.detector.model  # type: ignore[union-attr]
     # A swap that is still on probation or has failed reports the old model as `previous`.
-    present_model = (
-        running["model"] if running["state"] in ("kept", "idle") else running["previous"]
-    )
-    harness.request_models(
-        do="use", model=configured if present_model == TWIN else TWIN, force=True
-    )
-    yield from hold_until_end()
+    present = running["model" if running["state"] in ("kept", "idle") else "previous"]
+    harness.request_models(do="use", model=configured if present == TWIN else TWIN, force=True)
 
 
-def swap_to_bad_model(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.request_models(do="use", model=BROKEN)
-    yield from hold_until_end()
-
-
-def close_log_reader(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    """Close the reader of the log, then make the service write.
-
-    SIGUSR1 prints all threads now, and again once the reader is back.
-    """
-    harness.log.close_reader()
+def _write_log(harness: SoakHarness) -> None:
+    """Make the service write all its threads to the log."""
     harness.service.send_signal(signal.SIGUSR1)
-    try:
-        yield from hold_until_end()
-    finally:
-        harness.log.open_reader()
-        harness.service.send_signal(signal.SIGUSR1)
 
 
-def block_log_reader(harness: SoakHarness, rng: np.random.Generator) -> Injection:
-    harness.log.block()
-    yield from hold_until_end(harness.log.open_reader)
+def _close_log_reader(harness: SoakHarness) -> None:
+    harness.log.close_reader()
+    _write_log(harness)
+
+
+def _open_log_reader(harness: SoakHarness) -> None:
+    harness.log.open_reader()
+    _write_log(harness)
+
+
+SWAP_MODEL = between(_swap_model)
+CLOSE_LOG_READER = between(_close_log_reader, _open_log_reader)
 
 
 def stop_viewer(harness: SoakHarness, rng: np.random.Generator) -> Injection:
@@ -199,7 +183,7 @@ def stop_viewer(harness: SoakHarness, rng: np.random.Generator) -> Injection:
         while time.monotonic() < stops_s:
             yield
         harness.children.send_signal("viewer", signal.SIGSTOP)
-        yield from hold_until_end()
+        yield from _wait()
     finally:
         harness.children.kill("viewer")
 
