@@ -11,15 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from edge.cli.options import (
-    CONFIG,
-    WHERE,
-    count,
-    dispatch_on_option,
-    flag,
-    lazy_handler,
-    positive,
-)
+from edge.cli.options import CONFIG, WHERE, count, dispatch_on_option, flag, lazy_handler, positive
 from edge.cli.service_request import ANSWER_S, connected
 from edge.cli.site import pose
 from edge.text import one_line

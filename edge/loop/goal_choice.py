@@ -18,13 +18,7 @@ from edge.config import Config
 from edge.geometry import SE2, wrap_angle
 from edge.host.checkpoint import Arrays, check_arrays
 from edge.loop.candidates import CandidatePool
-from edge.loop.search_state import (
-    LASTING_NS,
-    LEFT,
-    TURNS,
-    NextBestView,
-    SearchState,
-)
+from edge.loop.search_state import LASTING_NS, LEFT, TURNS, NextBestView, SearchState
 from edge.mapping.coverage import START_M, Viewpoint
 from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun

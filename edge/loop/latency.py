@@ -229,11 +229,7 @@ class LatencyRing:
         (2.0, 3.0)
     """
 
-    def __init__(
-        self,
-        capacity: int = 4096,
-        calibration: SpeedCalibration | None = None,
-    ) -> None:
+    def __init__(self, capacity: int = 4096, calibration: SpeedCalibration | None = None) -> None:
         if capacity < 1:
             raise ValueError(f"capacity: must be positive, got {capacity}")
         self._calibration, n = calibration, len(_NAMES)

@@ -122,11 +122,7 @@ def state_of(
         config.value_source or "", tuple(values.targets), values.n_side_cells,
     )  # fmt: skip
     remembered = policy.state_dict() if isinstance(policy, StatefulPolicy) else {}
-    states = {
-        **parts.map.state_dict(),
-        "goals": parts.goals.state_dict(),
-        "policy": remembered,
-    }
+    states = {**parts.map.state_dict(), "goals": parts.goals.state_dict(), "policy": remembered}
     arrays = {
         f"{part}/{name}": array for part, state_dict in states.items()
         for name, array in state_dict.items()

@@ -30,9 +30,7 @@ from edge.loop.scorer_questions import (
 from edge.mapping.values import RangeProfile, ValueMap
 from edge.perception.scoring.choice.factory import ViewScorer, make_view_scorer
 from edge.perception.scoring.choice.picture import visible_marks
-from edge.perception.scoring.choice.question import (
-    MarkedView,
-)
+from edge.perception.scoring.choice.question import MarkedView
 from edge.perception.scoring.similarity import (
     SimilarityScorer,
     best_scores,

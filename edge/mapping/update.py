@@ -8,16 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge.jit import jit
-from edge.mapping.layers import (
-    ARRIVED,
-    BUMPED,
-    FREE,
-    OCCUPIED,
-    UNSEEN,
-    add_disc,
-    bit_set,
-    set_free,
-)
+from edge.mapping.layers import ARRIVED, BUMPED, FREE, OCCUPIED, UNSEEN, add_disc, bit_set, set_free
 from edge.mapping.points import FLOOR, HEIGHT_CODES, LOWEST_OBSTACLE, is_open
 
 MOST_FLOOR_UPDATES = 10

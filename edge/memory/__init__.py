@@ -4,13 +4,7 @@ from edge.memory.crops import MAX_CROP_BYTES, CropStore
 from edge.memory.objects import KnownObject, describe_location, describe_similar, known_objects
 from edge.memory.relations import DescribedTargets, DescribedThing, RelationError, parse_description
 from edge.memory.room_kinds import ROOM_KINDS, is_room_name, kind_of_room
-from edge.memory.room_shapes import (
-    NO_SURVEY,
-    LostRoom,
-    RoomSurvey,
-    outline_rooms,
-    survey_rooms,
-)
+from edge.memory.room_shapes import NO_SURVEY, LostRoom, RoomSurvey, outline_rooms, survey_rooms
 from edge.memory.rooms import (
     RECOGNISED_KINDS,
     MappedRoom,
@@ -20,15 +14,9 @@ from edge.memory.rooms import (
     kinds_by_region,
     objects_by_region,
 )
-from edge.memory.site import (
-    START,
-    Item,
-    Place,
-    RoomName,
-    Site,
-    SiteError,
+from edge.memory.site import START, Item, Place, RoomName, Site, SiteError, Zone
+from edge.memory.site_geojson import (
     SiteFile,
-    Zone,
     item_of,
     memory_geojson,
     read_site,

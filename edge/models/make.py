@@ -24,9 +24,7 @@ from edge.perception.runtime.cards import (
     verify_parts,
 )
 
-TRAINED = {
-    "mini-house": "python -m exporters.training.mini --out RUN",
-}
+TRAINED = {"mini-house": "python -m exporters.training.mini --out RUN"}
 """Family of models that are not exported from weights → command that trains them."""
 FROM_FOLDER = {
     "owlv2-base": "google/owlv2-base-patch16-ensemble",

@@ -12,7 +12,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -218,6 +218,24 @@ def _array_of(stored: dict[str, Any]) -> np.ndarray:
     return np.frombuffer(data, np.dtype(stored["dtype"])).reshape(stored["shape"]).copy()
 
 
+def _plain(value: Any) -> Any:
+    """Return JSON data: a dataclass as its fields, arrays as base64, a pose as x, y and yaw."""
+    match value:
+        case np.ndarray():
+            return _array(value)
+        case SE2():
+            return _pose(value)
+        case np.generic():
+            return value.item()
+        case frozenset():
+            return sorted(value)
+        case tuple() | list():
+            return [_plain(item) for item in value]
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return value
+
+
 def _pose(pose: SE2 | None) -> list[float] | None:
     return None if pose is None else [pose.x_m, pose.y_m, pose.yaw_rad]
 
@@ -267,16 +285,12 @@ def _file_of(stored: str | None) -> bytes | None:
 
 
 def _boxes(found: Detections) -> dict[str, Any]:
-    c = found.context  # boxes of other objects than the targets
     return {
         "seq": found.observation.seq,
         "xyxy_px": _array(found.xyxy_px), "score": _array(found.score),
         "class_id": _array(found.class_id), "prompts": list(found.prompts),
-        "competing_score": None if found.competing_score is None else _array(found.competing_score),
-        "context": None if c is None else {
-            "xyxy_px": _array(c.xyxy_px), "score": _array(c.score),
-            "class_id": _array(c.class_id), "words": list(c.words),
-        },
+        "competing_score": _plain(found.competing_score),
+        "context": _plain(found.context),  # boxes of other objects than the targets
         "model": found.model, "latency_ns": found.latency_ns,
         "mask": None if found.mask is None else _array(np.packbits(found.mask, axis=-1)),
     }  # fmt: skip
@@ -322,27 +336,10 @@ def rooms_of(stored: dict[str, Any]) -> RoomSurvey:
     return outline_rooms(regions, _array_of(stored["ids"]), stored["next_id"], lost)
 
 
-# Workers of scorers answer with (question, result); the question is not recorded.
-def _similarity(found: tuple[Any, ImageSimilarity]) -> dict[str, Any]:
-    similarity = found[1]
-    return {
-        "stamp_ns": similarity.stamp_ns, "pose": _pose(similarity.pose),
-        "targets": list(similarity.targets), "score": _array(similarity.score),
-    }  # fmt: skip
-
-
 def similarity_of(stored: dict[str, Any]) -> ImageSimilarity:
     """Decode the answer of a similarity scorer."""
     targets, score = tuple(stored["targets"]), _array_of(stored["score"])
     return ImageSimilarity(stored["stamp_ns"], SE2(*stored["pose"]), targets, score)
-
-
-def _choice(found: tuple[Any, FrontierChoice]) -> dict[str, Any]:
-    choice = found[1]
-    return {
-        "stamp_ns": choice.stamp_ns, "target": choice.target, "ids": [int(i) for i in choice.ids],
-        "p": _array(choice.p), "elsewhere": float(choice.elsewhere), "scene": float(choice.scene),
-    }  # fmt: skip
 
 
 def choice_of(stored: dict[str, Any]) -> FrontierChoice:
@@ -353,19 +350,6 @@ def choice_of(stored: dict[str, Any]) -> FrontierChoice:
     )  # fmt: skip
 
 
-def _refined(r: RefinedTrajectory) -> dict[str, Any]:
-    return {
-        "poses": _array(r.poses), "speeds_mps": _array(r.speeds_mps), "times_s": _array(r.times_s),
-        "leg": _array(r.leg),
-        "legs": [{"points_m": _array(x.points_m), "ends_segment": x.ends_segment} for x in r.legs],
-        "drivable": sorted(r.drivable),
-        "heading_rad": None if r.heading_rad is None else float(r.heading_rad),
-        "cost_m": float(r.cost_m),
-        "control_m": float(r.control_m), "off_region_m": float(r.off_region_m),
-        "notes": list(r.notes),
-    }  # fmt: skip
-
-
 def _refined_of(stored: dict[str, Any]) -> RefinedTrajectory:
     arrays = {name: _array_of(stored[name]) for name in ("poses", "speeds_mps", "times_s", "leg")}
     legs = tuple(Leg(_array_of(leg["points_m"]), leg["ends_segment"]) for leg in stored["legs"])
@@ -374,17 +358,6 @@ def _refined_of(stored: dict[str, Any]) -> RefinedTrajectory:
     }
     drivable, notes = frozenset(stored["drivable"]), tuple(stored["notes"])
     return RefinedTrajectory(**arrays, legs=legs, drivable=drivable, **numbers, notes=notes)
-
-
-def _plan_result(d: PlanResult) -> dict[str, Any]:
-    return {
-        "refined": None if d.refined is None else _refined(d.refined), "error": d.error,
-        "hopeless": d.hopeless, "ambiguous": d.ambiguous, "speed_mps": d.speed_mps,
-        "coarse_m": None if d.coarse_m is None else _array(d.coarse_m),
-        "stops_at": d.stops_at, "stops": d.stops, "n_done": d.n_done,
-        "understood": d.understood, "prompt": d.prompt,
-        "rounds": [asdict(r) for r in d.rounds],
-    }  # fmt: skip
 
 
 def plan_result_of(stored: dict[str, Any]) -> PlanResult:
@@ -404,10 +377,6 @@ def plan_result_of(stored: dict[str, Any]) -> PlanResult:
     )
 
 
-def _travel_cost(distance_m: np.ndarray) -> dict[str, Any]:
-    return {"distance_m": _array(distance_m)}
-
-
 def travel_cost_of(stored: dict[str, Any]) -> np.ndarray:
     """Decode the driving distances of a travel-cost estimate, in metres."""
     return _array_of(stored["distance_m"])
@@ -415,9 +384,14 @@ def travel_cost_of(stored: dict[str, Any]) -> np.ndarray:
 
 # Name of a worker → encoder of its result.
 _ENCODE_RESULT: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "detector": _boxes, "travel_cost": _travel_cost, "rooms": _rooms, "similarity": _similarity,
-    "choice": _choice, "task": _plan_result,
-}  # fmt: skip
+    "detector": _boxes,
+    "travel_cost": lambda distance_m: {"distance_m": _array(distance_m)},
+    "rooms": _rooms,
+    # Workers of scorers answer with (question, result); the question is not recorded.
+    "similarity": lambda answer: _plain(answer[1]),
+    "choice": lambda answer: _plain(answer[1]),
+    "task": _plain,
+}
 
 
 def _goal_status_of(stored: dict[str, Any]) -> dict[str, Any]:

@@ -329,9 +329,7 @@ def _actions(entries: Sequence[LoopInput]) -> Iterator[tuple[LoopInput, list[Loo
 
 
 def replay(
-    session: RecordedRun,
-    config: Config | None = None,
-    detect: bool = False,
+    session: RecordedRun, config: Config | None = None, detect: bool = False
 ) -> ReplayResult:
     """Replay a recorded run through a service and compare the decisions.
 

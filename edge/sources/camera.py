@@ -172,11 +172,7 @@ class CameraSource(ZenohSource):
 
     @staticmethod
     def check_options(
-        config: Config,
-        address: Any,
-        intrinsics: Any,
-        distortion: Any = (),
-        latency_s: Any = 0.0,
+        config: Config, address: Any, intrinsics: Any, distortion: Any = (), latency_s: Any = 0.0
     ) -> None:
         """Raise ConfigError for invalid options; the camera is not opened."""
         ZenohSource.check_options(config)

@@ -30,7 +30,6 @@ from edge.sources.contents import (
     TF,
     TF_STATIC,
     RecordingContents,
-    match_topics,
     missing_inputs,
     read_contents,
 )
@@ -38,6 +37,7 @@ from edge.sources.decoder import KINDS
 from edge.sources.polled import PolledSource
 from edge.sources.synchronizer import streams_of
 from edge.sources.tf import RobotFrames
+from edge.sources.topic_matching import match_topics
 from edge.text import format_table, one_line
 from edge.types import CAMERAS, Observation
 

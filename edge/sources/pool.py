@@ -20,11 +20,7 @@ class PoolSlot:
     __slots__ = ("_lock", "cloud_m", "depth_m", "holds", "rgb")
 
     def __init__(
-        self,
-        lock: threading.Lock,
-        image_hw: tuple[int, int] | None,
-        cloud_points: int,
-        depth: bool,
+        self, lock: threading.Lock, image_hw: tuple[int, int] | None, cloud_points: int, depth: bool
     ) -> None:
         self._lock = lock
         self.holds = 0

@@ -107,10 +107,7 @@ def _is_passing_side(reader: TokenReader) -> bool:
 
 
 def object_of_last_step(
-    scene: Scene | UnseenScene,
-    before: Sequence[InstructionStep],
-    reader: TokenReader,
-    token: Token,
+    scene: Scene | UnseenScene, before: Sequence[InstructionStep], reader: TokenReader, token: Token
 ) -> SceneObject:
     """Return the only object of the previous step, for which `it` or `its` stands."""
     if not before or len(before[-1].things) != 1:

@@ -73,11 +73,7 @@ def _middle(outline: np.ndarray, size: tuple[int, int]) -> tuple[float, float]:
 
 
 def _draw_number(
-    image: np.ndarray,
-    number: int,
-    spot: tuple[float, float],
-    at: tuple[float, float],
-    radius: int,
+    image: np.ndarray, number: int, spot: tuple[float, float], at: tuple[float, float], radius: int
 ) -> None:
     """Draw a number on a black disc, with a line to its object, in place."""
     own_colour = colour(number)

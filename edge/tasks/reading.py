@@ -77,8 +77,7 @@ def parse_steps(
         TranslationError: the instruction is not understood; the error names the part.
     """
     steps = _read_steps(
-        instruction,
-        lambda n: scene if n is None or _is_selected(n, step_slice) else UnseenScene(),
+        instruction, lambda n: scene if n is None or _is_selected(n, step_slice) else UnseenScene()
     )
     return steps[step_slice]
 

@@ -30,12 +30,7 @@ from edge.tasks.ground import reachable
 from edge.tasks.ground_votes import GroundVotes
 from edge.tasks.map_scene import build_scene, scene_object, uninflated
 from edge.tasks.objects import MapObject, ObjectMap, main_clusters
-from edge.tasks.pipeline import (
-    CaptionedDetections,
-    GroundKinds,
-    PerceptionPipeline,
-    run_pipeline,
-)
+from edge.tasks.pipeline import CaptionedDetections, GroundKinds, PerceptionPipeline, run_pipeline
 from edge.tasks.projection import in_picture
 from edge.tasks.scene import Scene
 from edge.tasks.value_map import open_cells

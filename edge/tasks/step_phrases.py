@@ -224,10 +224,7 @@ def _read_stop_before_it(reader: TokenReader) -> float:
 
 
 def _read_counted(
-    reader: TokenReader,
-    scene: Scene | UnseenScene,
-    before: Sequence[InstructionStep],
-    doing: str,
+    reader: TokenReader, scene: Scene | UnseenScene, before: Sequence[InstructionStep], doing: str
 ) -> InstructionStep:
     """Read `3 metres forward`, `3 metres before the van`, `3 metres behind the van`."""
     distance_m = _read_distance_m(reader)

@@ -15,12 +15,7 @@ from edge.errors import UserError
 from edge.tasks import rules
 from edge.tasks.functions import ScriptFunctions
 from edge.tasks.ground import ReachableGround, ground_of
-from edge.tasks.prompt import (
-    MOST_INSTRUCTION_CHARS,
-    messages,
-    prompt_version,
-    with_new_objects,
-)
+from edge.tasks.prompt import MOST_INSTRUCTION_CHARS, messages, prompt_version, with_new_objects
 from edge.tasks.scene import Scene
 from edge.tasks.script import ScriptLimits, run_script
 from edge.tasks.steps import InstructionStep, describe_steps

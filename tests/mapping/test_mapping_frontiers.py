@@ -14,11 +14,12 @@ from mapping_twins import SMALL, look, room
 
 from edge import config
 from edge.geometry import SE2
+from edge.mapping import cluster_kernels as kernels
 from edge.mapping import clusters as cl
 from edge.mapping.grid import RollingMap
 
 
-def clusters_of(grid: RollingMap) -> cl.Clusters:
+def clusters_of(grid: RollingMap) -> kernels.Clusters:
     return grid._finder.clusters
 
 
@@ -57,7 +58,7 @@ def check(grid: RollingMap, cut: bool = False) -> None:
         ids = {int(label[y, x]) for x, y in group}
         assert cut or len(ids) == 1, "only clusters that were cut at the limit may be apart"
         for k in ids:
-            assert size[k] == sum(label[y, x] == k for x, y in group) <= cl.MAX_CELLS
+            assert size[k] == sum(label[y, x] == k for x, y in group) <= kernels.MAX_CELLS
     assert size.sum() == expected.sum()
     check_targets(grid, expected, label)
 
@@ -95,9 +96,9 @@ def test_the_frontier_set_is_right_after_random_updates_and_rolls(seed):
             bx, by = x + rng.uniform(-2.5, 2.5), y + rng.uniform(-2.5, 2.5)
             boxes.append((bx, by, 0.0, bx + rng.uniform(0.1, 1), by + 0.2, rng.uniform(0.2, 2)))
         look(grid, SE2(x, y, rng.uniform(-math.pi, math.pi)), boxes)
-        cut |= bool((clusters_of(grid).size == cl.MAX_CELLS).any())
+        cut |= bool((clusters_of(grid).size == kernels.MAX_CELLS).any())
         check(grid, cut)
-    assert clusters_of(grid).count[cl.OVERFLOW] == 0
+    assert clusters_of(grid).count[kernels.OVERFLOW] == 0
 
 
 def test_a_change_behind_the_robot_moves_the_frontier_there():
@@ -172,4 +173,4 @@ def test_clusters_are_cut_at_their_limit(n_cells):
     grid._refresh_frontiers(True)
     size = clusters_of(grid).size
     assert size.sum() == n_cells
-    assert (size > 0).sum() == math.ceil(n_cells / cl.MAX_CELLS)
+    assert (size > 0).sum() == math.ceil(n_cells / kernels.MAX_CELLS)

@@ -14,7 +14,7 @@ from mapping_twins import CAMERA, SMALL, T_BASE_CAMERA, look, render, room
 
 from edge import config
 from edge.geometry import SE2, CameraModel
-from edge.mapping import clusters, layers, points, reach_kernels, unknown, update, values
+from edge.mapping import cluster_kernels, layers, points, reach_kernels, unknown, update, values
 from edge.mapping.grid import CLEAR_AFTER, RollingMap
 from edge.mapping.warmup import warm_values, warmup
 from edge.types import Observation
@@ -299,7 +299,7 @@ def test_memory_is_fixed_and_a_steady_update_allocates_nothing_large():
 
 def signatures() -> dict[str, int]:
     """Compiled variants of every kernel of the package."""
-    modules = (clusters, layers, points, reach_kernels, unknown, update, values)
+    modules = (cluster_kernels, layers, points, reach_kernels, unknown, update, values)
     return {
         f"{module.__name__}.{name}": len(kernel.signatures)
         for module in modules

@@ -33,7 +33,8 @@ from edge.memory import (
 DOCK = Place("dock", SE2(1.0, -2.0, math.pi / 2))
 STAIRS = Zone("stairs", "keep_out", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)))
 OFFICE = RoomName("office", (3.0, 4.0))
-NAME, AT = "here: features.0.properties.name", "here: features.0.geometry"
+NAME, KIND = "here: features.0.properties.name", "here: features.0.properties.kind"
+AT = "here: features.0.geometry"
 ALL = Site((DOCK, STAIRS, OFFICE))
 
 
@@ -99,7 +100,10 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature(coordinates=[math.nan, 0])), AT + ".coordinates.0:"),
         (collection(feature(coordinates=[1e9, 0])), AT + ".coordinates.0:"),
         (collection(feature(coordinates=[1])), AT + ".coordinates:"),
-        (collection(feature("keep_out")), AT + ".type: Input should be 'Polygon'"),
+        (collection(feature("keep_out")), "keep_out dock: its geometry cannot be a Point"),
+        (collection(feature(shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 1]]])),
+         "place dock: its geometry cannot be a Polygon"),
+        (collection(feature("stairs")), KIND + ": Input should be 'place', 'room'"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0]]])),
          AT + ".coordinates.0:"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),

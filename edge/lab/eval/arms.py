@@ -16,6 +16,12 @@ from edge.text import one_line
 
 Data = dict[str, Any]
 """A configuration, or a part of one, as read from YAML."""
+LOCKSTEP: Data = {
+    "loop": {"lockstep": True},
+    "sim": {"lockstep": True},
+    "perception": {"isolation": "thread"},
+}
+"""Settings with which a result does not depend on real time."""
 
 
 @dataclass(frozen=True, slots=True)

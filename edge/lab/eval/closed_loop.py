@@ -139,18 +139,15 @@ class ClosedLoop:
 
     def observe(self) -> Observation:
         """Render an observation at the robot's pose. Its arrays are valid until the next call."""
-        motion, cloud = self.drive.motion, {}
+        motion = self.drive.motion
         self.rig = self._cameras[self._seq % len(self._cameras)]
         self.rig.look(motion.pose)
         if self.lidar is not None:
             self.lidar.look(motion.pose)
-            cloud = {"cloud_m": self.lidar.cloud_m(), "T_base_lidar": self.lidar.T_base_lidar}
         self._seq += 1
-        return Observation(
-            self._seq, motion.stamp_ns, motion.odometry.matrix(),
-            rgb=self.rig.rgb, depth_m=self.rig.depth_m, camera=self.rig.model,
-            T_base_camera=self.rig.T_base_camera, camera_index=self.rig.index, **cloud,
-        )  # fmt: skip
+        return self.rig.observation(
+            self._seq, motion.stamp_ns, motion.odometry.matrix(), self.lidar
+        )
 
     def step(self) -> None:
         """Observe and run one tick if the sensor has a new frame; drive for `sim.step_s`."""

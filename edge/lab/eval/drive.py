@@ -18,7 +18,7 @@ import numpy as np
 from edge.config import Config, parse
 from edge.errors import Stopped, UserError
 from edge.lab.eval import geodesic, world_list
-from edge.lab.eval.arms import Data, ExperimentArm, merged
+from edge.lab.eval.arms import LOCKSTEP, ExperimentArm, merged
 from edge.lab.eval.closed_loop import ClosedLoop, wants_colour
 from edge.lab.eval.episodes import Episode
 from edge.lab.eval.ground_truth import GroundTruth, GroundTruthLogger, objects_meant_by
@@ -91,18 +91,11 @@ def config_of(arm: ExperimentArm, episode: Episode) -> Config:
     Raises:
         ConfigError: the episode's world or sensors are not valid in a configuration.
     """
-    data = merged(arm.base, episode.sensing, arm.settings, _LOCKSTEP, episode.settings)
+    data = merged(arm.base, episode.sensing, arm.settings, LOCKSTEP, episode.settings)
     data["sim"]["world"] = episode.world
     if data["perception"]["detector"].get("kind") == "onnx":
         data["perception"]["detector"]["threads"] = 1
     return parse(data, f"{arm.path}: arm {arm.name}")
-
-
-_LOCKSTEP: Data = {
-    "loop": {"lockstep": True},
-    "sim": {"lockstep": True},
-    "perception": {"isolation": "thread"},
-}
 
 
 # -- in this process ------------------------------------------------------------------------------

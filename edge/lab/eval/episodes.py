@@ -24,12 +24,12 @@ from pydantic import Field
 
 from edge import names
 from edge.config import Config, parse
-from edge.errors import FileError, UserError
-from edge.host.files import read_regular, save
+from edge.errors import UserError
+from edge.host.files import save
 from edge.host.progress import with_progress
 from edge.lab.eval import geodesic, world_list
 from edge.lab.eval.arms import data_of, merged
-from edge.lab.eval.json_lines_file import parse_lines, parser_of
+from edge.lab.eval.json_lines_file import parser_of, read_lines
 from edge.lab.eval.metrics import REACHED_M
 from edge.lab.eval.missions import MissionCostFields, draw_missions
 from edge.lab.eval.planning.delexicalised import compiled
@@ -236,7 +236,7 @@ def plan_missions(
                     episodes.append(
                         make_episode(
                             section, world.name, start_at(pose), round(shortest_m, 4), sensing,
-                            instruction=mission.instruction,
+                            instruction=mission.sentence,
                         )
                     )  # fmt: skip
                     break
@@ -343,17 +343,9 @@ def read(path: Path) -> list[Episode]:
         FileError: the file cannot be read.
         UserError: a line is not an episode, or two episodes have the same id.
     """
-    try:
-        content = read_regular(path, MAX_BYTES)
-    except OSError as error:
-        raise FileError(
-            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --plan FILE` "
-            "writes such a file"
-        ) from None
     episodes: dict[str, Episode] = {}
-    for episode in parse_lines(
-        path, content, parse_episode, "an episode", "write the file with --plan"
-    ):
+    advice = "`edge eval episodes --plan FILE` writes such a file"
+    for episode in read_lines(path, MAX_BYTES, parse_episode, "an episode", advice):
         if episode.id in episodes:
             raise UserError(
                 f"{path}: two episodes have the same id {one_line(episode.id)}; remove one of the "

@@ -28,10 +28,10 @@ from typing import Any
 from edge import names
 from edge.config import MissionConfig
 from edge.config import Translator as TranslatorConfig
-from edge.errors import UserError
 from edge.geometry import SE2
-from edge.host.files import open_regular
+from edge.host.files import MAX_TEXT_BYTES
 from edge.lab.eval.equivalence import distinguishing_trace
+from edge.lab.eval.json_lines_file import read_lines
 from edge.memory import Place, Site
 from edge.mission.language.said import Control, MemoryQuestion, NoMissionError, SiteOrder
 from edge.mission.language.spans import DURATION, seconds_of
@@ -102,27 +102,13 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
     Raises:
         UserError: the file cannot be read or has another form.
     """
-    try:
-        with open_regular(path) as file:
-            lines = file.read().decode().splitlines()
-    except (OSError, ValueError) as error:
-        raise UserError(f"--everyday {path}: cannot be read: {error}") from None
-    cases = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            case = json.loads(line)
-            is_case = all(isinstance(case[key], str) for key in ("said", "expect"))
-        except (ValueError, KeyError, TypeError):
-            is_case = False
-        if not is_case:
-            raise UserError(
-                f'--everyday {path}: line {number}: expected a JSON object with the texts "said" '
-                'and "expect"; see docs/language.md'
-            )
-        cases.append(case)
-    return cases
+    return read_lines(path, MAX_TEXT_BYTES, _parse_case, "a sentence", "see docs/language.md")
+
+
+def _parse_case(data: dict[str, Any]) -> dict[str, Any]:
+    if not all(isinstance(data.get(key), str) for key in ("said", "expect")):
+        raise ValueError('expected the texts "said" and "expect"')
+    return data
 
 
 def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> EverydayScore:

@@ -39,6 +39,34 @@ def wilson(successes: int, n: int) -> Interval:
     return Interval(successes / n, float(bounds.low), float(bounds.high))
 
 
+def clusters(worlds: np.ndarray, at_least: int = 10) -> tuple[np.ndarray, bool]:
+    """Return the clusters of episodes that the bootstrap resamples.
+
+    They are the worlds, as the episodes of one world are not independent. With fewer than
+    `at_least` worlds, episodes are resampled. Such intervals do not generalise to other worlds.
+
+    Args:
+        worlds: (n,) str, the world of each episode.
+        at_least: fewest worlds to resample.
+
+    Returns:
+        (n,) int, the cluster of each episode; and True if the clusters are worlds.
+    """
+    names, index = np.unique(worlds, return_inverse=True)
+    if len(names) >= at_least:
+        return index.ravel(), True
+    return np.arange(len(worlds)), False
+
+
+def intervals_note(worlds: np.ndarray, noun: str = "world") -> str:
+    """Return a sentence that explains the intervals of a table; `worlds` as of `clusters`."""
+    n, by_world = len(set(worlds.tolist())), clusters(worlds)[1]
+    how = f"{n} {noun}s" if by_world else (
+        f"episodes of {n} {noun}{'s' * (n != 1)}; they do not generalise to other {noun}s"
+    )  # fmt: skip
+    return f"In brackets: 95 % intervals, Wilson's for shares, else by bootstrap over {how}."
+
+
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     """Return a ratio of sums over independent pairs, with its interval by the delta method.
 
@@ -75,7 +103,7 @@ def bootstrap(
     Args:
         numerators: (k, n) float64, one row per ratio.
         denominators: (k, n) float64. An entry outside a row's ratio is 0 in both arrays.
-        cluster: (n,) int from 0; entries that are not independent have the same number.
+        cluster: (n,) int; entries that are not independent have the same number.
         resamples: number of resamples.
         seed: of the resamples.
 
@@ -83,12 +111,12 @@ def bootstrap(
         k intervals. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
         sum to 0.
     """
-    k, n = numerators.shape
-    clusters = int(cluster.max()) + 1 if n else 0
-    sums = np.zeros((clusters, 2 * k))
-    np.add.at(sums, cluster, np.concatenate([numerators, denominators]).T)
-    counted = np.zeros((clusters, k), bool)
-    np.logical_or.at(counted, cluster, ((numerators != 0) | (denominators != 0)).T)
+    k = len(numerators)
+    numbers, index = np.unique(cluster, return_inverse=True)
+    sums = np.zeros((len(numbers), 2 * k))
+    np.add.at(sums, index.ravel(), np.concatenate([numerators, denominators]).T)
+    counted = np.zeros((len(numbers), k), bool)
+    np.logical_or.at(counted, index.ravel(), ((numerators != 0) | (denominators != 0)).T)
     totals = sums.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = totals[:k] / totals[k:]

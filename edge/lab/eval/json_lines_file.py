@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -10,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
+from edge.lab.eval.json_data import json_data
 from edge.text import one_line, read_json_object
 
 T = TypeVar("T")
@@ -55,6 +58,37 @@ def parse_lines(path: Path, content: bytes, parse: Parser[T], what: str, advice:
                 f"{path}: line {number}: not {what}: {one_line(error)}; {advice}"
             ) from None
     return found
+
+
+def read_lines(
+    path: Path, max_bytes: int, parse: Parser[T], what: str, advice: str, complete: bool = True
+) -> list[T]:
+    """Read the items of a file.
+
+    Args:
+        path: the file.
+        max_bytes: size limit of the file.
+        parse: the parser of a line.
+        what: name of an item with its article, for messages.
+        advice: advice to the user, for messages.
+        complete: False: ignore a last line without its end.
+
+    Raises:
+        FileError: the file cannot be read.
+        UserError: a line is not an item.
+    """
+    try:
+        content = read_regular(path, max_bytes)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}; {advice}") from None
+    content = content if complete else content[: content.rfind(b"\n") + 1]
+    return parse_lines(path, content, parse, what, advice)
+
+
+def to_line(item: Any, digits: int | None = None) -> bytes:
+    """Return a dataclass as a line of JSON; numbers that are not finite become null."""
+    data = json_data(asdict(item), digits)
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
 class JsonLinesFile(Generic[T]):

@@ -10,18 +10,17 @@ from __future__ import annotations
 import random
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from edge import names
 from edge.lab.eval import geodesic
 from edge.lab.eval.metrics import REACHED_M
-from edge.lab.eval.planning.templates import Family, draws, formula_of, is_open_task, sentence_of
+from edge.lab.eval.planning.templates import BenchmarkTask, Family, different_tasks, draws
 from edge.lab.eval.true_rooms import in_room_of_kind
 from edge.lab.sim.base import World, objects_named
 from edge.mission.logic.automaton import NOTHING, Automaton
-from edge.mission.logic.ltl import Formula
 
 TARGETS = (2, 4)
 """Fewest and most objects that a mission names."""
@@ -36,34 +35,20 @@ FAMILIES = (
 _MAX_DRAWS = 10_000  # templates to draw for the missions of a world
 
 
-@dataclass(frozen=True, slots=True)
-class GeneratedMission:
-    """A sentence and its formula. `family` is the name of one of `FAMILIES`."""
-
-    family: str
-    instruction: str
-    formula: Formula
-
-
-def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[GeneratedMission]:
+def draw_missions(targets: Sequence[str], count: int, seed: int) -> list[BenchmarkTask]:
     """Draw satisfiable missions with different formulas for these targets, at most `count`."""
     objects_here = sorted({names.canonical(target) for target in targets})
     if len(objects_here) < TARGETS[0]:
         return []
-    missions: dict[Formula, GeneratedMission] = {}
-    rng = random.Random(seed)
-    drawn = draws(rng, FAMILIES, objects_here)
-    for (family, template, objects), _ in zip(drawn, range(_MAX_DRAWS), strict=False):
-        if len(missions) == count:
-            break
-        used = template.placeholders  # indices into `objects`
-        if not TARGETS[0] <= len(used) <= TARGETS[1] or max(used) >= len(objects):
-            continue  # too few or too many objects, or a placeholder without an object
-        formula = formula_of(template, objects)
-        if formula not in missions and is_open_task(formula):
-            sentence = sentence_of(template, objects)
-            missions[formula] = GeneratedMission(family.name, sentence, formula)
-    return list(missions.values())
+    drawn = islice(draws(random.Random(seed), FAMILIES, objects_here), _MAX_DRAWS)
+    # Leave out templates with too few or too many objects, or a placeholder without an object.
+    fitting = (
+        (family, template, objects)
+        for family, template, objects in drawn
+        if TARGETS[0] <= len(template.placeholders) <= TARGETS[1]
+        and max(template.placeholders) < len(objects)
+    )
+    return different_tasks(fitting, count)
 
 
 class MissionCostFields:

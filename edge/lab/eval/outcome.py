@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from edge.errors import FileError
-from edge.host.files import read_regular
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode, Length
-from edge.lab.eval.json_data import json_data
-from edge.lab.eval.json_lines_file import JsonLinesFile, parse_lines, parser_of
+from edge.lab.eval.json_lines_file import JsonLinesFile, parser_of, read_lines, to_line
 from edge.text import one_line
 
 OUTCOMES_NAME = "outcomes.jsonl"
@@ -143,11 +139,6 @@ def crashed_outcome(
     )  # fmt: skip
 
 
-def to_json_line(outcome: EpisodeOutcome) -> bytes:
-    """Encode an outcome as one line of JSON. A number that is not finite becomes null."""
-    return json.dumps(json_data(asdict(outcome), digits=4), separators=(",", ":")).encode() + b"\n"
-
-
 _parse = parser_of(EpisodeOutcome)
 
 
@@ -158,15 +149,8 @@ def read_outcomes(path: Path) -> list[EpisodeOutcome]:
         FileError: the file cannot be read.
         UserError: a line is not an outcome.
     """
-    try:
-        content = read_regular(path, MAX_BYTES)
-    except OSError as error:
-        raise FileError(
-            f"{path}: cannot be read: {error.strerror or error}; `edge eval episodes --out DIR` "
-            "writes this file"
-        ) from None
-    complete = content[: content.rfind(b"\n") + 1]
-    return parse_lines(path, complete, _parse, "an outcome", "remove the line")
+    advice = "`edge eval episodes --out DIR` writes this file"
+    return read_lines(path, MAX_BYTES, _parse, "an outcome", advice, complete=False)
 
 
 class OutcomeFile:
@@ -190,5 +174,5 @@ class OutcomeFile:
         Raises:
             FileError: the disk is full, or the folder is gone.
         """
-        self._file.append(to_json_line(outcome))
+        self._file.append(to_line(outcome, digits=4))
         self.known[outcome.key] = outcome

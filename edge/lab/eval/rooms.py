@@ -15,7 +15,7 @@ import numpy as np
 from edge.config import Config, load, parse
 from edge.errors import UserError
 from edge.lab.eval import world_list
-from edge.lab.eval.arms import Data, data_of, merged
+from edge.lab.eval.arms import LOCKSTEP, Data, data_of, merged
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.lab.eval.intervals import Interval, wilson
 from edge.lab.eval.true_rooms import true_room_at
@@ -30,7 +30,6 @@ _SAME_ROOM_SHARE = 0.5
 """A mapped room is judged if at least this share of its floor lies in one true room."""
 _PART_SHARE = 0.2
 """The kind of a true room counts, too, if at least this share of the mapped floor lies in it."""
-_LOCKSTEP: Data = {"loop": {"lockstep": True}, "sim": {"lockstep": True}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,20 +101,23 @@ def _verdict(
     return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
 
 
+def _loop(config: Config, world: World, instruction: str, sim: Data) -> ClosedLoop:
+    """Return a closed loop with a mission and settings of the section `sim`."""
+    settings = {"mission": {"instruction": instruction}, "sim": sim}
+    data = merged(data_of(config), LOCKSTEP, settings)
+    return ClosedLoop(parse(data, config.path), world=world, colour=False)
+
+
 def explore(config: Config, world: World) -> ClosedLoop:
     """Return a closed loop that has explored the world for `EXPLORE_S`; the caller closes it."""
-    data = merged(data_of(config), _LOCKSTEP, {"mission": {"instruction": "explore the house"}})
-    loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
-    return loop.run(EXPLORE_S)
+    return _loop(config, world, "explore the house", {}).run(EXPLORE_S)
 
 
 def drive_to(
     config: Config, world: World, kind: str, start: tuple[float, float, float]
 ) -> RoomGoalOutcome:
     """Drive to a room of a kind in an unknown house."""
-    settings = {"mission": {"instruction": f"go to the {kind}"}, "sim": {"start": list(start)}}
-    data = merged(data_of(config), _LOCKSTEP, settings)
-    loop = ClosedLoop(parse(data, config.path), world=world, colour=False)
+    loop = _loop(config, world, f"go to the {kind}", {"start": list(start)})
     try:
         loop.run(config.mission.time_limit_s + 5.0)
         status, pose = loop.service.status, loop.drive.motion.pose
@@ -129,11 +131,7 @@ def drive_to(
 
 def worlds_of(config: Config, specs: list[str]) -> Iterator[tuple[Config, World]]:
     """Yield the configuration and the world of each house whose rooms have kinds."""
-    for section in world_list.world_sections(specs):
-        data = data_of(config)
-        data["sim"]["world"] = section
-        house_config = parse(data, config.path)
-        world = world_list.load(house_config)
+    for house_config, world in world_list.worlds(config, specs):
         if not world.room_kinds:
             raise UserError(
                 f"--worlds: {world.name}: the kinds of the rooms are not known; use ProcTHOR houses"

@@ -18,11 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from edge import names
-from edge.config import Config, load, parse
+from edge.config import Config, load
 from edge.errors import UserError
 from edge.geometry import overlaps
 from edge.lab.eval import world_list
-from edge.lab.eval.arms import Data, data_of, merged
 from edge.lab.eval.recall import MIN_VIEW_PX, visible_boxes
 from edge.lab.sim.base import World, free_poses
 from edge.lab.sim.sensors import CameraRig
@@ -31,7 +30,7 @@ from edge.perception.embedding.encoders import make_text_encoder
 from edge.perception.embedding.text import TextEncoder, words_for
 from edge.perception.runtime.cards import load_detector_card
 from edge.text import format_table
-from edge.types import Detections, Observation
+from edge.types import Detections
 
 NEVER = 1.0
 """Score for a word whose detections are too often wrong at any score, or that are rare."""
@@ -170,7 +169,8 @@ def count_words(
     for number, pose in enumerate(free_poses(world, poses, seed, config.robot.radius_m)):
         rig.look(pose)
         image = LabelledImage(rig.ids, rig.depth_m, labels, range_m)
-        found = detector.detect(_observation(rig, number)).without_suppressed()
+        seen = rig.observation(number, number, np.eye(4))  # a detector needs no pose
+        found = detector.detect(seen).without_suppressed()
         found = found.above(config.perception.tau_det)
         for row, word in enumerate(words):
             best, views, seen = image.detected(word, found.only(found.class_id == row))
@@ -189,14 +189,6 @@ def count_words(
     return counts
 
 
-def _observation(rig: CameraRig, number: int) -> Observation:
-    """Return the rig's last image; a detector needs no pose."""
-    return Observation(
-        number, number, np.eye(4), rgb=rig.rgb, depth_m=rig.depth_m, camera=rig.model,
-        T_base_camera=rig.T_base_camera,
-    )  # fmt: skip
-
-
 def run(args: argparse.Namespace) -> int:
     """Run `edge eval words`; see `edge.cli.eval_parsers`."""
     config = load(args.config)
@@ -209,10 +201,7 @@ def run(args: argparse.Namespace) -> int:
     text = make_text_encoder(load_detector_card(chosen.model), chosen.vocabulary)
     detector = OnnxDetector(chosen, ["chair"], text=text)
     counts: dict[str, WordCount] = defaultdict(WordCount)
-    for section in world_list.world_sections(args.worlds):
-        data: Data = merged(data_of(config), {"sim": {"world": section}})
-        house = parse(data, config.path)
-        world = world_list.load(house)
+    for house, world in world_list.worlds(config, args.worlds):
         for word, more in count_words(house, world, detector, text, args.poses, args.seed).items():
             counts[word].add(more)
     print(_table(counts, args.precision, config.perception.tau_det))

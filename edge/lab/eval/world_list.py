@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
 from edge.config import Config, parse
 from edge.errors import UserError
 from edge.host import resources
+from edge.lab.eval.arms import data_of, merged
 from edge.lab.sim.base import World
 from edge.lab.sim.procthor import read_houses
 from edge.lab.sim.worlds import load_world
@@ -86,6 +87,13 @@ def _range(spec: str, matched: re.Match[str], length: int | None) -> range:
     if end - first > _MAX_SEEDS:
         raise UserError(f"--worlds {spec}: {end - first} worlds; at most {_MAX_SEEDS} are allowed")
     return range(first, end)
+
+
+def worlds(config: Config, specs: Sequence[str]) -> Iterator[tuple[Config, World]]:
+    """Yield the configuration and the world of each place that `--worlds` lists; see `load`."""
+    for section in world_sections(specs):
+        in_world = parse(merged(data_of(config), {"sim": {"world": section}}), config.path)
+        yield in_world, load(in_world)
 
 
 def load(config: Config) -> World:

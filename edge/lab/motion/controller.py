@@ -18,12 +18,7 @@ from edge.lab.motion.recovery import BacktrackPath, Recovery
 from edge.lab.motion.route import NEAR_M, Route
 from edge.stuck import STUCK_M, StuckDetector
 from edge.trajectory import costmap
-from edge.trajectory.pursuit import (
-    STOP,
-    MotionLimits,
-    VelocityCommand,
-    turn_to,
-)
+from edge.trajectory.pursuit import STOP, MotionLimits, VelocityCommand, turn_to
 from edge.types import GoalStatus
 
 log = logging.getLogger("edge.lab.motion")

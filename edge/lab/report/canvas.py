@@ -9,13 +9,15 @@ from __future__ import annotations
 import io
 import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
+from edge.host.files import save
 from edge.lab.report import palette
 
 if TYPE_CHECKING:
@@ -142,6 +144,22 @@ def content(figure: Figure, kind: str, **options: Any) -> bytes:
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(out, format=kind, metadata=metadata, **options)
     return out.getvalue()
+
+
+def save_plots(
+    figures: Mapping[str, Figure], folder: Path, kinds: Sequence[str] = ("svg", "png")
+) -> list[Path]:
+    """Write figures by name as files of each kind, and return the files.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    paths = []
+    for kind in kinds:
+        for name, figure in figures.items():
+            paths.append(folder / f"{name}.{kind}")
+            save(paths[-1], content(figure, kind))
+    return paths
 
 
 def svg(axes: Axes) -> bytes:

@@ -19,6 +19,7 @@ from edge.config import Config
 from edge.geometry import SE2
 from edge.lab.sim.base import LidarRays, World, WorldError
 from edge.lab.sim.robot import MotionState
+from edge.types import Observation
 
 CAMERA_FRAMES, LIDAR_FRAME = ("camera_optical", "camera2_optical"), "lidar"
 """Frame ids in the messages."""
@@ -83,6 +84,18 @@ class CameraRig:
         if self._depth_noise > 0.0:
             noise = self._rng.standard_normal(self.depth_m.shape, np.float32)
             self.depth_m += self._depth_noise * noise * self.depth_m * self.depth_m
+
+    def observation(
+        self, seq: int, stamp_ns: int, T_map_base: np.ndarray, lidar: LidarRig | None = None
+    ) -> Observation:
+        """Return the last image as an observation, with the last scan of a LiDAR."""
+        scan = {} if lidar is None else {
+            "cloud_m": lidar.cloud_m(), "T_base_lidar": lidar.T_base_lidar,
+        }  # fmt: skip
+        return Observation(
+            seq, stamp_ns, T_map_base, rgb=self.rgb, depth_m=self.depth_m, camera=self.model,
+            T_base_camera=self.T_base_camera, camera_index=self.index, **scan,
+        )  # fmt: skip
 
     def messages(self, stamp_ns: int) -> Iterator[Message]:
         """Yield the last image as messages; colour comes last, since it completes the frame."""

@@ -113,6 +113,15 @@ class Street:
         dx, dy = x_m - self.start.x_m, y_m - self.start.y_m
         return SE2(c * dx + s * dy, -s * dx + c * dy, yaw_rad - self.start.yaw_rad)
 
+    def ground_at(self, xy_m: np.ndarray) -> np.ndarray:
+        """Return the ids of the ground at points (…, 2) in `map`, uint8; 0: no ground."""
+        x_m, y_m = np.moveaxis(self.to_road(xy_m), -1, 0)
+        found = np.zeros(x_m.shape, np.uint8)
+        for ground in self.grounds:
+            r = ground.rect
+            found[(x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)] = ground.id
+        return found
+
     def to_road(self, xy_m: np.ndarray) -> np.ndarray:
         """Transform points (…, 2) from `map` to the road's frame."""
         c, s = math.cos(self.start.yaw_rad), math.sin(self.start.yaw_rad)

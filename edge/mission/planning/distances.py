@@ -27,9 +27,7 @@ _CELL_M = 0.2  # approximate cell size of the search; at least the map's cell si
 
 
 def distances(
-    snapshot: Grid,
-    robot_xy_m: tuple[float, float],
-    positions: Sequence[np.ndarray],
+    snapshot: Grid, robot_xy_m: tuple[float, float], positions: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return `MissionKnowledge.distance_m`: driving distances from objects and robot to objects.
 

@@ -71,5 +71,5 @@ def test_the_table_and_the_failures_are_written(tmp_path, capsys):
 def test_a_damaged_file_is_refused(tmp_path, line):
     table = tmp_path / "in.jsonl"
     table.write_text(line)
-    with pytest.raises(UserError, match=r"line 1: expected a JSON object .*docs/language\.md"):
+    with pytest.raises(UserError, match=r"line 1: not a sentence: .*; see docs/language\.md"):
         everyday_cases(table)

@@ -37,8 +37,8 @@ def test_the_service_reads_each_sentence_as_its_formula():
     drawn = draw_missions(THINGS, 60, 2)
     assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
     for mission in drawn:
-        spec = prepare(simulated({"mission": {"instruction": mission.instruction}}).mission)
-        assert spec.translation.formula == mission.formula, mission.instruction
+        spec = prepare(simulated({"mission": {"instruction": mission.sentence}}).mission)
+        assert spec.translation.formula == mission.formula, mission.sentence
 
 
 # --- the shortest way, against Dijkstra over (place, state) ---

@@ -10,12 +10,12 @@ import pytest
 from edge.errors import FileError, UserError
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
+from edge.lab.eval.json_lines_file import to_line
 from edge.lab.eval.outcome import (
     OUTCOMES_NAME,
     EpisodeOutcome,
     OutcomeFile,
     crashed_outcome,
-    to_json_line,
 )
 
 COLUMN = ExperimentArm("hvl", {}, {}, "c0", "here")
@@ -70,6 +70,6 @@ def test_non_finite_numbers_become_null():
         "e", "c", "i", "w", "house", "bed", None, (0.0, 0.0, 0.0), 1.0, False, "", "budget",
         distance_m=math.inf, trail=[[1.23456789, math.nan]],
     )  # fmt: skip
-    data = json.loads(to_json_line(outcome))
+    data = json.loads(to_line(outcome, digits=4))
     assert data["distance_m"] is None
     assert data["trail"] == [[1.2346, None]]

@@ -145,23 +145,6 @@ def natural_key(text: str) -> list[tuple[int, Any]]:
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
 
 
-def clusters(outcomes: Outcomes, at_least: int = 10) -> tuple[np.ndarray, str]:
-    """Return the clusters of episodes that the bootstrap resamples.
-
-    They are the worlds, as the episodes of one world are not independent.
-
-    With fewer than `at_least` worlds, episodes are resampled. Such intervals do not generalise to
-    other worlds.
-
-    Returns:
-        (E,) int, the cluster of each episode, and the unit: "world" or "episode".
-    """
-    worlds, index = np.unique(outcomes.world, return_inverse=True)
-    if len(worlds) >= at_least:
-        return index.ravel(), "world"
-    return np.arange(len(outcomes.episodes)), "episode"
-
-
 def baseline_of(outcomes: Outcomes, name: str | None) -> int:
     """Return the index of the baseline arm; by default the first.
 

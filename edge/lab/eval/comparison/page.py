@@ -17,6 +17,7 @@ from edge.lab.eval.comparison.statistics import Comparison, spl_of
 from edge.lab.eval.comparison.trails import TrailBackground
 from edge.lab.eval.comparison.worlds import FloorPlanDrawing
 from edge.lab.eval.outcome import FAILURES
+from edge.lab.report import canvas
 from edge.lab.report.document import data_url, document
 from edge.text import one_line
 
@@ -43,9 +44,9 @@ def html(
 
 def _plots(comparison: Comparison) -> str:
     figures = "".join(
-        f'<figure><img alt="{escape(plots.PLOTS[name][1])}" src="{data_url("png", content)}">'
-        "</figure>"
-        for name, content in plots.images(comparison, "png").items()
+        f'<figure><img alt="{escape(plots.PLOTS[name][1])}" '
+        f'src="{data_url("png", canvas.content(figure, "png"))}"></figure>'
+        for name, figure in plots.figures(comparison).items()
     )
     return f'<section><h2>Plots</h2><div class="plots">{figures}</div></section>' if figures else ""
 

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.host.files import write_atomically
-from edge.lab.eval.comparison.outcomes import Outcomes, clusters
+from edge.lab.eval.comparison.outcomes import Outcomes
 from edge.lab.eval.comparison.statistics import Comparison, arm_means, spl_of
-from edge.lab.eval.intervals import Interval
+from edge.lab.eval.intervals import Interval, clusters
 from edge.lab.report import canvas, palette
 from edge.lab.report.canvas import style_of
 from edge.text import shorten
@@ -65,14 +63,11 @@ def distances(comparison: Comparison) -> Figure:
     outcomes = comparison.outcomes
     figure, (axes,) = canvas.plots((WIDTH_IN, 3.8), DPI, 1)
     bins = _bins(outcomes.shortest_m)
-    cluster, _ = clusters(outcomes)
+    cluster, _ = clusters(outcomes.world)
     spl = spl_of(outcomes)
     middles = [float(np.median(outcomes.shortest_m[inside])) for inside in bins]
-    # By bin, by arm. The clusters of a bin are numbered from 0 without gaps.
-    found = [
-        arm_means([spl[:, inside]], np.unique(cluster[inside], return_inverse=True)[1].ravel())[0]
-        for inside in bins
-    ]
+    # By bin, by arm.
+    found = [arm_means([spl[:, inside]], cluster[inside])[0] for inside in bins]
     for a in range(len(outcomes.arms)):
         # Shift each arm, so that whiskers do not overlap.
         shift = 1.0 + 0.012 * (a - (len(outcomes.arms) - 1) / 2)
@@ -145,29 +140,15 @@ PLOTS: dict[str, tuple[Callable[[Comparison], Figure], str]] = {
 """By name: the function that plots a comparison, and a description."""
 
 
-def images(comparison: Comparison, kind: str) -> dict[str, bytes]:
-    """Return the content of each plot as "svg" or "png", by name.
+def figures(comparison: Comparison) -> dict[str, Figure]:
+    """Return each plot by name.
 
     Without any record there is no plot, and without a second arm no plot of differences.
     """
     if not comparison.outcomes.ran.any():
         return {}
     drawn = [name for name in PLOTS if name != "differences" or comparison.pairs]
-    return {name: canvas.content(PLOTS[name][0](comparison), kind) for name in drawn}
-
-
-def write(comparison: Comparison, directory: Path, kinds: tuple[str, ...]) -> list[Path]:
-    """Write every plot in each format ("svg", "png") and return the files.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
-    paths = []
-    for kind in kinds:
-        for name, content in images(comparison, kind).items():
-            paths.append(directory / f"{name}.{kind}")
-            write_atomically(paths[-1], content)
-    return paths
+    return {name: PLOTS[name][0](comparison) for name in drawn}
 
 
 # -- drawing ------------------------------------------------------------------------------------

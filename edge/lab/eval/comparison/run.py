@@ -9,19 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import Config, parse
-from edge.errors import FileError, UserError
-from edge.host.files import write_atomically
+from edge.errors import UserError
+from edge.host.files import save
 from edge.host.progress import with_progress
 from edge.lab.eval import episodes, world_list
 from edge.lab.eval.arms import merged
 from edge.lab.eval.comparison import page, plots, tables, worlds
-from edge.lab.eval.comparison.outcomes import (
-    Outcomes,
-    baseline_of,
-    gather,
-)
+from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, gather
 from edge.lab.eval.comparison.statistics import Comparison, compare
+from edge.lab.eval.intervals import intervals_note
 from edge.lab.eval.outcome import OUTCOMES_NAME, EpisodeOutcome, read_outcomes
+from edge.lab.report import canvas
 from edge.lab.report.recorder import machine
 from edge.text import one_line
 
@@ -42,14 +40,9 @@ def run(args: argparse.Namespace) -> int:
         JSON_NAME: tables.to_json(comparison),
         PAGE_NAME: page.html(comparison, drawings, args.compare.resolve().name, machine()).encode(),
     }
-    try:
-        for name, data in content.items():
-            write_atomically(args.compare / name, data)
-        paths = plots.write(comparison, args.compare, ("svg", "png"))
-    except OSError as error:
-        raise FileError(
-            f"--compare {args.compare}: cannot be written: {error.strerror or error}"
-        ) from None
+    for name, data in content.items():
+        save(args.compare / name, data)
+    paths = canvas.save_plots(plots.figures(comparison), args.compare)
     print("\n".join(map(str, ["", *(args.compare / name for name in content), *paths])))
     return 0
 
@@ -77,7 +70,7 @@ def text(comparison: Comparison) -> str:
     if not comparison.outcomes.arms:
         return "no outcomes"
     parts = [tables.text(table) for table in tables.tables(comparison)]
-    parts.append(tables.unit_words(comparison))
+    parts.append(intervals_note(comparison.outcomes.world))
     if comparison.outcomes.n_ignored:
         parts.append(
             f"{comparison.outcomes.n_ignored} older outcomes are ignored: earlier settings of an "

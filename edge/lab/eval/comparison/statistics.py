@@ -4,8 +4,8 @@ An arm is one of the compared configurations. SR is the success rate. SPL, succe
 length, is the shortest path over the driven one, and 0 for a failure; lost SPL is 1 minus SPL.
 Arrays are (A, E): A arms by E episodes.
 
-Every interval is a bootstrap over worlds (`outcomes.clusters`), except those of shares, which are
-Wilson's: the bootstrap interval of a share of 0 has no width.
+Every interval is a bootstrap over worlds (`edge.lab.eval.intervals.clusters`), except those of
+shares, which are Wilson's: the bootstrap interval of a share of 0 has no width.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, clusters, natural_key
-from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, wilson
+from edge.lab.eval.comparison.outcomes import Outcomes, baseline_of, natural_key
+from edge.lab.eval.intervals import RESAMPLES, Interval, bootstrap, clusters, wilson
 from edge.lab.eval.metrics import episode_soft_spl, episode_spl
 from edge.lab.eval.outcome import FAILURES
 
@@ -228,13 +228,13 @@ def compare(
         UserError: there is no such arm.
     """
     base = baseline_of(outcomes, baseline)
-    cluster, unit = clusters(outcomes)
+    cluster, by_world = clusters(outcomes.world)
     figures = _figures(outcomes, tuple(METRICS), cluster, resamples)
     others = [a for a in range(len(outcomes.arms)) if a != base]
     return Comparison(
         outcomes,
         base,
-        unit,
+        "world" if by_world else "episode",
         figures,
         tuple(pair(outcomes, a, base, resamples) for a in others),
         _groups(outcomes, resamples),
@@ -288,9 +288,7 @@ def pair(
     """Compare an arm with the baseline on the same episodes: their difficulty cancels out."""
     both_ran = outcomes.ran[arm] & outcomes.ran[baseline]
     missing = int((outcomes.ran[arm] ^ outcomes.ran[baseline]).sum())
-    cluster, _ = clusters(outcomes)
-    # Number the clusters that are left from 0, without gaps.
-    cluster = np.unique(cluster[both_ran], return_inverse=True)[1].ravel()
+    cluster = clusters(outcomes.world)[0][both_ran]
     rows = np.array([arm, baseline])
 
     def on_same_episodes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -347,10 +345,9 @@ def _group(
     outcomes: Outcomes, inside: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Estimate]]:
     """Return SR and SPL of the episodes inside a group, (E,) bool, by arm."""
-    cluster, _ = clusters(outcomes)
+    cluster, _ = clusters(outcomes.world)
     values = {key: np.where(inside, METRICS[key].values(outcomes), np.nan) for key in ("sr", "spl")}
-    used = np.unique(cluster[inside], return_inverse=True)[1].ravel()
-    intervals = arm_means([values["spl"][:, inside]], used, resamples)[0]
+    intervals = arm_means([values["spl"][:, inside]], cluster[inside], resamples)[0]
     groups = {}
     for a, name in enumerate(outcomes.arms):
         n = int(outcomes.ran[a, inside].sum())

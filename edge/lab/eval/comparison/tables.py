@@ -19,7 +19,7 @@ from edge.lab.eval.comparison.statistics import (
     Estimate,
     PairedDifference,
 )
-from edge.lab.eval.intervals import Interval
+from edge.lab.eval.intervals import Interval, intervals_note
 from edge.lab.eval.json_data import json_data
 from edge.lab.eval.outcome import FAILURES
 from edge.text import format_table, one_line
@@ -89,19 +89,7 @@ def _words(comparison: Comparison, keys: Sequence[str]) -> str:
     words = f"{words[:1].upper()}{words[1:]}."
     if len(set(comparison.outcomes.ran.sum(axis=1).tolist())) > 1:
         words += " Arms with different n ran different episodes: compare them by pairs."
-    return f"{words} {unit_words(comparison)}" if "spl" in keys else words
-
-
-def unit_words(comparison: Comparison) -> str:
-    """Return a sentence that explains the intervals."""
-    worlds = len(set(comparison.outcomes.world.tolist()))
-    how = (
-        f"by bootstrap over {worlds} worlds"
-        if comparison.unit == "world"
-        else f"by bootstrap over episodes of {worlds} world{'s' * (worlds != 1)}; they do not "
-        "generalise to other worlds"
-    )
-    return f"In brackets: 95 % intervals, Wilson's for shares, else {how}."
+    return f"{words} {intervals_note(comparison.outcomes.world)}" if "spl" in keys else words
 
 
 def paired(comparison: Comparison) -> ReportTable:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.host.files import write_atomically
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
 from edge.lab.eval.planning.report import Row
@@ -20,28 +18,16 @@ SIZE_IN = (7.2, 4.2)
 DPI = 150
 
 
-def write_plots(rows: Sequence[Row], directory: Path) -> list[Path]:
-    """Write the plots `completion` and `explorations`, each as SVG and PNG. Return the files.
-
-    Rows for all p_obs together are left out.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+def figures(rows: Sequence[Row]) -> dict[str, Figure]:
+    """Return the plots `completion` and `explorations`, without rows for all p_obs together."""
     rows = [row for row in rows if row.p_obs is not None]
     searching = [row for row in rows if row.planner != "clairvoyant"]
-    figures = {
+    return {
         "completion": _completion(rows),
         "explorations": _plot(
             searching, lambda row: row.explorations, "exploration attempts per task, mean"
         ),
     }
-    paths = []
-    for name, figure in figures.items():
-        for kind in ("svg", "png"):
-            paths.append(directory / f"{name}.{kind}")
-            write_atomically(paths[-1], canvas.content(figure, kind))
-    return paths
 
 
 def _completion(rows: Sequence[Row]) -> Figure:

@@ -10,13 +10,14 @@ import argparse
 import time
 
 from edge.errors import FileError, UserError
-from edge.host.files import make_writable, write_atomically
+from edge.host.files import make_writable, save
 from edge.host.progress import ProgressBar
 from edge.lab.eval.planning import report
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.plots import write_plots
+from edge.lab.eval.planning.plots import figures
 from edge.lab.eval.planning.sweep import Settings, run_tasks
 from edge.lab.eval.planning.templates import generate
+from edge.lab.report import canvas
 
 JSON_NAME = "results.json"
 
@@ -43,16 +44,9 @@ def run(args: argparse.Namespace) -> int:
     print(report.legend(results.planners), end="\n\n")
     print(report.table(rows), end="\n\n")
     seconds = time.monotonic() - began_s
-    try:
-        content = report.to_json(rows, tasks, settings, seconds)
-        write_atomically(args.out / JSON_NAME, content)
-        paths = [args.out / JSON_NAME, *write_plots(rows, args.out)]
-    except OSError as error:
-        raise FileError(
-            f"--out {args.out}: files cannot be written: {error.strerror}; the table above is "
-            "complete; for the files, run again with another folder"
-        ) from None
-    print("\n".join(map(str, paths)))
+    save(args.out / JSON_NAME, report.to_json(rows, tasks, settings, seconds))
+    paths = canvas.save_plots(figures(rows), args.out)
+    print("\n".join(map(str, [args.out / JSON_NAME, *paths])))
     print(f"{seconds:.0f} s")
     return 0
 

@@ -12,20 +12,11 @@ Tasks that contradict themselves are drawn again, and no two tasks have the same
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from edge.lab.eval.planning.delexicalised import HM3D_OBJECTS, delexicalise
-from edge.mission.logic.ltl import (
-    Formula,
-    always,
-    ap,
-    conj,
-    disj,
-    eventually,
-    neg,
-    weak_until,
-)
+from edge.mission.logic.ltl import Formula, always, ap, conj, disj, eventually, neg, weak_until
 
 SPOKEN = {"houseplant": "potted plant", "television": "tv", "sofa": "couch"}
 """Canonical name of an object → the paper's word for it, if they differ."""
@@ -126,18 +117,24 @@ def generate(n: int = 2000, seed: int = 0) -> list[BenchmarkTask]:
         >>> generate(4)[3].sentence
         'Reach a potted plant, then reach a toilet.'
     """
-    tasks: list[BenchmarkTask] = []
-    seen: set[Formula] = set()
-    for family, template, objects in draws(random.Random(seed), FAMILIES, HM3D_OBJECTS):
+    return different_tasks(draws(random.Random(seed), FAMILIES, HM3D_OBJECTS), n)
+
+
+Draw = tuple[Family, Template, list[str]]
+"""A template with its family, and the objects to fill it."""
+
+
+def different_tasks(drawn: Iterable[Draw], n: int) -> list[BenchmarkTask]:
+    """Return the first `n` satisfiable tasks with different formulas; fewer if there are fewer."""
+    tasks: dict[Formula, BenchmarkTask] = {}
+    for family, template, objects in drawn:
         if len(tasks) == n:
             break
         formula = formula_of(template, objects)
-        if formula in seen or not is_open_task(formula):
-            continue
-        seen.add(formula)
-        sentence = sentence_of(template, objects)
-        tasks.append(BenchmarkTask(len(tasks), family.name, sentence, formula))
-    return tasks
+        if formula not in tasks and is_open_task(formula):
+            sentence = sentence_of(template, objects)
+            tasks[formula] = BenchmarkTask(len(tasks), family.name, sentence, formula)
+    return list(tasks.values())
 
 
 def formula_of(template: Template, objects: Sequence[str]) -> Formula:
@@ -193,10 +190,8 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
     return " ".join(f"{s[0].upper()}{s[1:]}." for s in sentences)
 
 
-def draws(
-    rng: random.Random, families: Sequence[Family], objects: Sequence[str]
-) -> Iterator[tuple[Family, Template, list[str]]]:
-    """Yield random templates, each with its family and objects to fill it, without end.
+def draws(rng: random.Random, families: Sequence[Family], objects: Sequence[str]) -> Iterator[Draw]:
+    """Yield random draws without end.
 
     If there are fewer `objects` than `PLACEHOLDERS`, some placeholders of a template may have none.
     """

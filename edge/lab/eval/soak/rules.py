@@ -25,9 +25,8 @@ MAX_SILENCE_S = 10.0  # longest time without an answer of `/healthz` or a messag
 MAX_MAP_AGE_S = 10.0  # largest age of the map file (the map's checkpoint) without a fault
 MAX_LOG_LINES_PER_MIN = 120
 _MISSION_SPARE_S = 30.0  # added to the mission's own time limit
-_WARM_UP_S = (
-    120.0  # after a process starts: a model fills its memory arenas in some thousand images
-)
+# After a process starts: a model fills its memory arenas in some thousand images.
+_WARM_UP_S = 120.0
 _SETTLED_SHARE = 0.1  # share of the run after which caches are filled
 _SOME_REACHED_S = 1200.0  # in a longer run, at least one mission must reach its target
 
@@ -50,6 +49,11 @@ class Rule:
     ends_run: bool = False
 
 
+def _over(value: float, limit: float, words: str) -> str:
+    """Return the words, with value and limit, if the value is over the limit, else ""."""
+    return words.format(value, limit) if value > limit else ""
+
+
 def _process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     code = harness.service.poll()
     return "" if code is None else f"the process of the service ended with exit code {code}"
@@ -57,55 +61,30 @@ def _process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample)
 
 def _health_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     silent_s = time.monotonic() - monitor.healthy_s
-    return (
-        f"/healthz is not 200 for {silent_s:.0f} s, allowed {MAX_SILENCE_S:g} s"
-        if silent_s > MAX_SILENCE_S
-        else ""
-    )
+    return _over(silent_s, MAX_SILENCE_S, "/healthz is not 200 for {:.0f} s, allowed {:g} s")
 
 
 def _loop_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
     # While a fault silences the bus, no beat can arrive.
     silent_s = time.monotonic() - max(monitor.beat_s, monitor.muted_s)
-    return (
-        f"no message of the loop for {silent_s:.0f} s, allowed {MAX_SILENCE_S:g} s"
-        if silent_s > MAX_SILENCE_S
-        else ""
-    )
-
-
-def _checkpoint_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    return monitor.checkpoint_problem
+    return _over(silent_s, MAX_SILENCE_S, "no message of the loop for {:.0f} s, allowed {:g} s")
 
 
 def _map_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    age_s = sample["places_age_s"]  # of the map file
-    if monitor.calm and age_s is not None and age_s > MAX_MAP_AGE_S:
-        return f"the map file is {age_s:.0f} s old, allowed {MAX_MAP_AGE_S:g} s"
-    return monitor.map_problem
-
-
-def _recording_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    return monitor.recordings.problem
+    age_s = sample["places_age_s"] if monitor.calm else None  # of the map file
+    words = "the map file is {:.0f} s old, allowed {:g} s"
+    return _over(age_s or 0.0, MAX_MAP_AGE_S, words) or monitor.map_problem
 
 
 def _log_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    lines = sample["log_a_minute"]
-    return (
-        f"{lines} log lines in a minute, allowed {MAX_LOG_LINES_PER_MIN}"
-        if lines > MAX_LOG_LINES_PER_MIN
-        else ""
-    )
+    words = "{} log lines in a minute, allowed {}"
+    return _over(sample["log_a_minute"], MAX_LOG_LINES_PER_MIN, words)
 
 
 def _mission_time_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
-    elapsed_s = monitor.status.get("elapsed_s", 0.0)
     limit_s = harness.config.mission.time_limit_s + _MISSION_SPARE_S
-    return (
-        f"a mission runs for {elapsed_s:.0f} s, allowed {limit_s:.0f} s"
-        if elapsed_s > limit_s
-        else ""
-    )
+    words = "a mission runs for {:.0f} s, allowed {:.0f} s"
+    return _over(monitor.status.get("elapsed_s", 0.0), limit_s, words)
 
 
 def _mission_reason_problem(harness: SoakHarness, monitor: SoakMonitor, sample: Sample) -> str:
@@ -121,39 +100,23 @@ def _other_process_problem(harness: SoakHarness, monitor: SoakMonitor, sample: S
 
 RULES: tuple[Rule, ...] = (
     Rule("service lives", "its process never ends", _process_problem, ends_run=True),
-    Rule(
-        "service answers", f"`/healthz` is 200 at least every {MAX_SILENCE_S:g} s", _health_problem
-    ),
-    Rule(
-        "loop beats",
-        f"a message of the loop at least every {MAX_SILENCE_S:g} s, "
-        "unless a fault silences the bus",
-        _loop_problem,
-    ),
-    Rule("checkpoint", "the file is complete at every sample", _checkpoint_problem),
-    Rule(
-        "map",
-        f"`….map` is complete, too; without a fault it is at most {MAX_MAP_AGE_S:g} s old",
-        _map_problem,
-    ),
-    Rule(
-        "recordings",
-        "the `mcap` library reads each complete file; together they are at most `keep_mb`",
-        _recording_problem,
-    ),
+    Rule("service answers", f"`/healthz` is 200 at least every {MAX_SILENCE_S:g} s",
+         _health_problem),
+    Rule("loop beats", f"a message of the loop at least every {MAX_SILENCE_S:g} s, "
+         "unless a fault silences the bus", _loop_problem),
+    Rule("checkpoint", "the file is complete at every sample",
+         lambda harness, monitor, sample: monitor.checkpoint_problem),
+    Rule("map", f"`….map` is complete, too; without a fault it is at most {MAX_MAP_AGE_S:g} s old",
+         _map_problem),
+    Rule("recordings", "the `mcap` library reads each complete file; together they are at most "
+         "`keep_mb`", lambda harness, monitor, sample: monitor.recordings.problem),
     Rule("log", f"at most {MAX_LOG_LINES_PER_MIN} lines a minute", _log_problem),
-    Rule(
-        "missions end",
-        f"at most {_MISSION_SPARE_S:g} s after `mission.time_limit_s`",
-        _mission_time_problem,
-    ),
+    Rule("missions end", f"at most {_MISSION_SPARE_S:g} s after `mission.time_limit_s`",
+         _mission_time_problem),
     Rule("missions say why", "each failed mission has a reason", _mission_reason_problem),
-    Rule(
-        "others live",
-        "simulator, controller and router never exit by themselves",
-        _other_process_problem,
-    ),
-)
+    Rule("others live", "simulator, controller and router never exit by themselves",
+         _other_process_problem),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
 from edge.errors import UserError
 from edge.geometry import Grid
-from edge.lab.eval.json_lines_file import JsonLinesFile
+from edge.lab.eval.json_lines_file import JsonLinesFile, parser_of, to_line
 from edge.lab.eval.outcome import MAX_BYTES, OUTCOMES_NAME
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
-from edge.lab.eval.trajectories.references import CATEGORIES
+from edge.lab.eval.trajectories.references import Category
 from edge.lab.eval.trajectory_metrics import (
     contact_depth_m,
     contacts,
@@ -26,7 +24,6 @@ from edge.lab.eval.trajectory_metrics import (
     resample_evenly,
     trajectory_scores,
 )
-from edge.text import bounded_repr, one_line
 
 EPISODES_NAME = "episodes.jsonl"
 _DRAWN_M = 0.25  # distance between the points of a saved path
@@ -62,7 +59,7 @@ class EpisodeFacts:
     source: str
     world: str
     kind: str
-    category: str
+    category: Category
     instruction: str
     robot_m: float
     reference: Polyline
@@ -168,9 +165,11 @@ class ResultsFolder:
     """
 
     def __init__(self, path: Path) -> None:
-        self._episodes = JsonLinesFile(path / EPISODES_NAME, _parse_facts, "an episode", MAX_BYTES)
+        self._episodes = JsonLinesFile(
+            path / EPISODES_NAME, parser_of(EpisodeFacts), "an episode", MAX_BYTES
+        )
         self._outcomes = JsonLinesFile(
-            path / OUTCOMES_NAME, _parse_outcome, "an outcome", MAX_BYTES
+            path / OUTCOMES_NAME, parser_of(TrajectoryOutcome), "an outcome", MAX_BYTES
         )
         self.facts = {facts.id: facts for facts in self._episodes.found}
         self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
@@ -178,12 +177,12 @@ class ResultsFolder:
     def add(self, facts: EpisodeFacts) -> None:
         """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
-            self._episodes.append(_to_json_line(facts))
+            self._episodes.append(to_line(facts))
             self.facts[facts.id] = facts
 
     def append(self, outcome: TrajectoryOutcome) -> None:
         """Append an outcome."""
-        self._outcomes.append(_to_json_line(outcome))
+        self._outcomes.append(to_line(outcome))
         self.outcomes[outcome.key] = outcome
 
 
@@ -278,28 +277,3 @@ def _outlines(grid: Grid, path_m: np.ndarray) -> list[np.ndarray]:
 def _plain(points_m: np.ndarray | Sequence) -> Polyline:
     """Return points as lists, rounded to centimetres."""
     return np.round(np.asarray(points_m, float), 2).tolist()
-
-
-def _to_json_line(item: EpisodeFacts | TrajectoryOutcome) -> bytes:
-    return json.dumps(asdict(item), separators=(",", ":"), allow_nan=False).encode() + b"\n"
-
-
-def _parse_facts(data: dict[str, Any]) -> EpisodeFacts:
-    facts = EpisodeFacts(**data)
-    if facts.category not in CATEGORIES:
-        raise ValueError(
-            f"category: unknown {one_line(facts.category)!r} (choices: {', '.join(CATEGORIES)})"
-        )
-    return facts
-
-
-def _parse_outcome(data: dict[str, Any]) -> TrajectoryOutcome:
-    outcome = TrajectoryOutcome(**data)
-    for read in _NUMBERS.values():
-        read(outcome)  # raises if a field has another type
-    for name in ("error_m", "frechet_m", "ndtw", "seconds"):
-        if not isinstance(getattr(outcome, name), (int, float)):
-            raise ValueError(
-                f"{name}: expected a number, got {bounded_repr(getattr(outcome, name), 40)}"
-            )
-    return outcome

@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from edge.geometry import SE2, Grid, se3
@@ -32,6 +31,7 @@ from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
 from edge.lab.sim.boxworld import Primitive
 from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.street import Street, StreetObject, solids, street
+from edge.tasks.ground import reachable
 from edge.tasks.scene import Region, Scene, SceneObject
 from edge.tasks.value_map import closed_cells
 
@@ -94,20 +94,17 @@ def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
     occupancy = _occupancy(shape, boxes)
     regions_grid = _regions_grid(this_street, occupancy)
     robot_pose = SE2(0.0, 0.0, 0.0)
-    reachable = _reachable(occupancy, robot_pose)
+    can_reach = reachable(~closed_cells(occupancy, ROBOT_M), occupancy, robot_pose)
     objects = {}
     seen = [(street_object, _points_on(solid, cloud_m)) for street_object, solid in standing]
-    seen.sort(
-        key=lambda item: math.dist(
-            (item[0].x_m, item[0].y_m), (this_street.start.x_m, this_street.start.y_m)
-        )
-    )
+    start = this_street.start
+    seen.sort(key=lambda item: math.dist((item[0].x_m, item[0].y_m), (start.x_m, start.y_m)))
     for street_object, points_m in seen:
         pose = this_street.to_map(street_object.x_m, street_object.y_m, street_object.yaw_rad)
         if len(points_m) >= MIN_POINTS and occupancy.cell_of(pose.x_m, pose.y_m) is not None:
             number = len(objects) + 1
             objects[number] = _object(
-                number, street_object, pose, points_m, regions_grid, reachable
+                number, street_object, pose, points_m, regions_grid, can_reach
             )
     regions = {}
     for ground in this_street.grounds:
@@ -183,20 +180,8 @@ def _occupancy(shape: np.ndarray, boxes: np.ndarray) -> Grid:
 
 def _regions_grid(this_street: Street, occupancy: Grid) -> Grid:
     """Return the ground's id in each cell, uint8; 0: no ground."""
-    rows, columns = np.indices(occupancy.cells.shape)
-    x_m, y_m = np.moveaxis(this_street.to_road(occupancy.centres_m(rows, columns)), -1, 0)
-    cells = np.zeros(occupancy.cells.shape, np.uint8)
-    for ground in this_street.grounds:
-        r = ground.rect
-        cells[(x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)] = ground.id
-    return replace(occupancy, cells=cells)
-
-
-def _reachable(occupancy: Grid, robot_pose: SE2) -> np.ndarray:
-    """Return (h, w) bool: True for cells that a robot of radius `ROBOT_M` can get to."""
-    is_open = (~closed_cells(occupancy, ROBOT_M)).astype(np.uint8)
-    _, part = cv2.connectedComponents(is_open, connectivity=4)
-    return part == part[occupancy.cell_of(robot_pose.x_m, robot_pose.y_m)]
+    centres_m = occupancy.centres_m(*np.indices(occupancy.cells.shape))
+    return replace(occupancy, cells=this_street.ground_at(centres_m))
 
 
 def _object(
@@ -205,16 +190,14 @@ def _object(
     pose: SE2,
     points_m: np.ndarray,
     regions: Grid,
-    reachable: np.ndarray,
+    can_reach: np.ndarray,
 ) -> SceneObject:
     length, width, height = street_object.size_m
-    position_m, size_m = (
-        np.array([pose.x_m, pose.y_m, 0.5 * height]),
-        np.array(street_object.size_m),
-    )
+    position_m = np.array([pose.x_m, pose.y_m, 0.5 * height])
+    size_m = np.array(street_object.size_m)
     nearest = {}
-    for region in np.unique(regions.cells[reachable & (regions.cells > 0)]).tolist():
-        centres = regions.centres_m(*np.nonzero((regions.cells == region) & reachable))
+    for region in np.unique(regions.cells[can_reach & (regions.cells > 0)]).tolist():
+        centres = regions.centres_m(*np.nonzero((regions.cells == region) & can_reach))
         gaps = _gaps_m(centres, position_m, size_m, pose.yaw_rad)
         nearest[region] = tuple(centres[int(np.argmin(gaps))].tolist())
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"

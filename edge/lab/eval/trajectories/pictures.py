@@ -16,6 +16,7 @@ from edge.text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLUMNS = 2  # pictures in a row
 SIDE_IN = 3.7  # side of a picture
@@ -24,8 +25,8 @@ _GREY = "#b9b9b9"  # of the reference
 _MAX_TITLE = 60  # characters
 
 
-def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
-    """Return the content of each picture as "svg" or "png", by name; {} without outcomes."""
+def figures(results: TrajectoryResults) -> dict[str, Figure]:
+    """Return each picture by name; {} without outcomes."""
     chosen = choose_episodes(results)
     if not chosen:
         return {}
@@ -39,7 +40,7 @@ def images(results: TrajectoryResults, kind: str) -> dict[str, bytes]:
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False,
                   fontsize=8)  # fmt: skip
-    return {"episodes": canvas.content(figure, kind)}
+    return {"episodes": figure}
 
 
 def choose_episodes(results: TrajectoryResults) -> list[int]:

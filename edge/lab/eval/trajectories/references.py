@@ -32,6 +32,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -46,7 +47,8 @@ from edge.trajectory.costmap import CostMap, from_occupancy, from_weights
 
 KINDS = ("to", "past", "around", "then")
 """Kinds of instructions: the rows of the first table above, from the top."""
-CATEGORIES = ("specific", "ambiguous", "high-level")
+Category = Literal["specific", "ambiguous", "high-level"]
+CATEGORIES: tuple[Category, ...] = get_args(Category)
 ASIDE_M = 0.8
 """Gap between an object and a robot that drives past or around it."""
 COMFORT_M = 1.0
@@ -179,7 +181,7 @@ class TrajectoryTask:
     """
 
     kind: str
-    category: str
+    category: Category
     instruction: str
     landmarks: tuple[int, ...]
     segments: tuple[np.ndarray, ...]
@@ -261,7 +263,7 @@ def _bearing_and_distance(place: ReferenceScene, landmark: Landmark) -> tuple[fl
     return place.pose.bearing_to(*landmark.at_m), place.pose.distance_to(*landmark.at_m)
 
 
-def _category(kind: str, name: str) -> str:
+def _category(kind: str, name: str) -> Category:
     """Return the category of an instruction; `name` is that of its first object."""
     if kind != "to":
         return "high-level"

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 
 from edge.config import ConfigError, TasksConfig, WriterModel, load
 from edge.config.explain import explain
-from edge.errors import FileError, UnavailableError, UserError
-from edge.host.files import write_atomically
+from edge.errors import UnavailableError, UserError
 from edge.host.signals import stop_on_signals
 from edge.lab.eval.comparison import tables as comparison_tables
 from edge.lab.eval.trajectories import pictures, tables
@@ -27,6 +26,7 @@ from edge.lab.eval.trajectories.outcomes import (
     outcome_of,
 )
 from edge.lab.eval.trial.scene_capture import detector_pipeline
+from edge.lab.report import canvas
 from edge.tasks.pipeline import PerceptionPipeline
 from edge.text import one_line
 
@@ -113,15 +113,8 @@ def run(args: argparse.Namespace) -> int:
     results = gather(folder.facts.values(), [folder.outcomes[key] for key in keys])
     for table in tables.tables(results):
         print(f"\n{comparison_tables.text(table)}")
-    try:
-        for name, content in pictures.images(results, "svg").items():
-            path = args.out / f"{name}.svg"
-            write_atomically(path, content)
-            print(path)
-    except OSError as error:
-        raise FileError(
-            f"--out {args.out}: pictures cannot be written: {error.strerror or error}"
-        ) from None
+    for path in canvas.save_plots(pictures.figures(results), args.out, ("svg",)):
+        print(path)
     return 0
 
 

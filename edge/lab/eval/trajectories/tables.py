@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from edge.lab.eval.comparison.tables import DASH, ReportTable, bounded
-from edge.lab.eval.intervals import Interval, bootstrap, wilson
+from edge.lab.eval.intervals import Interval, bootstrap, clusters, intervals_note, wilson
 from edge.lab.eval.trajectories.methods import METHODS, REFUSALS
 from edge.lab.eval.trajectories.outcomes import DEEP_M, TrajectoryResults
 from edge.lab.eval.trajectories.references import CATEGORIES
@@ -18,8 +17,6 @@ from edge.text import one_line
 BASELINE = "ours"
 # Rows for tasks whose end depends, or not, on ground that no frame shows.
 _CERTAIN, _UNCERTAIN = "end certain", "end depends on unseen ground"
-MIN_WORLDS = 10
-"""With fewer, episodes are resampled, and the intervals do not generalise to other worlds."""
 
 
 class PaperRow(NamedTuple):
@@ -88,9 +85,7 @@ def by_task(results: TrajectoryResults) -> ReportTable:
                 bounded(wilson(reached, int(kept.sum())), 0, 100.0),
             ]
         rows.append([*cells, *_paper_cells(row)])
-    return ReportTable(
-        "tasks", "By kind of task (OpenNav table I)", head, rows, _unit_words(results)
-    )
+    return ReportTable("tasks", "By kind of task (OpenNav table I)", head, rows, _note(results))
 
 
 def by_thing(results: TrajectoryResults) -> ReportTable:
@@ -109,7 +104,7 @@ def by_thing(results: TrajectoryResults) -> ReportTable:
                 reached = int(results.numbers[key][m, kept].sum())
                 rows[-1].append(bounded(wilson(reached, int(kept.sum())), 0, 100.0))
     note = "At it: ends as near to the thing as the reference, on any side of it. "
-    return ReportTable("things", "By kind of thing", head, rows, note + _unit_words(results))
+    return ReportTable("things", "By kind of thing", head, rows, note + _note(results))
 
 
 def shapes(results: TrajectoryResults) -> ReportTable:
@@ -138,7 +133,7 @@ def shapes(results: TrajectoryResults) -> ReportTable:
         "Collided: trajectories that come nearer to an obstacle than the robot's radius, in the "
         "map that they were made on. In truth: the same, with all true obstacles; deep: by more "
         f"than {DEEP_M:g} m. If a trajectory was refused, the robot's place counts as the "
-        "trajectory. Time: median of writing and refining. " + _unit_words(results)
+        "trajectory. Time: median of writing and refining. " + _note(results)
     )
     return ReportTable("shapes", "Shape of the trajectories (OpenNav table II)", head, rows, note)
 
@@ -160,9 +155,7 @@ def paired(results: TrajectoryResults) -> ReportTable:
             for key, digits, scale in keys
         ]  # fmt: skip
         rows.append([one_line(name), str(int(both.sum())), *cells])
-    return ReportTable(
-        "paired", "Ours against the others, paired", head, rows, _unit_words(results)
-    )
+    return ReportTable("paired", "Ours against the others, paired", head, rows, _note(results))
 
 
 def refusals(results: TrajectoryResults) -> ReportTable:
@@ -199,25 +192,13 @@ def _mean(values: np.ndarray, results: TrajectoryResults, kept: np.ndarray) -> I
     """Return the mean over some episodes, with its interval by bootstrap over their worlds."""
     if not kept.any():
         return Interval(math.nan, math.nan, math.nan)
-    cluster, _ = _clusters(results)
-    kept_cluster = np.unique(cluster[kept], return_inverse=True)[1].ravel()  # numbered from 0
     ones = np.ones((1, int(kept.sum())))
-    return bootstrap(values[kept][None], ones, kept_cluster)[0]
+    return bootstrap(values[kept][None], ones, clusters(_places(results))[0][kept])[0]
 
 
-def _clusters(results: TrajectoryResults) -> tuple[np.ndarray, str]:
-    """Return (E,) int, the cluster of each episode, and the unit: "place" or "episode"."""
-    names: Sequence[str] = [facts.world for facts in results.facts]
-    worlds, index = np.unique(np.array(names, str), return_inverse=True)
-    if len(worlds) >= MIN_WORLDS:
-        return index.ravel(), "place"
-    return np.arange(len(names)), "episode"
+def _places(results: TrajectoryResults) -> np.ndarray:
+    return np.array([facts.world for facts in results.facts], str)
 
 
-def _unit_words(results: TrajectoryResults) -> str:
-    unit = _clusters(results)[1]
-    places = len({facts.world for facts in results.facts})
-    how = f"{places} places" if unit == "place" else (
-        f"episodes of {places} place{'s' * (places != 1)}; they do not generalise to other places"
-    )  # fmt: skip
-    return f"In brackets: 95 % intervals, Wilson's for shares, else by bootstrap over {how}."
+def _note(results: TrajectoryResults) -> str:
+    return intervals_note(_places(results), "place")

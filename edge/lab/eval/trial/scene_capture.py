@@ -122,11 +122,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     camera, lidar = CameraRig(config, world), LidarRig(config, world)
     camera.look(world.start)
     lidar.look(world.start)
-    seen = Observation(
-        seq=0, stamp_ns=0, T_map_base=world.start.matrix(), rgb=camera.rgb, depth_m=camera.depth_m,
-        camera=camera.model, T_base_camera=camera.T_base_camera, cloud_m=lidar.cloud_m(),
-        T_base_lidar=lidar.T_base_lidar,
-    )  # fmt: skip
+    seen = camera.observation(0, 0, world.start.matrix(), lidar)
     labels = tuple(thing.label for thing in world.objects)
     cloud_m, this_street = _in_map(seen), street(seed)
     kinds = tuple(dict.fromkeys(ground.label for ground in this_street.grounds))
@@ -141,10 +137,8 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     if words is None:
         scene, by = build_scene(_truth_pipeline(truth)), "the simulator"
     else:
-        with detector_pipeline(config, (*words, *dict.fromkeys(labels)), lambda _: truth) as (
-            pipeline,
-            by,
-        ):
+        wanted = (*words, *dict.fromkeys(labels))
+        with detector_pipeline(config, wanted, lambda _: truth) as (pipeline, by):
             scene = build_scene(pipeline)
     detect = None if words is None else _frame_detector(seen, config, lambda _: truth)
     return SceneCapture(this_street.name, by, scene, cloud_m, 0.0, detect)
@@ -189,11 +183,8 @@ def _object_pipeline(
     config: Config, words: Sequence[str], truth: TruthAt | None
 ) -> Iterator[tuple[PerceptionPipeline, str]]:
     """Do the work of `detector_pipeline` for the objects."""
-    if config.tasks.pipeline is not None:
-        yield (
-            _plugin_pipeline(config, config.tasks.pipeline, tuple(words)),
-            config.tasks.pipeline.kind,
-        )
+    if (plugin := config.tasks.pipeline) is not None:
+        yield _plugin_pipeline(config, plugin, tuple(words)), plugin.kind
         return
     detector = config.perception.detector
     if detector.kind == "sim" and truth is None:
@@ -220,15 +211,9 @@ def _plugin_pipeline(
     arguments: dict[str, Any] = {"perception": config.perception, "words": words}
     part_names = ("tags", "boxes", "masks", "captions", "embeddings")  # fields, in order
     make = component_factory(
-        "pipeline",
-        plugin.kind,
-        plugin.options,
-        {},
-        where,
-        part_names,
-        tuple(arguments),
+        "pipeline", plugin.kind, plugin.options, {}, where, part_names, tuple(arguments),
         functions=True,
-    )
+    )  # fmt: skip
     pipeline = make(**arguments)
 
     def guarded(name: str) -> Callable[..., Any] | None:
@@ -281,14 +266,11 @@ def _truth_pipeline(truth: Segmentation) -> PerceptionPipeline:
 
 def _ground_kind(this_street: Street, kinds: Sequence[str], cloud_m: np.ndarray) -> np.ndarray:
     """Return (n,) uint8 by return: index of its ground in `kinds` plus 1; 0: no ground."""
-    x_m, y_m = this_street.to_road(cloud_m[:, :2].astype(np.float64)).T
-    out = np.zeros(len(cloud_m), np.uint8)
+    kind_of = np.zeros(1 + max(ground.id for ground in this_street.grounds), np.uint8)  # by id
     for ground in this_street.grounds:
-        r = ground.rect
-        inside = (x_m >= r.x0) & (x_m < r.x1) & (y_m >= r.y0) & (y_m < r.y1)
-        out[inside] = 1 + kinds.index(ground.label)
-    out[np.abs(cloud_m[:, 2]) > ON_GROUND_M] = 0
-    return out
+        kind_of[ground.id] = 1 + kinds.index(ground.label)
+    on_ground = np.abs(cloud_m[:, 2]) <= ON_GROUND_M
+    return kind_of[this_street.ground_at(cloud_m[:, :2].astype(np.float64))] * on_ground
 
 
 def _in_map(seen: Observation) -> np.ndarray:

@@ -11,7 +11,8 @@ import pytest
 from made_outcomes import failure, record
 
 from edge.errors import FileError, UserError
-from edge.lab.eval.comparison.outcomes import clusters, gather
+from edge.lab.eval.comparison.outcomes import gather
+from edge.lab.eval.intervals import clusters
 from edge.lab.eval.outcome import EpisodeOutcome, read_outcomes
 
 RECORD = asdict(record())
@@ -29,7 +30,7 @@ def test_nothing(tmp_path):
     outcomes = gather([])
     assert outcomes.arms == outcomes.episodes == ()
     assert outcomes.success.shape == (0, 0)
-    assert clusters(outcomes)[0].shape == (0,)
+    assert clusters(outcomes.world)[0].shape == (0,)
 
 
 def test_no_file(tmp_path):

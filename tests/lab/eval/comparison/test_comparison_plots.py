@@ -10,10 +10,11 @@ from made_outcomes import failure, many, record
 from edge.lab.eval.comparison import plots
 from edge.lab.eval.comparison.outcomes import gather
 from edge.lab.eval.comparison.statistics import compare
+from edge.lab.report.canvas import save_plots
 
 
 def drawn(records, tmp_path, kinds=("svg",)):
-    return plots.write(compare(gather(records), resamples=100), tmp_path, kinds)
+    return save_plots(plots.figures(compare(gather(records), resamples=100)), tmp_path, kinds)
 
 
 def words(path) -> str:

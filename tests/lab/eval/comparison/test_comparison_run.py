@@ -12,7 +12,7 @@ from edge.cli.main import main
 from edge.config import load
 from edge.lab.eval import episodes as eps
 from edge.lab.eval.comparison import run
-from edge.lab.eval.outcome import to_json_line
+from edge.lab.eval.json_lines_file import to_line
 
 START = (1.5, 1.5, 0.0)
 DEMO = {"kind": "house", "house": "demo"}
@@ -34,7 +34,7 @@ def folder(tmp_path):
 
 
 def write(folder, lines) -> None:
-    (folder / "outcomes.jsonl").write_bytes(b"".join(map(to_json_line, lines)))
+    (folder / "outcomes.jsonl").write_bytes(b"".join(map(to_line, lines)))
 
 
 def test_a_folder_is_compared(folder, capsys):

@@ -47,7 +47,7 @@ def test_unmeasured_columns_are_left_out_and_gaps_are_dashes():
     ("worlds", "words"), [(1, "of 1 world; they do not"), (12, "over 12 worlds")]
 )
 def test_the_table_reports_the_unit_of_resampling(worlds, words):
-    assert words in tables.unit_words(comparison_of(many({"a": 2.0}, worlds)))
+    assert words in tables.summary(comparison_of(many({"a": 2.0}, worlds)), "summary").note
 
 
 def test_each_word_has_its_recall_and_its_ends():

@@ -8,8 +8,9 @@ import pytest
 
 from edge.lab.eval.intervals import Interval
 from edge.lab.eval.planning.planners import PLANNERS
-from edge.lab.eval.planning.plots import write_plots
+from edge.lab.eval.planning.plots import figures
 from edge.lab.eval.planning.report import Row
+from edge.lab.report.canvas import save_plots
 
 NAN = Interval(float("nan"), float("nan"), float("nan"))
 
@@ -33,19 +34,19 @@ def words(path) -> str:
 
 
 def test_files(tmp_path, rows):
-    paths = write_plots(rows, tmp_path)
+    paths = save_plots(figures(rows), tmp_path)
     assert [path.name for path in paths] == [
-        "completion.svg", "completion.png", "explorations.svg", "explorations.png",
+        "completion.svg", "explorations.svg", "completion.png", "explorations.png",
     ]  # fmt: skip
-    assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in paths[1::2])
+    assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in paths[2:])
     for planner in PLANNERS:
         assert planner in words(paths[0])
         # The clairvoyant does not explore.
-        assert (planner in words(paths[2])) == (planner != "clairvoyant")
+        assert (planner in words(paths[1])) == (planner != "clairvoyant")
 
 
 @pytest.mark.parametrize(
     "rows", [[], [row("vitl", 0.5, 1.0)], [row("vitl", 0.1, 0.2), row("optimal", 0.1, 0.3)]]
 )
 def test_few_rows_make_plots_too(tmp_path, rows):
-    assert len(write_plots(rows, tmp_path)) == 4
+    assert len(save_plots(figures(rows), tmp_path)) == 4

@@ -12,6 +12,7 @@ from edge.errors import UserError
 from edge.lab.eval.trajectories import pictures, tables
 from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
 from edge.lab.eval.trajectories.references import CATEGORIES
+from edge.lab.report import canvas
 
 FACTS = [facts(k, CATEGORIES[k % 3], ("to", "past", "then")[k % 3]) for k in range(12)]
 OURS = [outcome(k, error_m=0.5 + (k % 4)) for k in range(12)]
@@ -25,7 +26,7 @@ def table(name, outcomes, of=FACTS):
 
 def test_no_outcomes_give_no_tables_or_plots():
     assert all(not t.rows for t in tables.tables(gather([], [])))
-    assert pictures.images(gather([], []), "svg") == {}
+    assert pictures.figures(gather([], [])) == {}
 
 
 def test_a_task_a_row_next_to_the_paper():
@@ -75,7 +76,8 @@ def test_refusals_are_counted_by_cause():
 
 
 def test_hostile_words_are_escaped_in_images():
-    (content,) = pictures.images(gather(FACTS, OURS), "svg").values()
+    (figure,) = pictures.figures(gather(FACTS, OURS)).values()
+    content = canvas.content(figure, "svg")
     assert b"go to &lt;b&gt;$x$&lt;/b&gt;" in content
 
 
