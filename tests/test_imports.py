@@ -67,7 +67,9 @@ def statements(node: ast.AST) -> Iterator[ast.AST]:
 
 
 # Parsing all modules takes 25 times as long, in each worker.
-IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|.+)|import (.+))[ \t]*$", re.MULTILINE)
+IMPORT = re.compile(
+    r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|.+)|import (.+))[ \t]*$", re.MULTILINE
+)
 
 
 def imports_of(module: str, modules: dict[str, Path]) -> Iterator[str]:
