@@ -30,12 +30,11 @@ Injection = Generator[None, None, None]
 """A running fault."""
 Injector = Callable[[SoakHarness, np.random.Generator], Injection]
 """Returns an `Injection` that has not started yet."""
-
-LATE_S = 0.4  # delay of the messages by `delay_messages`
-_BATCH = 40  # messages of a flood in one step; there are several steps a second
-
-
 Action = Callable[[SoakHarness], object]
+"""Begins or ends a fault."""
+
+LATE_S = 0.4  # delay of the messages by `DELAY_MESSAGES`
+_BATCH = 40  # messages of a flood in one step; there are several steps a second
 
 
 def between(begin: Action, end: Action = lambda harness: None) -> Injector:
