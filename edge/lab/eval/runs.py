@@ -186,22 +186,15 @@ def _episodes(config: Config, args: argparse.Namespace) -> list[Episode]:
         )
     if not targets:
         raise UserError("--targets: got no name; give at least one, such as --targets sofa,bed")
+    given, seed, least_m = (config, worlds, targets), args.seed, args.min_distance
     if args.goals is not None:
-        planned = plan_sessions(
-            config, worlds, targets, args.goals, args.seed, args.min_distance, args.moved
-        )
-        return planned[: args.limit]
-    if args.ask:
-        return plan_questions(config, worlds, targets, args.seed)[: args.limit]
-    if args.missions is not None:
-        planned = eps.plan_missions(
-            config, worlds, targets, args.missions, args.seed, args.min_distance
-        )
-        return planned[: args.limit]
-    planned = eps.plan(
-        config, worlds, targets, args.starts, args.seed, args.min_distance, args.per_world,
-        args.min_size,
-    )  # fmt: skip
+        planned = plan_sessions(*given, args.goals, seed, least_m, args.moved)
+    elif args.ask:
+        planned = plan_questions(*given, seed)
+    elif args.missions is not None:
+        planned = eps.plan_missions(*given, args.missions, seed, least_m)
+    else:
+        planned = eps.plan(*given, args.starts, seed, least_m, args.per_world, args.min_size)
     planned = planned[: args.limit]
     return with_zones(config, planned, args.seed) if args.zones else planned
 

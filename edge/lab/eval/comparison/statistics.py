@@ -31,7 +31,8 @@ class ComparisonMetric(NamedTuple):
     Attributes:
         title: head of its column in a table.
         digits: number of decimals.
-        values: returns (A, E) float64 of outcomes, NaN if an episode does not count.
+        values: returns (A, E) float64 of outcomes, NaN if an episode does not count; None: the
+            number of `NUMBERS` with the metric's key, as it is.
         scale: factor for display.
         how: "mean"; "share" of yes and no; or "median", without an interval, for times, which have
             outliers on a busy computer.
@@ -40,14 +41,9 @@ class ComparisonMetric(NamedTuple):
     title: str
     digits: int
     words: str
-    values: Callable[[Outcomes], np.ndarray]
+    values: Callable[[Outcomes], np.ndarray] | None = None
     scale: float = 1.0
     how: str = "mean"
-
-
-def _raw(name: str) -> Callable[[Outcomes], np.ndarray]:
-    """Return a function that reads a number of `NUMBERS` as it is."""
-    return lambda outcomes: outcomes[name]
 
 
 def _in_successes(name: str) -> Callable[[Outcomes], np.ndarray]:
@@ -84,48 +80,54 @@ def _was_seen(outcomes: Outcomes) -> np.ndarray:
 
 
 METRICS: dict[str, ComparisonMetric] = {
-    "sr": ComparisonMetric("SR, %", 1, "episodes that succeeded", _raw("success"), 100.0, "share"),
+    "sr": ComparisonMetric(
+        "SR, %", 1, "episodes that succeeded", lambda outcomes: outcomes["success"], 100.0, "share"
+    ),
     "spl": ComparisonMetric("SPL", 3, "success weighted by path length", spl_of),
     "soft_spl": ComparisonMetric("soft SPL", 3, "progress in place of success", _soft_spl),
-    "path_m": ComparisonMetric("path, m", 1, "driven, all episodes", _raw("path_m")),
-    "success_path_m": ComparisonMetric("in success", 1, "driven, successes",
-    _in_successes("path_m")),
-    "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes", _raw("elapsed_s")),
-    "collisions": ComparisonMetric("collisions", 2, "per episode", _raw("collisions")),
+    "path_m": ComparisonMetric("path, m", 1, "driven, all episodes"),
+    "success_path_m": ComparisonMetric(
+        "in success", 1, "driven, successes", _in_successes("path_m")
+    ),
+    "elapsed_s": ComparisonMetric("time, s", 1, "simulated, all episodes"),
+    "collisions": ComparisonMetric("collisions", 2, "per episode"),
     "seen": ComparisonMetric("seen, %", 1, "target seen at all", _was_seen, 100.0, "share"),
-    "first_sight_s": ComparisonMetric("first sight, s", 1, "if it was seen", _raw("first_sight_s")),
-    "wrong_stops": ComparisonMetric("wrong stops, %", 1, "episodes", _above_0("wrong_stops"), 100.0,
-    "share"),
+    "first_sight_s": ComparisonMetric("first sight, s", 1, "if it was seen"),
+    "wrong_stops": ComparisonMetric(
+        "wrong stops, %", 1, "episodes", _above_0("wrong_stops"), 100.0, "share"
+    ),
     "false_confirmations": ComparisonMetric(
-        "false conf.", 2, "confirmed objects that are not the target, per episode",
-        _raw("false_confirmations"),
+        "false conf.", 2, "confirmed objects that are not the target, per episode"
     ),
     "revisited_m2": ComparisonMetric(
-        "seen again, m²", 1, "floor that a search saw after an earlier search of the mission",
-        _raw("revisited_m2"),
+        "seen again, m²", 1, "floor that a search saw after an earlier search of the mission"
     ),
     "zone_entries": ComparisonMetric(
-        "zone entries", 3, "of the footprint into keep-out zones, per episode", _raw("zone_entries")
+        "zone entries", 3, "of the footprint into keep-out zones, per episode"
     ),
     "person_contacts": ComparisonMetric(
-        "person contacts", 3, "collisions with people, the robot's fault, per episode",
-        _raw("person_contacts"),
+        "person contacts", 3, "collisions with people, the robot's fault, per episode"
     ),
     "ghost_s": ComparisonMetric(
         "ghosts, s", 2, "longest time that a cell stays occupied in view after a person left it, "
-        "mean of the episodes", _raw("ghost_s"),
+        "mean of the episodes"
     ),
     "answers_right": ComparisonMetric(
-        "answers, %", 1, "right answers to \"where is …?\", mean of the worlds",
-        _raw("answers_right"), 100.0,
+        "answers, %", 1, "right answers to \"where is …?\", mean of the worlds", scale=100.0
     ),
     "tick_p95_ms": ComparisonMetric(
-        "tick p95, ms", 2, "per episode, the median of all", _raw("tick_p95_ms"), how="median"
+        "tick p95, ms", 2, "per episode, the median of all", how="median"
     ),
     "score_p95_ms": ComparisonMetric(
-        "score p95, ms", 2, "likewise, the stage `score` alone", _raw("score_p95_ms"), how="median"
+        "score p95, ms", 2, "likewise, the stage `score` alone", how="median"
     ),
 }  # fmt: skip
+
+
+def _values(key: str, outcomes: Outcomes) -> np.ndarray:
+    """Return the values of a metric, (A, E) float64, NaN if an episode does not count."""
+    read = METRICS[key].values
+    return outcomes[key] if read is None else read(outcomes)
 
 
 class Estimate(NamedTuple):
@@ -247,7 +249,7 @@ def _figures(
     outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Estimate]]:
     """Return the metrics of these keys, by arm, by metric."""
-    values = {key: METRICS[key].values(outcomes) for key in keys}
+    values = {key: _values(key, outcomes) for key in keys}
     means = [key for key in keys if METRICS[key].how == "mean"]
     intervals = arm_means([values[key] for key in means], cluster, resamples)
     figures: dict[str, dict[str, Estimate]] = {name: {} for name in outcomes.arms}
@@ -346,7 +348,7 @@ def _group(
 ) -> dict[str, dict[str, Estimate]]:
     """Return SR and SPL of the episodes inside a group, (E,) bool, by arm."""
     cluster, _ = clusters(outcomes.world)
-    values = {key: np.where(inside, METRICS[key].values(outcomes), np.nan) for key in ("sr", "spl")}
+    values = {key: np.where(inside, _values(key, outcomes), np.nan) for key in ("sr", "spl")}
     intervals = arm_means([values["spl"][:, inside]], cluster[inside], resamples)[0]
     groups = {}
     for a, name in enumerate(outcomes.arms):
