@@ -57,20 +57,14 @@ def test_every_command_explains_itself(command, capsys, monkeypatch):
     text = capsys.readouterr().out
     assert text.startswith(f"usage: edge {command}".rstrip())
     assert all(len(line) < 81 for line in text.splitlines())
+    words = " ".join(text.split())
+    assert not re.search(r"\(default[^)]*\) \(default|\(default: (None|False|\[\]|)\)", words)
 
 
-def test_the_help_shows_each_default_once(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "1000")
-    for command in COMMANDS:
-        with pytest.raises(SystemExit):
-            main([*command.split(), "--help"])
-        lines = capsys.readouterr().out.splitlines()
-        twice = r"\(default[^)]*\) \(default"
-        assert not any(re.search(twice, line) for line in lines), command
-        assert not any(f"(default: {none})" in " ".join(lines) for none in (None, False, [], ""))
-        if command == "bench":
-            assert any("how long to measure, in s (default: 60)" in line for line in lines)
-            assert sum("(default: " in line for line in lines) >= 6
+def test_the_help_shows_a_default_without_naming_it(capsys):
+    with pytest.raises(SystemExit):
+        main(["bench", "--help"])
+    assert "how long to measure, in s (default: 60)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_command_skips_garbage_collection_at_its_end(capsys, monkeypatch):
