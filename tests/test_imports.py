@@ -138,10 +138,9 @@ def test_no_children_of_a_package_form_a_circle(package):
     graph: dict[str, set[str]] = {}
     found = imports(package.partition(".")[0])
     for module, targets in found.items():
-        inside = {target for target in targets & found.keys() if child(package, target)}
         if name := child(package, module):
-            graph.setdefault(name, set()).update(child(package, target) for target in inside)
-            graph[name].discard(name)
+            inside = {child(package, target) for target in targets & found.keys()}
+            graph.setdefault(name, set()).update(inside - {"", name})
     try:
         tuple(TopologicalSorter(graph).static_order())
     except CycleError as circle:
