@@ -4,8 +4,9 @@
 compares its boxes with the objects. A detector that takes chairs for armchairs at any score then
 confirms no armchair.
 
-An object counts for a word with its second best score over all images from near by, since one image
-does not confirm it (`edge.perception.tracking.instances`).
+An object counts for a word if the robot would confirm it from these images: `confirm_lead` and
+`confirm_mean` hold (`edge.perception.tracking.fusion`). It counts with its second best score, since
+one image does not confirm it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from edge import names
-from edge.config import Config, load
+from edge.config import Config, PerceptionConfig, load
 from edge.errors import UserError
 from edge.geometry import overlaps
 from edge.lab.eval import world_list
@@ -50,7 +51,7 @@ class WordCount:
     Attributes:
         views: number of views of such an object or of a kind of it.
         seen: number of these views that have a box.
-        scores: score of each object that has a box in two images.
+        scores: score of each object that the robot would confirm.
         right: for each of them, True if the object has this name or is a kind of it.
         mistaken: names of the others.
     """
@@ -105,6 +106,9 @@ def score_for(count: WordCount, everything: WordCount, precision: float, least: 
 class LabelledImage:
     """The objects that one image of a world shows.
 
+    Attributes:
+        is_view: object id → True if enough of it is visible from near by.
+
     Args:
         ids: (h, w) uint16 object ids.
         depth_m: (h, w) float32.
@@ -117,31 +121,86 @@ class LabelledImage:
     ) -> None:
         n = max(labels, default=0) + 1
         near, anywhere = (visible_boxes(ids, depth_m, m, n) for m in (range_m, math.inf))
-        self._labels = labels
+        self._ids, self._labels = ids, labels
         self._shown = [id_ for id_ in labels if anywhere[id_, 4] >= _LEAST_PX]
-        self._is_view = {id_: near[id_, 4] >= MIN_VIEW_PX for id_ in self._shown}
+        self.is_view = {id_: near[id_, 4] >= MIN_VIEW_PX for id_ in self._shown}
         self._is_near = {id_: near[id_, 4] > 0 for id_ in self._shown}
         self._boxes = anywhere[self._shown, :4]
 
-    def detected(self, word: str, found: Detections) -> tuple[dict[int, float], int, int]:
-        """Compare the boxes of a word with the objects.
+    def shown(self, word: str, found: Detections) -> dict[int, int]:
+        """Return the row of the best box of each near object that boxes of a word show.
 
-        Returns:
-            The best score of each near object that a box covers; boxes that cover none are left
-            out. The number of views of the word, and how many of them a box covers.
+        A box shows an object that it covers, or else the object that fills most of it: a search
+        also stops at the end of a bed that looks like a chair.
         """
-        covers_object = overlaps(found.xyxy_px, self._boxes)[0] >= _MIN_IOU  # by box and object
-        best: dict[int, float] = {}
-        for covers, score in zip(covers_object, found.score.tolist(), strict=True):
-            covered = [self._shown[k] for k in np.flatnonzero(covers).tolist()]
+        covers_object = self._covers(found)
+        best: dict[int, int] = {}
+        for row in np.argsort(-found.score, kind="stable").tolist():
+            covered = [self._shown[k] for k in np.flatnonzero(covers_object[row]).tolist()]
             covered.sort(key=lambda id_: not names.is_kind_of(self._labels[id_], word))
-            if covered and self._is_near[covered[0]]:
-                best[covered[0]] = max(score, best.get(covered[0], 0.0))
+            shown = covered[0] if covered else self._most_visible(found.xyxy_px[row])
+            if self._is_near.get(shown):
+                best.setdefault(shown, row)
+        return best
+
+    def views(self, word: str, found: Detections) -> tuple[int, int]:
+        """Return the number of views of a word, and how many of them a box covers."""
         meant = [
             k for k, id_ in enumerate(self._shown)
-            if self._is_view[id_] and names.is_kind_of(self._labels[id_], word)
+            if self.is_view[id_] and names.is_kind_of(self._labels[id_], word)
         ]  # fmt: skip
-        return best, len(meant), int(covers_object[:, meant].any(axis=0).sum())
+        return len(meant), int(self._covers(found)[:, meant].any(axis=0).sum())
+
+    def _covers(self, found: Detections) -> np.ndarray:
+        """Return (boxes, objects) bool: True if the box covers the object."""
+        return overlaps(found.xyxy_px, self._boxes)[0] >= _MIN_IOU
+
+    def _most_visible(self, xyxy_px: np.ndarray) -> int:
+        """Return the id of the object with most pixels in a box; 0 if most show no object."""
+        x0, y0, x1, y1 = np.maximum(xyxy_px, 0).round().astype(int).tolist()
+        inside = self._ids[y0:y1, x0:x1]
+        return int(np.bincount(inside.ravel()).argmax()) if inside.size else 0
+
+
+@dataclass
+class ObjectEvidence:
+    """The best boxes of a word at one object, at most one in an image.
+
+    Attributes:
+        good: scores of boxes with no competing class ahead.
+        target_sum: sum of all scores.
+        competing_sum: sum of the scores of the best competing classes.
+    """
+
+    good: list[float] = field(default_factory=list)
+    target_sum: float = 0.0
+    competing_sum: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """Second best good score; 0.0 if there is none."""
+        return sorted(self.good)[-2] if len(self.good) > 1 else 0.0
+
+    def add(self, boxes: Detections, row: int) -> None:
+        """Add a box of one image."""
+        self.target_sum += float(boxes.score[row])
+        if boxes.competing_score is not None:
+            self.competing_sum += float(boxes.competing_score[row])
+        if boxes.not_suppressed()[row]:
+            self.good.append(float(boxes.score[row]))
+
+    def confirms(self, views: int, c: PerceptionConfig) -> bool:
+        """Return True if the robot would confirm the object, if the word's score allowed it.
+
+        Args:
+            views: number of views of the object.
+            c: limits.
+        """
+        return (
+            self.score > c.tau_det
+            and self.target_sum >= c.confirm_lead * self.competing_sum
+            and self.target_sum >= c.confirm_mean * views
+        )
 
 
 def count_words(
@@ -165,24 +224,26 @@ def count_words(
         return {}
     detector.set_prompts(words, independent=True)
     counts = {word: WordCount() for word in words}
-    scores: dict[tuple[str, int], list[float]] = defaultdict(list)  # one per image
+    objects: dict[tuple[str, int], ObjectEvidence] = defaultdict(ObjectEvidence)
+    views: Counter[int] = Counter()  # by object
     for number, pose in enumerate(free_poses(world, poses, seed, config.robot.radius_m)):
         rig.look(pose)
         image = LabelledImage(rig.ids, rig.depth_m, labels, range_m)
-        seen = rig.observation(number, number, np.eye(4))  # a detector needs no pose
-        found = detector.detect(seen).without_suppressed()
-        found = found.above(config.perception.tau_det)
+        views.update(id_ for id_, is_view in image.is_view.items() if is_view)
+        found = detector.detect(rig.observation(number, number, np.eye(4)))  # it needs no pose
         for row, word in enumerate(words):
-            best, views, seen = image.detected(word, found.only(found.class_id == row))
-            counts[word].views += views
+            boxes = found.only(found.class_id == row)
+            strong = boxes.without_suppressed().above(config.perception.tau_det)
+            n_views, seen = image.views(word, strong)
+            counts[word].views += n_views
             counts[word].seen += seen
-            for id_, score in best.items():
-                scores[word, id_].append(score)
-    for (word, id_), at in scores.items():
-        if len(at) < 2:
+            for id_, best in image.shown(word, boxes).items():
+                objects[word, id_].add(boxes, best)
+    for (word, id_), evidence in objects.items():
+        if not evidence.confirms(views[id_], config.perception):
             continue
         count, is_right = counts[word], names.is_kind_of(labels[id_], word)
-        count.scores.append(sorted(at)[-2])
+        count.scores.append(evidence.score)
         count.right.append(is_right)
         if not is_right:
             count.mistaken[labels[id_]] += 1

@@ -41,7 +41,7 @@ _LABELS = {
     "machine", "drawers cabinet": "chest of drawers", "dryer machine": "clothes dryer",
     "toilets unit": "toilet", "puff": "ottoman", "baby bed": "crib", "bath": "bathtub",
     "island bath": "bathtub", "class seat": "chair", "convertible sofa bz": "sofa",
-    "sofa seat": "sofa", "park trashcan": "trash can", "residential trashcan": "trash can",
+    "sofa seats": "sofa", "park trashcan": "trash can", "residential trashcan": "trash can",
 }  # fmt: skip
 """Name in a catalogue -> our name, where the two differ."""
 # From the models' axes (x right, y up, z to the viewer) to ours (x to the viewer, y left, z up).

@@ -95,6 +95,7 @@ def test_a_damaged_catalogue_is_an_error_of_one_line(tmp_path, content):
     ("name", "label"),
     [
         ("Winchester sofa", "sofa"),
+        ("Sofa 3 seats", "sofa"),
         ("Chair with cushion 2", "chair"),
         ("Apple iMac", "computer monitor"),
         ("Toilets unit", "toilet"),
