@@ -21,11 +21,13 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    FailureTarget,
     PlaceTarget,
     RoomTarget,
     WaitTarget,
     describe_destination,
     destination_of,
+    failure_of,
     with_caller,
 )
 from edge.mission.language.english import describe
@@ -276,8 +278,9 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     """
     found: dict[str, Destination] = {}
     english = translation.english
-    for letter in ltl.propositions(translation.formula):
-        destination = destination_of(letter, site)
+    letters = ltl.propositions(translation.formula)
+    for letter in letters:
+        destination = failure_of(letter, letters) or destination_of(letter, site)
         if destination is not None:
             _refuse_closed(letter, destination, site)
             found[letter] = destination
@@ -368,7 +371,9 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
     for letter in set(automaton.propositions).difference(automaton.possible):
         destination = destinations.get(letter)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
-        if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
+        if chosen or isinstance(
+            destination, (CheckTarget, ExploreTarget, FailureTarget, WaitTarget)
+        ):
             raise MissionError(
                 f"mission: {one_line(letter, 60)}: the robot can do this, but it cannot be "
                 "forbidden; leave it out"
