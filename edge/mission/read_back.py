@@ -7,7 +7,7 @@ by what is reached; this module describes the common forms as a person would say
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from edge import names
 from edge.mission.destinations import (
@@ -15,6 +15,7 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    FailureTarget,
     RoomTarget,
     WaitTarget,
     describe_destination,
@@ -40,7 +41,12 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         return ""
     parts = formula.args if formula.op == "&" else (formula,)
     bans = [part for part in parts if _ban_of(part)]
-    alternatives = alternatives_of(conj(*(part for part in parts if not _ban_of(part))))
+    goals = conj(*(part for part in parts if not _ban_of(part)))
+    if FailureTarget in map(type, destinations.values()):
+        if text := _branches(goals, destinations):
+            return _with_bans(text, bans, destinations)
+        return ""
+    alternatives = alternatives_of(goals)
     if alternatives is None or len(alternatives) != 1 or not all(map(_is_plain, alternatives[0])):
         return ""
     chains = [
@@ -48,6 +54,42 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         for chain in alternatives[0]
     ]
     text = "; and ".join(chains) + (", in any order" if len(chains) > 1 else "")
+    return _with_bans(text, bans, destinations)
+
+
+def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
+    """Return a sequence with fallbacks as orders; "" for any other formula."""
+    if formula.op == "|" and len(formula.args) == 2:
+        sought, missed = (_goal_and_rest(part) for part in formula.args)
+        failure = destinations.get(missed[0])
+        if not isinstance(failure, FailureTarget) or failure.target != sought[0]:
+            return ""
+        order, known = _order(sought[0], destinations), destinations.get(failure.target)
+        yes, no = (one[1] and _branches(one[1], destinations) for one in (sought, missed))
+        if "" in (yes, no):
+            return ""
+        fails = "it is not found" if known is None else "that fails"
+        found = f"; if {'it is found' if known is None else 'that works'}, {yes}" if yes else ""
+        return f"{order}{found}; if {fails}, {no or 'that is all'}"
+    goal, rest = _goal_and_rest(formula)
+    if not goal or rest is None:
+        return goal and _order(goal, destinations)
+    later = _branches(rest, destinations)
+    return later and f"{_order(goal, destinations)}, then {later}"
+
+
+def _goal_and_rest(formula: Formula) -> tuple[str, Formula | None]:
+    """Return the proposition of F p, or of F(p & rest), and the rest; "" for other formulas."""
+    body = formula.args[0] if formula.op == "F" else formula
+    if formula.op == "F" and body.op == "ap":
+        return body.name, None
+    if formula.op == "F" and body.op == "&" and len(body.args) == 2 and body.args[0].op == "ap":
+        rest = body.args[1]
+        return body.args[0].name, rest.args[0] if rest.op == "X" else rest
+    return "", None
+
+
+def _with_bans(text: str, bans: Sequence[Formula], destinations: Mapping[str, Destination]) -> str:
     for ban in bans:
         away = "out of" if isinstance(destinations.get(_ban_of(ban)), RoomTarget) else "away from"
         text += f". Stay {away} {_with_article(_ban_of(ban))}"

@@ -6,7 +6,7 @@ A letter is the name of a proposition, such as "bed".
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -30,14 +30,18 @@ from edge.mission.destinations import (
     failure_of,
     with_caller,
 )
+from edge.mission.fallbacks import FallbackTranslator
 from edge.mission.language.english import describe
 from edge.mission.language.errand_patterns import CHECK
 from edge.mission.language.errands import spell_out
+from edge.mission.language.everyday_words import is_room
+from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
-from edge.mission.language.said import MissionOrder, NoMissionError, understand
+from edge.mission.language.said import Control, MissionOrder, NoMissionError, understand
+from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
@@ -47,7 +51,15 @@ from edge.mission.planning.planner import make_planner
 from edge.mission.read_back import orders_of
 from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
-from edge.mission.translate import Translation, TranslationError, make_translator
+from edge.mission.translate import (
+    AmbiguousInstructionError,
+    ParsedInstruction,
+    Reading,
+    Translation,
+    TranslationError,
+    Translator,
+    make_translator,
+)
 from edge.text import one_line
 
 _NO_SITE = Site()
@@ -195,6 +207,9 @@ def translate(
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
         return replace(translator.translate(quoted, reading, ask), repeat=repeat)
+    speech = tidy_up(text)
+    if (branches := split_outcomes(speech.text)) is not None:
+        return _translate_branches(config, branches, speech, site, reading, ask, text)
     order = understand(text, [item.name for item in site.items])
     if not isinstance(order, MissionOrder):
         raise NoMissionError(order)
@@ -216,14 +231,67 @@ def translate(
                 f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
             )
             raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
-    english = translation.english
-    if unused := "; ".join(f"'{one_line(reason)}'" for reason in order.speech.reasons):
-        english += f" (Not part of the order: {unused}.)"
+    english = translation.english + _note(order.speech.reasons)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
         english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _translate_branches(
+    config: MissionConfig,
+    branches: Branches,
+    speech: TidySpeech,
+    site: Site,
+    reading: int | None,
+    ask: bool,
+    instruction: str,
+) -> Translation:
+    """Translate an order whose parts depend on the outcome of others; see `translate`."""
+    parts: list[Translation] = []
+
+    def translate_part(part: str) -> Formula:
+        part = speech.with_quotations(part)
+        try:
+            parts.append(translate(config, part, site))
+        except (AmbiguousInstructionError, NoMissionError) as error:
+            said = error.said if isinstance(error, NoMissionError) else None
+            if isinstance(said, Control) and said.do == "pause":  # "wait there for two minutes"
+                return ltl.eventually(
+                    ltl.ap(f"wait {said.seconds:g} s" if said.seconds else "wait")
+                )
+            hint = "with a condition, expected an order that has one meaning"
+            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part) from error
+        if parts[-1].repeat is not None:
+            hint = "what repeats cannot have a condition"
+            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part)
+        return parts[-1].formula
+
+    def is_thing(name: str) -> bool:
+        described = parse_description(name)
+        noun = name if described is None else described.noun
+        return destination_of(name, site) is None and not is_room(noun)
+
+    formulas = FallbackTranslator(translate_part, is_thing).readings(branches)
+    read = ParsedInstruction(formulas, parts[0].backend)
+    try:
+        translation = Translator("fallbacks", lambda _: read).translate(instruction, reading, ask)
+    except AmbiguousInstructionError as error:
+        shown = [
+            with_destinations(Translation("", r.formula, r.english, ""), site)
+            for r in error.readings
+        ]
+        offered = tuple(Reading(one.formula, one.english) for one in shown)
+        raise AmbiguousInstructionError(offered, error.implied) from None
+    notes = "".join(part.english.removeprefix(describe(part.formula)) for part in parts)
+    return replace(translation, english=translation.english + notes + _note(speech.reasons))
+
+
+def _note(reasons: Sequence[str]) -> str:
+    """Return a note about the clauses that give no order."""
+    unused = "; ".join(f"'{one_line(reason)}'" for reason in reasons)
+    return f" (Not part of the order: {unused}.)" if unused else ""
 
 
 def _shared_word(remark: str, formula: Formula) -> str:
