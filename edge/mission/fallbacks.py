@@ -239,7 +239,8 @@ def _formula(tree: _Tree, after: Formula | None, spread: bool) -> Formula | None
             missed = _reach(ap(NO + name), missed)
         assert missed is not None
         reached = _reach(goal, found)
-        return disj(reached, missed) if tree.may_fail else reached
+        # "have you seen the mug? If not, look for it"
+        return disj(reached, missed) if tree.may_fail and failed != reached else reached
 
     return _with_last(tree.order, branch)
 

@@ -40,7 +40,7 @@ from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
-from edge.mission.language.said import Control, MissionOrder, NoMissionError, understand
+from edge.mission.language.said import Control, MemoryQuestion, MissionOrder, NoMissionError, understand
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
@@ -261,6 +261,8 @@ def _translate_branches(
                 return ltl.eventually(
                     ltl.ap(f"wait {said.seconds:g} s" if said.seconds else "wait")
                 )
+            if isinstance(said, MemoryQuestion) and said.topic == "exists":
+                return translate_part(f"check if there is {said.thing}")
             hint = "with a condition, expected an order that has one meaning"
             raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part) from error
         if parts[-1].repeat is not None:

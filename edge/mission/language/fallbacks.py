@@ -113,7 +113,7 @@ _FAILED: dict[bool | None, str] = {
         {if} you get stuck [there]
     """,
     None: """
-        {if} (not|no luck|no success|unsuccessful|(that|it|this|you) (fails|fail)|
+        {if} (no|not|no luck|no success|unsuccessful|(that|it|this|you) (fails|fail)|
             (that|it|this) (does|did) not work [out]|(that|it|this) is not possible|
             you can not [do (it|that)]|you have no luck)
         (failing that|or otherwise|otherwise|else|if else)
