@@ -178,6 +178,10 @@ class FallbackTranslator:
         """Refuse a condition that does not fit the goal: a wait is not found."""
         thing = self.is_thing(goal)
         timed = goal.startswith(("wait", EXPLORED))
+        described = parse_description(goal)
+        if described is not None and described.is_new:
+            hint = "say what to do for one of them; a number of things cannot have a fallback"
+            raise UnclearError(f"instruction: {one_line(goal)!r}: {hint}")
         if timed or (condition.seeks and not thing) or (condition.state and thing):
             part = condition.thing or "it"
             hint = "unclear what this is about, or a state that the robot cannot see"

@@ -40,7 +40,13 @@ from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
-from edge.mission.language.said import Control, MemoryQuestion, MissionOrder, NoMissionError, understand
+from edge.mission.language.said import (
+    Control,
+    MemoryQuestion,
+    MissionOrder,
+    NoMissionError,
+    understand,
+)
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl

@@ -158,7 +158,8 @@ _AND_GO = re.compile(
 )
 """A question about a thing, and the order to go there: "where is the mug? Go there"."""
 _WHETHER_THERE = re.compile(
-    r"^(?:find out|figure out|check|see|look|tell me)(?: for me)? (?:if|whether) there (is|are)\b", re.I
+    r"^(?:find out|figure out|check|see|look|tell me)(?: for me)? (?:if|whether) there (is|are)\b",
+    re.I,
 )
 _REMEMBER = re.compile(
     rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
