@@ -95,8 +95,8 @@ def parse_description(text: str) -> DescribedThing | None:
     Raises:
         RelationError: the text has a relation that cannot be decided.
 
-    >>> parse_description("the chair next to the desk")
-    DescribedThing(noun='chair', relation='next to', anchor='desk', room='', nth=0)
+    >>> parse_description("the chair next to the desk").relation
+    'next to'
     >>> parse_description("second door").nth, parse_description("office chair")
     (2, None)
     >>> parse_description("chair 2 of 3").is_new

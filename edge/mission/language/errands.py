@@ -27,7 +27,7 @@ from edge.mission.language.everyday_words import (
     is_vague,
     phrase_of,
 )
-from edge.mission.language.impossible import refuse_impossible
+from edge.mission.language.impossible import refuse_impossible, refuse_states
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.places import (
     EXPLORED,
@@ -61,6 +61,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
+    refuse_states(marked)
     text = f" {marked}"
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from edge import names
 from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.tokens import UnclearError
 
@@ -48,6 +49,33 @@ _CANNOT = (
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
+# "a free chair", "a chair that is free", but not "the clean utility room"
+_STATE = (
+    r"(?P<{}>free|available|vacant|occupied|unoccupied|open|opened|closed|shut|locked|unlocked|busy|"
+    r"taken|reserved|clean|dirty|running|charged|ready)"
+)
+_IN_STATE = re.compile(
+    rf"\b(?:{ARTICLE}|two|three|four|five|both|all|avoid|find|visit|near) (?:\w+ly |very )?{_STATE.format('state')} (?!plan\b|{phrase_of('room of')}\b)"
+    rf"(?P<thing>(?!{ARTICLE}\b)\w+)|\b(?P<name>\w+) (?:that|which|who) (?:is|are) (?:\w+ly |still |not )*"
+    rf"{_STATE.format('later')}\b",
+    re.I,
+)
+
+
+def refuse_states(text: str) -> None:
+    """Refuse a thing by a state that only people see, such as "a free chair".
+
+    Raises:
+        UnclearError: the text names a state.
+    """
+    for found in _IN_STATE.finditer(text):
+        state, thing = found["state"] or found["later"], found["thing"] or found["name"]
+        if not names.is_known(f"{state} {thing}"):
+            hint = (
+                f"the robot cannot tell if a thing is {state.lower()}; leave the word out, or quote "
+                "the whole name if it is a kind of thing"
+            )
+            raise UnclearError(f"instruction: {found[0]!r}: {hint}", found[0])
 
 
 def refuse_impossible(text: str) -> None:
