@@ -16,6 +16,7 @@ from edge.memory import parse_description
 from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.everyday_words import bare, is_room
 from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, sought_in
+from edge.mission.language.nouns import is_plural
 from edge.mission.language.places import EXPLORED, NO
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic.ltl import Formula, ap, conj, disj, eventually, next_, propositions
@@ -129,8 +130,11 @@ class FallbackTranslator:
             order = _with_last(order, lambda _: eventually(ap(goal.removeprefix(f"{CHECK} "))))
             goal = _last_goal(order)
         if condition.thing and branches.order and not _is_same(goal, condition.thing):
-            order = _then(order, self.translate(f"find {condition.thing}{_place(condition, goal)}"))
+            thing = _singular(condition.thing)
+            order = _then(order, self.translate(f"find {thing}{_place(condition, goal)}"))
             asks = True
+        elif condition.at.endswith(" it"):
+            raise UnclearError(f"instruction: {condition.at.strip()!r}: unclear what 'it' is")
         elif condition.at and branches.order:
             order = self._at(order, goal, condition)
         goal = _last_goal(order)
@@ -162,7 +166,7 @@ class FallbackTranslator:
         if not thing or not (condition.presumes or branches.explicit or condition.at):
             hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
             raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
-        verb = "go to" if condition.seeks is False else "find"
+        thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
         return self.translate(f"{verb} {thing}{condition.at}"), True
 
     def _at(self, order: Formula, goal: str, condition: OutcomeCondition) -> Formula:
@@ -323,14 +327,22 @@ def _noun(goal: str) -> str:
     return f"the {goal if thing is None else thing.noun}"
 
 
+def _singular(thing: str) -> str:
+    """Return the name of one of several: "chair" of "if there are no chairs"."""
+    before, space, last = thing.rpartition(" ")
+    return f"{before}{space}{names.singular(last)}" if is_plural(last) else thing
+
+
 def _is_same(goal: str, thing: str) -> bool:
     known = parse_description(goal)
     nouns = {goal, goal if known is None else known.noun}
-    return names.canonical(bare(thing)) in {names.canonical(one) for one in nouns}
+    return names.canonical(bare(_singular(thing))) in {names.canonical(one) for one in nouns}
 
 
 def _place(condition: OutcomeCondition, goal: str) -> str:
     """Return the place of a thing that the condition names: the last room for "there"."""
+    if condition.at.endswith(" it"):  # "if there is a cat on it"
+        return f"{condition.at[:-2]}{_noun(goal)}"
     if condition.at:
         return condition.at
     room = goal.removeprefix(f"{EXPLORED} ").partition(" for ")[0]

@@ -82,7 +82,7 @@ _PARTS = {
         """,
     "see": "(find|found|see|saw|seen|spot|spotted|locate|located|detect|notice)",
     "can": "[can|do|could|did|happen to|manage to|are able to|should]*",
-    "at": "[(standing|lying|sitting|parked|placed|left)] [<relation> <anchor>]",
+    "at": "[(standing|lying|sitting|parked|placed|left)] [<relation> (<anchor>|it|them)]",
     "blocked": """
         (blocked|closed|locked|shut|closed off|shut off|obstructed|not (open|accessible|reachable))
         """,
@@ -98,15 +98,15 @@ _FAILED: dict[bool | None, str] = {
         {if} {it} {is} not {at} {either}
         {if} <thing> {is} {gone} {either}
         {if} <thing> {is} not {at} {either}
-        {if} you {cannot} {see} {them} {at} [{there}] {either}
-        {if} you {cannot} {see} <thing> {at} [{there}] {either}
+        {if} you {still} {cannot} {see} {them} {at} [{there}] {either}
+        {if} you {still} {cannot} {see} <thing> {at} [{there}] {either}
         {if} there {is} (not [one|any]|none|nothing) [{there}] {either}
         {if} there {is} (no|not (a|an|any)) <thing> {at} [{there}] {either}
-        {if} (nothing|no <thing>|none) (is|are) [{there}|found] {either}
+        {if} (nothing|no <thing>|none) (is|are) [{there}|found] {at} {either}
     """,
     False: """
-        {if} you {cannot} {enter} {either}
-        {if} you {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|make it (to|into))
+        {if} you {still} {cannot} {enter} {either}
+        {if} you {still} {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|make it (to|into))
             <thing> {either}
         {if} ({it}|the way|the path|the way in) {is} {blocked} {either}
         {if} <thing> {is} {blocked} {either}
@@ -114,7 +114,7 @@ _FAILED: dict[bool | None, str] = {
     """,
     None: """
         {if} (no|not|no luck|no success|unsuccessful|(that|it|this|you) (fails|fail)|
-            (that|it|this) (does|did) not work [out]|(that|it|this) is not possible|
+            (that|this) (does|did) not work [out]|(that|it|this) is not possible|
             you can not [do (it|that)]|you have no luck)
         (failing that|or otherwise|otherwise|else|if else)
     """,
@@ -147,12 +147,16 @@ _ASKED = re.compile(
 _LIMITED = re.compile(r"\b(?:only|even|as|except|not|unless)$", re.I)
 _WHAT_ELSE = re.compile(r"(?:thing|where|one|body|or|who|what|how)$", re.I)
 _ENDS_CLAUSE = re.compile(r"[,;.!?:-]$|\b(?:and|but|or)$", re.I)
-_JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=\s|$))+"
+_JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=[\s,]|$))+"
 _JOINTS = re.compile(rf"{_JOINT}$", re.I)
 _BOUND = re.compile(r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$",
                     re.I)  # fmt: skip
 _LEADS = re.compile(
     r"^(?:[\s,;:-]|(?:then|please|just|you (?:can|should|must|could)|kindly)\b)+", re.I
+)
+# Orders after which "there" is where the robot was before.
+_RETURNS = re.compile(
+    r"(?:(?:come|go|get|drive|return|head) )?(?:back|home)\b|return$|wait|stay|stop", re.I
 )
 _INSTEAD = re.compile(r",? instead\b(?! of)", re.I)
 # What follows in any case.
@@ -236,7 +240,8 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     if not answer:  # "come back if you can not find it"
         *orders, answer = re.split(r",? (?:and|or|but|then)(?: then)? |[,;.] ", order)
         order = orders[0] if orders else ""
-        if _BOUND.search(before) or len(orders) > 1 or nested:
+        there = first.condition.there and not _RETURNS.match(answer)
+        if _BOUND.search(before) or len(orders) > 1 or nested or there:
             raise _unclear(text[first.begin : first.end])
     if nested and (opposite or first.condition.outcome == "found"):
         raise _unclear(text[nested[0].begin : nested[0].end])
@@ -319,7 +324,7 @@ def _condition_at(text: str, begin: int) -> _Match | None:
         return None
     match, outcome, seeks = best
     slots = {slot: said for slot, said in match.groupdict().items() if said}
-    at = f" {slots['relation']} {slots['anchor']}" if slots.get("anchor") else ""
+    at = f" {slots['relation']} {slots.get('anchor', 'it')}" if slots.get("relation") else ""
     phrase, thing = match[0].strip(), slots.get("thing", "")
     is_bare = re.fullmatch(r"failing that|(?:or )?otherwise|(?:if )?else", phrase, re.I) is not None
     says_there = re.sub(r"^\w+ there\b", "", phrase)
