@@ -19,7 +19,16 @@ from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of
 from edge.mission.language.nouns import is_plural
 from edge.mission.language.places import EXPLORED, NO
 from edge.mission.language.tokens import UnclearError
-from edge.mission.logic.ltl import Formula, ap, conj, disj, eventually, next_, propositions
+from edge.mission.logic.ltl import (
+    Formula,
+    ap,
+    conj,
+    disj,
+    eventually,
+    next_,
+    postorder,
+    propositions,
+)
 from edge.text import one_line
 
 # Orders that ask for nothing more: the robot is there, stops anyway, or reports anyway.
@@ -117,6 +126,9 @@ class FallbackTranslator:
         if not text:
             return _NONE
         formula = self.translate(text)
+        if any(part.op in ("G", "W") for part in postorder(formula)):
+            hint = "unclear if this always holds or only then; say first what to avoid"
+            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
         first, later = _split_first(formula)
         waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
         return _Leaf(formula) if waits or _THERE.search(text) else _Leaf(first, later)

@@ -21,7 +21,7 @@ from edge.mission.destinations import (
     describe_destination,
     shown_s,
 )
-from edge.mission.language.english import Chain, alternatives_of, is_too_long
+from edge.mission.language.english import Chain, alternatives_of, is_too_long, options_of
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
@@ -60,33 +60,40 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
 def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
     """Return a sequence with fallbacks as orders; "" for any other formula."""
     if formula.op == "|" and len(formula.args) == 2:
-        sought, missed = (_goal_and_rest(part) for part in formula.args)
-        failure = destinations.get(missed[0])
-        if not isinstance(failure, FailureTarget) or failure.target != sought[0]:
+        (goal, found), missed = _goal_and_rest(formula.args[0]), formula.args[1]
+        for name in goal:
+            failed, missed = _goal_and_rest(missed)
+            failure = destinations.get(failed[0]) if failed else None
+            if not isinstance(failure, FailureTarget) or failure.target != name:
+                return ""
+        yes, no = (part and _branches(part, destinations) for part in (found, missed))
+        if not goal or "" in (yes, no):
             return ""
-        order, known = _order(sought[0], destinations), destinations.get(failure.target)
-        yes, no = (one[1] and _branches(one[1], destinations) for one in (sought, missed))
-        if "" in (yes, no):
-            return ""
-        fails = "it is not found" if known is None else "that fails"
-        found = f"; if {'it is found' if known is None else 'that works'}, {yes}" if yes else ""
-        return f"{order}{found}; if {fails}, {no or 'that is all'}"
+        is_thing = destinations.get(goal[0]) is None
+        works, fails = (
+            ("it is found", "it is not found") if is_thing else ("that works", "that fails")
+        )
+        text = " or ".join(_order(name, destinations) for name in goal)
+        return f"{text}{f'; if {works}, {yes}' if yes else ''}; if {fails}, {no or 'that is all'}"
     goal, rest = _goal_and_rest(formula)
-    if not goal or rest is None:
-        return goal and _order(goal, destinations)
+    text = " or ".join(_order(name, destinations) for name in goal)
+    if rest is None:
+        return text
     later = _branches(rest, destinations)
-    return later and f"{_order(goal, destinations)}, then {later}"
+    return later and f"{text}, then {later}"
 
 
-def _goal_and_rest(formula: Formula) -> tuple[str, Formula | None]:
-    """Return the proposition of F p, or of F(p & rest), and the rest; "" for other formulas."""
-    body = formula.args[0] if formula.op == "F" else formula
-    if formula.op == "F" and body.op == "ap":
-        return body.name, None
-    if formula.op == "F" and body.op == "&" and len(body.args) == 2 and body.args[0].op == "ap":
-        rest = body.args[1]
-        return body.args[0].name, rest.args[0] if rest.op == "X" else rest
-    return "", None
+def _goal_and_rest(formula: Formula | None) -> tuple[tuple[str, ...], Formula | None]:
+    """Return the goals of F p or F(p & rest), of which one is reached, and the rest.
+
+    Return no goals for another formula.
+    """
+    if formula is None or formula.op != "F":
+        return (), None
+    body = formula.args[0]
+    first, *later = body.args if body.op == "&" else (body,)
+    rest = conj(*(part.args[0] if part.op == "X" else part for part in later)) if later else None
+    return options_of(first) or (), rest
 
 
 def _with_bans(text: str, bans: Sequence[Formula], destinations: Mapping[str, Destination]) -> str:

@@ -14,6 +14,7 @@ from functools import cache
 from typing import Literal
 
 from edge.mission.language.everyday_words import NAME, bare, is_room, phrase_of
+from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
 from edge.mission.language.tokens import UnclearError
 
@@ -318,6 +319,8 @@ def _condition_at(text: str, begin: int) -> _Match | None:
         match = pattern.match(spaced)
         if match is None or re.match(r" not\b", spaced[match.end() :]):  # "if you do not mind"
             continue
+        if outcome == "found" and not seeks and not _is_followed_by_order(spaced[match.end() :]):
+            continue  # "if you enter the hall", "if you have been to the bed"
         if best is None or match.end() > best[0].end():
             best = match, outcome, seeks
     if best is None:
@@ -333,6 +336,12 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     presumes = bool(thing) and (bool(at) or (outcome == "failed" and not state))
     condition = OutcomeCondition(outcome, seeks, thing, at, bool(there), presumes, state)
     return _Match(begin, begin + match.end() - 1, condition, is_bare)
+
+
+def _is_followed_by_order(text: str) -> bool:
+    """Return True if a clause ends before a text, or an order begins with it."""
+    word = re.match(r" (?:then |please |just )*(\w+)", text)
+    return word is None or TABLE.get((word[1].lower(),)) == "verb" or bool(_RETURNS.match(word[1]))
 
 
 def areas_of(text: str, noun: str) -> tuple[list[str], str]:

@@ -1,0 +1,163 @@
+"""Orders with a condition on the outcome of others, questions with an order, counts, states."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.config import MissionConfig, TranslatorGrammar
+from edge.errors import UserError
+from edge.lab.eval.everyday import SITE
+from edge.mission.language.fallbacks import split_outcomes
+from edge.mission.readings import AmbiguousInstructionError
+from edge.mission.spec import MissionSpec, prepare
+
+GRAMMAR = MissionConfig(translator=TranslatorGrammar())
+
+
+def understood(said: str, reading: int | None = None) -> MissionSpec:
+    return prepare(GRAMMAR, said, site=SITE, reading=reading)
+
+
+def test_an_order_without_a_condition_has_no_branches():
+    for said in ("", "go to the bed", "wait until I tell you otherwise", "check if it is there"):
+        assert split_outcomes(said) is None
+
+
+@pytest.mark.parametrize(
+    ("said", "formula"),
+    [
+        # A search that fails.
+        ("look for the mug in the kitchen, and if it's not there look in the hall",
+         'F "mug in the kitchen" | F ("no mug in the kitchen" & F "mug in the hall")'),
+        ("if you can't find the bed, come back", 'F bed | F ("no bed" & F here)'),
+        ("come back if you can't find the bed", 'F bed | F ("no bed" & F here)'),
+        ("if there are no chairs in the kitchen, go to the dock",
+         'F "chair in the kitchen" | F ("no chair in the kitchen" & F dock)'),
+        ("find the mug. If it is not on the desk, try the hall, then the kitchen.",
+         'F "mug on the desk" | F ("no mug on the desk" & (F "mug in the hall" | '
+         'F ("no mug in the hall" & F "mug in the kitchen")))'),
+        ("find the mug, failing that the cup, otherwise come back",
+         'F mug | F ("no mug" & (F cup | F ("no cup" & F here)))'),
+        ("look for the mug in the hall or else in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("look for the mug in the hall, then in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("if it's not in the hall, look for the mug in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("find the mug or the cup; if you find neither of them, come back", None),
+        ("find the mug or the cup; if you can't find either, come back",
+         'F (mug | cup) | F ("no mug" & F ("no cup" & F here))'),
+        ("find the mug, and if it's not there, stop", 'F mug | F "no mug"'),
+        ("find the mug but avoid the dog, and if you can't find it come back",
+         '(F mug | F ("no mug" & F here)) & G !dog'),
+        # A place that cannot be reached.
+        ("go to the kitchen, and if it's blocked go to the dock",
+         'F kitchen | F ("no kitchen" & F dock)'),
+        ("if the kitchen is closed, go to the dock instead",
+         'F kitchen | F ("no kitchen" & F dock)'),
+        ("go to the dock, else the shelf", 'F dock | F ("no dock" & F shelf)'),
+        # Both outcomes.
+        ("go to the kitchen; if you see a cup there, come back, otherwise go to the dock",
+         'F (kitchen & (F ("cup in the kitchen" & F here) | '
+         'F ("no cup in the kitchen" & F dock)))'),
+        ("check if there is a bed in room 3. If so, go to it. If not, come back.",
+         'F "bed in room three" | F ("no bed in room three" & F here)'),
+        ("go to the dock if there's no mug in the hall, else go to the bed",
+         'F ("mug in the hall" & F bed) | F ("no mug in the hall" & F dock)'),
+        ("find the mug; if you find it, wait there for 2 minutes, if not go home",
+         'F (mug & F "wait 120 s") | F ("no mug" & F start)'),
+        ("go to the sofa, and if there's a cat on it, come back",
+         'F (sofa & (F ("cat on the sofa" & F here) | F "no cat on the sofa"))'),
+        ("find the mug; if you find it, come back", "F (mug & F here)"),
+        ("look for the mug in the hall. If it's not there, try the kitchen. Then come back.",
+         'F ("mug in the hall" & F here) | '
+         'F ("no mug in the hall" & F ("mug in the kitchen" & F here))'),
+        ("have you seen the mug? If not, look for it", "F mug"),
+        # A question with an order.
+        ("Where is the mug? Go there.", "F mug"),
+        ("find out where the mug is and go there, then come back", "F (mug & F here)"),
+        ("is there a bed? if so, go to it", 'F bed | F "no bed"'),
+        ("Is there a mug in the kitchen? Go to it but stay out of the hall.",
+         'F "mug in the kitchen" & G !hall'),
+        # Several of a kind.
+        ("find two chairs, then come back", 'F ("chair 1 of two" & F ("chair 2 of two" & F here))'),
+        ("visit both tables in the kitchen",
+         'F ("table 1 of 2 in the kitchen" & F "table 2 of 2 in the kitchen")'),
+    ],
+)  # fmt: skip
+def test_the_formula_of_an_order_with_a_condition(said, formula):
+    if formula is None:
+        with pytest.raises(UserError):
+            understood(said)
+    else:
+        assert str(understood(said).translation.formula) == formula
+
+
+@pytest.mark.parametrize(
+    ("said", "hint"),
+    [
+        ("if the kitchen is blocked, go to the bathroom", "say first what to do"),
+        ("if you see the cat, come back", "say first what to do"),
+        ("go to the kitchen; if you see a dog, come back", "say where"),
+        ("go to the door; if it is closed, come back", "a state that the robot cannot see"),
+        ("go to the kitchen; if it is not there, come back", "unclear what this is about"),
+        ("go to the sofa and the bed; if you can't find it, come back", "one sequence of orders"),
+        ("go to the hall, then to the dock if the mug is there", "unclear what to do then"),
+        ("find the mug, otherwise", "unclear what to do then"),
+        ("find the mug; if you find it, go to the dock. If you see a cup there, wait.", "unclear"),
+        ("find the mug; if it's not there come back, but avoid the dog", "say first what to avoid"),
+        ("find two chairs; if you can't, come back", "cannot have a fallback"),
+        ("patrol the dock and the shelf for 5 minutes, otherwise come back", "what repeats"),
+        ("find the mug; if it is not there, where is the cup?", "an order that has one meaning"),
+        ("Where is the mug? Do not go there.", "one thing at a time"),
+        ("find six chairs", "two chairs|six chairs"),
+        ("find a free chair", "cannot tell if a thing is free"),
+        ("go to the door that is open", "cannot tell if a thing is open"),
+        ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
+    ],
+)
+def test_an_unclear_condition_is_refused_in_one_line(said, hint):
+    with pytest.raises(UserError, match=hint) as error:
+        understood(said)
+    assert "\n" not in str(error.value)
+
+
+def test_an_end_that_may_belong_to_the_condition_is_asked_about():
+    said = "look for the mug in the hall, if it's not there try the kitchen, then come back"
+    with pytest.raises(AmbiguousInstructionError) as error:
+        understood(said)
+    assert [reading.english for reading in error.value.readings] == [
+        "Look for the mug in the hall; if it is found, come back to where this mission began; "
+        "if it is not found, look for the mug in the kitchen, then come back to where this mission "
+        "began.",
+        "Look for the mug in the hall; if it is not found, look for the mug in the kitchen, then "
+        "come back to where this mission began.",
+    ]
+    assert str(understood(said, 2).translation.formula) == (
+        'F "mug in the hall" | F ("no mug in the hall" & F ("mug in the kitchen" & F here))'
+    )
+
+
+@pytest.mark.parametrize(
+    ("said", "english"),
+    [
+        ("avoid the dog, find the mug or the cup, and if you can't find either, come back",
+         "Look for the mug or look for the cup; if it is not found, come back to where this mission "
+         "began. Stay away from the dog."),
+        ("find the mug, and if it's not there, stop",
+         "Look for the mug; if it is not found, that is all."),
+        ("go to the dock; if you can get there, find the mug, otherwise come back. I am busy",
+         "Go to the dock; if that works, look for the mug; if that fails, come back to where this "
+         "mission began. (Not part of the order: 'I am busy'.)"),
+    ],
+)  # fmt: skip
+def test_an_order_with_a_condition_is_read_back(said, english):
+    assert understood(said).translation.english == english
+
+
+@pytest.mark.parametrize("said", ['find the "dirty table"', "go to the open-plan kitchen"])
+def test_a_state_that_belongs_to_a_name_is_not_refused_as_a_state(said):
+    try:
+        understood(said)
+    except UserError as error:
+        assert "cannot tell" not in str(error)
