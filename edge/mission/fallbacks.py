@@ -34,8 +34,8 @@ from edge.text import one_line
 # Orders that ask for nothing more: the robot is there, stops anyway, or reports anyway.
 _NOTHING_MORE = re.compile(
     r"^(?:(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
-    r"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|stop(?: there| here| next to it)?|"
-    r"give up|forget (?:it|about it)|never mind|do nothing|do not bother|that is it|"
+    r"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|"
+    r"stop(?: there| here| next to it)?|give up|forget (?:it|about it)|never mind|do nothing|do not bother|that is it|"
     r"(?:tell|inform|notify) (?:me|us)|let (?:me|us) know|report(?: back)?(?: to me)?)"
     r"(?: that| so| about it| (?:where|if) (?:it|they) (?:is|are))?(?=[,.;!?]|$| and | then ))"
     r"(?:[\s,.;!?]+(?:(?:and|then) )*)?",

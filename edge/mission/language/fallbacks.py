@@ -67,7 +67,7 @@ class Branches:
 
 _PARTS = {
     "if": "[just|well]* (if|in case|in the event that|supposing) [that]",
-    "it": "(it|they|he|she|that|this|one|either [of them]|(that|this|the (first|other|second)) one)",
+    "it": "(it|they|he|she|that|this|one|either [of them]|(that|this|the first) one)",
     "them": "(it|them|one|any|anything|him|her|that|either [of them]|any of them|a single one)",
     "is": "{still} (is|are|was|were) {still}",
     "still": "[really|actually|still|by any chance|perhaps|maybe|also|already|indeed|even]*",
@@ -107,8 +107,8 @@ _FAILED: dict[bool | None, str] = {
     """,
     False: """
         {if} you {still} {cannot} {enter} {either}
-        {if} you {still} {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|make it (to|into))
-            <thing> {either}
+        {if} you {still} {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|
+            make it (to|into)) <thing> {either}
         {if} ({it}|the way|the path|the way in) {is} {blocked} {either}
         {if} <thing> {is} {blocked} {either}
         {if} you get stuck [there]
@@ -150,8 +150,9 @@ _WHAT_ELSE = re.compile(r"(?:thing|where|one|body|or|who|what|how)$", re.I)
 _ENDS_CLAUSE = re.compile(r"[,;.!?:-]$|\b(?:and|but|or)$", re.I)
 _JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=[\s,]|$))+"
 _JOINTS = re.compile(rf"{_JOINT}$", re.I)
-_BOUND = re.compile(r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$",
-                    re.I)  # fmt: skip
+_BOUND = re.compile(
+    r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$", re.I
+)
 _LEADS = re.compile(
     r"^(?:[\s,;:-]|(?:then|please|just|you (?:can|should|must|could)|kindly)\b)+", re.I
 )
@@ -182,7 +183,12 @@ _FIND_IT = re.compile(
     re.I,
 )
 _SOUGHT = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<thing>{NAME})", re.I)
-_SEARCHES = re.compile(r"\b(?:find|look|search|check|hunt)\b", re.I)
+# "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
+_SEARCHES = re.compile(
+    rf"\b(?:search|check) {NAME} for\b|\blook {phrase_of('relation')} .* for\b|"
+    rf"\b(?:(?:look|hunt|search)\b.* for|find\b(?=.* or else$)).* {phrase_of('relation')} ",
+    re.I,
+)
 
 
 @cache
@@ -288,7 +294,8 @@ def _matches(text: str) -> list[_Match]:
             continue
         if trigger["area"]:  # "look for the mug in the hall, then in the kitchen"
             area = _AREA.match(trigger["area"])
-            if not found and area and area["relation"] and not area["verb"] and _sought_in(before):
+            is_area = area is not None and area["relation"] and not area["verb"]
+            if is_area and not found and _SEARCHES.search(text[: trigger.end()]):
                 found.append(_Match(begin, trigger.end(), OutcomeCondition("failed"), True))
             continue
         if _LIMITED.search(before):
@@ -304,11 +311,6 @@ def _matches(text: str) -> list[_Match]:
             return []
         found.append(matched)
     return found
-
-
-def _sought_in(text: str) -> bool:
-    """Return True if a text searches for a thing at a place."""
-    return bool(_SEARCHES.search(text) and re.search(rf" {phrase_of('relation')} ", text, re.I))
 
 
 def _condition_at(text: str, begin: int) -> _Match | None:

@@ -49,15 +49,15 @@ _CANNOT = (
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
-# "a free chair", "a chair that is free", but not "the clean utility room"
 _STATE = (
-    r"(?P<{}>free|available|vacant|occupied|unoccupied|open|opened|closed|shut|locked|unlocked|busy|"
-    r"taken|reserved|clean|dirty|running|charged|ready)"
+    r"\b(?:free|available|vacant|occupied|unoccupied|open|opened|closed|shut|locked|unlocked|busy|"
+    r"taken|reserved|clean|dirty|running|charged|ready)\b"
 )
+# "a free chair", "a chair that is free", but not "the clean utility room"
 _IN_STATE = re.compile(
-    rf"\b(?:{ARTICLE}|two|three|four|five|both|all|avoid|find|visit|near) (?:\w+ly |very )?{_STATE.format('state')} (?!plan\b|{phrase_of('room of')}\b)"
-    rf"(?P<thing>(?!{ARTICLE}\b)\w+)|\b(?P<name>\w+) (?:that|which|who) (?:is|are) (?:\w+ly |still |not )*"
-    rf"{_STATE.format('later')}\b",
+    rf"\b(?:{ARTICLE}|two|three|four|five|both|all|avoid|find|visit|near) (?:\w+ly |very )?"
+    rf"(?P<name>{_STATE} (?!plan\b|{phrase_of('room of')}\b|{ARTICLE}\b)\w+)"
+    rf"|\b\w+ (?:that|which|who) (?:is|are) (?:\w+ly |still |not )*{_STATE}",
     re.I,
 )
 
@@ -69,11 +69,11 @@ def refuse_states(text: str) -> None:
         UnclearError: the text names a state.
     """
     for found in _IN_STATE.finditer(text):
-        state, thing = found["state"] or found["later"], found["thing"] or found["name"]
-        if not names.is_known(f"{state} {thing}"):
+        state = re.search(_STATE, found[0], re.I)
+        if state is not None and not names.is_known(found["name"] or ""):
             hint = (
-                f"the robot cannot tell if a thing is {state.lower()}; leave the word out, or quote "
-                "the whole name if it is a kind of thing"
+                f"the robot cannot tell if a thing is {state[0].lower()}; leave the word out, or "
+                "quote the whole name if it is a kind of thing"
             )
             raise UnclearError(f"instruction: {found[0]!r}: {hint}", found[0])
 

@@ -150,10 +150,11 @@ _GO_AND_LOOK = re.compile(
 """The order, after a question, to go and look for the answer."""
 _AND_GO = re.compile(
     r"^(?:(?:find out|figure out|work out|see|check|discover)(?: for me)? (?=where\b))?"
-    r"(?P<question>.+?)(?:[?.!,;:]+ *| (?=(?:and|then|go|drive|find) ))(?:(?:and|then|so|please|now|okay),? )*"
+    r"(?P<question>.+?)(?:[?.!,;:]+ *| (?=(?:and|then|go|drive|find) ))"
+    r"(?:(?:and|then|so|please|now|okay),? )*"
     r"(?:(?:go|drive|head|move|run|roll)(?: right| straight| over| up| on| back)* "
-    r"(?:there|(?:to|near|next to) (?:it|them|one))|(?:go |try )?(?:and |to )?(?:find|look for|search for|"
-    r"locate) (?:it|them))(?=[.,;!?]|$| (?:and|then|but)\b)(?P<rest>.*)$",
+    r"(?:there|(?:to|near|next to) (?:it|them|one))|(?:go |try )?(?:and |to )?(?:find|look for|"
+    r"search for|locate) (?:it|them))(?=[.,;!?]|$| (?:and|then|but)\b)(?P<rest>.*)$",
     re.I,
 )
 """A question about a thing, and the order to go there: "where is the mug? Go there"."""
