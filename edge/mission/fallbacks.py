@@ -7,7 +7,7 @@ is an alternative: `F mug | F ("no mug" & F here)`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Union
 
@@ -35,7 +35,8 @@ from edge.text import one_line
 _NOTHING_MORE = re.compile(
     r"^(?:(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
     r"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|"
-    r"stop(?: there| here| next to it)?|give up|forget (?:it|about it)|never mind|do nothing|do not bother|that is it|"
+    r"stop(?: there| here| next to it)?|give up|forget (?:it|about it)|never mind|do nothing|"
+    r"do not bother|that is it|"
     r"(?:tell|inform|notify) (?:me|us)|let (?:me|us) know|report(?: back)?(?: to me)?)"
     r"(?: that| so| about it| (?:where|if) (?:it|they) (?:is|are))?(?=[,.;!?]|$| and | then ))"
     r"(?:[\s,.;!?]+(?:(?:and|then) )*)?",
@@ -46,6 +47,10 @@ _FIND_IT = re.compile(
     re.I,
 )
 _THERE = re.compile(r"\b(?:there|here)\b", re.I)
+_NEXT_SENTENCE = re.compile(r"[.;!?] ")
+_BY_WAY = re.compile(r"\b(?:through|via|past|by way of)\b", re.I)
+_IS_THERE = re.compile(r"\bthere\b(?! (?:is|are|an?|the|any|some|my|still)\b)", re.I)
+_UNPLACED = "unclear which place the condition is about; name it"
 _THEN = re.compile(r"[,.;!?] (?:and )?then\b", re.I)
 
 
@@ -97,145 +102,127 @@ class FallbackTranslator:
         Raises:
             UnclearError: it is unclear what a condition is about.
         """
-        tree = self._tree(branches, "")
-        rest = _last_leaf(tree).rest
-        if rest is None:
-            return [_formula(tree, None, False)]
-        return [_formula(tree, rest, True), _formula(tree, None, False)]
+        tree = self._tree(branches, "", last=True)
+        rest = _rest_of(tree)
+        last = _formula(tree, None, False)
+        return [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
 
-    def _tree(self, part: Branches | str | None, noun: str, found: bool = False) -> _Tree:
-        """Return a part of the order with formulas; `noun` is what it searches for, or ""."""
+    def _tree(self, part: Branches | str, noun: str, last: bool, found: bool = False) -> _Tree:
+        """Return a part of the order with formulas.
+
+        Args:
+            part: the part.
+            noun: the thing that was searched for without success before it, or "".
+            last: True if the end of the part may belong to all outcomes.
+            found: True if the thing was found.
+        """
         if isinstance(part, Branches):
-            return self._node(part, noun)
-        return self._leaf(part or "", noun, found)
-
-    def _leaf(self, text: str, noun: str, found: bool) -> _Tree:
-        text = _NOTHING_MORE.sub("", text)
+            return self._node(part, noun, last)
+        text = _NOTHING_MORE.sub("", part)
         orders, rest = areas_of(text, noun) if noun and not found else ([], "")
         if orders:
-            later = self.translate(rest) if rest else None
-            tree: _Tree = _Leaf(self.translate(orders[-1]), later)
-            for order in reversed(orders[:-1]):
-                tree = _Node(self.translate(order), _NONE, tree)
+            *before, order = map(self.translate, orders)
+            tree: _Tree = _leaf(order, self.translate(rest) if rest else None, last)
+            for order in reversed(before):
+                tree = _Node(order, _NONE, tree)
             return tree
-        if noun and not found:
+        if noun:
             text = _FIND_IT.sub(rf"\g<find> {noun}", text)
-            text = f"go to {text}" if is_room(bare(text)) else text
-        elif is_room(bare(text)):
-            text = f"go to {text}"
         if not text:
             return _NONE
-        formula = self.translate(text)
+        formula = self.translate(f"go to {text}" if is_room(bare(text)) else text)
+        if found and _is_noun(formula, noun):  # "find it"
+            return _NONE
         if any(part.op in ("G", "W") for part in postorder(formula)):
             hint = "unclear if this always holds or only then; say first what to avoid"
             raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
-        first, later = _split_first(formula)
+        first, later = _split_first(formula, bool(_NEXT_SENTENCE.search(text)))
         waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
-        return _Leaf(formula) if waits or _THERE.search(text) else _Leaf(first, later)
+        return _leaf(first, later, last and not (waits or _THERE.search(text)))
 
-    def _node(self, branches: Branches, noun: str) -> _Node:
-        condition = branches.condition
+    def _node(self, branches: Branches, noun: str, last: bool) -> _Node:
+        condition, found, failed = branches.condition, branches.found or "", branches.failed or ""
         order, asks = self._order(branches, noun)
-        goal = _last_goal(order)
-        if goal.startswith(f"{CHECK} "):
-            asks = True
-            order = _with_last(order, lambda _: eventually(ap(goal.removeprefix(f"{CHECK} "))))
-            goal = _last_goal(order)
-        if condition.thing and branches.order and not _is_same(goal, condition.thing):
+        goals = _last_goals(order)
+        if all(goal.startswith(f"{CHECK} ") for goal in goals):
+            if _IS_THERE.search(branches.order) and not all(map(parse_description, goals)):
+                raise UnclearError(f"instruction: {_UNPLACED}")
+            asks, goals = True, tuple(goal.removeprefix(f"{CHECK} ") for goal in goals)
+            order = _with_last(order, lambda _: eventually(disj(*map(ap, goals))))
+        if condition.thing and branches.order and not _is_same(goals, condition.thing):
             thing = _singular(condition.thing)
-            order = _then(order, self.translate(f"find {thing}{_place(condition, goal)}"))
+            order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
             asks = True
-        elif condition.at.endswith(" it"):
-            raise UnclearError(f"instruction: {condition.at.strip()!r}: unclear what 'it' is")
         elif condition.at and branches.order:
-            order = self._at(order, goal, condition)
-        goal = _last_goal(order)
-        self._check_kind(goal, condition)
-        noun = _noun(goal) if self.is_thing(goal) else ""
-        node = _Node(
+            order = self._at(order, goals, condition)
+        goals = _last_goals(order)
+        self._check_kind(goals, condition)
+        noun = _noun(goals[0]) if all(map(self.is_thing, goals)) else ""
+        last = last and not branches.after
+        end = failed if branches.explicit == (condition.outcome == "found") else found
+        if branches.explicit and isinstance(end, str):  # "…, otherwise go to the hall, then …"
+            last = last and _THEN.search(end) is not None
+        return _Node(
             order,
-            self._tree(branches.found, noun, found=True),
-            self._tree(branches.failed, noun),
+            self._tree(found, noun, last and end is found, found=True),
+            self._tree(failed, noun, last and end is failed),
             asks or condition.outcome == "failed" or branches.explicit,
             self.translate(branches.after) if branches.after else None,
         )
-        if branches.explicit:
-            return _without_question(node, branches)
-        return node
 
     def _order(self, branches: Branches, noun: str) -> tuple[Formula, bool]:
         """Return the formula of the order, and True if it only asks if a thing is there."""
         condition = branches.condition
         if branches.order:
+            if condition.state and not condition.thing and _BY_WAY.search(branches.order):
+                raise UnclearError(f"instruction: {_UNPLACED}")
             orders, rest = areas_of(branches.order, noun) if noun else ([], "")
             if len(orders) == 1 and not rest:
                 return self.translate(orders[0]), True
             text = _FIND_IT.sub(rf"\g<find> {noun}", branches.order) if noun else branches.order
             return self.translate(text), False
         thing = condition.thing
-        if not thing and condition.at and isinstance(branches.failed, str):
-            thing = sought_in(branches.failed)  # "look for it on the desk if it is not in the hall"
-        if not thing or not (condition.presumes or branches.explicit or condition.at):
+        answer = branches.failed if condition.outcome == "failed" else branches.found
+        if not thing and condition.at and isinstance(answer, str):
+            thing = sought_in(answer)  # "look for the mug in the hall if it is not on the desk"
+        presumes = condition.presumes or branches.explicit or condition.at
+        if not (thing and presumes) or (condition.there and not condition.at):
             hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
             raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
         thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
         return self.translate(f"{verb} {thing}{condition.at}"), True
 
-    def _at(self, order: Formula, goal: str, condition: OutcomeCondition) -> Formula:
+    def _at(self, order: Formula, goals: Sequence[str], condition: OutcomeCondition) -> Formula:
         """Return the order with the place that the condition names: "if it is not in the hall"."""
-        placed = self.translate(f"find the {goal}{condition.at}")
-        if parse_description(goal) is not None and propositions(placed) != (goal,):
-            if goal.endswith(condition.at.lower()):
-                return order
-            raise UnclearError(f"instruction: unclear where the {one_line(goal)} should be")
-        return _with_last(order, lambda _: placed)
+        if len(goals) == 1 and goals[0].endswith(condition.at.lower()):
+            return order
+        if len(goals) > 1 or parse_description(goals[0]) or condition.at.endswith(" it"):
+            part = condition.at.strip()
+            raise UnclearError(f"instruction: {part!r}: unclear what should be there", part)
+        return _with_last(order, lambda _: self.translate(f"find the {goals[0]}{condition.at}"))
 
-    def _check_kind(self, goal: str, condition: OutcomeCondition) -> None:
-        """Refuse a condition that does not fit the goal: a wait is not found."""
-        thing = self.is_thing(goal)
-        timed = goal.startswith(("wait", EXPLORED))
-        described = parse_description(goal)
-        if described is not None and described.is_new:
-            hint = "say what to do for one of them; a number of things cannot have a fallback"
-            raise UnclearError(f"instruction: {one_line(goal)!r}: {hint}")
-        if timed or (condition.seeks and not thing) or (condition.state and thing):
-            part = condition.thing or "it"
+    def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
+        """Refuse a condition that does not fit the goals: a wait is not found."""
+        thing, part = all(map(self.is_thing, goals)), condition.thing or "it"
+        if any((described := parse_description(goal)) and described.is_new for goal in goals):
+            hint = "a number of things cannot have a fallback; say it for one of them"
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        timed = goals[0].startswith((WAIT, EXPLORED))
+        is_there = condition.seeks and condition.there and not thing
+        if timed or is_there or (condition.state and thing):
             hint = "unclear what this is about, or a state that the robot cannot see"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
 
-def _without_question(node: _Node, branches: Branches) -> _Node:
-    """Join the goals of the last leaf, unless "then" may begin an end for both outcomes."""
-    last_is_found = branches.condition.outcome == "failed"
-    text = branches.found if last_is_found else branches.failed
-    leaf = node.found if last_is_found else node.failed
-    if not isinstance(text, str) or not isinstance(leaf, _Leaf) or leaf.rest is None:
-        return node
-    if _THEN.search(text):
-        return node
-    assert leaf.first is not None
-    joined = _Leaf(_then(leaf.first, leaf.rest))
-    if last_is_found:
-        return _Node(node.order, joined, node.failed, node.may_fail, node.after)
-    return _Node(node.order, node.found, joined, node.may_fail, node.after)
+def _leaf(first: Formula, rest: Formula | None, last: bool) -> _Leaf:
+    return _Leaf(first, rest) if last or rest is None else _Leaf(_then(first, rest))
 
 
-def _last_leaf(tree: _Tree) -> _Leaf:
-    """Return the leaf whose last goals may come after all: that of the one outcome with orders."""
-    while isinstance(tree, _Node):
-        if tree.after is not None:
-            return _NONE
-        with_rest = [one for one in (tree.failed, tree.found) if _has_rest(one)]
-        if not with_rest:
-            return _NONE
-        tree = with_rest[0]
-    return tree
-
-
-def _has_rest(tree: _Tree) -> bool:
+def _rest_of(tree: _Tree) -> Formula | None:
+    """Return the end that may belong to all outcomes."""
     if isinstance(tree, _Leaf):
-        return tree.rest is not None
-    return _has_rest(tree.found) or _has_rest(tree.failed)
+        return tree.rest
+    return _rest_of(tree.found) or _rest_of(tree.failed)
 
 
 def _formula(tree: _Tree, after: Formula | None, spread: bool) -> Formula | None:
@@ -313,20 +300,29 @@ def _is_goal(formula: Formula) -> bool:
     return all(part.op == "ap" for part in parts)
 
 
-def _last_goal(order: Formula) -> str:
-    """Return the name of the last goal; the first of a choice."""
-    found: list[Formula] = []
+def _last_goals(order: Formula) -> tuple[str, ...]:
+    """Return the name of the last goal, or of each of a choice."""
+    found: list[str] = []
 
     def note(goal: Formula) -> Formula:
-        found.append(goal)
+        found.extend(propositions(goal))
         return eventually(goal)
 
     _with_last(order, note)
-    return propositions(found[0])[0]
+    return tuple(found)
 
 
-def _split_first(formula: Formula) -> tuple[Formula, Formula | None]:
-    """Return the first goal of a sequence and the rest; the formula and None for others."""
+def _is_noun(formula: Formula, noun: str) -> bool:
+    return formula.op == "F" and propositions(formula) == (noun.removeprefix("the "),)
+
+
+def _split_first(formula: Formula, several: bool) -> tuple[Formula, Formula | None]:
+    """Return the first goal of a sequence and the rest; the formula and None for others.
+
+    `several` is True if goals in any order come from several sentences.
+    """
+    if formula.op == "&" and several:
+        return formula.args[0], conj(*formula.args[1:])
     body = formula.args[0] if formula.op == "F" else formula
     if formula.op == "F" and body.op == "&" and len(body.args) == 2 and _is_goal(body.args[0]):
         goal, later = body.args
@@ -345,14 +341,16 @@ def _singular(thing: str) -> str:
     return f"{before}{space}{names.singular(last)}" if is_plural(last) else thing
 
 
-def _is_same(goal: str, thing: str) -> bool:
-    known = parse_description(goal)
-    nouns = {goal, goal if known is None else known.noun}
+def _is_same(goals: Sequence[str], thing: str) -> bool:
+    nouns = {*goals, *(_noun(goal).removeprefix("the ") for goal in goals)}
     return names.canonical(bare(_singular(thing))) in {names.canonical(one) for one in nouns}
 
 
-def _place(condition: OutcomeCondition, goal: str) -> str:
+def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
     """Return the place of a thing that the condition names: the last room for "there"."""
+    goal = goals[0]
+    if len(goals) > 1 and (not condition.at or condition.at.endswith(" it")):
+        raise UnclearError(f"instruction: {condition.thing!r}: unclear where; name the place")
     if condition.at.endswith(" it"):  # "if there is a cat on it"
         return f"{condition.at[:-2]}{_noun(goal)}"
     if condition.at:

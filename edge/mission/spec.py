@@ -231,13 +231,7 @@ def translate(
     if letters == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
-    for reason in order.speech.reasons:
-        if shared := _shared_word(reason, translation.formula):
-            hint = (
-                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
-            )
-            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
-    english = translation.english + _note(order.speech.reasons)
+    english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
@@ -293,11 +287,22 @@ def _translate_branches(
         offered = tuple(Reading(one.formula, one.english) for one in shown)
         raise AmbiguousInstructionError(offered, error.implied) from None
     notes = "".join(part.english.removeprefix(describe(part.formula)) for part in parts)
-    return replace(translation, english=translation.english + notes + _note(speech.reasons))
+    english = translation.english + notes + _note(speech.reasons, translation.formula)
+    return replace(translation, english=english)
 
 
-def _note(reasons: Sequence[str]) -> str:
-    """Return a note about the clauses that give no order."""
+def _note(reasons: Sequence[str], formula: Formula) -> str:
+    """Return a note about the clauses that give no order.
+
+    Raises:
+        UnclearError: such a clause may say more about a target.
+    """
+    for reason in reasons:
+        if shared := _shared_word(reason, formula):
+            hint = (
+                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            )
+            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
     unused = "; ".join(f"'{one_line(reason)}'" for reason in reasons)
     return f" (Not part of the order: {unused}.)" if unused else ""
 

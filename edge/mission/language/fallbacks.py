@@ -114,7 +114,8 @@ _FAILED: dict[bool | None, str] = {
         {if} you get stuck [there]
     """,
     None: """
-        {if} (no|not|no luck|no success|unsuccessful|(that|it|this|you) (fails|fail)|
+        {if} (no|not [found|there|successful|possible]|no luck|no success|unsuccessful|
+            (that|it|this|you) (fails|fail)|
             (that|this) (does|did) not work [out]|(that|it|this) is not possible|
             you can not [do (it|that)]|you have no luck)
         (failing that|or otherwise|otherwise|else|if else)
@@ -180,6 +181,12 @@ _AREA = re.compile(
 _FIND_IT = re.compile(
     rf"^(?:(?:go|and|look)\s+)*(?:find|for|search for|locate|hunt for)\s+(?:it|them|one)"
     rf"(?=\s+{phrase_of('relation')}\s)",
+    re.I,
+)
+_GO_AND_LOOK = re.compile(
+    rf"^(?:go|drive|head) (?:over )?(?:to|in|into) (?P<room>{NAME}),? and (?:then )?"
+    r"(?:look|search|check)(?: for (?:it|them|one))?(?: in)?(?: there)?"
+    r"(?=[,.;!?]|$| (?:and|then)\b)",
     re.I,
 )
 _SOUGHT = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<thing>{NAME})", re.I)
@@ -358,7 +365,7 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
         noun: the thing that is searched for, with its article.
     """
     orders: list[str] = []
-    text = _FIND_IT.sub("look", text)
+    text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))
     at = 0
     while found := _AREA.match(text, at):
         relation, verb = found["relation"], (found["verb"] or "try").lower()
