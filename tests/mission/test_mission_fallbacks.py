@@ -73,6 +73,25 @@ def test_an_order_without_a_condition_has_no_branches():
          'F ("mug in the hall" & F here) | '
          'F ("no mug in the hall" & F ("mug in the kitchen" & F here))'),
         ("have you seen the mug? If not, look for it", "F mug"),
+        ("look for the mug; if you find it, go to the dock, then to the shelf, otherwise wait here",
+         'F (mug & F (dock & F shelf)) | F ("no mug" & F wait)'),
+        ("look for the mug; if you find it, wait, otherwise go to the dock and come back",
+         'F (mug & F wait) | F ("no mug" & F (dock & F here))'),
+        ("look for the mug, otherwise go to the dock, then the bed. Either way, come back.",
+         'F (mug & F here) | F ("no mug" & F (dock & F (bed & F here)))'),
+        ("if there is a cup in the kitchen, find it",
+         'F "cup in the kitchen" | F "no cup in the kitchen"'),
+        ("go to the kitchen; if there's nobody there, wait there for 5 minutes",
+         'F (kitchen & (F "person in the kitchen" | '
+         'F ("no person in the kitchen" & F "wait 300 s")))'),
+        ("look for the cup in the hall; if it's not there, look for it on the desk",
+         'F "cup in the hall" | F ("no cup in the hall" & F "cup on the desk")'),
+        ("look for the cup in the hall; if it's not there, go to the kitchen and look there",
+         'F "cup in the hall" | F ("no cup in the hall" & F "cup in the kitchen")'),
+        ("go to the kitchen, and if you enter the hall, go to the dock",
+         "F kitchen & G (hall -> F dock)"),
+        ("find the cup; if it is not there, go to the dock, then find the cup",
+         None),
         # A question with an order.
         ("Where is the mug? Go there.", "F mug"),
         ("find out where the mug is and go there, then come back", "F (mug & F here)"),
@@ -104,13 +123,22 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("go to the sofa and the bed; if you can't find it, come back", "one sequence of orders"),
         ("go to the hall, then to the dock if the mug is there", "unclear what to do then"),
         ("find the mug, otherwise", "unclear what to do then"),
+        ("wait for a minute; if you can't, come back", "unclear what this is about"),
+        ("go to the kitchen through the hall; if it is blocked, come back", "which place"),
+        ("go to the kitchen, check if the mug is there, if it isn't, come back", "which place"),
+        ("if the dog isn't there, go to the kitchen", "say first what to do"),
+        ("find the mug or the cup; if it is not on the desk, come back", "what should be there"),
+        ("go to the hall or the bed; if there is a cat on it, come back", "unclear where"),
+        ("go to the dock only if you can't find the mug", "leave out the condition"),
+        ("Which room has the piano? Go there.", "one thing at a time"),
+        ("find two scissors", "expected the name"),
         ("find the mug; if you find it, go to the dock. If you see a cup there, wait.", "unclear"),
         ("find the mug; if it's not there come back, but avoid the dog", "say first what to avoid"),
         ("find two chairs; if you can't, come back", "cannot have a fallback"),
         ("patrol the dock and the shelf for 5 minutes, otherwise come back", "what repeats"),
         ("find the mug; if it is not there, where is the cup?", "an order that has one meaning"),
         ("Where is the mug? Do not go there.", "one thing at a time"),
-        ("find six chairs", "two chairs|six chairs"),
+        ("find six chairs", "expected the name"),
         ("find a free chair", "cannot tell if a thing is free"),
         ("go to the door that is open", "cannot tell if a thing is open"),
         ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
@@ -120,6 +148,15 @@ def test_an_unclear_condition_is_refused_in_one_line(said, hint):
     with pytest.raises(UserError, match=hint) as error:
         understood(said)
     assert "\n" not in str(error.value)
+
+
+def test_an_end_in_another_sentence_is_asked_about():
+    for said in (
+        "find the cup. If it isn't there, find the mug. Go to the dock.",
+        "find the cup; if you find it, wait, otherwise find the mug, then go to the dock",
+    ):
+        with pytest.raises(AmbiguousInstructionError):
+            understood(said)
 
 
 def test_an_end_that_may_belong_to_the_condition_is_asked_about():

@@ -185,6 +185,12 @@ def test_a_target_that_is_found_has_no_fallback():
     assert (mission.ended, mission.reason) == ("failed", "explored all")
 
 
+def test_a_synonym_names_the_same_failure():
+    mission = begun('F couch | F ("no sofa" & F bed)')
+    mission.abandon_target("explored all", S)
+    assert mission.target == "bed"
+
+
 def test_a_failure_that_nothing_follows_ends_the_mission():
     mission = begun('F mug | F "no mug"')
     mission.abandon_target("explored all", S)
