@@ -86,6 +86,9 @@ def test_an_order_without_a_condition_has_no_branches():
          'F ("no person in the kitchen" & F "wait 300 s")))'),
         ("look for the cup in the hall; if it's not there, look for it on the desk",
          'F "cup in the hall" | F ("no cup in the hall" & F "cup on the desk")'),
+        ("look for the cup in the hall; if it's not there, find it in the kitchen, then the bedroom",
+         'F "cup in the hall" | F ("no cup in the hall" & (F "cup in the kitchen" | '
+         'F ("no cup in the kitchen" & F "cup in the bedroom")))'),
         ("look for the cup in the hall; if it's not there, go to the kitchen and look there",
          'F "cup in the hall" | F ("no cup in the hall" & F "cup in the kitchen")'),
         ("go to the kitchen, and if you enter the hall, go to the dock",
@@ -194,3 +197,4 @@ def test_an_order_with_a_condition_is_read_back(said, english):
 
 def test_a_state_in_quotes_belongs_to_the_name():
     assert str(understood('find the "dirty table"').translation.formula) == 'F "dirty table"'
+    assert understood("go to the running machine").targets == ("treadmill",)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-from edge import names
 from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
 from edge.mission.language.tokens import UnclearError
 
@@ -56,7 +55,7 @@ _STATE = (
 # "a free chair", "a chair that is free", but not "the clean utility room"
 _IN_STATE = re.compile(
     rf"\b(?:{ARTICLE}|two|three|four|five|both|all|avoid|find|visit|near) (?:\w+ly |very )?"
-    rf"(?P<name>{_STATE} (?!plan\b|{phrase_of('room of')}\b|{ARTICLE}\b)\w+)"
+    rf"(?:{_STATE} (?!plan\b|{phrase_of('room of')}\b|{ARTICLE}\b)\w+)"
     rf"|\b\w+ (?:that|which|who) (?:is|are) (?:\w+ly |still |not )*{_STATE}",
     re.I,
 )
@@ -69,8 +68,7 @@ def refuse_states(text: str) -> None:
         UnclearError: the text names a state.
     """
     for found in _IN_STATE.finditer(text):
-        state = re.search(_STATE, found[0], re.I)
-        if state is not None and not names.is_known(found["name"] or ""):
+        if state := re.search(_STATE, found[0], re.I):
             hint = (
                 f"the robot cannot tell if a thing is {state[0].lower()}; leave the word out, or "
                 "quote the whole name if it is a kind of thing"
