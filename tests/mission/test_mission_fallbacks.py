@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
@@ -86,7 +90,7 @@ def test_an_order_without_a_condition_has_no_branches():
          'F ("no person in the kitchen" & F "wait 300 s")))'),
         ("look for the cup in the hall; if it's not there, look for it on the desk",
          'F "cup in the hall" | F ("no cup in the hall" & F "cup on the desk")'),
-        ("look for the cup in the hall; if it's not there, find it in the kitchen, then the bedroom",
+        ("find the cup in the hall; if it's not there, find it in the kitchen, then the bedroom",
          'F "cup in the hall" | F ("no cup in the hall" & (F "cup in the kitchen" | '
          'F ("no cup in the kitchen" & F "cup in the bedroom")))'),
         ("look for the cup in the hall; if it's not there, go to the kitchen and look there",
@@ -151,6 +155,17 @@ def test_an_unclear_condition_is_refused_in_one_line(said, hint):
     with pytest.raises(UserError, match=hint) as error:
         understood(said)
     assert "\n" not in str(error.value)
+
+
+WORDS = (
+    "if it is not there otherwise , . find the mug in kitchen look for then and or else come back"
+)
+
+
+@given(st.lists(st.sampled_from(WORDS.split()), max_size=14).map(" ".join))
+def test_any_text_with_conditions_is_understood_or_refused(text):
+    with contextlib.suppress(UserError):
+        assert understood(text)
 
 
 def test_an_end_in_another_sentence_is_asked_about():
