@@ -14,7 +14,7 @@ from typing import Union
 from edge import names
 from edge.memory import parse_description
 from edge.mission.language.errand_patterns import CHECK, WAIT
-from edge.mission.language.everyday_words import bare, is_room
+from edge.mission.language.everyday_words import NAME, bare, is_room
 from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, sought_in
 from edge.mission.language.nouns import is_plural
 from edge.mission.language.places import EXPLORED, NO
@@ -49,8 +49,11 @@ _FIND_IT = re.compile(
 _THERE = re.compile(r"\b(?:there|here)\b", re.I)
 _NEXT_SENTENCE = re.compile(r"[.;!?] ")
 _BY_WAY = re.compile(r"\b(?:through|via|past|by way of)\b", re.I)
+_WHEN = re.compile(r"\b(?:when|whenever|once|as soon as|after|until|before|while|unless)\b", re.I)
+# "it must be in the hall"
+_STATES = re.compile(r"(?:it|they|he|she|that|this|i|we|you) ", re.I)
 _IS_THERE = re.compile(r"\bthere\b(?! (?:is|are|an?|the|any|some|my|still)\b)", re.I)
-_UNPLACED = "unclear which place the condition is about; name it"
+_UNPLACED = "unclear which place or order the condition is about; use simpler sentences"
 _THEN = re.compile(r"[,.;!?] (?:and )?then\b", re.I)
 
 
@@ -122,7 +125,7 @@ class FallbackTranslator:
         orders, rest = areas_of(text, noun) if noun and not found else ([], "")
         if orders:
             *before, order = map(self.translate, orders)
-            tree: _Tree = _leaf(order, self.translate(rest) if rest else None, last)
+            tree: _Tree = _leaf(order, self._goals(rest) if rest else None, last)
             for order in reversed(before):
                 tree = _Node(order, _NONE, tree)
             return tree
@@ -130,15 +133,24 @@ class FallbackTranslator:
             text = _FIND_IT.sub(rf"\g<find> {noun}", text)
         if not text:
             return _NONE
-        formula = self.translate(f"go to {text}" if is_room(bare(text)) else text)
+        named = re.fullmatch(NAME, text, re.I) and is_room(bare(text))  # "otherwise the hall"
+        formula = self._goals(f"go to {text}" if named else text)
         if found and _is_noun(formula, noun):  # "find it"
             return _NONE
-        if any(part.op in ("G", "W") for part in postorder(formula)):
-            hint = "unclear if this always holds or only then; say first what to avoid"
-            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
         first, later = _split_first(formula, bool(_NEXT_SENTENCE.search(text)))
         waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
         return _leaf(first, later, last and not (waits or _THERE.search(text)))
+
+    def _goals(self, text: str) -> Formula:
+        """Return the formula of orders after a condition: only goals."""
+        if _STATES.match(text):
+            hint = "after a condition, expected an order; say for example 'look in the hall'"
+            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        formula = self.translate(text)
+        if any(part.op in ("G", "W") for part in postorder(formula)):
+            hint = "unclear if this always holds or only then; say first what to avoid"
+            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        return formula
 
     def _node(self, branches: Branches, noun: str, last: bool) -> _Node:
         condition, found, failed = branches.condition, branches.found or "", branches.failed or ""
@@ -174,7 +186,8 @@ class FallbackTranslator:
         """Return the formula of the order, and True if it only asks if a thing is there."""
         condition = branches.condition
         if branches.order:
-            if condition.state and not condition.thing and _BY_WAY.search(branches.order):
+            by_way = condition.state and not condition.thing and _BY_WAY.search(branches.order)
+            if by_way or _WHEN.search(branches.order):
                 raise UnclearError(f"instruction: {_UNPLACED}")
             orders, rest = areas_of(branches.order, noun) if noun else ([], "")
             if len(orders) == 1 and not rest:

@@ -371,6 +371,10 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
         relation, verb = found["relation"], (found["verb"] or "try").lower()
         in_room = verb in ("try", "check", "search") and is_room(bare(found["anchor"]))
         if not (relation or in_room):
+            if found["verb"] and not relation:
+                part = found[0].strip()
+                hint = "say 'look on the …' or 'look in the …'"
+                raise UnclearError(f"instruction: {part!r}: unclear where to look; {hint}", part)
             break
         orders.append(f"find {noun} {relation or 'in'} {found['anchor']}")
         joint = re.compile(_JOINT, re.I).match(text, found.end())
