@@ -130,6 +130,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("go to the sofa and the bed; if you can't find it, come back", "one sequence of orders"),
         ("go to the hall, then to the dock if the mug is there", "unclear what to do then"),
         ("find the mug, otherwise", "unclear what to do then"),
+        ("if the mug is not in the hall or the den, come back", "unclear what to do then"),
         ("if the mug is not on the sofa, check the table", "say 'look on the"),
         ("find the mug, if it's not there it must be in the hall", "expected an order"),
         ("when you've found the mug come back, otherwise go to the dock", "which place or order"),

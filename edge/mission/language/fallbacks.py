@@ -248,6 +248,8 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     nested, opposite, last = rest[:at], rest[at : at + 1], rest[at + 1 :]
     answer_text = text[first.end : opposite[0].begin if opposite else len(text)]
     order, answer = _order(before), _order(answer_text)
+    if re.match(r"\s+(?:and|or)\b", answer_text, re.I):  # "if it is not in the hall or the study"
+        raise _unclear(text[first.begin :])
     condition = first.condition
     if _INSTEAD.search(answer_text) and condition.thing:  # then the robot was to go to the thing
         condition = replace(condition, presumes=True)
