@@ -359,9 +359,9 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     """
     found: dict[str, Destination] = {}
     english = translation.english
-    letters = ltl.propositions(translation.formula)
-    for letter in letters:
-        destination = failure_of(letter, letters) or destination_of(letter, site)
+    propositions = ltl.propositions(translation.formula)
+    for letter in propositions:
+        destination = failure_of(letter, propositions) or destination_of(letter, site)
         if destination is not None:
             _refuse_closed(letter, destination, site)
             found[letter] = destination
