@@ -185,6 +185,16 @@ def test_a_target_that_is_found_has_no_fallback():
     assert (mission.ended, mission.reason) == ("failed", "explored all")
 
 
+def test_a_restored_mission_is_still_in_its_fallback():
+    formula, config = 'F mug | F ("no mug" & F (bed & F sofa))', MissionConfig()
+    first = begun(formula)
+    first.abandon_target("explored all", S)
+    second = MissionRun(prepare(config, formula=formula), config)
+    restore(second, state_of(first, "searching"))
+    second.start(0)
+    assert (second.target, second.progress.trace) == ("bed", ("no mug",))
+
+
 def test_a_synonym_names_the_same_failure():
     mission = begun('F couch | F ("no sofa" & F bed)')
     mission.abandon_target("explored all", S)
