@@ -342,9 +342,10 @@ class MissionEvent:
         stamp_ns: Loop time of the entry.
         kind: `start`, `end`: of the mission. `target`: the plan now goes to `label`. `seen`,
             `reached`, `failed`: result for `label`. `nothing`: a step of the formula in which no
-            target is reached. `round`: start of the next round of a mission that repeats.
-            `warning`: the goal is next to something that must not be reached now, or a note at the
-            start of the mission. `trajectory`: progress of a task's trajectory.
+            target is reached; `label` is then the failure of a target, or "". `round`: start of
+            the next round of a mission that repeats. `warning`: the goal is next to something that
+            must not be reached now, or a note at the start of the mission. `trajectory`: progress
+            of a task's trajectory.
         label: Target of the entry.
         state: State of the automaton after the entry.
         text: Text for people.

@@ -24,7 +24,8 @@ NEXT_TO_M = 1.5
 TOUCHING_M = 0.4
 """Largest planar distance between the surfaces of objects of which one is on or under the other.
 
-Surfaces are seen from some sides only, so it is more than 0."""
+Surfaces are seen from some sides only, so it is more than 0. Nearer to a reached object, another of
+its name may be a part of it, and does not count as another one."""
 MOST_DESCRIBED = 64
 """Largest number of labels whose descriptions are kept."""
 _CONTAINERS = """
@@ -56,6 +57,8 @@ _UNDECIDABLE = (
 _PHRASES = sorted((*_WORDS, *_UNDECIDABLE), key=len, reverse=True)
 _SPLIT = re.compile(rf"^(?P<noun>.+?)\s+(?P<word>{'|'.join(_PHRASES)})\s+(?P<anchor>.+)$")
 
+_COUNTED = re.compile(r"(?P<noun>.+) (?P<n>\w+) of (?P<of>\w+)")
+
 
 class RelationError(UserError):
     """A description that cannot be decided on the object map. The message is one line."""
@@ -70,6 +73,7 @@ class DescribedThing:
         anchor: name of the other thing; "" without a relation.
         room: name of the room that it must be in; "" for any.
         nth: number in the order in which such things were seen: 2 for the second one; 0 for any.
+        is_new: True for one that the mission has not reached yet: "chair 2 of 3".
     """
 
     noun: str
@@ -77,6 +81,7 @@ class DescribedThing:
     anchor: str = ""
     room: str = ""
     nth: int = 0
+    is_new: bool = False
 
     @property
     def prompts(self) -> tuple[str, ...]:
@@ -90,10 +95,12 @@ def parse_description(text: str) -> DescribedThing | None:
     Raises:
         RelationError: the text has a relation that cannot be decided.
 
-    >>> parse_description("the chair next to the desk")
-    DescribedThing(noun='chair', relation='next to', anchor='desk', room='', nth=0)
+    >>> parse_description("the chair next to the desk").relation
+    'next to'
     >>> parse_description("second door").nth, parse_description("office chair")
     (2, None)
+    >>> parse_description("chair 2 of 3").is_new
+    True
     """
     phrase = names.normalise(text)
     if names.is_known(phrase):
@@ -112,9 +119,13 @@ def parse_description(text: str) -> DescribedThing | None:
         if _SPLIT.match(anchor):
             raise _undecidable(text, "a second relation")
     nth, noun = _split_off_ordinal(noun)
-    if not (relation or room or nth):
+    counted = _COUNTED.fullmatch(noun)
+    is_new = counted is not None and all(names.number([n]) for n in counted.group("n", "of"))
+    if counted is not None and is_new:
+        noun = counted["noun"]
+    if not (relation or room or nth or is_new):
         return None
-    return DescribedThing(noun, relation, anchor, room, nth)
+    return DescribedThing(noun, relation, anchor, room, nth, is_new)
 
 
 def _split_off_room(phrase: str) -> tuple[str, str] | None:
@@ -199,7 +210,14 @@ class DescribedTargets:
         self, thing: DescribedThing, of: InstancesOf, last: bool
     ) -> list[tuple[Instance, str]]:
         """Return the instances that a thing means, best first, each with the reason."""
-        found = [instance for instance in of(thing.noun) if self._is_in(thing.room, instance)]
+        known = of(thing.noun)
+        found = [instance for instance in known if self._is_in(thing.room, instance)]
+        if thing.is_new:
+            reached = [instance for instance in known if instance.state == "reached"]
+            found = [
+                one for one in found
+                if all(least_gap(one.points_m, it.points_m) > TOUCHING_M for it in reached)
+            ]  # fmt: skip
         why = f"in the {thing.room}" if thing.room else ""
         if not thing.relation:
             pairs = [(instance, why) for instance in found]

@@ -8,7 +8,7 @@ each class tells the classes apart in JSON.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union
 
@@ -18,7 +18,7 @@ from edge import names
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
-from edge.mission.language.places import EXPLORED, HERE, START
+from edge.mission.language.places import EXPLORED, HERE, NO, START
 from edge.text import one_line
 
 CALLER = "caller"
@@ -119,8 +119,25 @@ class RoomTarget:
     kind: Literal["room"] = "room"
 
 
+@dataclass(frozen=True, slots=True)
+class FailureTarget:
+    """The failure of another target of the mission: it was given up, "no mug" for "mug".
+
+    It is never pursued. It becomes true when the other target has failed and the plan needs it.
+
+    Attributes:
+        target: the other target.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    target: Name
+    kind: Literal["failure"] = "failure"
+
+
 Destination = Annotated[
-    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget, RoomTarget], Discriminator("kind")
+    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget, RoomTarget, FailureTarget],
+    Discriminator("kind"),
 ]
 _DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Destination])
 
@@ -163,6 +180,20 @@ def destination_of(text: str, site: Site) -> Destination | None:
     if found := _CHECK.fullmatch(text):
         return CheckTarget(found["name"], _room_name_of(found["room"], site))
     return _room_of(text, site)
+
+
+def failure_of(text: str, targets: Iterable[str]) -> FailureTarget | None:
+    """Return the failure that a proposition means, if the rest of its text is another target.
+
+    Example:
+        >>> failure_of("no mug", ["mug", "no mug"])
+        FailureTarget(target='mug', kind='failure')
+        >>> failure_of("no entry sign", ["no entry sign"]) is None
+        True
+    """
+    key = names.canonical(text.removeprefix(NO)) if text.startswith(NO) else ""
+    found = (target for target in targets if key and names.canonical(target) == key)
+    return next(map(FailureTarget, found), None)
 
 
 def room_target(text: str) -> RoomTarget:
@@ -227,6 +258,8 @@ def describe_destination(name: str, destination: Destination) -> str:
         if destination.which == "with":
             return f"the room with the {destination.name}"
         return f"the {names.normalise(name)}"
+    if isinstance(destination, FailureTarget):
+        return f"the failure of {destination.target}"
     special = {
         START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
     }  # fmt: skip

@@ -7,7 +7,7 @@ by what is reached; this module describes the common forms as a person would say
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from edge import names
 from edge.mission.destinations import (
@@ -15,12 +15,13 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    FailureTarget,
     RoomTarget,
     WaitTarget,
     describe_destination,
     shown_s,
 )
-from edge.mission.language.english import Chain, alternatives_of, is_too_long
+from edge.mission.language.english import Chain, alternatives_of, is_too_long, options_of
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
@@ -40,7 +41,12 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         return ""
     parts = formula.args if formula.op == "&" else (formula,)
     bans = [part for part in parts if _ban_of(part)]
-    alternatives = alternatives_of(conj(*(part for part in parts if not _ban_of(part))))
+    goals = conj(*(part for part in parts if not _ban_of(part)))
+    if FailureTarget in map(type, destinations.values()):
+        if text := _branches(goals, destinations):
+            return _with_bans(text, bans, destinations)
+        return ""
+    alternatives = alternatives_of(goals)
     if alternatives is None or len(alternatives) != 1 or not all(map(_is_plain, alternatives[0])):
         return ""
     chains = [
@@ -48,6 +54,49 @@ def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         for chain in alternatives[0]
     ]
     text = "; and ".join(chains) + (", in any order" if len(chains) > 1 else "")
+    return _with_bans(text, bans, destinations)
+
+
+def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
+    """Return a sequence with fallbacks as orders; "" for any other formula."""
+    if formula.op == "|" and len(formula.args) == 2:
+        (goal, found), missed = _goal_and_rest(formula.args[0]), formula.args[1]
+        for name in goal:
+            failed, missed = _goal_and_rest(missed)
+            failure = destinations.get(failed[0]) if failed else None
+            if not isinstance(failure, FailureTarget) or failure.target != name:
+                return ""
+        yes, no = (part and _branches(part, destinations) for part in (found, missed))
+        if not goal or "" in (yes, no):
+            return ""
+        is_thing = destinations.get(goal[0]) is None
+        works, fails = (
+            ("it is found", "it is not found") if is_thing else ("that works", "that fails")
+        )
+        text = " or ".join(_order(name, destinations) for name in goal)
+        return f"{text}{f'; if {works}, {yes}' if yes else ''}; if {fails}, {no or 'that is all'}"
+    goal, rest = _goal_and_rest(formula)
+    text = " or ".join(_order(name, destinations) for name in goal)
+    if rest is None:
+        return text
+    later = _branches(rest, destinations)
+    return later and f"{text}, then {later}"
+
+
+def _goal_and_rest(formula: Formula | None) -> tuple[tuple[str, ...], Formula | None]:
+    """Return the goals of F p or F(p & rest), of which one is reached, and the rest.
+
+    Return no goals for another formula.
+    """
+    if formula is None or formula.op != "F":
+        return (), None
+    body = formula.args[0]
+    first, *later = body.args if body.op == "&" else (body,)
+    rest = conj(*(part.args[0] if part.op == "X" else part for part in later)) if later else None
+    return options_of(first) or (), rest
+
+
+def _with_bans(text: str, bans: Sequence[Formula], destinations: Mapping[str, Destination]) -> str:
     for ban in bans:
         away = "out of" if isinstance(destinations.get(_ban_of(ban)), RoomTarget) else "away from"
         text += f". Stay {away} {_with_article(_ban_of(ban))}"

@@ -8,7 +8,13 @@ from typing import Literal
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.destinations import Destination, PlaceTarget, RoomTarget, is_timed
+from edge.mission.destinations import (
+    Destination,
+    FailureTarget,
+    PlaceTarget,
+    RoomTarget,
+    is_timed,
+)
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.meter import MissionMeter
 from edge.mission.planning.plan import Planner, TargetPlan
@@ -75,8 +81,10 @@ class MissionRun:
         self.target = spec.targets[0]
         self.progress = MissionProgress(spec)
         self.destinations: dict[str, Destination] = dict(spec.translation.destinations)
-        known = [n for n, d in self.destinations.items() if not isinstance(d, RoomTarget)]
-        self.sets, self.meter = TargetSets(known), MissionMeter()
+        places = self.destinations.items()
+        failures = {n: d.target for n, d in places if isinstance(d, FailureTarget)}
+        known = [n for n, d in places if not isinstance(d, RoomTarget)]
+        self.sets, self.meter = TargetSets(known, failures), MissionMeter()
         self.started = False
         self.paused = False
         self.stopped = ""
@@ -270,7 +278,7 @@ class MissionRun:
         self._on_event(event)
 
     def replan(self, now_ns: int, retarget: bool = False) -> None:
-        """Plan from the current state; take planned steps without an object at once.
+        """Plan from the current state; take planned steps without an object and failures at once.
 
         Args:
             now_ns: time of the loop.
@@ -293,11 +301,15 @@ class MissionRun:
             if not self.plan.feasible:
                 self.finish("failed", self.sets.failure_reasons or self.plan.reason, now_ns)
                 return
-            if self.plan.target is not None:
+            step = self.plan.target or NOTHING
+            why_failed = self.sets.failure_reason(step)
+            if step != NOTHING and not why_failed:
                 break
             if not self._accept("nothing more to reach", now_ns):
-                self.progress.advance(NOTHING)
-                self.log_event(now_ns, "nothing", "", "a step in which nothing is reached")
+                self.progress.advance(step)
+                text = f"{step}: goes on" if step else "a step in which nothing is reached"
+                self.log_event(now_ns, "nothing", step, text)
+                self._accept(why_failed, now_ns)
         if self.done:
             return
         # The plan has no steps if a task has detected all objects that it needs.

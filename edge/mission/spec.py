@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,21 +18,33 @@ from edge.mission.destinations import (
     CheckTarget,
     Destination,
     ExploreTarget,
+    FailureTarget,
     PlaceTarget,
     RoomTarget,
     WaitTarget,
     describe_destination,
     destination_of,
+    failure_of,
     with_caller,
 )
+from edge.mission.fallbacks import FallbackTranslator
 from edge.mission.language.english import describe
 from edge.mission.language.errand_patterns import CHECK
 from edge.mission.language.errands import spell_out
+from edge.mission.language.everyday_words import is_room
+from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EXPLORED, quote_places
-from edge.mission.language.said import MissionOrder, NoMissionError, understand
+from edge.mission.language.said import (
+    Control,
+    MemoryQuestion,
+    MissionOrder,
+    NoMissionError,
+    understand,
+)
+from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
@@ -42,7 +54,15 @@ from edge.mission.planning.planner import make_planner
 from edge.mission.read_back import orders_of
 from edge.mission.repetition import Repetition, recurrence, split_repetition
 from edge.mission.task_step import TaskStep
-from edge.mission.translate import Translation, TranslationError, make_translator
+from edge.mission.translate import (
+    AmbiguousInstructionError,
+    ParsedInstruction,
+    Reading,
+    Translation,
+    TranslationError,
+    Translator,
+    make_translator,
+)
 from edge.text import one_line
 
 _NO_SITE = Site()
@@ -190,6 +210,9 @@ def translate(
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
         return replace(translator.translate(quoted, reading, ask), repeat=repeat)
+    speech = tidy_up(text)
+    if (branches := split_outcomes(speech.text)) is not None:
+        return _translate_branches(config, branches, speech, site, reading, ask, text)
     order = understand(text, [item.name for item in site.items])
     if not isinstance(order, MissionOrder):
         raise NoMissionError(order)
@@ -205,20 +228,80 @@ def translate(
     if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
-    for reason in order.speech.reasons:
-        if shared := _shared_word(reason, translation.formula):
-            hint = (
-                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
-            )
-            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
-    english = translation.english
-    if unused := "; ".join(f"'{one_line(reason)}'" for reason in order.speech.reasons):
-        english += f" (Not part of the order: {unused}.)"
+    english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
     if _NEAREST.search(text) and not _NEAREST.search(str(translation.formula)):
         english += " (One that it knows, else the first that it finds.)"
     return replace(translation, instruction=text, english=english, repeat=repeat)
+
+
+def _translate_branches(
+    config: MissionConfig,
+    branches: Branches,
+    speech: TidySpeech,
+    site: Site,
+    reading: int | None,
+    ask: bool,
+    instruction: str,
+) -> Translation:
+    """Translate an order whose parts depend on the outcome of others; see `translate`."""
+    parts: list[Translation] = []
+
+    def translate_part(part: str) -> Formula:
+        part = speech.with_quotations(part)
+        try:
+            parts.append(translate(config, part, site))
+        except (AmbiguousInstructionError, NoMissionError) as error:
+            said = error.said if isinstance(error, NoMissionError) else None
+            if isinstance(said, Control) and said.do == "pause":  # "wait there for two minutes"
+                return ltl.eventually(
+                    ltl.ap(f"wait {said.seconds:g} s" if said.seconds else "wait")
+                )
+            if isinstance(said, MemoryQuestion) and said.topic == "exists":
+                return translate_part(f"check if there is {said.thing}")
+            hint = "with a condition, expected an order that has one meaning"
+            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part) from error
+        if parts[-1].repeat is not None:
+            hint = "what repeats cannot have a condition"
+            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part)
+        return parts[-1].formula
+
+    def is_thing(name: str) -> bool:
+        described = parse_description(name)
+        noun = name if described is None else described.noun
+        return destination_of(name, site) is None and not is_room(noun)
+
+    formulas = FallbackTranslator(translate_part, is_thing).readings(branches)
+    read = ParsedInstruction(formulas, parts[0].backend)
+    try:
+        translation = Translator("fallbacks", lambda _: read).translate(instruction, reading, ask)
+    except AmbiguousInstructionError as error:
+        shown = [
+            with_destinations(Translation("", r.formula, r.english, ""), site)
+            for r in error.readings
+        ]
+        offered = tuple(Reading(one.formula, one.english) for one in shown)
+        raise AmbiguousInstructionError(offered, error.implied) from None
+    notes = "".join(part.english.removeprefix(describe(part.formula)) for part in parts)
+    english = translation.english + notes + _note(speech.reasons, translation.formula)
+    return replace(translation, english=english)
+
+
+def _note(reasons: Sequence[str], formula: Formula) -> str:
+    """Return a note about the clauses that give no order.
+
+    Raises:
+        UnclearError: such a clause may say more about a target.
+    """
+    for reason in reasons:
+        if shared := _shared_word(reason, formula):
+            hint = (
+                f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
+            )
+            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
+    unused = "; ".join(f"'{one_line(reason)}'" for reason in reasons)
+    return f" (Not part of the order: {unused}.)" if unused else ""
 
 
 def _shared_word(remark: str, formula: Formula) -> str:
@@ -273,8 +356,9 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     """
     found: dict[str, Destination] = {}
     english = translation.english
-    for name in ltl.propositions(translation.formula):
-        destination = destination_of(name, site)
+    propositions = ltl.propositions(translation.formula)
+    for name in propositions:
+        destination = failure_of(name, propositions) or destination_of(name, site)
         if destination is not None:
             _refuse_closed(name, destination, site)
             found[name] = destination
@@ -364,7 +448,9 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
     for name in set(automaton.propositions).difference(automaton.possible):
         destination = destinations.get(name)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
-        if chosen or isinstance(destination, (CheckTarget, ExploreTarget, WaitTarget)):
+        if chosen or isinstance(
+            destination, (CheckTarget, ExploreTarget, FailureTarget, WaitTarget)
+        ):
             raise MissionError(
                 f"mission: {one_line(name, 60)}: the robot can do this, but it cannot be "
                 "forbidden; leave it out"

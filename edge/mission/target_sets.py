@@ -14,6 +14,7 @@ class TargetSets:
 
     Args:
         known: targets that need not be detected, such as places.
+        failures: failure of a target → that target. Of `known`; in B until the target is in B.
 
     Attributes:
         detected: the set D, labels of detected targets.
@@ -22,7 +23,8 @@ class TargetSets:
         distance_m: see `MissionKnowledge.distance_m`; None: unknown.
     """
 
-    def __init__(self, known: Iterable[str]) -> None:
+    def __init__(self, known: Iterable[str], failures: Mapping[str, str] | None = None) -> None:
+        self._failures = dict(failures or {})
         self.detected = frozenset(known)
         self.reached: tuple[str, ...] = ()
         self.failed: frozenset[str] = frozenset()
@@ -36,12 +38,18 @@ class TargetSets:
     def knowledge(self) -> MissionKnowledge:
         """The sets and the distances for the planner."""
         reached = frozenset(self.reached)
-        return MissionKnowledge(self.detected - reached, reached, self.failed, self.distance_m)
+        untrue = {label for label, of in self._failures.items() if of not in self.failed}
+        failed = self.failed | untrue
+        return MissionKnowledge(self.detected - reached, reached, failed, self.distance_m)
 
     @property
     def failure_reasons(self) -> str:
         """Reasons of the failed targets; "" if none failed."""
         return "; ".join(why for label, why in self._why_failed.items() if label in self.failed)
+
+    def failure_reason(self, label: str) -> str:
+        """Return the reason of the failure that a label means; "" for another label."""
+        return self._why_failed.get(self._failures.get(label, ""), "")
 
     def on_detections(self, newest: Mapping[str, int], keep: bool) -> frozenset[str] | None:
         """Update D from the known instances; return the new targets, None if D is the same.

@@ -10,11 +10,12 @@ import pytest
 from small_house import small_house
 
 from edge.bus.verbs import Request
+from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.requests import handle_mission, mission_verbs
-from edge.memory import Place, RoomName, Site
+from edge.memory import Place, RoomName, Site, Zone
 from edge.mission.spec import prepare
 from edge.perception.tracking.fusion import InstanceFusion
 from edge.types import Instance
@@ -155,6 +156,43 @@ def test_an_object_in_a_named_room_is_sought_only_there(thing, phase, tmp_path):
     loop.service.begin(brief, loop.drive.motion.stamp_ns)
     loop.run(120)
     assert loop.service.status.phase == phase, loop.service.status
+
+
+@pytest.mark.parametrize(
+    ("said", "end"),
+    [
+        ("look for the bed in the workshop, and if it's not there look in the bedroom",
+         "no bed in the workshop, then bed in the bedroom"),
+        ("if you can't find the sofa in the workshop, go to the bedroom", "confirmed, seen in"),
+        ("is there a bed in the workshop? If so, go to it",
+         "no bed in the workshop: the room is explored"),
+    ],
+)  # fmt: skip
+def test_a_fallback_is_pursued_after_the_failure_only(said, end, tmp_path):
+    loop = in_rooms(tmp_path, "F start")
+    spec = prepare(MissionConfig(translator=TranslatorGrammar()), said, site=NAMED)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
+    loop.run(200)
+    status, log = loop.service.status, loop.service.mission.log
+    assert status.phase == "reached", (status, loop.notes.events)
+    assert status.reason.startswith(end), status.reason
+    assert log[0].text.startswith(f"mission: {spec.translation.english} [F ")
+    failed = [event.stamp_ns for event in log if event.kind == "failed"]
+    before = [one for one in loop.notes.goals if not failed or one.stamp_ns < failed[0]]
+    assert before
+    assert all(goal.pose.x_m < 4.3 for goal in before)
+
+
+def test_a_closed_room_has_a_fallback(tmp_path):
+    loop = loop_of(tmp_path, "F start")
+    corners_m = ((4.2, -1.0), (9.0, -1.0), (9.0, 5.0), (4.2, 5.0))
+    site = NAMED.with_item(Zone("closed", "keep_out", corners_m))
+    loop.service.change_site(site, loop.drive.motion.stamp_ns)
+    spec = prepare(loop.config.mission, formula='F bedroom | F ("no bedroom" & F start)', site=site)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
+    loop.run(200)
+    status = loop.service.status
+    assert (status.phase, status.reason) == ("reached", "no bedroom, then start"), status
 
 
 def test_a_failed_check_reports_the_last_known_place(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from simulated import simulated
+from small_house import HOUSE, driven
 
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours.search import SearchBehaviour
@@ -43,6 +44,44 @@ def test_only_objects_that_fit_the_relation_are_candidates(target, prompts, ids)
         here.tracker.add(one)
     assert [one.id for one in behaviour.gather()] == ids
     here.close()
+
+
+def test_a_reached_object_is_no_candidate_for_the_next_of_several():
+    config = simulated()
+    spec = prepare(config.mission, "find two chairs")
+    assert spec.prompts == ("chair",)
+    here, mission = SemanticMap(config, spec.prompts), MissionRun(spec, config.mission)
+    goals = GoalTracker(config, here.pool, here.tracker, lambda goal: None, lambda text, ns: None)
+    behaviour = SearchBehaviour(mission, config, here, goals, None)
+    # 2 is a part of 1 that the tracker holds for another chair.
+    for i, x_m in enumerate((2.0, 2.7, 5.0), start=1):
+        here.tracker.add(thing(i, "chair", x_m))
+    assert [one.id for one in behaviour.gather()] == [1, 2, 3]
+    here.tracker.mark_reached(1)
+    assert [one.id for one in behaviour.gather()] == [3]
+    here.close()
+
+
+@pytest.mark.parametrize(
+    ("said", "phase", "reason"),
+    [
+        ("find two sofas", "reached", "sofa 1 of two, then sofa 2 of two"),
+        ("find three sofas", "failed", "explored all reachable space"),
+    ],
+)
+def test_several_of_a_kind_are_different_objects(said, phase, reason, tmp_path, monkeypatch):
+    other = {"category": "sofa", "at": [6.8, 0.7]}
+    monkeypatch.setitem(HOUSE, "objects", [*HOUSE["objects"], other])
+    loop = driven(said, folder=tmp_path, seconds=300.0)
+    status = loop.service.status
+    assert status.phase == phase, (status, loop.notes.events)
+    assert status.reason.startswith(reason), status
+    reached = [one for one in loop.service.map.tracker.all if one.state == "reached"]
+    sofas = [one for one in loop.world.objects if one.label == "sofa"]
+    assert len(reached) == len(sofas) == 2
+    for sofa in sofas:
+        at_m = [sofa.distance_m(*one.center_m[:2].tolist()) for one in reached]
+        assert min(at_m) < 0.5 < max(at_m)
 
 
 def test_the_vase_on_the_cabinet_is_found_with_a_report():

@@ -14,6 +14,7 @@ from edge.memory import Place, Site
 from edge.mission.destinations import (
     CheckTarget,
     ExploreTarget,
+    FailureTarget,
     PlaceTarget,
     WaitTarget,
     destination_of,
@@ -81,6 +82,7 @@ destinations = st.one_of(
     st.builds(ExploreTarget, st.text(max_size=20), seconds),
     st.builds(WaitTarget, seconds),
     st.builds(CheckTarget, st.text(max_size=20)),
+    st.builds(FailureTarget, st.text(max_size=20)),
 )
 
 

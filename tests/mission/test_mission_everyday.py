@@ -198,7 +198,7 @@ def test_errands_and_unclear_text_go_to_the_translators(said):
 
 
 @pytest.mark.parametrize(
-    "said", ["Where is the mug? Go there.", "Remember this as the dock, then go to the bed."]
+    "said", ["Where is the mug? Do not go there.", "Remember this as the dock, then go to the bed."]
 )
 def test_several_orders_at_once_are_refused(said):
     with pytest.raises(TranslationError, match="one thing at a time"):

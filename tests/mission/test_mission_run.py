@@ -9,7 +9,7 @@ from edge.config import MissionConfig, PlannerVitl
 from edge.geometry import SE2
 from edge.mission.checkpoint import restore, state_of
 from edge.mission.run import MissionRun
-from edge.mission.spec import prepare
+from edge.mission.spec import MissionError, prepare
 
 S = 1_000_000_000
 CHOICE = "F ((chair | sofa) & F tv) & (!bed W tv)"
@@ -160,6 +160,53 @@ def test_a_restored_mission_resumes_at_the_same_state():
     second.start(0)
     assert second.progress.state == first.progress.state
     assert (second.target, second.meter.elapsed_s) == ("tv", 12.0)
+
+
+@pytest.mark.parametrize("weights", ["constant", "distance"])
+def test_a_fallback_begins_when_its_target_has_failed(weights):
+    formula = 'F (mug & F bed) | F ("no mug" & F sofa)'
+    mission = begun(formula, planner=PlannerVitl(weights=weights))
+    mission.on_detections({"sofa": 1, "bed": 2}, S)
+    assert mission.target == "mug"
+    mission.abandon_target("explored all", 2 * S)
+    assert mission.target == "sofa"
+    assert [event.text for event in mission.log[-3:-1]] == [
+        "failed: mug (explored all)", "no mug: goes on",
+    ]  # fmt: skip
+    mission.on_reached("confirmed", 3 * S)
+    assert (mission.ended, mission.reason) == ("reached", "no mug, then sofa")
+
+
+def test_a_target_that_is_found_has_no_fallback():
+    mission = begun('F (mug & F bed) | F ("no mug" & F sofa)')
+    mission.on_reached("confirmed", S)
+    assert mission.target == "bed"
+    mission.abandon_target("explored all", 2 * S)
+    assert (mission.ended, mission.reason) == ("failed", "explored all")
+
+
+def test_a_restored_mission_is_still_in_its_fallback():
+    formula, config = 'F mug | F ("no mug" & F (bed & F sofa))', MissionConfig()
+    first = begun(formula)
+    first.abandon_target("explored all", S)
+    second = MissionRun(prepare(config, formula=formula), config)
+    restore(second, state_of(first, "searching"))
+    second.start(0)
+    assert (second.target, second.progress.trace) == ("bed", ("no mug",))
+
+
+def test_a_synonym_names_the_same_failure():
+    mission = begun('F couch | F ("no sofa" & F bed)')
+    mission.abandon_target("explored all", S)
+    assert mission.target == "bed"
+
+
+def test_a_failure_that_nothing_follows_ends_the_mission():
+    mission = begun('F mug | F "no mug"')
+    mission.abandon_target("explored all", S)
+    assert (mission.ended, mission.reason) == ("reached", "explored all")
+    with pytest.raises(MissionError, match="no mug: the robot can do this, but"):
+        prepare(MissionConfig(), formula='F mug & G !"no mug"')
 
 
 def test_with_distances_the_nearer_branch_wins_by_the_margin():

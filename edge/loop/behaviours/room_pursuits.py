@@ -323,6 +323,22 @@ class ExploreRoomPursuit(RoomPursuit):
             self.end(context.now_ns)
 
 
+class SearchRoomPursuit(ExploreRoomPursuit):
+    """Pursuit of a thing in one room: it fails as soon as the room is explored."""
+
+    def gather(self) -> Sequence[Instance]:
+        return Pursuit.gather(self)
+
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        self._since_ns = self._since_ns or context.observation.stamp_ns
+        super().check_progress(context, images)
+
+    def end(self, now_ns: int) -> None:
+        missed = "did not get to" if self.gather() else "no"
+        reason = f"{missed} {self._mission.target}: the room is explored"
+        self._mission.abandon_target(reason, now_ns)
+
+
 class CheckRoomPursuit(ExploreRoomPursuit):
     """Pursuit that checks if a thing is in one room."""
 

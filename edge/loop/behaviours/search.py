@@ -15,13 +15,20 @@ from edge.loop.behaviours.pursuits import (
     Pursuit,
     WaitPursuit,
 )
-from edge.loop.behaviours.room_pursuits import CheckRoomPursuit, ExploreRoomPursuit, RoomPursuit
+from edge.loop.behaviours.room_pursuits import (
+    CheckRoomPursuit,
+    ExploreRoomPursuit,
+    RoomPursuit,
+    SearchRoomPursuit,
+)
 from edge.loop.behaviours.room_targets import close_forbidden, known_targets
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
+from edge.memory import parse_description
 from edge.mission.destinations import (
     CheckTarget,
     ExploreTarget,
+    FailureTarget,
     PlaceTarget,
     RoomTarget,
     WaitTarget,
@@ -44,8 +51,17 @@ def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
     return pursuit_class(destination, *others)
 
 
+def _make_thing_pursuit(destination: None, mission: MissionRun, *others: Any) -> Pursuit:
+    """Return the pursuit of a thing; one with a fallback is not sought outside its room."""
+    thing = parse_description(mission.target)
+    has_fallback = FailureTarget(mission.target) in mission.destinations.values()
+    if thing is not None and thing.room and has_fallback:
+        return SearchRoomPursuit(ExploreTarget(thing.room), mission, *others)
+    return Pursuit(destination, mission, *others)
+
+
 PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
-    None: Pursuit,
+    None: _make_thing_pursuit,
     PlaceTarget: PlacePursuit,
     ExploreTarget: _make_explore_pursuit,
     WaitTarget: WaitPursuit,

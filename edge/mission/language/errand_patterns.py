@@ -24,6 +24,8 @@ WAIT, CHECK = "wait", "check"
 """First words of propositions; see also `places`."""
 CALLER = "caller"
 """Name of the pose of the person who gives the order."""
+MAX_COUNT = 5
+"""Largest number of things of a kind that one order may ask for."""
 MAX_ROUNDS = 10
 """Largest number of rounds of a patrol that becomes one sequence of stops."""
 
@@ -315,6 +317,17 @@ NO_OBJECT = re.compile(rf"(?:{EXPLORED}|{WAIT})\b|(?:{HERE}|{START}|{CALLER})$")
 BETWEEN_NAMES = re.compile(rf" (?:{phrase_of('relation')}|with|and)(?: the)? ")
 # The mark or word before a clause.
 _CLAUSE_START = r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then|or)) )"
+# "find two chairs in the kitchen"
+COUNTED = re.compile(
+    r"(?P<lead>(?:^|[.;,!?]|\b(?:and|then)) )(?:(?:go|drive|head|move|run|roll)(?: over)? to|"
+    rf"{phrase_of('find')}|find|go find|visit|reach|see|go and see)"
+    r"(?: all)?(?: the| my| our)?(?: any)? "
+    rf"(?P<count>{COUNT}|both)(?: of)?(?: the| my| these| those| our)?"
+    rf"(?: (?:different|separate|distinct))? (?P<thing>{PLAIN_NAME})"
+    rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME}))?"
+    r"(?=[.,;!?]|$| (?:and|then|but)\b(?! the\b| an?\b))",
+    re.I,
+)
 GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)
 GOES_ROOM = re.compile(rf"{_CLAUSE_START}(?:go|drive|come) (?P<name>{NAME})", re.I)
 IN_TURN = "go to <stops>"

@@ -17,7 +17,7 @@ from edge import names
 from edge.mission.language import errand_patterns as patterns
 from edge.mission.language import nouns
 from edge.mission.language.errand_parts import PARTS
-from edge.mission.language.errand_patterns import CALLER, CHECK, MAX_ROUNDS, WAIT
+from edge.mission.language.errand_patterns import CALLER, CHECK, MAX_COUNT, MAX_ROUNDS, WAIT
 from edge.mission.language.everyday_words import (
     MARK,
     NAME,
@@ -27,7 +27,7 @@ from edge.mission.language.everyday_words import (
     is_vague,
     phrase_of,
 )
-from edge.mission.language.impossible import refuse_impossible
+from edge.mission.language.impossible import refuse_impossible, refuse_states
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.places import (
     EXPLORED,
@@ -61,6 +61,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
         hint = "unclear if an order or a permission; say 'go to …', or 'you may go to … again'"
         raise UnclearError(f"instruction: {permits[0]!r}: {hint}", permits[0])
     marked, known = mark_places(text, places)
+    refuse_states(marked)
     text = f" {marked}"
     for pattern, plain in patterns.FIRST_REWRITES:
         text = pattern.sub(plain, text)
@@ -87,6 +88,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
     quotes already. The templates are compiled at the first call, which takes 0.2 s.
     """
     rules: tuple[tuple[str | list[re.Pattern[str]], _Change], ...] = (
+        ([patterns.COUNTED], _rewrite_counted),
         ([patterns.HINTED], _rewrite_hinted),
         ([patterns.COLOURED], _rewrite_coloured),
         ([patterns.WANTED_FOUND], lambda found: f" find {found['thing']}"),
@@ -197,6 +199,25 @@ def _rewrite_room_first(found: re.Match[str]) -> str | None:
     """Put "go to" before a room or place at the beginning."""
     name = bare(found["name"])
     return f" go to {_with_article(found['name'])}" if is_room(name) else None
+
+
+def _rewrite_counted(found: re.Match[str]) -> str | None:
+    """Return "find two chairs" as `find "chair 1 of 2", then find "chair 2 of 2"`."""
+    *first, last = found["thing"].lower().split()
+    count = 2 if found["count"].lower() == "both" else number_of(found["count"].lower())
+    where = _relation_text(found["relation"], found["anchor"])
+    thing = " ".join((*first, names.singular(last)))
+    if (
+        count is None
+        or not 2 <= count <= MAX_COUNT
+        or where is None
+        or names.singular(last) == last
+    ):
+        return None
+    if is_room(thing) or is_vague(found["thing"]) or nouns.unknown_in(thing.split()) is not None:
+        return None
+    goals = (f'find "{thing} {n} of {count}{where}"' for n in range(1, count + 1))
+    return found["lead"] + ", then ".join(goals)
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:

@@ -48,6 +48,32 @@ _CANNOT = (
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
+_STATE = (
+    r"\b(?:free|available|vacant|occupied|unoccupied|open|opened|closed|shut|locked|unlocked|busy|"
+    r"taken|reserved|clean|dirty|running|charged|ready)\b"
+)
+# "a free chair", "a chair that is free", but not "the clean utility room"
+_IN_STATE = re.compile(
+    rf"\b(?:{ARTICLE}|two|three|four|five|both|all|avoid|find|visit|near) (?:\w+ly |very )?"
+    rf"(?:{_STATE} (?!plan\b|{phrase_of('room of')}\b|{ARTICLE}\b)\w+)"
+    rf"|\b\w+ (?:that|which|who) (?:is|are) (?:\w+ly |still |not )*{_STATE}",
+    re.I,
+)
+
+
+def refuse_states(text: str) -> None:
+    """Refuse a thing by a state that only people see, such as "a free chair".
+
+    Raises:
+        UnclearError: the text names a state.
+    """
+    for found in _IN_STATE.finditer(text):
+        if state := re.search(_STATE, found[0], re.I):
+            hint = (
+                f"the robot cannot tell if a thing is {state[0].lower()}; leave the word out, or "
+                "quote the whole name if it is a kind of thing"
+            )
+            raise UnclearError(f"instruction: {found[0]!r}: {hint}", found[0])
 
 
 def refuse_impossible(text: str) -> None:

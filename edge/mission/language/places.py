@@ -14,6 +14,8 @@ HERE = "here"
 """Name of the pose at which a mission begins."""
 EXPLORED = "explored"
 """Name of the end of an exploration, wherever that is."""
+NO = "no "
+"""Beginning of the proposition that another target failed: "no mug" for "mug"."""
 _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area
 
 

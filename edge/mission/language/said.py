@@ -62,6 +62,11 @@ class MemoryQuestion:
     about: str = ""
     room: str = ""
 
+    @property
+    def thing(self) -> str:
+        """The thing with its article and its room: "the mug in the kitchen"."""
+        return f"the {self.about}" + (f" in the {self.room}" if self.room else "")
+
 
 @dataclass(frozen=True, slots=True)
 class SiteOrder:
@@ -143,6 +148,20 @@ _GO_AND_LOOK = re.compile(
     re.I,
 )
 """The order, after a question, to go and look for the answer."""
+_AND_GO = re.compile(
+    r"^(?:(?:find out|figure out|work out|see|check|discover)(?: for me)? (?=where\b))?"
+    r"(?P<question>.+?)(?:[?.!,;:]+ *| (?=(?:and|then|go|drive|find) ))"
+    r"(?:(?:and|then|so|please|now|okay),? )*"
+    r"(?:(?:go|drive|head|move|run|roll)(?: right| straight| over| up| on| back)* "
+    r"(?:there|(?:to|near|next to) (?:it|them|one))|(?:go |try )?(?:and |to )?(?:find|look for|"
+    r"search for|locate) (?:it|them))(?=[.,;!?]|$| (?:and|then|but)\b)(?P<rest>.*)$",
+    re.I,
+)
+"""A question about a thing, and the order to go there: "where is the mug? Go there"."""
+_WHETHER_THERE = re.compile(
+    r"^(?:find out|figure out|check|see|look|tell me)(?: for me)? (?:if|whether) there (is|are)\b",
+    re.I,
+)
 _REMEMBER = re.compile(
     rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
 )
@@ -184,9 +203,10 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
     if _GO_AND_LOOK.fullmatch(strip_politeness(order.strip(" .!"))):
         asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
-            thing, room = asked.about, asked.room
-            check = f"check if there is a {thing}{f' in the {room}' * bool(room)}"
+            check = f"check if there is a {asked.thing.removeprefix('the ')}"
             return MissionOrder(replace(speech, text=check))
+    if (order_to_find := _as_search(speech.text, sites)) is not None:
+        return MissionOrder(replace(speech, text=order_to_find))
     pieces = [strip_politeness(piece) for piece in re.split(r"[.!?;,]+(?: |$)", speech.text)]
     pieces = [piece for piece in pieces if piece and not is_remark(piece, states=True)]
     kinds = [_classify(piece, sites) for piece in pieces]
@@ -201,6 +221,18 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
     if len(questions) == len(kinds) == 2 and questions[1].about in ("", "it", "them"):
         return questions[0]  # "Did you see the mug? Where is it?"
     raise UnclearError(_SEVERAL_KINDS)
+
+
+def _as_search(text: str, sites: Collection[str]) -> str | None:
+    """Return "where is the mug? Go there" as the order to find the mug; None for other texts."""
+    found = _AND_GO.match(text)
+    question = _WHETHER_THERE.sub(r"\1 there", found["question"]) if found else ""
+    asked = _classify(f"{question}?", sites)
+    if found is None or not isinstance(asked, MemoryQuestion) or not asked.about:
+        return None
+    if asked.topic not in ("where", "exists") or re.match("which|how", question, re.I):
+        return None
+    return f"go to {asked.thing}{found['rest']}"
 
 
 def _may_be_in_a_mission(kind: UtteranceKind) -> bool:

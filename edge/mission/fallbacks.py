@@ -1,0 +1,376 @@
+"""Formulas of orders with a condition: "find the mug; if it is not there, come back".
+
+The failure of a target is a proposition, "no mug" for "mug" (see `FailureTarget`), so such an order
+is an alternative: `F mug | F ("no mug" & F here)`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Union
+
+from edge import names
+from edge.memory import parse_description
+from edge.mission.language.errand_patterns import CHECK, WAIT
+from edge.mission.language.everyday_words import NAME, bare, is_room
+from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, sought_in
+from edge.mission.language.nouns import is_plural
+from edge.mission.language.places import EXPLORED, NO
+from edge.mission.language.tokens import UnclearError
+from edge.mission.logic.ltl import (
+    Formula,
+    ap,
+    conj,
+    disj,
+    eventually,
+    next_,
+    postorder,
+    propositions,
+)
+from edge.text import one_line
+
+# Orders that ask for nothing more: the robot is there, stops anyway, or reports anyway.
+_NOTHING_MORE = re.compile(
+    r"^(?:(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
+    r"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|"
+    r"stop(?: there| here| next to it)?|give up|forget (?:it|about it)|never mind|do nothing|"
+    r"do not bother|that is it|"
+    r"(?:tell|inform|notify) (?:me|us)|let (?:me|us) know|report(?: back)?(?: to me)?)"
+    r"(?: that| so| about it| (?:where|if) (?:it|they) (?:is|are))?(?=[,.;!?]|$| and | then ))"
+    r"(?:[\s,.;!?]+(?:(?:and|then) )*)?",
+    re.I,
+)
+_FIND_IT = re.compile(
+    r"^(?P<find>(?:go and |go )?(?:find|look for|search for|locate|hunt for)) (?:it|them|one)\b",
+    re.I,
+)
+_THERE = re.compile(r"\b(?:there|here)\b", re.I)
+_NEXT_SENTENCE = re.compile(r"[.;!?] ")
+_BY_WAY = re.compile(r"\b(?:through|via|past|by way of)\b", re.I)
+_WHEN = re.compile(r"\b(?:when|whenever|once|as soon as|after|until|before|while|unless)\b", re.I)
+# "it must be in the hall"
+_STATES = re.compile(r"(?:it|they|he|she|that|this|i|we|you) ", re.I)
+_IS_THERE = re.compile(r"\bthere\b(?! (?:is|are|an?|the|any|some|my|still)\b)", re.I)
+_UNPLACED = "unclear which place or order the condition is about; use simpler sentences"
+_THEN = re.compile(r"[,.;!?] (?:and )?then\b", re.I)
+
+
+@dataclass(frozen=True, slots=True)
+class _Leaf:
+    """Orders without a condition: the first goal, and the others that come after it, if any."""
+
+    first: Formula | None
+    rest: Formula | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """An order whose last goal may fail, and what comes after each outcome.
+
+    Attributes:
+        may_fail: True if the mission goes on after the failure.
+    """
+
+    order: Formula
+    found: _Tree
+    failed: _Tree
+    may_fail: bool = True
+    after: Formula | None = None
+
+
+_Tree = Union[_Leaf, _Node]
+_NONE = _Leaf(None)
+
+
+@dataclass(frozen=True, slots=True)
+class FallbackTranslator:
+    """Translator of orders with conditions.
+
+    Attributes:
+        translate: returns the formula of an order without conditions.
+        is_thing: returns True if a proposition is a thing to search for.
+    """
+
+    translate: Callable[[str], Formula]
+    is_thing: Callable[[str], bool]
+
+    def readings(self, branches: Branches) -> list[Formula]:
+        """Return the formulas that the branches may mean, one or two.
+
+        In "if it is not there, go to the hall, then come back", the end may belong to the condition
+        or not.
+
+        Raises:
+            UnclearError: it is unclear what a condition is about.
+        """
+        tree = self._tree(branches, "", last=True)
+        rest = _rest_of(tree)
+        last = _formula(tree, None, False)
+        return [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
+
+    def _tree(self, part: Branches | str, noun: str, last: bool, found: bool = False) -> _Tree:
+        """Return a part of the order with formulas.
+
+        Args:
+            part: the part.
+            noun: the thing that was searched for without success before it, or "".
+            last: True if the end of the part may belong to all outcomes.
+            found: True if the thing was found.
+        """
+        if isinstance(part, Branches):
+            return self._node(part, noun, last)
+        text = _NOTHING_MORE.sub("", part)
+        orders, rest = areas_of(text, noun) if noun and not found else ([], "")
+        if orders:
+            *before, order = map(self.translate, orders)
+            tree: _Tree = _leaf(order, self._goals(rest) if rest else None, last)
+            for order in reversed(before):
+                tree = _Node(order, _NONE, tree)
+            return tree
+        if noun:
+            text = _FIND_IT.sub(rf"\g<find> {noun}", text)
+        if not text:
+            return _NONE
+        named = re.fullmatch(NAME, text, re.I) and is_room(bare(text))  # "otherwise the hall"
+        formula = self._goals(f"go to {text}" if named else text)
+        if found and _is_noun(formula, noun):  # "find it"
+            return _NONE
+        first, later = _split_first(formula, bool(_NEXT_SENTENCE.search(text)))
+        waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
+        return _leaf(first, later, last and not (waits or _THERE.search(text)))
+
+    def _goals(self, text: str) -> Formula:
+        """Return the formula of orders after a condition: only goals."""
+        if _STATES.match(text):
+            hint = "after a condition, expected an order; say for example 'look in the hall'"
+            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        formula = self.translate(text)
+        if any(part.op in ("G", "W") for part in postorder(formula)):
+            hint = "unclear if this always holds or only then; say first what to avoid"
+            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        return formula
+
+    def _node(self, branches: Branches, noun: str, last: bool) -> _Node:
+        condition, found, failed = branches.condition, branches.found or "", branches.failed or ""
+        order, asks = self._order(branches, noun)
+        goals = _last_goals(order)
+        if all(goal.startswith(f"{CHECK} ") for goal in goals):
+            if _IS_THERE.search(branches.order) and not all(map(parse_description, goals)):
+                raise UnclearError(f"instruction: {_UNPLACED}")
+            asks, goals = True, tuple(goal.removeprefix(f"{CHECK} ") for goal in goals)
+            order = _with_last(order, lambda _: eventually(disj(*map(ap, goals))))
+        if condition.thing and branches.order and not _is_same(goals, condition.thing):
+            thing = _singular(condition.thing)
+            order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
+            asks = True
+        elif condition.at and branches.order:
+            order = self._at(order, goals, condition)
+        goals = _last_goals(order)
+        self._check_kind(goals, condition)
+        noun = _noun(goals[0]) if all(map(self.is_thing, goals)) else ""
+        last = last and not branches.after
+        end = failed if branches.explicit == (condition.outcome == "found") else found
+        if branches.explicit and isinstance(end, str):  # "…, otherwise go to the hall, then …"
+            last = last and _THEN.search(end) is not None
+        return _Node(
+            order,
+            self._tree(found, noun, last and end is found, found=True),
+            self._tree(failed, noun, last and end is failed),
+            asks or condition.outcome == "failed" or branches.explicit,
+            self.translate(branches.after) if branches.after else None,
+        )
+
+    def _order(self, branches: Branches, noun: str) -> tuple[Formula, bool]:
+        """Return the formula of the order, and True if it only asks if a thing is there."""
+        condition = branches.condition
+        if branches.order:
+            by_way = condition.state and not condition.thing and _BY_WAY.search(branches.order)
+            if by_way or _WHEN.search(branches.order):
+                raise UnclearError(f"instruction: {_UNPLACED}")
+            orders, rest = areas_of(branches.order, noun) if noun else ([], "")
+            if len(orders) == 1 and not rest:
+                return self.translate(orders[0]), True
+            text = _FIND_IT.sub(rf"\g<find> {noun}", branches.order) if noun else branches.order
+            return self.translate(text), False
+        thing = condition.thing
+        answer = branches.failed if condition.outcome == "failed" else branches.found
+        if not thing and condition.at and isinstance(answer, str):
+            thing = sought_in(answer)  # "look for the mug in the hall if it is not on the desk"
+        presumes = condition.presumes or branches.explicit or condition.at
+        if not (thing and presumes) or (condition.there and not condition.at):
+            hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
+            raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
+        thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
+        return self.translate(f"{verb} {thing}{condition.at}"), True
+
+    def _at(self, order: Formula, goals: Sequence[str], condition: OutcomeCondition) -> Formula:
+        """Return the order with the place that the condition names: "if it is not in the hall"."""
+        if len(goals) == 1 and goals[0].endswith(condition.at.lower()):
+            return order
+        if len(goals) > 1 or parse_description(goals[0]) or condition.at.endswith(" it"):
+            part = condition.at.strip()
+            raise UnclearError(f"instruction: {part!r}: unclear what should be there", part)
+        return _with_last(order, lambda _: self.translate(f"find the {goals[0]}{condition.at}"))
+
+    def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
+        """Refuse a condition that does not fit the goals: a wait is not found."""
+        thing, part = all(map(self.is_thing, goals)), condition.thing or "it"
+        if any((described := parse_description(goal)) and described.is_new for goal in goals):
+            hint = "a number of things cannot have a fallback; say it for one of them"
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        timed = goals[0].startswith((WAIT, EXPLORED))
+        is_there = condition.seeks and condition.there and not thing
+        if timed or is_there or (condition.state and thing):
+            hint = "unclear what this is about, or a state that the robot cannot see"
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+
+
+def _leaf(first: Formula, rest: Formula | None, last: bool) -> _Leaf:
+    return _Leaf(first, rest) if last or rest is None else _Leaf(_then(first, rest))
+
+
+def _rest_of(tree: _Tree) -> Formula | None:
+    """Return the end that may belong to all outcomes."""
+    if isinstance(tree, _Leaf):
+        return tree.rest
+    return _rest_of(tree.found) or _rest_of(tree.failed)
+
+
+def _formula(tree: _Tree, after: Formula | None, spread: bool) -> Formula | None:
+    """Return the formula of a tree; None if it asks for nothing.
+
+    Args:
+        tree: the tree.
+        after: what comes after each outcome.
+        spread: True if `after` has the rest of the last leaf.
+    """
+    if isinstance(tree, _Leaf):
+        parts = (tree.first, None if spread else tree.rest, after)
+        return _in_sequence(*parts)
+    after = _in_sequence(tree.after, after)
+    found, failed = _formula(tree.found, after, spread), _formula(tree.failed, after, spread)
+
+    def branch(goal: Formula) -> Formula:
+        names_of_goal = propositions(goal)
+        missed = failed
+        for name in reversed(names_of_goal):
+            missed = _reach(ap(NO + name), missed)
+        assert missed is not None
+        reached = _reach(goal, found)
+        # "have you seen the mug? If not, look for it"
+        return disj(reached, missed) if tree.may_fail and failed != reached else reached
+
+    return _with_last(tree.order, branch)
+
+
+def _in_sequence(*parts: Formula | None) -> Formula | None:
+    given = [part for part in parts if part is not None]
+    if not given:
+        return None
+    formula = given[-1]
+    for part in reversed(given[:-1]):
+        formula = _then(part, formula)
+    return formula
+
+
+def _reach(goal: Formula, after: Formula | None) -> Formula:
+    if after is None:
+        return eventually(goal)
+    again = set(propositions(goal)) & set(propositions(after))  # one visit could be both
+    return eventually(conj(goal, next_(after) if again else after))
+
+
+def _then(first: Formula, after: Formula) -> Formula:
+    return _with_last(first, lambda goal: _reach(goal, after))
+
+
+def _with_last(formula: Formula, change: Callable[[Formula], Formula]) -> Formula:
+    """Return a sequence with its last goal replaced: `change` gets a proposition, or a choice."""
+    if formula.op == "|" and all(one.op == "F" and one.args[0].op == "ap" for one in formula.args):
+        return change(disj(*(one.args[0] for one in formula.args)))
+    if formula.op == "&":
+        bans = [one for one in formula.args if one.op == "G"]
+        goals = [one for one in formula.args if one.op != "G"]
+        if len(goals) == 1:
+            return conj(_with_last(goals[0], change), *bans)
+    if formula.op == "F":
+        body = formula.args[0]
+        if _is_goal(body):
+            return change(body)
+        if body.op == "&" and len(body.args) == 2 and _is_goal(body.args[0]):
+            goal, later = body.args
+            strict = later.op == "X"
+            later = _with_last(later.args[0] if strict else later, change)
+            return eventually(conj(goal, next_(later) if strict else later))
+    hint = "unclear what the condition is about; use one sequence of orders before it"
+    raise UnclearError(f"instruction: {hint}")
+
+
+def _is_goal(formula: Formula) -> bool:
+    parts = formula.args if formula.op == "|" else (formula,)
+    return all(part.op == "ap" for part in parts)
+
+
+def _last_goals(order: Formula) -> tuple[str, ...]:
+    """Return the name of the last goal, or of each of a choice."""
+    found: list[str] = []
+
+    def note(goal: Formula) -> Formula:
+        found.extend(propositions(goal))
+        return eventually(goal)
+
+    _with_last(order, note)
+    return tuple(found)
+
+
+def _is_noun(formula: Formula, noun: str) -> bool:
+    return formula.op == "F" and propositions(formula) == (noun.removeprefix("the "),)
+
+
+def _split_first(formula: Formula, several: bool) -> tuple[Formula, Formula | None]:
+    """Return the first goal of a sequence and the rest; the formula and None for others.
+
+    `several` is True if goals in any order come from several sentences.
+    """
+    if formula.op == "&" and several:
+        return formula.args[0], conj(*formula.args[1:])
+    body = formula.args[0] if formula.op == "F" else formula
+    if formula.op == "F" and body.op == "&" and len(body.args) == 2 and _is_goal(body.args[0]):
+        goal, later = body.args
+        return eventually(goal), later.args[0] if later.op == "X" else later
+    return formula, None
+
+
+def _noun(goal: str) -> str:
+    thing = parse_description(goal)
+    return f"the {goal if thing is None else thing.noun}"
+
+
+def _singular(thing: str) -> str:
+    """Return the name of one of several: "chair" of "if there are no chairs"."""
+    before, space, last = thing.rpartition(" ")
+    return f"{before}{space}{names.singular(last)}" if is_plural(last) else thing
+
+
+def _is_same(goals: Sequence[str], thing: str) -> bool:
+    nouns = {*goals, *(_noun(goal).removeprefix("the ") for goal in goals)}
+    return names.canonical(bare(_singular(thing))) in {names.canonical(one) for one in nouns}
+
+
+def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
+    """Return the place of a thing that the condition names: the last room for "there"."""
+    goal = goals[0]
+    if len(goals) > 1 and (not condition.at or condition.at.endswith(" it")):
+        raise UnclearError(f"instruction: {condition.thing!r}: unclear where; name the place")
+    if condition.at.endswith(" it"):  # "if there is a cat on it"
+        return f"{condition.at[:-2]}{_noun(goal)}"
+    if condition.at:
+        return condition.at
+    room = goal.removeprefix(f"{EXPLORED} ").partition(" for ")[0]
+    if not condition.there or not is_room(room) or condition.seeks is False:
+        part = condition.thing
+        hint = "say where, as in 'if there is a cup in the kitchen'"
+        raise UnclearError(f"instruction: {part!r}: {hint}", part)
+    return f" in the {room}"

@@ -1,0 +1,390 @@
+"""Splitting of an order with a condition: "find the mug; if it is not there, come back".
+
+The condition is the outcome of an earlier order: it succeeded (the thing was found, the place was
+reached), or it failed. `split_outcomes` finds the conditions and the orders around them; the
+module `edge.mission.fallbacks` translates the parts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Literal
+
+from edge.mission.language.everyday_words import NAME, bare, is_room, phrase_of
+from edge.mission.language.lexicon import TABLE
+from edge.mission.language.templates import compile_templates
+from edge.mission.language.tokens import UnclearError
+
+Outcome = Literal["found", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeCondition:
+    """The outcome of an order, in the words of a person.
+
+    Attributes:
+        outcome: "found" if the order succeeded, "failed" if not.
+        seeks: True if it speaks of a thing ("it is not there"), False if of a place ("you can not
+            get in"), None if of either ("otherwise").
+        thing: its name with the article; "" for the last goal of the order ("it").
+        at: " in the kitchen": the thing is there or not; "" if nothing is said.
+        there: True if the thing is at the place of the order.
+        presumes: True if the condition also says what to do: "if you can not find the bed".
+        state: True if it is a state of a place: "if it is blocked".
+    """
+
+    outcome: Outcome
+    seeks: bool | None = None
+    thing: str = ""
+    at: str = ""
+    there: bool = False
+    presumes: bool = False
+    state: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """An order, and what to do after each of its outcomes.
+
+    Attributes:
+        order: the order whose last goal has the outcome; "" if the condition presumes it.
+        found: what to do if it succeeds; None: nothing more.
+        failed: what to do if it fails; None: the mission fails, or with `found`, nothing more.
+        after: what to do in the end, whatever the outcome; "": nothing.
+        explicit: True if the text says what to do after both outcomes.
+    """
+
+    order: str
+    condition: OutcomeCondition
+    found: Branches | str | None
+    failed: Branches | str | None
+    after: str = ""
+    explicit: bool = False
+
+
+_PARTS = {
+    "if": "[just|well]* (if|in case|in the event that|supposing) [that]",
+    "it": "(it|they|he|she|that|this|one|either [of them]|(that|this|the first) one)",
+    "them": "(it|them|one|any|anything|him|her|that|either [of them]|any of them|a single one)",
+    "is": "{still} (is|are|was|were) {still}",
+    "still": "[really|actually|still|by any chance|perhaps|maybe|also|already|indeed|even]*",
+    "there": """
+        (there|here|in there|in here|inside it|in it|around|to be found|present|anywhere|
+        in that room|in this room|at that place)
+        """,
+    "gone": "(not [{there}]|nowhere [{there}|in sight]|gone|missing)",
+    "either": "[either|at all|any more|anymore|though|as well|too|yet|for some reason|after all]*",
+    "cannot": """
+        (can not|could not|do not|did not|are not able to|are unable to|were unable to|fail to|
+        failed to|have not|never|will not|can not seem to|do not manage to|struggle to)
+        """,
+    "see": "(find|found|see|saw|seen|spot|spotted|locate|located|detect|notice)",
+    "can": "[can|do|could|did|happen to|manage to|are able to|should]*",
+    "at": "[(standing|lying|sitting|parked|placed|left)] [<relation> (<anchor>|it|them)]",
+    "blocked": """
+        (blocked|closed|locked|shut|closed off|shut off|obstructed|not (open|accessible|reachable))
+        """,
+    "enter": """
+        ((get|go|drive|come|make it) (in|inside|in there|into it|to it|there|through [it]|past)|
+        reach {them}|reach there|enter [it|there|that room])
+        """,
+}
+# Thing sought → templates, one for each line. True: of a thing; False: of a place; None: of either.
+_FAILED: dict[bool | None, str] = {
+    True: """
+        {if} {it} {is} {gone} {either}
+        {if} {it} {is} not {at} {either}
+        {if} <thing> {is} {gone} {either}
+        {if} <thing> {is} not {at} {either}
+        {if} you {still} {cannot} {see} {them} {at} [{there}] {either}
+        {if} you {still} {cannot} {see} <thing> {at} [{there}] {either}
+        {if} there {is} (not [one|any]|none|nothing) [{there}] {either}
+        {if} there {is} (no|not (a|an|any)) <thing> {at} [{there}] {either}
+        {if} (nothing|no <thing>|none) (is|are) [{there}|found] {at} {either}
+    """,
+    False: """
+        {if} you {still} {cannot} {enter} {either}
+        {if} you {still} {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|
+            make it (to|into)) <thing> {either}
+        {if} ({it}|the way|the path|the way in) {is} {blocked} {either}
+        {if} <thing> {is} {blocked} {either}
+        {if} you get stuck [there]
+    """,
+    None: """
+        {if} (no|not [found|there|successful|possible]|no luck|no success|unsuccessful|
+            (that|it|this|you) (fails|fail)|
+            (that|this) (does|did) not work [out]|(that|it|this) is not possible|
+            you can not [do (it|that)]|you have no luck)
+        (failing that|or otherwise|otherwise|else|if else)
+    """,
+}
+_FOUND: dict[bool | None, str] = {
+    True: """
+        {if} {it} {is} {there} {either}
+        {if} <thing> {is} {there} {either}
+        {if} ({it}|<thing>) {is} <relation> <anchor>
+        {if} you {can} {see} {them} {at} [{there}]
+        {if} you {can} {see} <thing> {at} [{there}]
+        {if} there {is} (one|any|some|<thing>) {at} [{there}]
+    """,
+    False: "{if} you {can} {enter}",
+    None: """
+        {if} (so|yes|you (do|did|have)|it (is|was)|there (is|are)|they are|found|successful|
+            that works [out]|you succeed)
+    """,
+}
+_TRIGGER = re.compile(
+    r"(?<![^\s,;.!?:-])(?P<word>if|in case|in the event|supposing|failing that|otherwise|else"
+    r"|(?:or else|(?:and )?then)(?= (?P<area>\w+ .*)))\b",
+    re.I,
+)
+# Before "if" in "check if there is a mug", and in "only if".
+_ASKED = re.compile(
+    r"\b(?:check|see|look|out|verify|confirm|know|wonder|wondering|sure|say|ask|me|us|whether)$",
+    re.I,
+)
+_LIMITED = re.compile(r"\b(?:only|even|as|except|not|unless)$", re.I)
+_WHAT_ELSE = re.compile(r"(?:thing|where|one|body|or|who|what|how)$", re.I)
+_ENDS_CLAUSE = re.compile(r"[,;.!?:-]$|\b(?:and|but|or)$", re.I)
+_JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=[\s,]|$))+"
+_JOINTS = re.compile(rf"{_JOINT}$", re.I)
+_BOUND = re.compile(
+    r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$", re.I
+)
+_LEADS = re.compile(
+    r"^(?:[\s,;:-]|(?:then|please|just|you (?:can|should|must|could)|kindly)\b)+", re.I
+)
+# Orders after which "there" is where the robot was before.
+_RETURNS = re.compile(
+    r"(?:(?:come|go|get|drive|return|head) )?(?:back|home)\b|return$|wait|stay|stop", re.I
+)
+_INSTEAD = re.compile(r",? instead\b(?! of)", re.I)
+# What follows in any case.
+_AFTER = re.compile(
+    r"(?:[.;!?,]+\s+(?:and |but |then )*(?:either way|in (?:any|either) case|in both cases|"
+    r"whatever happens|no matter what|regardless)|[.;!?]+\s+(?:and )?(?:then|after that|"
+    r"afterwards|finally|lastly|in the end|at the end|(?:when|once) (?:you are )?done)),?"
+    r"\s+(?P<rest>.+)$",
+    re.I,
+)
+_FOR_IT = r"(?:\s+(?:for\s+(?:it|them|one|him|her)|again|also|too|as well|next))*"
+_AREA = re.compile(
+    r"(?:(?:go|then|also|and|next)\s+)*"
+    rf"(?:(?P<verb>look|search|try|check|hunt|(?:have|take) a look){_FOR_IT}\s+)?"
+    rf"(?:(?P<relation>{phrase_of('relation')})\s+)?(?P<anchor>{NAME}){_FOR_IT}"
+    r"(?=[,.;!?]|$|\s+(?:and|then|or)\b)",
+    re.I,
+)
+_FIND_IT = re.compile(
+    rf"^(?:(?:go|and|look)\s+)*(?:find|for|search for|locate|hunt for)\s+(?:it|them|one)"
+    rf"(?=\s+{phrase_of('relation')}\s)",
+    re.I,
+)
+_GO_AND_LOOK = re.compile(
+    rf"^(?:go|drive|head) (?:over )?(?:to|in|into) (?P<room>{NAME}),? and (?:then )?"
+    r"(?:look|search|check)(?: for (?:it|them|one))?(?: in)?(?: there)?"
+    r"(?=[,.;!?]|$| (?:and|then)\b)",
+    re.I,
+)
+_SOUGHT = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<thing>{NAME})", re.I)
+# "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
+_SEARCHES = re.compile(
+    rf"\b(?:search|check) {NAME} for\b|\blook {phrase_of('relation')} .* for\b|"
+    rf"\b(?:(?:look|hunt|search)\b.* for|find\b(?=.* or else$)).* {phrase_of('relation')} ",
+    re.I,
+)
+
+
+@cache
+def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
+    found: list[tuple[re.Pattern[str], Outcome, bool | None]] = []
+    table: tuple[tuple[Outcome, dict[bool | None, str]], ...] = (
+        ("failed", _FAILED), ("found", _FOUND),
+    )  # fmt: skip
+    for outcome, rows in table:
+        for seeks, lines in rows.items():
+            found += [(one, outcome, seeks) for one in compile_templates(lines, _PARTS)]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    """A condition at a place of the text, and True if orders of both outcomes may follow it."""
+
+    begin: int
+    end: int
+    condition: OutcomeCondition
+    is_bare: bool  # "otherwise"
+
+
+def split_outcomes(text: str) -> Branches | None:
+    """Return an order with conditions as branches; None for an order without conditions.
+
+    Raises:
+        UnclearError: it is unclear which order belongs to which outcome.
+
+    Example:
+        >>> split = split_outcomes("find the mug; if it is not there, come back")
+        >>> split.order, split.found, split.failed
+        ('find the mug', None, 'come back')
+    """
+    text = re.sub(r"\b(?:nobody|no one)\b", "no person", text, flags=re.I)
+    matches = _matches(text)
+    if not matches:
+        return None
+    tail = _AFTER.search(text, matches[-1].end)
+    body, after = (text[: tail.start()], tail["rest"]) if tail else (text, "")
+    return replace(_split(body, matches, 0), after=after)
+
+
+def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
+    """Return the branches of the text from an offset on, whose conditions are given."""
+    first, *rest = matches
+    before, behind = text[begin : first.begin], text[first.end :]
+    at = next((i for i, one in enumerate(rest) if _is_opposite(first, one)), len(rest))
+    nested, opposite, last = rest[:at], rest[at : at + 1], rest[at + 1 :]
+    answer_text = text[first.end : opposite[0].begin if opposite else len(text)]
+    order, answer = _order(before), _order(answer_text)
+    if re.match(r"\s+(?:and|or)\b", answer_text, re.I):  # "if it is not in the hall or the study"
+        raise _unclear(text[first.begin :])
+    condition = first.condition
+    if _INSTEAD.search(answer_text) and condition.thing:  # then the robot was to go to the thing
+        condition = replace(condition, presumes=True)
+    if not answer:  # "come back if you can not find it"
+        *orders, answer = re.split(r",? (?:and|or|but|then)(?: then)? |[,;.] ", order)
+        order = orders[0] if orders else ""
+        there = first.condition.there and not _RETURNS.match(answer)
+        if _BOUND.search(before) or len(orders) > 1 or nested or there:
+            raise _unclear(text[first.begin : first.end])
+    if nested and (opposite or first.condition.outcome == "found"):
+        raise _unclear(text[nested[0].begin : nested[0].end])
+    then: Branches | str = _split(text, nested, first.end) if nested else answer
+    other: Branches | str | None = None
+    if opposite:
+        behind = text[opposite[0].end :]
+        other = _split(text, last, opposite[0].end) if last else _order(behind)
+        if not behind.strip(" .,;!?"):
+            raise _unclear(text[opposite[0].begin :])
+    outcomes = (then, other) if first.condition.outcome == "found" else (other, then)
+    return Branches(order, condition, *outcomes, explicit=bool(opposite))
+
+
+def _is_opposite(first: _Match, second: _Match) -> bool:
+    """Return True if the second condition is the opposite outcome of the same order."""
+    if second.condition.thing or second.condition.at:
+        return False
+    if second.is_bare:
+        return not first.is_bare
+    return second.condition.outcome != first.condition.outcome
+
+
+def _order(text: str) -> str:
+    """Return an order without the words and marks that join it to others."""
+    order = _LEADS.sub("", _JOINTS.sub("", text).strip()).strip(" ,;.!?")
+    return _INSTEAD.sub("", order)
+
+
+def _unclear(part: str) -> UnclearError:
+    part = part.strip(" .,;!?")
+    hint = "unclear what to do then; say for example 'find the mug; if it is not there, come back'"
+    return UnclearError(f"instruction: {part!r}: {hint}", part)
+
+
+def _matches(text: str) -> list[_Match]:
+    """Return the conditions in a text; [] if it has another condition, too."""
+    found: list[_Match] = []
+    for trigger in _TRIGGER.finditer(text):
+        begin, word = trigger.start(), trigger["word"].lower()
+        before = text[:begin].rstrip()
+        if found and begin < found[-1].end:
+            continue
+        if trigger["area"]:  # "look for the mug in the hall, then in the kitchen"
+            area = _AREA.match(trigger["area"])
+            is_area = area is not None and area["relation"] and not area["verb"]
+            if is_area and not found and _SEARCHES.search(text[: trigger.end()]):
+                found.append(_Match(begin, trigger.end(), OutcomeCondition("failed"), True))
+            continue
+        if _LIMITED.search(before):
+            return []
+        if word == "if" and _ASKED.search(before):
+            continue  # "check if there is a mug"
+        if word == "else" and _WHAT_ELSE.search(before):
+            continue
+        if word == "otherwise" and not found and not _ENDS_CLAUSE.search(before):
+            continue  # "until I tell you otherwise"
+        matched = _condition_at(text, begin)
+        if matched is None or (matched.is_bare and not before):
+            return []
+        found.append(matched)
+    return found
+
+
+def _condition_at(text: str, begin: int) -> _Match | None:
+    """Return the longest condition that begins at an offset; None if none does."""
+    best: tuple[re.Match[str], Outcome, bool | None] | None = None
+    spaced = f" {text[begin:]}"
+    for pattern, outcome, seeks in _conditions():
+        match = pattern.match(spaced)
+        if match is None or re.match(r" not\b", spaced[match.end() :]):  # "if you do not mind"
+            continue
+        if outcome == "found" and not seeks and not _is_followed_by_order(spaced[match.end() :]):
+            continue  # "if you enter the hall", "if you have been to the bed"
+        if best is None or match.end() > best[0].end():
+            best = match, outcome, seeks
+    if best is None:
+        return None
+    match, outcome, seeks = best
+    slots = {slot: said for slot, said in match.groupdict().items() if said}
+    at = f" {slots['relation']} {slots.get('anchor', 'it')}" if slots.get("relation") else ""
+    phrase, thing = match[0].strip(), slots.get("thing", "")
+    is_bare = re.fullmatch(r"failing that|(?:or )?otherwise|(?:if )?else", phrase, re.I) is not None
+    says_there = re.sub(r"^\w+ there\b", "", phrase)
+    there = re.search(r"\b(?:there|here|in it|(?:that|this) (?:room|place))\b", says_there, re.I)
+    state = seeks is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
+    presumes = bool(thing) and (bool(at) or (outcome == "failed" and not state))
+    condition = OutcomeCondition(outcome, seeks, thing, at, bool(there), presumes, state)
+    return _Match(begin, begin + match.end() - 1, condition, is_bare)
+
+
+def _is_followed_by_order(text: str) -> bool:
+    """Return True if a clause ends before a text, or an order begins with it."""
+    word = re.match(r" (?:then |please |just )*(\w+)", text)
+    return word is None or TABLE.get((word[1].lower(),)) == "verb" or bool(_RETURNS.match(word[1]))
+
+
+def areas_of(text: str, noun: str) -> tuple[list[str], str]:
+    """Return the orders to look for a thing in one place after another, and the rest of a text.
+
+    Example:
+        >>> areas_of("look in the office, then in the hall, and come back", "the mug")
+        (['find the mug in the office', 'find the mug in the hall'], 'come back')
+
+    Args:
+        text: an order after a search that failed.
+        noun: the thing that is searched for, with its article.
+    """
+    orders: list[str] = []
+    text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))
+    at = 0
+    while found := _AREA.match(text, at):
+        relation, verb = found["relation"], (found["verb"] or "try").lower()
+        in_room = verb in ("try", "check", "search") and is_room(bare(found["anchor"]))
+        if not (relation or in_room):
+            if found["verb"] and not relation:
+                part = found[0].strip()
+                hint = "say 'look on the …' or 'look in the …'"
+                raise UnclearError(f"instruction: {part!r}: unclear where to look; {hint}", part)
+            break
+        orders.append(f"find {noun} {relation or 'in'} {found['anchor']}")
+        joint = re.compile(_JOINT, re.I).match(text, found.end())
+        at = joint.end() if joint else found.end()
+    return orders, text[at:].strip(" ,.;!?")
+
+
+def sought_in(text: str) -> str:
+    """Return the thing that an order searches for; "" if there is none."""
+    found = _SOUGHT.search(text)
+    return found["thing"] if found else ""

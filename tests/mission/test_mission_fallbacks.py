@@ -1,0 +1,226 @@
+"""Orders with a condition on the outcome of others, questions with an order, counts, states."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.config import MissionConfig, TranslatorGrammar
+from edge.errors import UserError
+from edge.lab.eval.everyday import SITE
+from edge.mission.language.fallbacks import split_outcomes
+from edge.mission.readings import AmbiguousInstructionError
+from edge.mission.spec import MissionSpec, prepare
+
+GRAMMAR = MissionConfig(translator=TranslatorGrammar())
+
+
+def understood(said: str, reading: int | None = None) -> MissionSpec:
+    return prepare(GRAMMAR, said, site=SITE, reading=reading)
+
+
+def test_an_order_without_a_condition_has_no_branches():
+    for said in ("", "go to the bed", "wait until I tell you otherwise", "check if it is there"):
+        assert split_outcomes(said) is None
+
+
+@pytest.mark.parametrize(
+    ("said", "formula"),
+    [
+        # A search that fails.
+        ("look for the mug in the kitchen, and if it's not there look in the hall",
+         'F "mug in the kitchen" | F ("no mug in the kitchen" & F "mug in the hall")'),
+        ("if you can't find the bed, come back", 'F bed | F ("no bed" & F here)'),
+        ("come back if you can't find the bed", 'F bed | F ("no bed" & F here)'),
+        ("if there are no chairs in the kitchen, go to the dock",
+         'F "chair in the kitchen" | F ("no chair in the kitchen" & F dock)'),
+        ("find the mug. If it is not on the desk, try the hall, then the kitchen.",
+         'F "mug on the desk" | F ("no mug on the desk" & (F "mug in the hall" | '
+         'F ("no mug in the hall" & F "mug in the kitchen")))'),
+        ("find the mug, failing that the cup, otherwise come back",
+         'F mug | F ("no mug" & (F cup | F ("no cup" & F here)))'),
+        ("look for the mug in the hall or else in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("look for the mug in the hall, then in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("if it's not in the hall, look for the mug in the kitchen",
+         'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("find the mug or the cup; if you find neither of them, come back", None),
+        ("find the mug or the cup; if you can't find either, come back",
+         'F (mug | cup) | F ("no mug" & F ("no cup" & F here))'),
+        ("find the mug, and if it's not there, stop", 'F mug | F "no mug"'),
+        ("find the mug but avoid the dog, and if you can't find it come back",
+         '(F mug | F ("no mug" & F here)) & G !dog'),
+        # A place that cannot be reached.
+        ("go to the kitchen, and if it's blocked go to the dock",
+         'F kitchen | F ("no kitchen" & F dock)'),
+        ("if the kitchen is closed, go to the dock instead",
+         'F kitchen | F ("no kitchen" & F dock)'),
+        ("go to the dock, else the shelf", 'F dock | F ("no dock" & F shelf)'),
+        # Both outcomes.
+        ("go to the kitchen; if you see a cup there, come back, otherwise go to the dock",
+         'F (kitchen & (F ("cup in the kitchen" & F here) | '
+         'F ("no cup in the kitchen" & F dock)))'),
+        ("check if there is a bed in room 3. If so, go to it. If not, come back.",
+         'F "bed in room three" | F ("no bed in room three" & F here)'),
+        ("go to the dock if there's no mug in the hall, else go to the bed",
+         'F ("mug in the hall" & F bed) | F ("no mug in the hall" & F dock)'),
+        ("find the mug; if you find it, wait there for 2 minutes, if not go home",
+         'F (mug & F "wait 120 s") | F ("no mug" & F start)'),
+        ("go to the sofa, and if there's a cat on it, come back",
+         'F (sofa & (F ("cat on the sofa" & F here) | F "no cat on the sofa"))'),
+        ("find the mug; if you find it, come back", "F (mug & F here)"),
+        ("look for the mug in the hall. If it's not there, try the kitchen. Then come back.",
+         'F ("mug in the hall" & F here) | '
+         'F ("no mug in the hall" & F ("mug in the kitchen" & F here))'),
+        ("have you seen the mug? If not, look for it", "F mug"),
+        ("look for the mug; if you find it, go to the dock, then to the shelf, otherwise wait here",
+         'F (mug & F (dock & F shelf)) | F ("no mug" & F wait)'),
+        ("look for the mug; if you find it, wait, otherwise go to the dock and come back",
+         'F (mug & F wait) | F ("no mug" & F (dock & F here))'),
+        ("look for the mug, otherwise go to the dock, then the bed. Either way, come back.",
+         'F (mug & F here) | F ("no mug" & F (dock & F (bed & F here)))'),
+        ("if there is a cup in the kitchen, find it",
+         'F "cup in the kitchen" | F "no cup in the kitchen"'),
+        ("go to the kitchen; if there's nobody there, wait there for 5 minutes",
+         'F (kitchen & (F "person in the kitchen" | '
+         'F ("no person in the kitchen" & F "wait 300 s")))'),
+        ("look for the cup in the hall; if it's not there, look for it on the desk",
+         'F "cup in the hall" | F ("no cup in the hall" & F "cup on the desk")'),
+        ("find the cup in the hall; if it's not there, find it in the kitchen, then the bedroom",
+         'F "cup in the hall" | F ("no cup in the hall" & (F "cup in the kitchen" | '
+         'F ("no cup in the kitchen" & F "cup in the bedroom")))'),
+        ("look for the cup in the hall; if it's not there, go to the kitchen and look there",
+         'F "cup in the hall" | F ("no cup in the hall" & F "cup in the kitchen")'),
+        ("go to the kitchen, and if you enter the hall, go to the dock",
+         "F kitchen & G (hall -> F dock)"),
+        ("find the cup; if it is not there, go to the dock, then find the cup",
+         None),
+        # A question with an order.
+        ("Where is the mug? Go there.", "F mug"),
+        ("find out where the mug is and go there, then come back", "F (mug & F here)"),
+        ("is there a bed? if so, go to it", 'F bed | F "no bed"'),
+        ("Is there a mug in the kitchen? Go to it but stay out of the hall.",
+         'F "mug in the kitchen" & G !hall'),
+        # Several of a kind.
+        ("find two chairs, then come back", 'F ("chair 1 of two" & F ("chair 2 of two" & F here))'),
+        ("visit both tables in the kitchen",
+         'F ("table 1 of 2 in the kitchen" & F "table 2 of 2 in the kitchen")'),
+    ],
+)  # fmt: skip
+def test_the_formula_of_an_order_with_a_condition(said, formula):
+    if formula is None:
+        with pytest.raises(UserError):
+            understood(said)
+    else:
+        assert str(understood(said).translation.formula) == formula
+
+
+@pytest.mark.parametrize(
+    ("said", "hint"),
+    [
+        ("if the kitchen is blocked, go to the bathroom", "say first what to do"),
+        ("if you see the cat, come back", "say first what to do"),
+        ("go to the kitchen; if you see a dog, come back", "say where"),
+        ("go to the door; if it is closed, come back", "a state that the robot cannot see"),
+        ("go to the kitchen; if it is not there, come back", "unclear what this is about"),
+        ("go to the sofa and the bed; if you can't find it, come back", "one sequence of orders"),
+        ("go to the hall, then to the dock if the mug is there", "unclear what to do then"),
+        ("find the mug, otherwise", "unclear what to do then"),
+        ("if the mug is not in the hall or the den, come back", "unclear what to do then"),
+        ("if the mug is not on the sofa, check the table", "say 'look on the"),
+        ("find the mug, if it's not there it must be in the hall", "expected an order"),
+        ("when you've found the mug come back, otherwise go to the dock", "which place or order"),
+        (
+            "look for the mug in the hall, if it's not there, look on the desk and avoid the dog",
+            "say first what to avoid",
+        ),
+        ("wait for a minute; if you can't, come back", "unclear what this is about"),
+        ("go to the kitchen through the hall; if it is blocked, come back", "which place or order"),
+        (
+            "go to the kitchen, check if the mug is there, if it isn't, come back",
+            "which place or order",
+        ),
+        ("if the dog isn't there, go to the kitchen", "say first what to do"),
+        ("find the mug or the cup; if it is not on the desk, come back", "what should be there"),
+        ("go to the hall or the bed; if there is a cat on it, come back", "unclear where"),
+        ("go to the dock only if you can't find the mug", "leave out the condition"),
+        ("Which room has the piano? Go there.", "one thing at a time"),
+        ("find two scissors", "expected the name"),
+        ("find the mug; if you find it, go to the dock. If you see a cup there, wait.", "unclear"),
+        ("find the mug; if it's not there come back, but avoid the dog", "say first what to avoid"),
+        ("find two chairs; if you can't, come back", "cannot have a fallback"),
+        ("patrol the dock and the shelf for 5 minutes, otherwise come back", "what repeats"),
+        ("find the mug; if it is not there, where is the cup?", "an order that has one meaning"),
+        ("Where is the mug? Do not go there.", "one thing at a time"),
+        ("find six chairs", "expected the name"),
+        ("find a free chair", "cannot tell if a thing is free"),
+        ("go to the door that is open", "cannot tell if a thing is open"),
+        ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
+    ],
+)
+def test_an_unclear_condition_is_refused_in_one_line(said, hint):
+    with pytest.raises(UserError, match=hint) as error:
+        understood(said)
+    assert "\n" not in str(error.value)
+
+
+WORDS = (
+    "if it is not there otherwise , . find the mug in kitchen look for then and or else come back"
+)
+
+
+@given(st.lists(st.sampled_from(WORDS.split()), max_size=14).map(" ".join))
+def test_any_text_with_conditions_is_understood_or_refused(text):
+    with contextlib.suppress(UserError):
+        assert understood(text)
+
+
+def test_an_end_in_another_sentence_is_asked_about():
+    for said in (
+        "find the cup. If it isn't there, find the mug. Go to the dock.",
+        "find the cup; if you find it, wait, otherwise find the mug, then go to the dock",
+    ):
+        with pytest.raises(AmbiguousInstructionError):
+            understood(said)
+
+
+def test_an_end_that_may_belong_to_the_condition_is_asked_about():
+    said = "look for the mug in the hall, if it's not there try the kitchen, then come back"
+    with pytest.raises(AmbiguousInstructionError) as error:
+        understood(said)
+    assert [reading.english for reading in error.value.readings] == [
+        "Look for the mug in the hall; if it is found, come back to where this mission began; "
+        "if it is not found, look for the mug in the kitchen, then come back to where this mission "
+        "began.",
+        "Look for the mug in the hall; if it is not found, look for the mug in the kitchen, then "
+        "come back to where this mission began.",
+    ]
+    assert str(understood(said, 2).translation.formula) == (
+        'F "mug in the hall" | F ("no mug in the hall" & F ("mug in the kitchen" & F here))'
+    )
+
+
+@pytest.mark.parametrize(
+    ("said", "english"),
+    [
+        ("avoid the dog, find the mug or the cup, and if you can't find either, come back",
+         "Look for the mug or look for the cup; if it is not found, come back to where this "
+         "mission began. Stay away from the dog."),
+        ("find the mug, and if it's not there, stop",
+         "Look for the mug; if it is not found, that is all."),
+        ("go to the dock; if you can get there, find the mug, otherwise come back. I am busy",
+         "Go to the dock; if that works, look for the mug; if that fails, come back to where this "
+         "mission began. (Not part of the order: 'I am busy'.)"),
+    ],
+)  # fmt: skip
+def test_an_order_with_a_condition_is_read_back(said, english):
+    assert understood(said).translation.english == english
+
+
+def test_a_state_in_quotes_belongs_to_the_name():
+    assert str(understood('find the "dirty table"').translation.formula) == 'F "dirty table"'
+    assert understood("go to the running machine").targets == ("treadmill",)
