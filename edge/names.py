@@ -306,7 +306,8 @@ def _normalise_number(text: str) -> str:
         return f"{ORDINALS[n - 1]} {head[0]}"
     if words[-1].isdecimal() and words[-1] != str(n):
         return text  # digits with leading zeros stay: "room 007"
-    return " ".join([*head, SMALL_NUMBERS[n] if n <= _MOST_SPELLED else str(n)])
+    is_spelled = n <= _MOST_SPELLED and head[-1] != "of"  # "chair 1 of 2"
+    return " ".join([*head, SMALL_NUMBERS[n] if is_spelled else str(n)])
 
 
 def number(words: Sequence[str]) -> int | None:

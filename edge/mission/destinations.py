@@ -31,6 +31,7 @@ DURATION = r"[\w.]+(?:\s+\w+)?\s+(?:s|secs?|seconds?|mins?|minutes?|h|hours?)"
 """Pattern of a text for `duration_s`."""
 _WAIT = re.compile(rf"wait(?: (?:for )?(?P<time>{DURATION}))?")
 _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{DURATION}))?")
+_CANNOT_FAIL = re.compile(rf"{HERE}$|wait\b|{NO}")  # after NO
 _CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
 _ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
 _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
@@ -124,6 +125,7 @@ class FailureTarget:
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
     It is never pursued. It becomes true when the other target has failed and the plan needs it.
+    Only formulas name it: the English name "no entry sign" is a thing.
 
     Attributes:
         target: the other target.
@@ -190,7 +192,12 @@ def failure_of(text: str, targets: Iterable[str]) -> FailureTarget | None:
         FailureTarget(target='mug', kind='failure')
         >>> failure_of("no entry sign", ["no entry sign"]) is None
         True
+
+    Raises:
+        DestinationError: the target cannot fail, such as a wait.
     """
+    if text.startswith(NO) and _CANNOT_FAIL.match(text, len(NO)):
+        raise DestinationError(f"mission: {one_line(text)}: this cannot fail; leave it out")
     key = names.canonical(text.removeprefix(NO)) if text.startswith(NO) else ""
     found = (target for target in targets if key and names.canonical(target) == key)
     return next(map(FailureTarget, found), None)
@@ -259,7 +266,7 @@ def describe_destination(name: str, destination: Destination) -> str:
             return f"the room with the {destination.name}"
         return f"the {names.normalise(name)}"
     if isinstance(destination, FailureTarget):
-        return f"the failure of {destination.target}"
+        return f"the point where the robot gives up {destination.target}"
     special = {
         START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
     }  # fmt: skip

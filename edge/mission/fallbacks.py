@@ -31,22 +31,32 @@ from edge.mission.logic.ltl import (
 )
 from edge.text import one_line
 
-# Orders that ask for nothing more: the robot is there, stops anyway, or reports anyway.
-_NOTHING_MORE = re.compile(
-    r"^(?:(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
-    r"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|"
+# Orders that ask for nothing more: the robot stops anyway, or reports anyway.
+_NOTHING_MORE = (
     r"stop(?: there| here| next to it)?|give up|forget (?:it|about it)|never mind|do nothing|"
     r"do not bother|that is it|"
     r"(?:tell|inform|notify) (?:me|us)|let (?:me|us) know|report(?: back)?(?: to me)?)"
     r"(?: that| so| about it| (?:where|if) (?:it|they) (?:is|are))?(?=[,.;!?]|$| and | then ))"
-    r"(?:[\s,.;!?]+(?:(?:and|then) )*)?",
+    r"(?:[\s,.;!?]+(?:(?:and|then) )*)?"
+)
+_STOPS = re.compile(f"^(?:(?:{_NOTHING_MORE}", re.I)
+# The same after a success: the robot is there already.
+_DONE = re.compile(
+    r"^(?:(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
+    rf"(?:to|next to|near|towards) (?:it|them|one|him|her)|go there|{_NOTHING_MORE}",
     re.I,
 )
+_GO_THERE = re.compile(
+    r"^(?:(?:go|drive|head) there(?:,? (?:and then|and|then))?(?=[\s,.;!?]|$)[\s,.;!?]*"
+    r"|(?=(?:wait|stay) there\b))",
+    re.I,
+)
+_WAIT_THERE = re.compile(r"^(wait|stay) there\b", re.I)
 _FIND_IT = re.compile(
     r"^(?P<find>(?:go and |go )?(?:find|look for|search for|locate|hunt for)) (?:it|them|one)\b",
     re.I,
 )
-_THERE = re.compile(r"\b(?:there|here)\b", re.I)
+_HERE = re.compile(r"\b(?:there|here)\b", re.I)
 _NEXT_SENTENCE = re.compile(r"[.;!?] ")
 _BY_WAY = re.compile(r"\b(?:through|via|past|by way of)\b", re.I)
 _WHEN = re.compile(r"\b(?:when|whenever|once|as soon as|after|until|before|while|unless)\b", re.I)
@@ -54,6 +64,13 @@ _WHEN = re.compile(r"\b(?:when|whenever|once|as soon as|after|until|before|while
 _STATES = re.compile(r"(?:it|they|he|she|that|this|i|we|you) ", re.I)
 _IS_THERE = re.compile(r"\bthere\b(?! (?:is|are|an?|the|any|some|my|still)\b)", re.I)
 _UNPLACED = "unclear which place or order the condition is about; use simpler sentences"
+# "look on it", "find it", but not "look for the cup"
+_LOOKS = re.compile(
+    r"\b(?:look|search|hunt|check|try)\b(?! (?:for (?!it\b|them\b|one\b)|if\b|whether\b))|"
+    r"\b(?:find|locate) (?:it|them|one)\b",
+    re.I,
+)
+_DRIVES = re.compile(r"(?:go|drive|head|move|run|roll|come|visit|reach)\b", re.I)
 _THEN = re.compile(r"[,.;!?] (?:and )?then\b", re.I)
 
 
@@ -77,7 +94,6 @@ class _Node:
     found: _Tree
     failed: _Tree
     may_fail: bool = True
-    after: Formula | None = None
 
 
 _Tree = Union[_Leaf, _Node]
@@ -105,41 +121,86 @@ class FallbackTranslator:
         Raises:
             UnclearError: it is unclear what a condition is about.
         """
-        tree = self._tree(branches, "", last=True)
-        rest = _rest_of(tree)
-        last = _formula(tree, None, False)
-        return [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
+        after, bans = self._end(branches.after)
+        tree = self._node(branches, "", True)
+        rest = None if after else _rest_of(tree)
+        last = _formula(tree, after, False)
+        found = [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
+        return [conj(formula, *bans) for formula in found]
 
-    def _tree(self, part: Branches | str, noun: str, last: bool, found: bool = False) -> _Tree:
-        """Return a part of the order with formulas.
+    def _end(self, text: str) -> tuple[Formula | None, list[Formula]]:
+        """Return the goals and the bans of the orders that hold in any case."""
+        if not text:
+            return None, []
+        formula = self.translate(text)
+        parts = formula.args if formula.op == "&" else (formula,)
+        bans = [part for part in parts if part.op == "G"]
+        goals = [part for part in parts if part.op != "G"]
+        if not goals:
+            return None, bans
+        _refuse_rules(conj(*goals), text)
+        return conj(*goals), bans
+
+    def _after_success(self, part: Branches | str, noun: str, last: bool) -> _Tree:
+        """Return what comes after an order, with formulas.
 
         Args:
-            part: the part.
-            noun: the thing that was searched for without success before it, or "".
+            part: what comes after it.
+            noun: the thing that was found, or "".
             last: True if the end of the part may belong to all outcomes.
-            found: True if the thing was found.
         """
         if isinstance(part, Branches):
-            return self._node(part, noun, last)
-        text = _NOTHING_MORE.sub("", part)
-        orders, rest = areas_of(text, noun) if noun and not found else ([], "")
-        if orders:
-            *before, order = map(self.translate, orders)
-            tree: _Tree = _leaf(order, self._goals(rest) if rest else None, last)
-            for order in reversed(before):
-                tree = _Node(order, _NONE, tree)
-            return tree
-        if noun:
-            text = _FIND_IT.sub(rf"\g<find> {noun}", text)
+            return self._nested(part, noun, last)
+        text = _FIND_IT.sub(rf"\g<find> {noun}" if noun else r"\g<0>", _DONE.sub("", part))
+        tree = self._leaf(text, last)
+        return _NONE if tree.first is not None and _is_noun(tree.first, noun) else tree
+
+    def _after_failure(self, part: Branches | str, noun: str, last: bool, place: str) -> _Tree:
+        """Return what comes after an order that failed, with formulas.
+
+        Args:
+            part: see `_after_success`.
+            noun: the thing that was not found, or "".
+            last: see `_after_success`.
+            place: the room in which it was searched for, or "".
+        """
+        if isinstance(part, Branches):
+            return self._nested(part, noun, last)
+        text = _STOPS.sub("", part)
+        orders, text = areas_of(text, noun) if noun else ([], text)
+        text = _FIND_IT.sub(rf"\g<find> {noun}" if noun and not orders else r"\g<0>", text)
+        if noun and (found := _LOOKS.search(text)):
+            hint = "say 'look on the …' or 'look in the …', with one name each"
+            raise UnclearError(f"instruction: {text!r}: unclear where to look; {hint}", found[0])
+        there = _GO_THERE.match(text)
+        if there is not None:
+            text = _WAIT_THERE.sub(r"\1", text[there.end() :])
+        if (there and not place) or _IS_THERE.search(text):
+            raise UnclearError("instruction: 'there': unclear where; name the room", "there")
+        if there:
+            leaf, goal = self._leaf(text, last), self.translate(f"go to the {place}")
+            return _Leaf(goal if leaf.first is None else _then(goal, leaf.first), leaf.rest)
+        if not orders:
+            return self._leaf(text, last)
+        *before, order = map(self.translate, orders)
+        tree: _Tree = _leaf(order, self._goals(text) if text else None, last)
+        for order in reversed(before):
+            tree = _Node(order, _NONE, tree)
+        return tree
+
+    def _nested(self, branches: Branches, noun: str, last: bool) -> _Node:
+        node = self._node(branches, noun, last)
+        _refuse_rules(node.order, branches.order)
+        return node
+
+    def _leaf(self, text: str, last: bool) -> _Leaf:
         if not text:
             return _NONE
         named = re.fullmatch(NAME, text, re.I) and is_room(bare(text))  # "otherwise the hall"
         formula = self._goals(f"go to {text}" if named else text)
-        if found and _is_noun(formula, noun):  # "find it"
-            return _NONE
         first, later = _split_first(formula, bool(_NEXT_SENTENCE.search(text)))
         waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
-        return _leaf(first, later, last and not (waits or _THERE.search(text)))
+        return _leaf(first, later, last and not (waits or _HERE.search(text)))
 
     def _goals(self, text: str) -> Formula:
         """Return the formula of orders after a condition: only goals."""
@@ -147,9 +208,7 @@ class FallbackTranslator:
             hint = "after a condition, expected an order; say for example 'look in the hall'"
             raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
         formula = self.translate(text)
-        if any(part.op in ("G", "W") for part in postorder(formula)):
-            hint = "unclear if this always holds or only then; say first what to avoid"
-            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        _refuse_rules(formula, text)
         return formula
 
     def _node(self, branches: Branches, noun: str, last: bool) -> _Node:
@@ -161,6 +220,7 @@ class FallbackTranslator:
                 raise UnclearError(f"instruction: {_UNPLACED}")
             asks, goals = True, tuple(goal.removeprefix(f"{CHECK} ") for goal in goals)
             order = _with_last(order, lambda _: eventually(disj(*map(ap, goals))))
+        self._check_subject(branches, order, goals, noun)
         if condition.thing and branches.order and not _is_same(goals, condition.thing):
             thing = _singular(condition.thing)
             order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
@@ -170,16 +230,16 @@ class FallbackTranslator:
         goals = _last_goals(order)
         self._check_kind(goals, condition)
         noun = _noun(goals[0]) if all(map(self.is_thing, goals)) else ""
-        last = last and not branches.after
-        end = failed if branches.explicit == (condition.outcome == "found") else found
-        if branches.explicit and isinstance(end, str):  # "…, otherwise go to the hall, then …"
+        described = parse_description(goals[0]) if noun else None
+        place = described.room if described is not None else ""
+        end = failed if branches.both == (condition.outcome == "found") else found
+        if branches.both and isinstance(end, str):  # "…, otherwise go to the hall, then …"
             last = last and _THEN.search(end) is not None
         return _Node(
             order,
-            self._tree(found, noun, last and end is found, found=True),
-            self._tree(failed, noun, last and end is failed),
-            asks or condition.outcome == "failed" or branches.explicit,
-            self.translate(branches.after) if branches.after else None,
+            self._after_success(found, noun, last and end is found),
+            self._after_failure(failed, noun, last and end is failed, place),
+            asks or condition.outcome == "failed" or branches.both,
         )
 
     def _order(self, branches: Branches, noun: str) -> tuple[Formula, bool]:
@@ -198,12 +258,39 @@ class FallbackTranslator:
         answer = branches.failed if condition.outcome == "failed" else branches.found
         if not thing and condition.at and isinstance(answer, str):
             thing = sought_in(answer)  # "look for the mug in the hall if it is not on the desk"
-        presumes = condition.presumes or branches.explicit or condition.at
+        presumes = condition.presumes or branches.both or condition.at
         if not (thing and presumes) or (condition.there and not condition.at):
             hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
             raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
         thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
         return self.translate(f"{verb} {thing}{condition.at}"), True
+
+    def _check_subject(
+        self, branches: Branches, order: Formula, goals: Sequence[str], noun: str
+    ) -> None:
+        """Refuse a condition that may be about something else than the last goal of its order.
+
+        "Find the mug, then go to the bed, and if you can't find it …" may be about the mug.
+        """
+        condition, others = branches.condition, set(_targets(order)).difference(goals)
+        if any((thing := parse_description(goal)) and thing.is_new for goal in goals):
+            hint = "a number of things cannot have a fallback; say it for one of them"
+            raise UnclearError(f"instruction: {hint}")
+        things = all(map(self.is_thing, goals))
+        if condition.thing:  # one of a choice
+            is_unclear = len(goals) > 1 and _is_same(goals, condition.thing)
+        elif not branches.order:
+            is_unclear = False
+        elif things and condition.seeks is not False:
+            new = condition.seeks and noun and _noun(goals[0]) != noun
+            drives = new and _DRIVES.match(branches.order) is not None
+            is_unclear = bool(drives or any(map(self.is_thing, others)))
+        else:
+            is_unclear = bool(others or (condition.seeks and noun))
+        if is_unclear:
+            part = condition.thing or "it"
+            hint = "unclear which of the orders the condition is about; use one order before it"
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
     def _at(self, order: Formula, goals: Sequence[str], condition: OutcomeCondition) -> Formula:
         """Return the order with the place that the condition names: "if it is not in the hall"."""
@@ -217,14 +304,27 @@ class FallbackTranslator:
     def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
         """Refuse a condition that does not fit the goals: a wait is not found."""
         thing, part = all(map(self.is_thing, goals)), condition.thing or "it"
-        if any((described := parse_description(goal)) and described.is_new for goal in goals):
-            hint = "a number of things cannot have a fallback; say it for one of them"
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
         timed = goals[0].startswith((WAIT, EXPLORED))
         is_there = condition.seeks and condition.there and not thing
-        if timed or is_there or (condition.state and thing):
-            hint = "unclear what this is about, or a state that the robot cannot see"
+        if condition.state and thing:
+            hint = "the robot cannot see this state; say it for a room or a place"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        if timed or is_there:
+            hint = "unclear what this is about; name the thing that may be missing"
+            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+
+
+def _refuse_rules(formula: Formula, text: str) -> None:
+    """Refuse all but goals: what always holds, and a goal that is reached twice."""
+    if any(part.op in ("G", "W", "U", "!") for part in postorder(formula)):
+        hint = "with a condition, only goals are understood here; say first what to avoid"
+        raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+
+
+def _targets(formula: Formula) -> tuple[str, ...]:
+    """Return the propositions of a formula without its bans."""
+    parts = formula.args if formula.op == "&" else (formula,)
+    return propositions(conj(*(part for part in parts if part.op != "G")))
 
 
 def _leaf(first: Formula, rest: Formula | None, last: bool) -> _Leaf:
@@ -249,7 +349,6 @@ def _formula(tree: _Tree, after: Formula | None, spread: bool) -> Formula | None
     if isinstance(tree, _Leaf):
         parts = (tree.first, None if spread else tree.rest, after)
         return _in_sequence(*parts)
-    after = _in_sequence(tree.after, after)
     found, failed = _formula(tree.found, after, spread), _formula(tree.failed, after, spread)
 
     def branch(goal: Formula) -> Formula:

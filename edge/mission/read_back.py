@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from edge import names
+from edge.memory import parse_description
 from edge.mission.destinations import (
     CALLER,
     CheckTarget,
@@ -22,6 +23,7 @@ from edge.mission.destinations import (
     shown_s,
 )
 from edge.mission.language.english import Chain, alternatives_of, is_too_long, options_of
+from edge.mission.language.everyday_words import is_room
 from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
@@ -69,13 +71,17 @@ def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         yes, no = (part and _branches(part, destinations) for part in (found, missed))
         if not goal or "" in (yes, no):
             return ""
-        is_thing = destinations.get(goal[0]) is None
+        thing = parse_description(goal[0])
+        noun = goal[0] if thing is None else thing.noun
+        is_thing = destinations.get(goal[0]) is None and not is_room(noun)
         works, fails = (
             ("it is found", "it is not found") if is_thing else ("that works", "that fails")
         )
         text = " or ".join(_order(name, destinations) for name in goal)
         return f"{text}{f'; if {works}, {yes}' if yes else ''}; if {fails}, {no or 'that is all'}"
     goal, rest = _goal_and_rest(formula)
+    if not goal or any(isinstance(destinations.get(name), FailureTarget) for name in goal):
+        return ""
     text = " or ".join(_order(name, destinations) for name in goal)
     if rest is None:
         return text

@@ -278,7 +278,9 @@ class MissionRun:
         self._on_event(event)
 
     def replan(self, now_ns: int, retarget: bool = False) -> None:
-        """Plan from the current state; take planned steps without an object and failures at once.
+        """Plan from the current state. Take at once each planned step that reaches no object.
+
+        Such a step has no target, or its target is the failure of another one.
 
         Args:
             now_ns: time of the loop.

@@ -36,7 +36,7 @@ from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
-from edge.mission.language.places import EXPLORED, quote_places
+from edge.mission.language.places import EXPLORED, NO, quote_places
 from edge.mission.language.said import (
     Control,
     MemoryQuestion,
@@ -169,7 +169,7 @@ def prepare(
     """
     site = with_caller(site, caller)
     if formula is not None:
-        translation = make_translator(TranslatorLtl()).translate(formula)
+        translation = _with_failures(make_translator(TranslatorLtl()).translate(formula))
     elif instruction is not None or config.instruction is not None:
         ask = instruction is not None
         text = instruction if instruction is not None else config.instruction or ""
@@ -209,10 +209,28 @@ def translate(
     translator = make_translator(config.translator)
     if isinstance(config.translator, TranslatorLtl):
         quoted, repeat = split_repetition(quote_places(text, places))
-        return replace(translator.translate(quoted, reading, ask), repeat=repeat)
+        translation = _with_failures(translator.translate(quoted, reading, ask))
+        return replace(translation, repeat=repeat)
     speech = tidy_up(text)
     if (branches := split_outcomes(speech.text)) is not None:
-        return _translate_branches(config, branches, speech, site, reading, ask, text)
+        try:
+            return _translate_branches(config, branches, speech, site, reading, ask, text)
+        except UnclearError as error:
+            if not branches.is_rule:
+                raise
+            try:
+                return _translate_plain(config, text, site, reading, ask)
+            except TranslationError:
+                raise error from None
+    return _translate_plain(config, text, site, reading, ask)
+
+
+def _translate_plain(
+    config: MissionConfig, text: str, site: Site, reading: int | None = None, ask: bool = True
+) -> Translation:
+    """Translate an order without looking for fallbacks in it; see `translate`."""
+    places = [place.name for place in site.places] + [room.name for room in site.room_names]
+    translator = make_translator(config.translator)
     order = understand(text, [item.name for item in site.items])
     if not isinstance(order, MissionOrder):
         raise NoMissionError(order)
@@ -228,6 +246,7 @@ def translate(
     if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
+    _refuse_other_of_kind(translation.formula)
     english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"
@@ -273,19 +292,43 @@ def _translate_branches(
         return destination_of(name, site) is None and not is_room(noun)
 
     formulas = FallbackTranslator(translate_part, is_thing).readings(branches)
+    if branches.may_drive:
+        formulas.append(_translate_plain(config, instruction, site).formula)
+    if any(name.startswith(NO) for part in parts for name in ltl.propositions(part.formula)):
+        raise UnclearError("instruction: with a condition, no name may begin with 'no'")
     read = ParsedInstruction(formulas, parts[0].backend)
     try:
         translation = Translator("fallbacks", lambda _: read).translate(instruction, reading, ask)
     except AmbiguousInstructionError as error:
         shown = [
-            with_destinations(Translation("", r.formula, r.english, ""), site)
+            with_destinations(_with_failures(Translation("", r.formula, r.english, "")), site)
             for r in error.readings
         ]
         offered = tuple(Reading(one.formula, one.english) for one in shown)
         raise AmbiguousInstructionError(offered, error.implied) from None
     notes = "".join(part.english.removeprefix(describe(part.formula)) for part in parts)
     english = translation.english + notes + _note(speech.reasons, translation.formula)
-    return replace(translation, english=english)
+    return _with_failures(replace(translation, english=english))
+
+
+def _with_failures(translation: Translation) -> Translation:
+    """Return a translation in which "no mug" is the failure of the target "mug"."""
+    targets = ltl.propositions(translation.formula)
+    failures = {name: failure_of(name, targets) for name in targets}
+    return replace(
+        translation, destinations={name: one for name, one in failures.items() if one is not None}
+    )
+
+
+def _refuse_other_of_kind(formula: Formula) -> None:
+    """Refuse one thing of a kind of which a number is asked for: "two dogs, but avoid the dog"."""
+    things = [(name, parse_description(name)) for name in ltl.propositions(formula)]
+    counted = {thing.noun for _, thing in things if thing is not None and thing.is_new}
+    for name, thing in things:
+        noun = name if thing is None else thing.noun
+        if (thing is None or not thing.is_new) and names.same_as_any(noun, counted):
+            hint = "unclear if it is one of those that you counted; leave it out"
+            raise UnclearError(f"instruction: {one_line(noun)!r}: {hint}", noun)
 
 
 def _note(reasons: Sequence[str], formula: Formula) -> str:
@@ -356,9 +399,8 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     """
     found: dict[str, Destination] = {}
     english = translation.english
-    propositions = ltl.propositions(translation.formula)
-    for name in propositions:
-        destination = failure_of(name, propositions) or destination_of(name, site)
+    for name in ltl.propositions(translation.formula):
+        destination = translation.destinations.get(name) or destination_of(name, site)
         if destination is not None:
             _refuse_closed(name, destination, site)
             found[name] = destination

@@ -65,7 +65,7 @@ def test_a_reached_object_is_no_candidate_for_the_next_of_several():
 @pytest.mark.parametrize(
     ("said", "phase", "reason"),
     [
-        ("find two sofas", "reached", "sofa 1 of two, then sofa 2 of two"),
+        ("find two sofas", "reached", "sofa 1 of 2, then sofa 2 of 2"),
         ("find three sofas", "failed", "explored all reachable space"),
     ],
 )

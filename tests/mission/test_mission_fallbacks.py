@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from edge.config import MissionConfig, TranslatorGrammar
 from edge.errors import UserError
 from edge.lab.eval.everyday import SITE
+from edge.mission.destinations import FailureTarget
 from edge.mission.language.fallbacks import split_outcomes
+from edge.mission.language.impossible import refuse_states
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare
 
@@ -87,7 +89,25 @@ def test_an_order_without_a_condition_has_no_branches():
          'F "cup in the kitchen" | F "no cup in the kitchen"'),
         ("go to the kitchen; if there's nobody there, wait there for 5 minutes",
          'F (kitchen & (F "person in the kitchen" | '
-         'F ("no person in the kitchen" & F "wait 300 s")))'),
+         'F ("no person in the kitchen" & F (kitchen & F "wait 300 s"))))'),
+        ("if there is nobody in the kitchen, go there and wait",
+         'F "person in the kitchen" | F ("no person in the kitchen" & F (kitchen & F wait))'),
+        # Orders that hold in any case.
+        ("find the mug; if it's not there go to the hall. In any case avoid the dog.",
+         '(F mug | F ("no mug" & F hall)) & G !dog'),
+        ("find the mug; if it's not there go to the hall. Finally come back and avoid the dog.",
+         '(F (mug & F here) | F ("no mug" & F (hall & F here))) & G !dog'),
+        # A rule that always holds is no branch.
+        ("find the cup or the mug; if you find the cup come back", "F (cup | mug) & G (cup -> F here)"),
+        ("go to the hall, and if you find the mug, go to the bed", "F hall & G (mug -> F bed)"),
+        ("go to the kitchen; if you see a dog, come back", "F kitchen & G (dog -> F here)"),
+        ("visit the bed and the sofa. If you see the dog go home.",
+         "F bed & F sofa & G (dog -> F start)"),
+        ("explore the house; if you find the mug come back", "F explored & G (mug -> F here)"),
+        # An order to drive is no place to look.
+        ("look for the mug in the kitchen, then go in the hall", 'F ("mug in the kitchen" & F hall)'),
+        ("look for the mug in the kitchen, go to the sofa, then in the hall, wait for two minutes",
+         'F ("mug in the kitchen" & F (sofa & F (hall & F "wait 2 min")))'),
         ("look for the cup in the hall; if it's not there, look for it on the desk",
          'F "cup in the hall" | F ("no cup in the hall" & F "cup on the desk")'),
         ("find the cup in the hall; if it's not there, find it in the kitchen, then the bedroom",
@@ -106,7 +126,7 @@ def test_an_order_without_a_condition_has_no_branches():
         ("Is there a mug in the kitchen? Go to it but stay out of the hall.",
          'F "mug in the kitchen" & G !hall'),
         # Several of a kind.
-        ("find two chairs, then come back", 'F ("chair 1 of two" & F ("chair 2 of two" & F here))'),
+        ("find two chairs, then come back", 'F ("chair 1 of 2" & F ("chair 2 of 2" & F here))'),
         ("visit both tables in the kitchen",
          'F ("table 1 of 2 in the kitchen" & F "table 2 of 2 in the kitchen")'),
     ],
@@ -124,8 +144,8 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
     [
         ("if the kitchen is blocked, go to the bathroom", "say first what to do"),
         ("if you see the cat, come back", "say first what to do"),
-        ("go to the kitchen; if you see a dog, come back", "say where"),
-        ("go to the door; if it is closed, come back", "a state that the robot cannot see"),
+        ("go to the kitchen; if you see a dog, come back, otherwise wait", "say where"),
+        ("go to the door; if it is closed, come back", "the robot cannot see this state"),
         ("go to the kitchen; if it is not there, come back", "unclear what this is about"),
         ("go to the sofa and the bed; if you can't find it, come back", "one sequence of orders"),
         ("go to the hall, then to the dock if the mug is there", "unclear what to do then"),
@@ -158,8 +178,94 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("Where is the mug? Do not go there.", "one thing at a time"),
         ("find six chairs", "expected the name"),
         ("find a free chair", "cannot tell if a thing is free"),
-        ("go to the door that is open", "cannot tell if a thing is open"),
+        ("go to the door that is open", "the state of an object cannot be used"),
         ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
+        # "It" may be something else than the last goal.
+        (
+            "look for the mug in the hall; if it's not there go to the kitchen; if you can't find it "
+            "come back",
+            "'it': unclear which of the orders",
+        ),
+        (
+            "find the mug; if it's not there go to the bed. If you can't find it, come back.",
+            "'it': unclear which of the orders",
+        ),
+        (
+            "find the mug, then go to the bed, and if you couldn't find it come back",
+            "'it': unclear which of the orders",
+        ),
+        (
+            "find the mug and come back; if you can't find it, wait",
+            "'it': unclear which of the orders",
+        ),
+        ("find the mug and come back, otherwise wait", "'it': unclear which of the orders"),
+        (
+            "go to the kitchen and find the mug; if you can't get in, come back",
+            "'it': unclear which of the orders",
+        ),
+        (
+            "find the mug or the cup; if you find the mug go to the bed, otherwise go to the sofa",
+            "'the mug': unclear which of the orders",
+        ),
+        (
+            "find the cup or the mug; if the cup is not there go to the bed",
+            "'the cup': unclear which of the orders",
+        ),
+        (
+            "go to the kitchen or the hall; if the kitchen is closed come back",
+            "'the kitchen': unclear which of the orders",
+        ),
+        (
+            "go to the bed; if that fails go to the sofa; if that works come back",
+            "'if that works': unclear which of the orders",
+        ),
+        (
+            "find the mug; if you can't find it find the cup; if you find it come back",
+            "'if you find it': unclear which of the orders",
+        ),
+        (
+            "find the mug; if you can't find it go to the bed; if it is there, come back",
+            "'if it is there': unclear which of the orders",
+        ),
+        (
+            "go to the dock; if you can get there go to the shelf; if you can't get there come back",
+            "'if you can not get there': unclear which of the orders",
+        ),
+        # An order that would be lost.
+        (
+            "find the mug; if it's not there, look on the desk in the office",
+            "unclear where to look",
+        ),
+        (
+            "find the mug; if it isn't on the desk, go to the kitchen and look on it",
+            "unclear where to look",
+        ),
+        (
+            "find the mug; if it isn't in the hall, go to the office and search it",
+            "unclear where to look",
+        ),
+        (
+            "find the mug; if you can't find it, come back and then find it again",
+            "unclear where to look",
+        ),
+        ("find the mug; if you can't find it, go there and wait", "'there': unclear where"),
+        ("find the mug; if you can't find it, come back and wait there", "'there': unclear where"),
+        ("go to the kitchen, then the bed if it's there, then the sofa", "unclear what to do then"),
+        ("visit the bed if you can reach it, then the sofa", "unclear what to do then"),
+        ("find the mug; if it's not there go to the bed twice", "only goals are understood here"),
+        (
+            "find the mug; if it's not there find the cup but avoid the dog; if you can't find it "
+            "come back",
+            "only goals are understood here",
+        ),
+        # Numbers of things.
+        ("find three chairs in the kitchen but not in the hall", "differ by kind"),
+        ("find two dogs but avoid the dog", "expected the name"),
+        ("find two dogs, but avoid the dog", "one of those that you counted"),
+        ("find the chair, then find two chairs", "one of those that you counted"),
+        ("find two chairs, a table and a lamp", "expected the name"),
+        ('find the "no entry sign"; if it is not there, come back', "may begin with 'no'"),
+        ("come back; if you can't get there, wait", "this cannot fail"),
     ],
 )
 def test_an_unclear_condition_is_refused_in_one_line(said, hint):
@@ -219,6 +325,40 @@ def test_an_end_that_may_belong_to_the_condition_is_asked_about():
 )  # fmt: skip
 def test_an_order_with_a_condition_is_read_back(said, english):
     assert understood(said).translation.english == english
+
+
+def test_a_place_with_more_orders_is_asked_about():
+    said = "look for the mug in the kitchen, then in the hall, wait for two minutes"
+    with pytest.raises(AmbiguousInstructionError) as error:
+        understood(said)
+    assert [str(reading.formula) for reading in error.value.readings][2:] == [
+        'F ("mug in the kitchen" & F (hall & F "wait 2 min"))'
+    ]
+
+
+@pytest.mark.parametrize("name", ["reserved sign", "open mic", "closed captions"])
+def test_a_state_in_a_name_is_no_state(name):
+    refuse_states(f"find the {name}, then a {name} board")
+    with pytest.raises(UserError, match="cannot tell"):
+        refuse_states(f"find the {name.split()[0]} chair.")
+
+
+def test_only_formulas_and_conditions_name_failures():
+    spec = understood('find the "no entry sign" and the "entry sign"')
+    assert not spec.translation.destinations
+    spec = prepare(GRAMMAR, formula='F "no entry sign" & F "entry sign"', site=SITE)
+    assert spec.translation.destinations == {"no entry sign": FailureTarget("entry sign")}
+    assert spec.translation.english == (
+        "Reach the point where the robot gives up entry sign and the entry sign in any order."
+    )
+
+
+@pytest.mark.parametrize(
+    "formula", ['F "no here" & F here', 'F "no wait" | F wait', 'F "no no mug"']
+)
+def test_a_target_that_cannot_fail_has_no_failure(formula):
+    with pytest.raises(UserError, match="this cannot fail; leave it out"):
+        prepare(GRAMMAR, formula=formula, site=SITE)
 
 
 def test_a_state_in_quotes_belongs_to_the_name():

@@ -78,6 +78,10 @@ class Pursuit(Generic[DestinationType]):
 
     def gather(self) -> Sequence[Instance]:
         """Return the objects that are candidates for this target."""
+        return self._known_objects()
+
+    def _known_objects(self) -> Sequence[Instance]:
+        """Return the known objects that the target may mean."""
         only_confirmed = not self._map.config.policy.instances
         # Objects that probably are another thing come last, when nothing else is left.
         doubted = self._chooser.search.exhausted or self._last_look
@@ -86,8 +90,7 @@ class Pursuit(Generic[DestinationType]):
     def check_progress(self, context: PolicyInput, images: int) -> None:
         """Check the goal, then the end of the target; see `Behaviour.plan`."""
         retargets_before = self._mission.retargets
-        if self._since_ns is None:
-            self._since_ns = context.observation.stamp_ns
+        self._begin(context)
         self._goals.check_progress(
             self._map.grid, context.pose, self._mission, images, context.now_ns, self._is_reached
         )
@@ -99,6 +102,11 @@ class Pursuit(Generic[DestinationType]):
             self.finish(context.now_ns)
         elif self._goals.phase == "searching":
             self._mind_limits(context.now_ns)
+
+    def _begin(self, context: PolicyInput) -> None:
+        """Note the time of the first observation: an object must be seen after it."""
+        if self._since_ns is None:
+            self._since_ns = context.observation.stamp_ns
 
     def _mind_limits(self, now_ns: int) -> None:
         """Go to the object that may be the target while the limits just suffice for that."""

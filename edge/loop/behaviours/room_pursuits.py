@@ -15,7 +15,7 @@ from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, MappedRoom, RoomSurvey, kind_of_room
+from edge.memory import RECOGNISED_KINDS, DescribedThing, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import CheckTarget, ExploreTarget, RoomTarget, room_target
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
@@ -266,7 +266,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def __init__(
         self,
-        destination: ExploreTarget | CheckTarget,
+        destination: ExploreTarget | CheckTarget | DescribedThing,
         mission: MissionRun,
         semantic_map: SemanticMap,
         goals: GoalTracker,
@@ -327,10 +327,10 @@ class SearchRoomPursuit(ExploreRoomPursuit):
     """Pursuit of a thing in one room: it fails as soon as the room is explored."""
 
     def gather(self) -> Sequence[Instance]:
-        return Pursuit.gather(self)
+        return self._known_objects()
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
-        self._since_ns = self._since_ns or context.observation.stamp_ns
+        self._begin(context)
         super().check_progress(context, images)
 
     def end(self, now_ns: int) -> None:
@@ -358,7 +358,7 @@ class CheckRoomPursuit(ExploreRoomPursuit):
         return self._answer.label
 
     def gather(self) -> Sequence[Instance]:
-        return () if self._inside is None else self._in_room(Pursuit.gather(self), self._inside)
+        return () if self._inside is None else self._in_room(self._known_objects(), self._inside)
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         seen = self._answer.new_detections(context)

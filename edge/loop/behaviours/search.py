@@ -51,13 +51,13 @@ def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
     return pursuit_class(destination, *others)
 
 
-def _make_thing_pursuit(destination: None, mission: MissionRun, *others: Any) -> Pursuit:
+def _make_thing_pursuit(_: None, mission: MissionRun, *others: Any) -> Pursuit:
     """Return the pursuit of a thing; one with a fallback is not sought outside its room."""
     thing = parse_description(mission.target)
     has_fallback = FailureTarget(mission.target) in mission.destinations.values()
     if thing is not None and thing.room and has_fallback:
-        return SearchRoomPursuit(ExploreTarget(thing.room), mission, *others)
-    return Pursuit(destination, mission, *others)
+        return SearchRoomPursuit(thing, mission, *others)
+    return Pursuit(None, mission, *others)
 
 
 PURSUITS: dict[type | None, Callable[..., Pursuit]] = {

@@ -325,7 +325,8 @@ COUNTED = re.compile(
     rf"(?P<count>{COUNT}|both)(?: of)?(?: the| my| these| those| our)?"
     rf"(?: (?:different|separate|distinct))? (?P<thing>{PLAIN_NAME})"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME}))?"
-    r"(?=[.,;!?]|$| (?:and|then|but)\b(?! the\b| an?\b))",
+    r"(?=[.;!?]|$|,(?! (?:and |or )?(?:the|an?|my|our|both|but not|not|\d|"
+    r"two|three|four|five)\b)| (?:and|then)\b(?! (?:the|an?|my|our|both|two|three|four|five)\b))",
     re.I,
 )
 GOES_TO = re.compile(rf"{_CLAUSE_START}{phrase_of('go to')} (?P<name>\"[^\"]*\"|{NAME})", re.I)

@@ -54,7 +54,8 @@ class Branches:
         found: what to do if it succeeds; None: nothing more.
         failed: what to do if it fails; None: the mission fails, or with `found`, nothing more.
         after: what to do in the end, whatever the outcome; "": nothing.
-        explicit: True if the text says what to do after both outcomes.
+        both: True if the text says what to do after both outcomes.
+        may_drive: True if the text may also be read as orders to drive: "…, then in the hall, …".
     """
 
     order: str
@@ -62,7 +63,15 @@ class Branches:
     found: Branches | str | None
     failed: Branches | str | None
     after: str = ""
-    explicit: bool = False
+    both: bool = False
+    may_drive: bool = False
+
+    @property
+    def is_rule(self) -> bool:
+        """True if it may be a rule that holds all the time: "…, if you see the dog, come back"."""
+        condition = self.condition
+        named = bool(self.order and condition.thing) and condition.outcome == "found"
+        return named and isinstance(self.found, str) and self.failed is None
 
 
 _PARTS = {
@@ -161,6 +170,8 @@ _LEADS = re.compile(
 _RETURNS = re.compile(
     r"(?:(?:come|go|get|drive|return|head) )?(?:back|home)\b|return$|wait|stay|stop", re.I
 )
+_SEEKS = re.compile(r"\b(?:find|look|search|locate|hunt|check|try)\b", re.I)
+_DRIVES = re.compile(r"\b(?:go|drive|head|move|come|visit)\b(?! (?:back|home)\b)", re.I)
 _INSTEAD = re.compile(r",? instead\b(?! of)", re.I)
 # What follows in any case.
 _AFTER = re.compile(
@@ -190,10 +201,12 @@ _GO_AND_LOOK = re.compile(
     re.I,
 )
 _SOUGHT = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<thing>{NAME})", re.I)
+_IN_CLAUSE = r"(?:(?! and )[^,;.!?])*"
 # "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
 _SEARCHES = re.compile(
-    rf"\b(?:search|check) {NAME} for\b|\blook {phrase_of('relation')} .* for\b|"
-    rf"\b(?:(?:look|hunt|search)\b.* for|find\b(?=.* or else$)).* {phrase_of('relation')} ",
+    rf"\b(?:(?:search|check) {NAME} for\b|look {phrase_of('relation')} {_IN_CLAUSE} for\b|"
+    rf"(?:(?:look|hunt|search)\b{_IN_CLAUSE} for|find\b(?=.* or else$)){_IN_CLAUSE} "
+    rf"{phrase_of('relation')} ){_IN_CLAUSE}[,;.]? (?:or else|(?:and )?then)$",
     re.I,
 )
 
@@ -212,12 +225,13 @@ def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
 
 @dataclass(frozen=True, slots=True)
 class _Match:
-    """A condition at a place of the text, and True if orders of both outcomes may follow it."""
+    """A condition at a place of the text."""
 
     begin: int
     end: int
     condition: OutcomeCondition
-    is_bare: bool  # "otherwise"
+    is_bare: bool  # "otherwise", also "then in the hall"
+    may_drive: bool = False  # see `Branches`
 
 
 def split_outcomes(text: str) -> Branches | None:
@@ -237,7 +251,8 @@ def split_outcomes(text: str) -> Branches | None:
         return None
     tail = _AFTER.search(text, matches[-1].end)
     body, after = (text[: tail.start()], tail["rest"]) if tail else (text, "")
-    return replace(_split(body, matches, 0), after=after)
+    may_drive = any(one.may_drive for one in matches)
+    return replace(_split(body, matches, 0), after=after, may_drive=may_drive)
 
 
 def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
@@ -250,6 +265,9 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     order, answer = _order(before), _order(answer_text)
     if re.match(r"\s+(?:and|or)\b", answer_text, re.I):  # "if it is not in the hall or the study"
         raise _unclear(text[first.begin :])
+    is_inside = before.strip() and not (first.is_bare or _BOUND.search(before))
+    if answer and is_inside and re.match(r"[,;.!?]|\s+then\b", answer_text, re.I):
+        raise _unclear(text[first.begin : first.end])  # "the bed if it is there, then the sofa"
     condition = first.condition
     if _INSTEAD.search(answer_text) and condition.thing:  # then the robot was to go to the thing
         condition = replace(condition, presumes=True)
@@ -264,12 +282,13 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     then: Branches | str = _split(text, nested, first.end) if nested else answer
     other: Branches | str | None = None
     if opposite:
+        _refuse_other_subject(text, first, opposite[0])
         behind = text[opposite[0].end :]
         other = _split(text, last, opposite[0].end) if last else _order(behind)
         if not behind.strip(" .,;!?"):
             raise _unclear(text[opposite[0].begin :])
     outcomes = (then, other) if first.condition.outcome == "found" else (other, then)
-    return Branches(order, condition, *outcomes, explicit=bool(opposite))
+    return Branches(order, condition, *outcomes, both=bool(opposite))
 
 
 def _is_opposite(first: _Match, second: _Match) -> bool:
@@ -279,6 +298,20 @@ def _is_opposite(first: _Match, second: _Match) -> bool:
     if second.is_bare:
         return not first.is_bare
     return second.condition.outcome != first.condition.outcome
+
+
+def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
+    """Refuse a second condition that may be about the order between the two.
+
+    An example is "go to the bed; if that fails go to the sofa; if that works come back".
+    """
+    between, phrase = text[first.end : second.begin], text[second.begin : second.end]
+    seeks = second.condition.seeks
+    drives = seeks is False or first.condition.outcome == "failed"
+    moves = _SEEKS.search(between) or (drives and _DRIVES.search(between))
+    if re.search(r"\b(?:that|this)\b", phrase, re.I) or (seeks is not None and moves):
+        part, hint = phrase.strip(), "unclear which of the orders this is about"
+        raise UnclearError(f"instruction: {part!r}: {hint}; say 'otherwise'", part)
 
 
 def _order(text: str) -> str:
@@ -303,9 +336,13 @@ def _matches(text: str) -> list[_Match]:
             continue
         if trigger["area"]:  # "look for the mug in the hall, then in the kitchen"
             area = _AREA.match(trigger["area"])
-            is_area = area is not None and area["relation"] and not area["verb"]
-            if is_area and not found and _SEARCHES.search(text[: trigger.end()]):
-                found.append(_Match(begin, trigger.end(), OutcomeCondition("failed"), True))
+            if area is None or area["verb"] or not area["relation"] or area[0].startswith("go "):
+                continue
+            if not found and _SEARCHES.search(text[: trigger.end()]):
+                goes_on = re.search(r"\w", trigger["area"][area.end() :]) is not None
+                may_drive = goes_on and "then" in trigger["word"].lower()
+                condition = OutcomeCondition("failed")
+                found.append(_Match(begin, trigger.end(), condition, True, may_drive))
             continue
         if _LIMITED.search(before):
             return []
