@@ -286,7 +286,8 @@ class FallbackTranslator:
             drives = new and _DRIVES.match(branches.order) is not None
             is_unclear = bool(drives or any(map(self.is_thing, others)))
         else:
-            is_unclear = bool(others or (condition.seeks and noun))
+            rooms = [thing.room for thing in map(parse_description, goals) if thing is not None]
+            is_unclear = bool(others or (condition.seeks and noun) or any(rooms))
         if is_unclear:
             part = condition.thing or "it"
             hint = "unclear which of the orders the condition is about; use one order before it"
@@ -296,6 +297,8 @@ class FallbackTranslator:
         """Return the order with the place that the condition names: "if it is not in the hall"."""
         if len(goals) == 1 and goals[0].endswith(condition.at.lower()):
             return order
+        if condition.outcome == "found":  # "find the dog; if it is in the kitchen, come back"
+            raise UnclearError(f"instruction: {_UNPLACED}")
         if len(goals) > 1 or parse_description(goals[0]) or condition.at.endswith(" it"):
             part = condition.at.strip()
             raise UnclearError(f"instruction: {part!r}: unclear what should be there", part)

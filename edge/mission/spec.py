@@ -273,7 +273,8 @@ def _translate_branches(
             parts.append(translate(config, part, site))
         except (AmbiguousInstructionError, NoMissionError) as error:
             said = error.said if isinstance(error, NoMissionError) else None
-            if isinstance(said, Control) and said.do == "pause":  # "wait there for two minutes"
+            waits_for = re.search(r"\buntil (?!I |we )", part, re.I)  # "wait until it is there"
+            if isinstance(said, Control) and said.do == "pause" and not waits_for:
                 return ltl.eventually(
                     ltl.ap(f"wait {said.seconds:g} s" if said.seconds else "wait")
                 )

@@ -98,14 +98,16 @@ def test_an_order_without_a_condition_has_no_branches():
         ("find the mug; if it's not there go to the hall. Finally come back and avoid the dog.",
          '(F (mug & F here) | F ("no mug" & F (hall & F here))) & G !dog'),
         # A rule that always holds is no branch.
-        ("find the cup or the mug; if you find the cup come back", "F (cup | mug) & G (cup -> F here)"),
+        ("find the cup or the mug; if you find the cup come back",
+         "F (cup | mug) & G (cup -> F here)"),
         ("go to the hall, and if you find the mug, go to the bed", "F hall & G (mug -> F bed)"),
         ("go to the kitchen; if you see a dog, come back", "F kitchen & G (dog -> F here)"),
         ("visit the bed and the sofa. If you see the dog go home.",
          "F bed & F sofa & G (dog -> F start)"),
         ("explore the house; if you find the mug come back", "F explored & G (mug -> F here)"),
         # An order to drive is no place to look.
-        ("look for the mug in the kitchen, then go in the hall", 'F ("mug in the kitchen" & F hall)'),
+        ("look for the mug in the kitchen, then go in the hall",
+         'F ("mug in the kitchen" & F hall)'),
         ("look for the mug in the kitchen, go to the sofa, then in the hall, wait for two minutes",
          'F ("mug in the kitchen" & F (sofa & F (hall & F "wait 2 min")))'),
         ("look for the cup in the hall; if it's not there, look for it on the desk",
@@ -182,8 +184,8 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
         # "It" may be something else than the last goal.
         (
-            "look for the mug in the hall; if it's not there go to the kitchen; if you can't find it "
-            "come back",
+            "look for the mug in the hall; if it's not there go to the kitchen; if you can't find "
+            "it come back",
             "'it': unclear which of the orders",
         ),
         (
@@ -228,7 +230,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
             "'if it is there': unclear which of the orders",
         ),
         (
-            "go to the dock; if you can get there go to the shelf; if you can't get there come back",
+            "go to the dock; if you can get there go to the shelf; if you can't get there wait",
             "'if you can not get there': unclear which of the orders",
         ),
         # An order that would be lost.
@@ -258,6 +260,11 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
             "come back",
             "only goals are understood here",
         ),
+        ("find the mug; if there isn't one in the kitchen, find a cup", "unclear what to do then"),
+        ("find the mug and the cup if they are in the kitchen", "unclear what to do then"),
+        ("find the dog; if it is in the kitchen, come back", "which place or order"),
+        ("find the mug in the hall; if you can't get in, come back", "unclear which of the orders"),
+        ("find the mug; if it's not there wait until it is", "an order that has one meaning"),
         # Numbers of things.
         ("find three chairs in the kitchen but not in the hall", "differ by kind"),
         ("find two dogs but avoid the dog", "expected the name"),

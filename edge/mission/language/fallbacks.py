@@ -262,20 +262,23 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     at = next((i for i, one in enumerate(rest) if _is_opposite(first, one)), len(rest))
     nested, opposite, last = rest[:at], rest[at : at + 1], rest[at + 1 :]
     answer_text = text[first.end : opposite[0].begin if opposite else len(text)]
-    order, answer = _order(before), _order(answer_text)
+    order, answer, condition = _order(before), _order(answer_text), first.condition
     if re.match(r"\s+(?:and|or)\b", answer_text, re.I):  # "if it is not in the hall or the study"
+        raise _unclear(text[first.begin :])
+    is_open = condition.seeks and not condition.there  # "if there is not one in the kitchen, …"
+    if is_open and re.match(rf"\s+{phrase_of('relation')}\s", answer_text, re.I):
         raise _unclear(text[first.begin :])
     is_inside = before.strip() and not (first.is_bare or _BOUND.search(before))
     if answer and is_inside and re.match(r"[,;.!?]|\s+then\b", answer_text, re.I):
         raise _unclear(text[first.begin : first.end])  # "the bed if it is there, then the sofa"
-    condition = first.condition
     if _INSTEAD.search(answer_text) and condition.thing:  # then the robot was to go to the thing
         condition = replace(condition, presumes=True)
     if not answer:  # "come back if you can not find it"
         *orders, answer = re.split(r",? (?:and|or|but|then)(?: then)? |[,;.] ", order)
         order = orders[0] if orders else ""
         there = first.condition.there and not _RETURNS.match(answer)
-        if _BOUND.search(before) or len(orders) > 1 or nested or there:
+        no_order = bool(orders) and not _is_followed_by_order(f" {answer}")
+        if _BOUND.search(before) or len(orders) > 1 or nested or there or no_order:
             raise _unclear(text[first.begin : first.end])
     if nested and (opposite or first.condition.outcome == "found"):
         raise _unclear(text[nested[0].begin : nested[0].end])
