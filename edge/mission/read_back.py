@@ -79,6 +79,9 @@ def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         )
         text = " or ".join(_order(name, destinations) for name in goal)
         return f"{text}{f'; if {works}, {yes}' if yes else ''}; if {fails}, {no or 'that is all'}"
+    if formula.op == "&":
+        parts = [_branches(part, destinations) for part in formula.args]
+        return " and ".join(parts) + ", in any order" if all(parts) else ""
     goal, rest = _goal_and_rest(formula)
     if not goal or any(isinstance(destinations.get(name), FailureTarget) for name in goal):
         return ""

@@ -176,6 +176,7 @@ def prepare(
         reading = reading if ask else config.reading
         try:
             translation = translate(config, text, site, reading, ask)
+            _refuse_other_of_kind(translation.formula)
         except TranslationError as error:
             raise _with_position(error, text) from None
         repeat = repeat or translation.repeat
@@ -246,7 +247,6 @@ def _translate_plain(
     if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
         hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
-    _refuse_other_of_kind(translation.formula)
     english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
         english += " (The robot has no arms: it only drives there.)"

@@ -94,7 +94,7 @@ _PARTS = {
     "can": "[can|do|could|did|happen to|manage to|are able to|should]*",
     "at": "[(standing|lying|sitting|parked|placed|left)] [<relation> (<anchor>|it|them)]",
     "blocked": """
-        (blocked|closed|locked|shut|closed off|shut off|obstructed|not (open|accessible|reachable))
+        (blocked|closed off|shut off|closed|locked|shut|obstructed|not (open|accessible|reachable))
         """,
     "enter": """
         ((get|go|drive|come|make it) (in|inside|in there|into it|to it|there|through [it]|past)|
@@ -182,6 +182,7 @@ _AFTER = re.compile(
     re.I,
 )
 _FOR_IT = r"(?:\s+(?:for\s+(?:it|them|one|him|her)|again|also|too|as well|next))*"
+_RELATION = re.compile(rf"\s+{phrase_of('relation')}\s", re.I)
 _AREA = re.compile(
     r"(?:(?:go|then|also|and|next)\s+)*"
     rf"(?:(?P<verb>look|search|try|check|hunt|(?:have|take) a look){_FOR_IT}\s+)?"
@@ -264,9 +265,6 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     answer_text = text[first.end : opposite[0].begin if opposite else len(text)]
     order, answer, condition = _order(before), _order(answer_text), first.condition
     if re.match(r"\s+(?:and|or)\b", answer_text, re.I):  # "if it is not in the hall or the study"
-        raise _unclear(text[first.begin :])
-    is_open = condition.seeks and not condition.there  # "if there is not one in the kitchen, …"
-    if is_open and re.match(rf"\s+{phrase_of('relation')}\s", answer_text, re.I):
         raise _unclear(text[first.begin :])
     is_inside = before.strip() and not (first.is_bare or _BOUND.search(before))
     if answer and is_inside and re.match(r"[,;.!?]|\s+then\b", answer_text, re.I):
@@ -370,8 +368,6 @@ def _condition_at(text: str, begin: int) -> _Match | None:
         match = pattern.match(spaced)
         if match is None or re.match(r" not\b", spaced[match.end() :]):  # "if you do not mind"
             continue
-        if outcome == "found" and not seeks and not _is_followed_by_order(spaced[match.end() :]):
-            continue  # "if you enter the hall", "if you have been to the bed"
         if best is None or match.end() > best[0].end():
             best = match, outcome, seeks
     if best is None:
@@ -385,6 +381,13 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     there = re.search(r"\b(?:there|here|in it|(?:that|this) (?:room|place))\b", says_there, re.I)
     state = seeks is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
     presumes = bool(thing) and (bool(at) or (outcome == "failed" and not state))
+    rest = spaced[match.end() :]
+    is_area = bool(there) and seeks and _RELATION.match(rest)  # "if it is not there in the hall"
+    told = outcome == "found" or seeks is not None
+    if told and not (is_area or _is_followed_by_order(rest)):
+        return None  # "if you enter the hall", "if you have been to the bed", "if it is not free"
+    if phrase.endswith("can not") and re.match(r" (?!then\b)\w", rest):
+        return None  # "if you can not hear the dog"
     condition = OutcomeCondition(outcome, seeks, thing, at, bool(there), presumes, state)
     return _Match(begin, begin + match.end() - 1, condition, is_bare)
 
@@ -392,7 +395,10 @@ def _condition_at(text: str, begin: int) -> _Match | None:
 def _is_followed_by_order(text: str) -> bool:
     """Return True if a clause ends before a text, or an order begins with it."""
     word = re.match(r" (?:then |please |just )*(\w+)", text)
-    return word is None or TABLE.get((word[1].lower(),)) == "verb" or bool(_RETURNS.match(word[1]))
+    is_order = word is not None and TABLE.get((word[1].lower(),)) in ("verb", "and", "or")
+    area = _AREA.match(text.strip())
+    is_area = area is not None and area["verb"] is not None
+    return word is None or is_order or is_area or _RETURNS.match(word[1]) is not None
 
 
 def areas_of(text: str, noun: str) -> tuple[list[str], str]:
