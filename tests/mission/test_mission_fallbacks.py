@@ -105,6 +105,8 @@ def test_an_order_without_a_condition_has_no_branches():
         ("visit the bed and the sofa. If you see the dog go home.",
          "F bed & F sofa & G (dog -> F start)"),
         ("explore the house; if you find the mug come back", "F explored & G (mug -> F here)"),
+        ("Go to the sofa. If you have reached the sofa, then you may go to the bed.", "F sofa"),
+        ("Can you control if the fridge is in the kitchen?", 'F "check fridge in the kitchen"'),
         # An order to drive is no place to look.
         ("look for the mug in the kitchen, then go in the hall",
          'F ("mug in the kitchen" & F hall)'),

@@ -152,7 +152,7 @@ _TRIGGER = re.compile(
 )
 # Before "if" in "check if there is a mug", and in "only if".
 _ASKED = re.compile(
-    r"\b(?:check|see|look|out|verify|confirm|know|wonder|wondering|sure|say|ask|me|us|whether)$",
+    r"\b(?:check|control|see|look|out|verify|confirm|know|wonder|wondering|sure|say|ask|me|us|whether)$",
     re.I,
 )
 _LIMITED = re.compile(r"\b(?:only|even|as|except|not|unless)$", re.I)
@@ -182,6 +182,7 @@ _AFTER = re.compile(
     re.I,
 )
 _FOR_IT = r"(?:\s+(?:for\s+(?:it|them|one|him|her)|again|also|too|as well|next))*"
+_NEEDS_VERB = re.compile(r"\b(?:can not|have|do|did|is|are|was)$", re.I)
 _RELATION = re.compile(rf"\s+{phrase_of('relation')}\s", re.I)
 _AREA = re.compile(
     r"(?:(?:go|then|also|and|next)\s+)*"
@@ -386,8 +387,8 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     told = outcome == "found" or seeks is not None
     if told and not (is_area or _is_followed_by_order(rest)):
         return None  # "if you enter the hall", "if you have been to the bed", "if it is not free"
-    if phrase.endswith("can not") and re.match(r" (?!then\b)\w", rest):
-        return None  # "if you can not hear the dog"
+    if _NEEDS_VERB.search(phrase) and re.match(r" (?!then\b)\w", rest):
+        return None  # "if you can not hear the dog", "if you have reached the sofa"
     condition = OutcomeCondition(outcome, seeks, thing, at, bool(there), presumes, state)
     return _Match(begin, begin + match.end() - 1, condition, is_bare)
 
