@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -294,7 +295,8 @@ def _translate_branches(
 
     formulas = FallbackTranslator(translate_part, is_thing).readings(branches)
     if branches.may_drive:
-        formulas.append(_translate_plain(config, instruction, site).formula)
+        with suppress(UserError):
+            formulas.append(_translate_plain(config, instruction, site).formula)
     if any(name.startswith(NO) for part in parts for name in ltl.propositions(part.formula)):
         raise UnclearError("instruction: with a condition, no name may begin with 'no'")
     read = ParsedInstruction(formulas, parts[0].backend)

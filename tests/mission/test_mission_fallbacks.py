@@ -48,6 +48,9 @@ def test_an_order_without_a_condition_has_no_branches():
          'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
         ("look for the mug in the hall, then in the kitchen",
          'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
+        ("look for the mug in the hall, and then in the kitchen; if you can't find it, come back",
+         'F "mug in the hall" | F ("no mug in the hall" & (F "mug in the kitchen" | '
+         'F ("no mug in the kitchen" & F here)))'),
         ("if it's not in the hall, look for the mug in the kitchen",
          'F "mug in the hall" | F ("no mug in the hall" & F "mug in the kitchen")'),
         ("find the mug or the cup; if you find neither of them, come back", None),
@@ -274,6 +277,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         # Numbers of things.
         ("find three chairs in the kitchen but not in the hall", "differ by kind"),
         ("find two dogs but avoid the dog", "expected the name"),
+        ("find two chairs in the kitchen, but not in the hall", "differ by kind"),
         ("find two dogs, but avoid the dog", "one of those that you counted"),
         ("find the chair, then find two chairs", "one of those that you counted"),
         ("find two chairs, a table and a lamp", "expected the name"),
@@ -332,6 +336,8 @@ def test_an_end_that_may_belong_to_the_condition_is_asked_about():
         ("find the mug; if it's not there visit the sofa and the bed",
          "Look for the mug; if it is not found, look for the sofa and look for the bed, in any "
          "order."),
+        ("go to the office, otherwise come back",
+         "Look for the office; if that fails, come back to where this mission began."),
         ("find the mug, and if it's not there, stop",
          "Look for the mug; if it is not found, that is all."),
         ("go to the dock; if you can get there, find the mug, otherwise come back. I am busy",
@@ -352,7 +358,9 @@ def test_a_place_with_more_orders_is_asked_about():
     ]
 
 
-@pytest.mark.parametrize("name", ["reserved sign", "open mic", "closed captions"])
+@pytest.mark.parametrize(
+    "name", ["reserved sign", "open mic", "closed door sign", "dirty towel rack"]
+)
 def test_a_state_in_a_name_is_no_state(name):
     refuse_states(f"find the {name}, then a {name} board")
     with pytest.raises(UserError, match="cannot tell"):
