@@ -183,6 +183,16 @@ def test_a_fallback_is_pursued_after_the_failure_only(said, end, tmp_path):
     assert all(goal.pose.x_m < 4.3 for goal in before)
 
 
+def test_an_object_in_a_known_room_is_reached_before_its_fallback(tmp_path):
+    loop = in_rooms(tmp_path, "F (explored & F start)").run(200)  # it starts inside that room
+    formula = 'F "sofa in the workshop" | F ("no sofa in the workshop" & F bedroom)'
+    spec = prepare(loop.config.mission, formula=formula, site=NAMED)
+    loop.service.begin(spec, loop.drive.motion.stamp_ns)
+    loop.run(200)
+    status = loop.service.status
+    assert (status.phase, status.target) == ("reached", "sofa in the workshop"), status
+
+
 def test_a_closed_room_has_a_fallback(tmp_path):
     loop = loop_of(tmp_path, "F start")
     corners_m = ((4.2, -1.0), (9.0, -1.0), (9.0, 5.0), (4.2, 5.0))
