@@ -235,6 +235,10 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
             "'if it is there': unclear which of the orders",
         ),
         (
+            "look for the mug on the desk; if it's not there, look on the sofa; otherwise come back",
+            "'otherwise': unclear which of the orders",
+        ),
+        (
             "go to the dock; if you can get there go to the shelf; if you can't get there wait",
             "'if you can not get there': unclear which of the orders",
         ),

@@ -309,11 +309,15 @@ def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
     """
     between, phrase = text[first.end : second.begin], text[second.begin : second.end]
     seeks = second.condition.seeks
-    drives = seeks is False or first.condition.outcome == "failed"
-    moves = _SEEKS.search(between) or (drives and _DRIVES.search(between))
-    if re.search(r"\b(?:that|this)\b", phrase, re.I) or (seeks is not None and moves):
-        part, hint = phrase.strip(), "unclear which of the orders this is about"
-        raise UnclearError(f"instruction: {part!r}: {hint}; say 'otherwise'", part)
+    missed = first.condition.outcome == "failed"
+    drives = (seeks is False or missed) and seeks is not None and _DRIVES.search(between)
+    searches = (seeks is not None or (missed and second.is_bare)) and _SEEKS.search(between)
+    if re.search(r"\b(?:that|this)\b", phrase, re.I) or drives or searches:
+        part, hint = (
+            phrase.strip(),
+            "unclear which of the orders this is about; say first what to do if it is there",
+        )
+        raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
 
 def _order(text: str) -> str:
