@@ -235,7 +235,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
             "'if it is there': unclear which of the orders",
         ),
         (
-            "look for the mug on the desk; if it's not there, look on the sofa; otherwise come back",
+            "find the mug on the desk; if it's not there, look on the sofa; otherwise come back",
             "'otherwise': unclear which of the orders",
         ),
         (
