@@ -9,6 +9,8 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from edge import names
 from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
 
+# Names of one object (ottoman, footstool) each add an embedding; their best score counts. Bookcase
+# and computer monitor are left out: most shelves and televisions would be taken for one.
 INDOOR = tuple("""
 bed, sofa, sofa bed, chair, armchair, kitchen & dining room table, dining table, stool, nightstand,
 cabinet, bench, painting, desk, shelf, wardrobe, toilet, sink, bathtub, television, laptop,
@@ -27,6 +29,14 @@ def _background_words(value: object) -> object:
     if isinstance(value, str) and value != "indoor":
         raise ValueError("must be a list of names, or indoor")
     return INDOOR if value == "indoor" else value
+
+
+BackgroundWords = Annotated[
+    tuple[str, ...],
+    BeforeValidator(
+        _background_words, json_schema_input_type=Union[Literal["indoor"], tuple[str, ...]]
+    ),
+]
 
 
 class DetectorOnnx(Section):
@@ -53,13 +63,7 @@ class DetectorOnnx(Section):
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
-    background: Annotated[
-        tuple[str, ...],
-        BeforeValidator(
-            _background_words,
-            json_schema_input_type=Union[Literal["indoor"], tuple[str, ...]],
-        ),
-    ] = ()
+    background: BackgroundWords = ()
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
@@ -70,7 +74,7 @@ class DetectorSim(Section):
     """Objects of the simulator with noise, without a neural network. Finds nothing on a robot.
 
     Attributes:
-        background: names of other objects to detect; null: all objects of the world.
+        background: names of other objects to detect, or `indoor`; null: all objects of the world.
         max_range_m: objects farther away are not detected.
         miss_rate: probability to miss a near object; three times that at `max_range_m`.
         false_positive_rate: probability to take another visible object for a target.
@@ -79,7 +83,7 @@ class DetectorSim(Section):
     """
 
     kind: Literal["sim"] = "sim"
-    background: tuple[str, ...] | None = None
+    background: BackgroundWords | None = None
     max_range_m: Positive = 6.0
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005
