@@ -84,10 +84,6 @@ FAULTS = [
         {"perception": {"detector": {"kind": "onnx", "threads": 0}}},
         "f.yaml: perception.detector.threads: input should be greater than or equal to 1, got 0",
     ),
-    (
-        {"perception": {"detector": {"kind": "onnx", "background": "outdoor"}}},
-        "f.yaml: perception.detector.background: must be a list of names, or indoor, got 'outdoor'",
-    ),
     ({"sim": {"world": {"kind": "mesh", "objects": "x"}}}, "f.yaml: sim.world.mesh: missing"),
     (
         {"sim": {"world": {"kind": "mesh", "mesh": 3, "objects": "x"}}},

@@ -19,12 +19,14 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
     """Check that Zenoh can send a message on this machine."""
     version = metadata.version("eclipse-zenoh")
     took_ms = loopback_ms(LOOPBACK_S)
-    message = f"Zenoh {version}: {'a' if took_ms else 'no'} test message over TCP on 127.0.0.1"
     if took_ms is not None:
-        yield ok(f"{message} took {took_ms:.0f} ms")
+        yield ok(f"Zenoh {version}: a test message over TCP on 127.0.0.1 took {took_ms:.0f} ms")
     else:
         todo = "allow TCP on 127.0.0.1: check sandbox and firewall, run `ip link set lo up`"
-        yield fail(f"{message} came within {LOOPBACK_S:g} s", todo)
+        yield fail(
+            f"Zenoh {version}: no test message over TCP on 127.0.0.1 came within {LOOPBACK_S:g} s",
+            todo,
+        )
 
 
 def loopback_ms(limit_s: float) -> float | None:

@@ -122,7 +122,7 @@ def _targets_text(result: TickResult) -> str:
     status, steps = result.status, result.mission().plan.steps
     if status.phase == "idle":
         return f"({status.reason})"
-    then = ", ".join(reached or "nothing" for reached in steps[1:])
+    then = ", ".join(step or "nothing" for step in steps[1:])
     if then and not status.done:
         return f"{status.target} (then {shorten(then, _PART_CHARS)})"
     return status.target

@@ -122,7 +122,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--jobs", type=count, default=cores(),
            help="number of processes (default: one for each core)")
     option("--out", type=Path, default=Path("planning-report"), metavar="DIR",
-           help="folder for plots and results.json")
+           help="folder for plots and results.json (default: ./%(default)s)")
     planning.set_defaults(handler=lazy_handler("edge.lab.eval.planning.run", extra="lab"))
 
 
@@ -216,6 +216,6 @@ def _add_trajectories(kinds) -> None:  # type: ignore[no-untyped-def]
            help="with --url: longest time for all answers of one episode, in s")
     option("--out", type=Path, default=Path("trajectories"), metavar="DIR", help="folder for "
            "outcomes.jsonl, episodes.jsonl and pictures; episodes that have an outcome there are "
-           "not run again")
+           "not run again (default: ./%(default)s)")
     trajectories.set_defaults(handler=lazy_handler("edge.lab.eval.trajectories.run", extra="lab"))
 # fmt: on

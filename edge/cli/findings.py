@@ -39,7 +39,7 @@ def warn(what: str, todo: str) -> Finding:
 
 
 def ok_or_warn(is_ok: bool, what: str, todo: str) -> Finding:
-    """Return the finding of a measurement, which is shown whether it is as it should be or not."""
+    """Return `ok` with the measurement, or a warning with what to do."""
     return ok(what) if is_ok else warn(what, todo)
 
 

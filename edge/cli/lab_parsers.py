@@ -37,7 +37,7 @@ def add_trajectory(commands) -> None:  # type: ignore[no-untyped-def]
            "such as http://HOST:PORT/v1 (default: built-in rules write it)")
     option("--model", metavar="NAME", help="with --url: the model's name on the server")
     option("--out", default="trajectory", metavar="DIR",
-           help="folder for the trajectory, its pictures and a web page")
+           help="folder for the trajectory, its pictures and a web page (default: ./%(default)s)")
     trajectory.set_defaults(handler=lazy_handler("edge.lab.eval.trial.command", extra="lab"))
 
 
@@ -114,6 +114,6 @@ def add_soak(commands) -> None:  # type: ignore[no-untyped-def]
     option("--faults", metavar="NAME,NAME,…", help="inject only these faults of docs/soak.md "
            "(default: all that the configuration allows)")
     option("--out", type=Path, default=Path("soak"), metavar="FOLDER",
-           help="folder for the recordings and logs")
+           help="folder for the recordings and logs (default: ./%(default)s)")
     soak.set_defaults(handler=lazy_handler("edge.lab.eval.soak.run", extra="lab"))
 # fmt: on

@@ -95,7 +95,8 @@ def _add_demo(commands) -> None:  # type: ignore[no-untyped-def]
     _add_mission_options(demo)
     demo.add_argument("--policy", metavar="KIND", help="use this policy (policy.kind); with the "
                       "configuration demo, also the scorer that it needs")
-    demo.add_argument("--report", metavar="DIR", default="report", help="folder for the report")
+    demo.add_argument("--report", metavar="DIR", default="report",
+                      help="folder for the report (default: ./%(default)s)")
     _add_live_option(demo)
     demo.set_defaults(handler=lazy_handler("edge.cli.main", "demo"))
 

@@ -4,39 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Union
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from edge import names
 from edge.config.section import Fraction, Name, NonNegative, OnnxModel, Positive, Section
-
-# Names of one object (ottoman, footstool) each add an embedding; their best score counts. Bookcase
-# and computer monitor are left out: most shelves and televisions would be taken for one.
-INDOOR = tuple("""
-bed, sofa, sofa bed, chair, armchair, kitchen & dining room table, dining table, stool, nightstand,
-cabinet, bench, painting, desk, shelf, wardrobe, toilet, sink, bathtub, television, laptop,
-houseplant, table lamp, refrigerator, washing machine, trash can, vase, oven, microwave,
-coffee table, mirror, curtain, window, door, pillow, fireplace, radiator, air conditioner,
-washbasin, dishwasher, gas stove, kettle, coffee maker, toaster, picture frame, poster, wall clock,
-ottoman, footstool, rocking chair, deck chair, piano, ladder, water heater, suitcase, backpack, box,
-basket, hamper, chandelier, lampshade, mechanical fan, speaker, printer, telephone, aquarium,
-infant bed, bunk bed, bidet, urinal, shower, towel, flowerpot, flower, bowl, bottle, carpet,
-blanket, stairs
-""".strip().replace("\n", " ").split(", "))  # fmt: skip
-"""Objects of homes and offices, for `background: indoor`."""
-
-
-def _background_words(value: object) -> object:
-    if isinstance(value, str) and value != "indoor":
-        raise ValueError("must be a list of names, or indoor")
-    return INDOOR if value == "indoor" else value
-
-
-BackgroundWords = Annotated[
-    tuple[str, ...],
-    BeforeValidator(
-        _background_words, json_schema_input_type=Union[Literal["indoor"], tuple[str, ...]]
-    ),
-]
 
 
 class DetectorOnnx(Section):
@@ -50,7 +21,7 @@ class DetectorOnnx(Section):
         vocabulary: file of text embeddings (.npz). null: `$EDGE_VOCABULARY`, or the one of the
             model cache.
         background: names of other objects in the place. They compete with the targets for boxes, so
-            that a bed is not taken for a sofa. `indoor`: about 80 objects of homes and offices.
+            that a bed is not taken for a sofa.
         tau_vl: boxes with a lower score are dropped.
         device_id: number of the GPU.
         engine_cache: folder of TensorRT engines; null: next to the models.
@@ -63,7 +34,7 @@ class DetectorOnnx(Section):
     providers: tuple[str, ...] = ("CPUExecutionProvider",)
     threads: Annotated[int, Field(ge=1, le=64)] = 2
     vocabulary: str | None = None
-    background: BackgroundWords = ()
+    background: tuple[str, ...] = ()
     tau_vl: Fraction = 0.05
     device_id: Annotated[int, Field(ge=0)] = 0
     engine_cache: str | None = None
@@ -74,7 +45,7 @@ class DetectorSim(Section):
     """Objects of the simulator with noise, without a neural network. Finds nothing on a robot.
 
     Attributes:
-        background: names of other objects to detect, or `indoor`; null: all objects of the world.
+        background: names of other objects to detect; null: all objects of the world.
         max_range_m: objects farther away are not detected.
         miss_rate: probability to miss a near object; three times that at `max_range_m`.
         false_positive_rate: probability to take another visible object for a target.
@@ -83,7 +54,7 @@ class DetectorSim(Section):
     """
 
     kind: Literal["sim"] = "sim"
-    background: BackgroundWords | None = None
+    background: tuple[str, ...] | None = None
     max_range_m: Positive = 6.0
     miss_rate: Fraction = 0.1
     false_positive_rate: Fraction = 0.005

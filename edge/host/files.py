@@ -91,7 +91,7 @@ def save(path: Path, content: bytes) -> None:
     try:
         write_atomically(path, content)
     except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def sync(path: Path) -> None:

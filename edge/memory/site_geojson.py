@@ -13,7 +13,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
 
 from edge.geometry import FARTHEST_M, SE2
 from edge.host.files import read_regular, write_atomically
@@ -103,10 +113,17 @@ class _Polygon(_Model):
     ]
 
 
+def _of_place(heading_deg: Any, properties: ValidationInfo) -> Any:
+    """Return the heading of a place; 0.0 for other kinds, which have none."""
+    return heading_deg if properties.data.get("kind") == "place" else 0.0
+
+
 class _Properties(_Model):
     kind: Literal["place", "room", "keep_out", "stay_inside"] = "place"
     name: Name
-    heading_deg: Annotated[float, Field(allow_inf_nan=False, ge=-3600, le=3600)] = 0.0
+    heading_deg: Annotated[
+        float, Field(allow_inf_nan=False, ge=-3600, le=3600), BeforeValidator(_of_place)
+    ] = 0.0
 
 
 class _Feature(_Model):
@@ -115,6 +132,7 @@ class _Feature(_Model):
     geometry: Annotated[Union[_Point, _Polygon], Discriminator("type")]
 
     def item(self) -> Item:
+        """Return the item; raise ValueError if the geometry does not fit it."""
         name, kind = self.properties.name, self.properties.kind
         match self.geometry, kind:
             case _Polygon(coordinates=[ring]), "keep_out" | "stay_inside":
@@ -122,18 +140,25 @@ class _Feature(_Model):
                 if corners[0] == corners[-1]:
                     del corners[-1]
                 if len(set(corners)) < 3:
-                    raise SiteError(f"zone {name}: give at least three different corners")
+                    raise ValueError(f"zone {name}: give at least three different corners")
                 return Zone(name, kind, tuple(corners))
             case _Point(coordinates=[x_m, y_m, *_]), "room":
                 return RoomName(name, (x_m, y_m))
             case _Point(coordinates=[x_m, y_m, *_]), "place":
                 return Place(name, SE2(x_m, y_m, math.radians(self.properties.heading_deg)))
-        raise SiteError(f"{kind} {name}: its geometry cannot be a {self.geometry.type}")
+        shape = self.geometry.type
+        needed = "Polygon" if shape == "Point" else "Point"
+        raise ValueError(f"{kind} {name}: needs a {needed}, has a {shape}")
+
+
+# Raised while pydantic validates, the errors of `item` get the number of the feature.
+_Item = Annotated[_Feature, AfterValidator(_Feature.item)]
+_ITEM: TypeAdapter = TypeAdapter(_Item)
 
 
 class _Collection(_Model):
     type: Literal["FeatureCollection"]
-    features: Annotated[list[_Feature], Field(max_length=MAX_FEATURES)]
+    features: Annotated[list[_Item], Field(max_length=MAX_FEATURES)]
 
 
 def item_of(feature: object) -> Item:
@@ -143,7 +168,7 @@ def item_of(feature: object) -> Item:
         SiteError: the feature is none of these.
     """
     try:
-        return _Feature.model_validate(feature).item()
+        return _ITEM.validate_python(feature)
     except ValidationError as error:
         raise SiteError(f"feature: {_first_error(error)}") from None
 
@@ -155,10 +180,9 @@ def site_of(geojson: object, where: str = "site") -> Site:
         SiteError: it is no such collection, or two items have one name; `where` begins the message.
     """
     try:
-        collection = _Collection.model_validate(geojson)
+        items: tuple[Any, ...] = tuple(_Collection.model_validate(geojson).features)
     except ValidationError as error:
         raise SiteError(f"{where}: {_first_error(error)}") from None
-    items = tuple(feature.item() for feature in collection.features)
     seen: set[str] = set()
     for item in items:
         if item.name in seen:
@@ -221,8 +245,11 @@ def write_site(path: Path, site: Site) -> None:
 def _first_error(error: ValidationError) -> str:
     """Return the first error in words, with its place in the data."""
     first = error.errors(include_url=False)[0]
-    path = ".".join(str(part) for part in first["loc"] if part not in ("Point", "Polygon"))
-    text = first["msg"].removeprefix("Value error, ")
+    place, text = first["loc"], first["msg"].removeprefix("Value error, ")
+    if first["type"].startswith("union_tag"):  # the type of a geometry
+        got = bounded_repr(first["ctx"]["tag"]) if "tag" in first["ctx"] else "none"
+        place, text = (*place, "type"), f"must be Point or Polygon, got {got}"
+    path = ".".join(str(part) for part in place if part not in ("Point", "Polygon"))
     return one_line(f"{path}: {text}" if path else text)
 
 

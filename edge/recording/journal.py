@@ -372,6 +372,7 @@ def plan_result_of(stored: dict[str, Any]) -> PlanResult:
         stops_at=None if stops_at is None else (stops_at[0], stops_at[1]),
         stops=tuple(tuple((number, label) for number, label in step) for step in stored["stops"]),
         rounds=tuple(PlanAttempt(**r) for r in stored["rounds"]),
+        grounds=frozenset(stored.get("grounds", ())),
         n_done=stored["n_done"],
         **same,
     )

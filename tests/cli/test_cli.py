@@ -67,6 +67,19 @@ def test_the_help_shows_a_default_without_naming_it(capsys):
     assert "how long to measure, in s (default: 60)" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.parametrize(
+    ("command", "folder"),
+    [
+        ("trajectory", "trajectory"), ("demo", "report"), ("soak", "soak"),
+        ("eval planning", "planning-report"), ("eval trajectories", "trajectories"),
+    ],
+)  # fmt: skip
+def test_the_help_shows_a_default_folder_as_a_path(command, folder, capsys):
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    assert f"(default: ./{folder})" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_command_skips_garbage_collection_at_its_end(capsys, monkeypatch):
     at_the_end = []
     monkeypatch.setattr("atexit.register", at_the_end.append)

@@ -11,8 +11,8 @@ from simulated import simulated
 
 from edge import config
 from edge.config import WorldHouse, WorldProcthor
-from edge.errors import UserError
-from edge.host import checkpoint
+from edge.errors import FileError, UserError
+from edge.host import checkpoint, files
 from edge.host.files import read_regular, replace_atomically, write_atomically
 from edge.lab.bench.frames import from_folder
 from edge.lab.eval.translation_cases import lang2ltl_cases
@@ -125,3 +125,12 @@ def test_a_file_is_replaced_atomically(tmp_path, beside):
         temporary.write_text("new")
     assert [path.read_text() for path in folder.iterdir()] == ["new"]
     assert file.stat().st_mode & 0o444 == 0o444
+
+
+def test_an_error_without_a_number_has_its_reason(tmp_path, monkeypatch):
+    def fail(path, content):
+        raise OSError("no room")
+
+    monkeypatch.setattr(files, "write_atomically", fail)
+    with pytest.raises(FileError, match=r"a: cannot be written: no room$"):
+        files.save(tmp_path / "a", b"")

@@ -36,6 +36,7 @@ OFFICE = RoomName("office", (3.0, 4.0))
 NAME, KIND = "here: features.0.properties.name", "here: features.0.properties.kind"
 AT = "here: features.0.geometry"
 ALL = Site((DOCK, STAIRS, OFFICE))
+TRIANGLE = [[[0, 0], [1, 0], [0, 1]]]
 
 
 def feature(kind="place", name="dock", shape="Point", coordinates=(1.0, 2.0), **properties):
@@ -83,6 +84,22 @@ def test_a_place_is_found_by_its_name(name):
     assert ALL.place(name) == DOCK
 
 
+@pytest.mark.parametrize("heading_deg", [None, "north", 1e9])
+def test_only_a_place_has_a_heading(tmp_path, heading_deg):
+    data = collection(
+        feature("room", "office", heading_deg=heading_deg),
+        feature("keep_out", "stairs", "Polygon", TRIANGLE, heading_deg=heading_deg),
+    )
+    path = tmp_path / "site.geojson"
+    path.write_text(json.dumps(data))
+    assert [item.name for item in SiteFile(path).site.items] == ["office", "stairs"]
+
+
+def test_the_error_of_one_feature_has_no_number():
+    with pytest.raises(SiteError, match=r"^feature: keep_out dock: needs a Polygon, has a Point$"):
+        item_of(feature("keep_out"))
+
+
 def test_an_item_replaces_the_one_of_its_name():
     there = Place("dock", SE2(5.0, 5.0, 0.0))
     assert ALL.with_item(there).place("dock") == there
@@ -100,14 +117,22 @@ def test_an_item_replaces_the_one_of_its_name():
         (collection(feature(coordinates=[math.nan, 0])), AT + ".coordinates.0:"),
         (collection(feature(coordinates=[1e9, 0])), AT + ".coordinates.0:"),
         (collection(feature(coordinates=[1])), AT + ".coordinates:"),
-        (collection(feature("keep_out")), "keep_out dock: its geometry cannot be a Point"),
-        (collection(feature(shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 1]]])),
-         "place dock: its geometry cannot be a Polygon"),
+        (collection(feature(), feature("keep_out", name="z")),
+         "here: features.1: keep_out z: needs a Polygon, has a Point"),
+        (collection(feature(shape="Polygon", coordinates=TRIANGLE)),
+         "here: features.0: place dock: needs a Point, has a Polygon"),
+        (collection(feature("room", shape="Polygon", coordinates=TRIANGLE)),
+         "here: features.0: room dock: needs a Point, has a Polygon"),
+        (collection(feature(shape="LineString")),
+         AT + ".type: must be Point or Polygon, got 'LineString'"),
+        (collection({**feature(), "geometry": {}}),
+         AT + ".type: must be Point or Polygon, got none"),
+        (collection(feature(heading_deg=None)), "here: features.0.properties.heading_deg: Input"),
         (collection(feature("stairs")), KIND + ": Input should be 'place', 'room'"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0]]])),
          AT + ".coordinates.0:"),
         (collection(feature("keep_out", shape="Polygon", coordinates=[[[0, 0], [1, 0], [0, 0]]])),
-         "zone dock: give at least three different corners"),
+         "here: features.0: zone dock: give at least three different corners"),
         (collection(feature(), feature(name="The dock")), "two features have the name 'dock'"),
     ],
 )  # fmt: skip

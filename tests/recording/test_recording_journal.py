@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from edge.recording import journal
 from edge.recording.journal import decode_page, encode_page
 from edge.tasks.legs import Leg
 from edge.tasks.refine import RefinedTrajectory
+from edge.tasks.write import PlanAttempt
 from edge.types import MASK_SIDE, ContextBoxes, Detections, GoalStatus, Observation
 
 ROOT = Path(edge.__file__).parents[1]
@@ -152,6 +154,37 @@ def test_background_results_survive_the_journal():
     assert choice.p.tobytes() == values[:2].tobytes()
 
 
+def planned(result: PlanResult) -> PlanResult:
+    (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": result}))
+    return journal.plan_result_of(entry.fields["result"])
+
+
+def test_all_fields_of_a_plan_survive_a_round_trip():
+    values = {
+        "refined": None, "error": "no way", "hopeless": True, "ambiguous": (3, 5),
+        "coarse_m": np.array([[0.1, 0.2], [1.0, np.nan]]), "speed_mps": 0.4,
+        "stops_at": (3, "van"), "stops": STOPS, "grounds": frozenset({"road", "grass"}),
+        "n_done": 2, "understood": "go to the van", "prompt": "a prompt",
+        "rounds": (PlanAttempt("answer", "code", "printed", "error"),),
+    }  # fmt: skip
+    assert values.keys() == {field.name for field in fields(PlanResult)}
+    back = planned(PlanResult(**values))
+    found = {name: getattr(back, name) for name in values}
+    assert found.pop("coarse_m").tobytes() == values.pop("coarse_m").tobytes()
+    assert [asdict(one) for one in found.pop("rounds")] == [
+        asdict(one) for one in values.pop("rounds")
+    ]
+    assert found == values
+    assert isinstance(found["grounds"], frozenset)
+
+
+def test_a_plan_recorded_without_its_grounds_is_read():
+    (entry,) = again(LoopInput(0, "result", {"worker": "task", "result": PlanResult(error="none")}))
+    stored = entry.fields["result"]
+    assert stored.pop("grounds") == []
+    assert journal.plan_result_of(stored).error == "none"
+
+
 @given(st.none() | st.floats(-math.pi, math.pi))
 def test_a_refined_trajectory_survives_a_round_trip(heading_rad):
     """Asked for at the end, and asked for again whenever it is planned again."""
@@ -161,22 +194,7 @@ def test_a_refined_trajectory_survives_a_round_trip(heading_rad):
         poses, np.array([0.0, 0.0]), np.array([0.0, 2.0]), np.zeros(2, np.int64),
         (Leg(line, True),), frozenset({2, 1}), heading_rad, 1.0, 0.5, 0.0, ("a note",),
     )  # fmt: skip
-    (entry,) = again(
-        LoopInput(
-            0,
-            "result",
-            {
-                "worker": "task",
-                "result": PlanResult(
-                    refined, ambiguous=(3, 5), stops_at=(3, "van"), stops=STOPS, n_done=2
-                ),
-            },
-        )
-    )
-    draft = journal.plan_result_of(entry.fields["result"])
-    assert (draft.stops_at, draft.n_done, draft.ambiguous) == ((3, "van"), 2, (3, 5))
-    assert draft.stops == STOPS
-    back = draft.refined
+    back = planned(PlanResult(refined)).refined
     assert back.heading_rad == heading_rad
     assert (back.drivable, back.notes) == (refined.drivable, refined.notes)
     for one, other in (

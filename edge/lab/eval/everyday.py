@@ -100,7 +100,8 @@ def everyday_cases(path: Path) -> list[dict[str, Any]]:
     """Read the sentences.
 
     Raises:
-        UserError: the file cannot be read or has another form.
+        FileError: the file cannot be read.
+        UserError: a line is not a sentence.
     """
     return read_lines(path, MAX_TEXT_BYTES, _parse_case, "a sentence", "see docs/language.md")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -12,7 +11,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
-from edge.lab.eval.json_data import json_data
 from edge.text import one_line, read_json_object
 
 T = TypeVar("T")
@@ -61,7 +59,13 @@ def parse_lines(path: Path, content: bytes, parse: Parser[T], what: str, advice:
 
 
 def read_lines(
-    path: Path, max_bytes: int, parse: Parser[T], what: str, advice: str, complete: bool = True
+    path: Path,
+    max_bytes: int,
+    parse: Parser[T],
+    what: str,
+    advice: str,
+    line_advice: str = "",
+    complete: bool = True,
 ) -> list[T]:
     """Read the items of a file.
 
@@ -71,6 +75,7 @@ def read_lines(
         parse: the parser of a line.
         what: name of an item with its article, for messages.
         advice: advice to the user, for messages.
+        line_advice: advice if a line is not an item; "" for `advice`.
         complete: False: ignore a last line without its end.
 
     Raises:
@@ -82,12 +87,11 @@ def read_lines(
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}; {advice}") from None
     content = content if complete else content[: content.rfind(b"\n") + 1]
-    return parse_lines(path, content, parse, what, advice)
+    return parse_lines(path, content, parse, what, line_advice or advice)
 
 
-def to_line(item: Any, digits: int | None = None) -> bytes:
-    """Return a dataclass as a line of JSON; numbers that are not finite become null."""
-    data = json_data(asdict(item), digits)
+def to_line(data: dict[str, Any]) -> bytes:
+    """Return a JSON object as a line; raise ValueError if a number is not finite."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 

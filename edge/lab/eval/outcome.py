@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode, Length
+from edge.lab.eval.json_data import json_data
 from edge.lab.eval.json_lines_file import JsonLinesFile, parser_of, read_lines, to_line
 from edge.text import one_line
 
@@ -150,7 +151,9 @@ def read_outcomes(path: Path) -> list[EpisodeOutcome]:
         UserError: a line is not an outcome.
     """
     advice = "`edge eval episodes --out DIR` writes this file"
-    return read_lines(path, MAX_BYTES, _parse, "an outcome", advice, complete=False)
+    return read_lines(
+        path, MAX_BYTES, _parse, "an outcome", advice, "remove the line", complete=False
+    )
 
 
 class OutcomeFile:
@@ -169,10 +172,10 @@ class OutcomeFile:
         self.known = {outcome.key: outcome for outcome in self._file.found}
 
     def append(self, outcome: EpisodeOutcome) -> None:
-        """Append an outcome.
+        """Append an outcome; numbers that are not finite become null.
 
         Raises:
             FileError: the disk is full, or the folder is gone.
         """
-        self._file.append(to_line(outcome, digits=4))
+        self._file.append(to_line(json_data(asdict(outcome), digits=4)))
         self.known[outcome.key] = outcome

@@ -130,8 +130,8 @@ class LabelledImage:
     def shown(self, word: str, found: Detections) -> dict[int, int]:
         """Return the row of the best box of each near object that boxes of a word show.
 
-        A box shows an object that it covers, or else the object that fills most of it: a search
-        also stops at the end of a bed that looks like a chair.
+        A box shows an object that it covers, or else the object with the most pixels in it: a
+        search also stops at the end of a bed that looks like a chair.
         """
         covers_object = self._covers(found)
         best: dict[int, int] = {}
@@ -156,7 +156,7 @@ class LabelledImage:
         return overlaps(found.xyxy_px, self._boxes)[0] >= _MIN_IOU
 
     def _most_visible(self, xyxy_px: np.ndarray) -> int:
-        """Return the id of the object with most pixels in a box; 0 if most show no object."""
+        """Return the id of the object with the most pixels in a box; 0 if more show none."""
         x0, y0, x1, y1 = np.maximum(xyxy_px, 0).round().astype(int).tolist()
         inside = self._ids[y0:y1, x0:x1]
         return int(np.bincount(inside.ravel()).argmax()) if inside.size else 0

@@ -57,7 +57,7 @@ class Automaton:
         return len(self.delta)
 
     @cached_property
-    def _column(self) -> dict[str, int]:
+    def _column(self) -> dict[str | None, int]:
         return {name: k for k, name in enumerate(self.propositions)}
 
     def step(self, state: int, proposition: str | None) -> int:

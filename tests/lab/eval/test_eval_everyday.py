@@ -8,7 +8,7 @@ import pytest
 
 from edge.cli.parsers import make_parser
 from edge.config import TranslatorGrammar
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 from edge.lab.eval import translate
 from edge.lab.eval.everyday import everyday_cases, everyday_counts, score_everyday
 
@@ -65,6 +65,11 @@ def test_the_table_and_the_failures_are_written(tmp_path, capsys):
     counts = {"right": 1, "asked or refused": 1, "wrong": 0}
     assert json.loads(out.read_text())["grammar"]["all"] == counts
     assert json.loads(failures.read_text())["said"] == "frobnicate"
+
+
+def test_a_missing_file_is_a_file_error(tmp_path):
+    with pytest.raises(FileError, match=r"in\.jsonl: cannot be read: No such file"):
+        everyday_cases(tmp_path / "in.jsonl")
 
 
 @pytest.mark.parametrize("line", ["{", "[]", '{"said": 1, "expect": "ask"}', '{"said": "a"}'])

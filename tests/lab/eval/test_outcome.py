@@ -10,7 +10,6 @@ import pytest
 from edge.errors import FileError, UserError
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode
-from edge.lab.eval.json_lines_file import to_line
 from edge.lab.eval.outcome import (
     OUTCOMES_NAME,
     EpisodeOutcome,
@@ -65,11 +64,12 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path):
         OutcomeFile(tmp_path / "file")
 
 
-def test_non_finite_numbers_become_null():
+def test_non_finite_numbers_become_null(tmp_path):
     outcome = EpisodeOutcome(
         "e", "c", "i", "w", "house", "bed", None, (0.0, 0.0, 0.0), 1.0, False, "", "budget",
         distance_m=math.inf, trail=[[1.23456789, math.nan]],
     )  # fmt: skip
-    data = json.loads(to_line(outcome, digits=4))
+    OutcomeFile(tmp_path).append(outcome)
+    data = json.loads((tmp_path / OUTCOMES_NAME).read_text())
     assert data["distance_m"] is None
     assert data["trail"] == [[1.2346, None]]

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         make_writable(args.out)
     except OSError as error:
         raise FileError(
-            f"--out {args.out}: cannot be written: {error.strerror}; choose another folder"
+            f"--out {args.out}: cannot be written: {error.strerror or error}; choose another folder"
         ) from None
     tasks = generate(args.n, args.seed)
     print(report.tasks_line(tasks), flush=True)
@@ -44,8 +44,13 @@ def run(args: argparse.Namespace) -> int:
     print(report.legend(results.planners), end="\n\n")
     print(report.table(rows), end="\n\n")
     seconds = time.monotonic() - began_s
-    save(args.out / JSON_NAME, report.to_json(rows, tasks, settings, seconds))
-    paths = canvas.save_plots(figures(rows), args.out)
+    try:
+        save(args.out / JSON_NAME, report.to_json(rows, tasks, settings, seconds))
+        paths = canvas.save_plots(figures(rows), args.out)
+    except FileError as error:
+        raise FileError(
+            f"{error}; the table above is complete; for the files, run again with another folder"
+        ) from None
     print("\n".join(map(str, [args.out / JSON_NAME, *paths])))
     print(f"{seconds:.0f} s")
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -177,12 +177,12 @@ class ResultsFolder:
     def add(self, facts: EpisodeFacts) -> None:
         """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
-            self._episodes.append(to_line(facts))
+            self._episodes.append(to_line(asdict(facts)))
             self.facts[facts.id] = facts
 
     def append(self, outcome: TrajectoryOutcome) -> None:
         """Append an outcome."""
-        self._outcomes.append(to_line(outcome))
+        self._outcomes.append(to_line(asdict(outcome)))
         self.outcomes[outcome.key] = outcome
 
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from edge.config import ConfigError, TasksConfig, WriterModel, load
 from edge.config.explain import explain
-from edge.errors import UnavailableError, UserError
+from edge.errors import FileError, UnavailableError, UserError
 from edge.host.signals import stop_on_signals
 from edge.lab.eval.comparison import tables as comparison_tables
 from edge.lab.eval.trajectories import pictures, tables
@@ -113,7 +113,13 @@ def run(args: argparse.Namespace) -> int:
     results = gather(folder.facts.values(), [folder.outcomes[key] for key in keys])
     for table in tables.tables(results):
         print(f"\n{comparison_tables.text(table)}")
-    for path in canvas.save_plots(pictures.figures(results), args.out, ("svg",)):
+    try:
+        paths = canvas.save_plots(pictures.figures(results), args.out, ("svg",))
+    except FileError as error:  # the outcomes are saved: the next run makes only the pictures
+        raise FileError(
+            f"{error}; the tables above are complete; for the pictures, run again"
+        ) from None
+    for path in paths:
         print(path)
     return 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 
 import pytest
 from made_outcomes import record
@@ -34,7 +35,7 @@ def folder(tmp_path):
 
 
 def write(folder, lines) -> None:
-    (folder / "outcomes.jsonl").write_bytes(b"".join(map(to_line, lines)))
+    (folder / "outcomes.jsonl").write_bytes(b"".join(to_line(asdict(line)) for line in lines))
 
 
 def test_a_folder_is_compared(folder, capsys):

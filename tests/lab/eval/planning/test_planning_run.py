@@ -15,7 +15,7 @@ import pytest
 from live_patience import PATIENCE_S
 
 from edge.cli.parsers import make_parser
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 from edge.lab.eval.planning import run as command
 from edge.lab.eval.planning.planners import PLANNERS
 
@@ -70,6 +70,15 @@ def test_bad_input_is_an_error_of_one_line(tmp_path):
             command.run(parsed(*argv))
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_the_table_is_complete_if_a_file_cannot_be_written(tmp_path, capsys):
+    (tmp_path / "results.json").mkdir()
+    with pytest.raises(FileError) as caught:
+        command.run(parsed("--n", "1", "--p-obs", "1", "--jobs", "1", "--out", str(tmp_path)))
+    assert str(caught.value).startswith(f"{tmp_path / 'results.json'}: cannot be written: ")
+    assert str(caught.value).endswith("; for the files, run again with another folder")
+    assert "100.00" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")

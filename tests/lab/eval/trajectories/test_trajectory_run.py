@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +12,14 @@ from chat_server import saying, serving
 from made_episodes import episode
 
 from edge.cli.main import main
+from edge.cli.parsers import make_parser
 from edge.config import TasksConfig, WriterModel
-from edge.errors import UserError
+from edge.errors import FileError, UserError
 from edge.lab.eval.trajectories import methods
 from edge.lab.eval.trajectories.episodes import episodes
 from edge.lab.eval.trajectories.methods import METHODS, methods_of, run_methods
 from edge.lab.eval.trajectories.outcomes import ResultsFolder, gather
-from edge.lab.eval.trajectories.run import run_all
+from edge.lab.eval.trajectories.run import run, run_all
 
 RULES = TasksConfig()
 PAST = "drive past the left of the van, then stop at the gate"
@@ -76,6 +79,16 @@ def test_finished_episodes_are_not_run_again(tmp_path, monkeypatch):
     monkeypatch.setattr("edge.lab.eval.trajectories.run.run_methods", None)
     assert ran([episode(PAST)], ["ours"], ResultsFolder(tmp_path)) == first
     assert (tmp_path / "outcomes.jsonl").read_bytes() == text
+
+
+def test_numbers_that_are_not_finite_are_not_written(tmp_path):
+    folder = ResultsFolder(tmp_path)
+    (outcome,) = ran([episode(PAST)], ["ours"], folder)
+    before = (tmp_path / "outcomes.jsonl").read_bytes()
+    for value in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            folder.append(replace(outcome, frechet_m=value))
+    assert (tmp_path / "outcomes.jsonl").read_bytes() == before
 
 
 def test_a_crash_is_reported_and_run_again(tmp_path, monkeypatch):
@@ -160,3 +173,7 @@ def test_the_command(tmp_path, capsys):
     lines = (out / "outcomes.jsonl").read_text().splitlines()
     assert [json.loads(line)["method"] for line in lines] == list(methods_of(RULES))
     assert (out / "episodes.svg").read_bytes().startswith(b"<?xml")
+    (out / "episodes.svg").unlink()
+    (out / "episodes.svg").mkdir()
+    with pytest.raises(FileError, match=r"episodes\.svg: .*; the tables above are complete"):
+        run(make_parser().parse_args([*command, "--limit", "1"]))
