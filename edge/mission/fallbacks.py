@@ -56,7 +56,15 @@ _FIND_IT = re.compile(
     r"^(?P<find>(?:go and |go )?(?:find|look for|search for|locate|hunt for)) (?:it|them|one)\b",
     re.I,
 )
+# "go to the mug", "find it" after "if it is there"
+_GO_NAMED = re.compile(
+    r"^(?:(?:go|drive|head|move|come|walk|roll)(?: right| straight| over| up)* "
+    r"(?:to|next to|near|towards)|visit|reach|approach|find|look for|search for|locate) "
+    rf"(?P<name>it|them|one|{NAME})(?=[,.;!?]|$| (?:and|then) )",
+    re.I,
+)
 _HERE = re.compile(r"\b(?:there|here)\b", re.I)
+_WAIT_HERE = re.compile(r"\b(?:wait|stay|remain)(?: right)? here\b", re.I)
 _NEXT_SENTENCE = re.compile(r"[.;!?] ")
 _BY_WAY = re.compile(r"\b(?:through|via|past|by way of)\b", re.I)
 _WHEN = re.compile(r"\b(?:when|whenever|once|as soon as|after|until|before|while|unless)\b", re.I)
@@ -71,6 +79,7 @@ _LOOKS = re.compile(
     re.I,
 )
 _DRIVES = re.compile(r"(?:go|drive|head|move|run|roll|come|visit|reach)\b", re.I)
+_NEAREST = re.compile(r"\b(?:nearest|closest)\b", re.I)
 _THEN = re.compile(r"[,.;!?] (?:and )?then\b", re.I)
 
 
@@ -151,9 +160,12 @@ class FallbackTranslator:
         """
         if isinstance(part, Branches):
             return self._nested(part, noun, last)
+        named = _GO_NAMED.match(part)
+        nouns = ["it", "them", "one", noun.removeprefix("the ")]
+        if noun and named is not None and _is_same(nouns, named["name"]):
+            part = f"go to it{part[named.end() :]}"
         text = _FIND_IT.sub(rf"\g<find> {noun}" if noun else r"\g<0>", _DONE.sub("", part))
-        tree = self._leaf(text, last)
-        return _NONE if tree.first is not None and _is_noun(tree.first, noun) else tree
+        return self._leaf(text, last)
 
     def _after_failure(self, part: Branches | str, noun: str, last: bool, place: str) -> _Tree:
         """Return what comes after an order that failed, with formulas.
@@ -166,6 +178,9 @@ class FallbackTranslator:
         """
         if isinstance(part, Branches):
             return self._nested(part, noun, last)
+        if found := _WAIT_HERE.search(part):
+            hint = "say 'come back here, then wait', or 'wait there'"
+            raise UnclearError(f"instruction: {found[0]!r}: unclear where; {hint}", found[0])
         text = _STOPS.sub("", part)
         orders, text = areas_of(text, noun) if noun else ([], text)
         text = _FIND_IT.sub(rf"\g<find> {noun}" if noun and not orders else r"\g<0>", text)
@@ -226,6 +241,8 @@ class FallbackTranslator:
             order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
             asks = True
         elif condition.at and branches.order:
+            if _DRIVES.match(branches.order) or _NEAREST.search(branches.order):
+                raise UnclearError(f"instruction: {_UNPLACED}")
             order = self._at(order, goals, condition)
         goals = _last_goals(order)
         self._check_kind(goals, condition)
@@ -425,10 +442,6 @@ def _last_goals(order: Formula) -> tuple[str, ...]:
 
     _with_last(order, note)
     return tuple(found)
-
-
-def _is_noun(formula: Formula, noun: str) -> bool:
-    return formula.op == "F" and propositions(formula) == (noun.removeprefix("the "),)
 
 
 def _split_first(formula: Formula, several: bool) -> tuple[Formula, Formula | None]:

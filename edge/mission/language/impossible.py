@@ -48,10 +48,11 @@ _CANNOT = (
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
 _OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
-# "a free chair", "dirty tables", but not "the closed captioning screen"
+# "a free chair", "dirty tables", but not "the closed captioning screen" and "the open kitchen"
 _IN_STATE = re.compile(
-    r"\b(?P<state>free|available|vacant|occupied|unoccupied|open|opened|closed|shut|locked|unlocked|"
-    r"busy|taken|reserved|clean|dirty) (?:chair|seat|stool|bench|sofa|couch|bed|table|desk|door|"
+    r"\b(?!open (?:kitchen|office)\b)(?P<state>free|available|vacant|occupied|unoccupied|open|"
+    r"opened|closed|shut|locked|unlocked|busy|taken|reserved|clean|dirty) "
+    r"(?:chair|seat|stool|bench|sofa|couch|bed|table|desk|door|"
     r"gate|window|drawer|cupboard|fridge|room|bathroom|toilet|kitchen|bedroom|office|cup|mug|plate|"
     r"glass|towel|lift|elevator|parking spot|charger|socket)(?:e?s)?"
     r"(?=[.,;!?]|$| (?:and|or|then|but|that|which|in|on|at|next|near|with|if|for|first)\b)",
