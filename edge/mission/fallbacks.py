@@ -115,7 +115,7 @@ class FallbackTranslator:
 
     Attributes:
         translate: returns the formula of an order without conditions.
-        is_thing: returns True if a proposition is a thing to search for.
+        is_thing: returns True if a proposition is an object to search for.
     """
 
     translate: Callable[[str], Formula]
@@ -155,7 +155,7 @@ class FallbackTranslator:
 
         Args:
             part: what comes after it.
-            noun: the thing that was found, or "".
+            noun: the object that was found, or "".
             last: True if the end of the part may belong to all outcomes.
         """
         if isinstance(part, Branches):
@@ -172,7 +172,7 @@ class FallbackTranslator:
 
         Args:
             part: see `_after_success`.
-            noun: the thing that was not found, or "".
+            noun: the object that was not found, or "".
             last: see `_after_success`.
             place: the room in which it was searched for, or "".
         """
@@ -260,7 +260,7 @@ class FallbackTranslator:
         )
 
     def _order(self, branches: Branches, noun: str) -> tuple[Formula, bool]:
-        """Return the formula of the order, and True if it only asks if a thing is there."""
+        """Return the formula of the order, and True if it only asks if an object is there."""
         condition = branches.condition
         if branches.order:
             by_way = condition.state and not condition.thing and _BY_WAY.search(branches.order)
@@ -475,7 +475,7 @@ def _is_same(goals: Sequence[str], thing: str) -> bool:
 
 
 def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
-    """Return the place of a thing that the condition names: the last room for "there"."""
+    """Return the place of an object that the condition names: the last room for "there"."""
     goal = goals[0]
     if len(goals) > 1 and (not condition.at or condition.at.endswith(" it")):
         raise UnclearError(f"instruction: {condition.thing!r}: unclear where; name the place")

@@ -324,7 +324,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
 
 class SearchRoomPursuit(ExploreRoomPursuit):
-    """Pursuit of a thing in one room: it fails as soon as the room is explored."""
+    """Pursuit of an object in one room: it fails as soon as the room is explored."""
 
     def gather(self) -> Sequence[Instance]:
         return self._known_objects()

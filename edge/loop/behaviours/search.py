@@ -52,7 +52,7 @@ def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
 
 
 def _make_thing_pursuit(_: None, mission: MissionRun, *others: Any) -> Pursuit:
-    """Return the pursuit of a thing; one with a fallback is not sought outside its room."""
+    """Return the pursuit of an object; one with a fallback is not searched for outside its room."""
     thing = parse_description(mission.target)
     has_fallback = FailureTarget(mission.target) in mission.destinations.values()
     if thing is not None and thing.room and has_fallback:
