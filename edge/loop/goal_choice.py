@@ -24,7 +24,7 @@ from edge.mapping.grid import RollingMap
 from edge.mission.run import MissionRun
 from edge.perception.tracking.instances import InstanceTracker
 from edge.policies.base import FRONTIER, INSTANCE, SPIN, PolicyInput
-from edge.policies.select import STOP_M, CurrentGoal, choose, rank_candidates
+from edge.policies.select import STOP_M, CurrentGoal, InstanceQueries, choose, rank_candidates
 from edge.types import CandidateKind, Goal, GoalStatus, Instance
 
 _NEAR_M = 5.0
@@ -296,10 +296,9 @@ class GoalChooser:
             current = CurrentGoal(tracked.goal, tracked.peak, often_left)
         # Near enough to have reached it.
         stop_m = min(self.config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
-        chosen = choose(
-            context, score, order, current, policy.switch_margin, self._tracker.get,
-            search.missed_from, stop_m,
-        )  # fmt: skip
+        tracker = self._tracker
+        instances = InstanceQueries(tracker.get, search.missed_from, tracker.only_viewpoint)
+        chosen = choose(context, score, order, current, policy.switch_margin, instances, stop_m)
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:
             search.left.append(tracked.goal.candidate_xy_m)

@@ -255,11 +255,13 @@ def trace(distance, x0, y0, x1, y1, x, y, cells):
 
 
 @jit
-def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points):
+def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, points, except_disc):
     """Do the work of `TravelCostField.stopping_point`; the result is as in `nearest_reached`."""
     n, k, radius = layers.raw.shape[0], len(surface), within / res
     at = np.empty((k, 2))  # in cells, relative to cell centres
     first_x, first_y, last_x, last_y = x1, y1, x0, y0
+    not_x, not_y, not_radius = except_disc
+    not_x, not_y, not_radius = not_x / res - 0.5, not_y / res - 0.5, not_radius / res
     for i in range(k):
         at[i, 0], at[i, 1] = surface[i, 0] / res - 0.5, surface[i, 1] / res - 0.5
         first_x = min(first_x, int(np.ceil(at[i, 0] - radius)))
@@ -275,6 +277,8 @@ def first_in_sight(layers, distance, x0, y0, x1, y1, res, surface, within, point
             if entry == 0 or (found != 0 and entry >= found):
                 continue
             if bit_get(layers.blocked, sy, sx) or not bit_get(layers.known, sy, sx):
+                continue
+            if (x - not_x) ** 2 + (y - not_y) ** 2 < not_radius**2:
                 continue
             if _sees(layers, x, y, at, radius, points):
                 best_x, best_y, found = x, y, entry

@@ -140,7 +140,11 @@ class TravelCostField:
         return self._search(nearest_reached, float(x_m / res), float(y_m / res), radius_m / res)
 
     def stopping_point(
-        self, surface_m: np.ndarray, within_m: float, points: int = 1
+        self,
+        surface_m: np.ndarray,
+        within_m: float,
+        points: int = 1,
+        except_disc: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> tuple[float, float, float] | None:
         """Return the stopping point for an object: the nearest free cell in sight of its surface.
 
@@ -151,12 +155,13 @@ class TravelCostField:
             surface_m: (k, 2 or more) float32 in `map`.
             within_m: largest distance from the cell's centre to a point.
             points: least number of such points; > 0.
+            except_disc: (x_m, y_m, radius_m) of a disc without stopping points.
 
         Returns:
             (x_m, y_m, distance_m) of the cell's centre; None if there is none.
         """
         res = self._window.resolution_m
-        return self._search(first_in_sight, res, surface_m, within_m, points)
+        return self._search(first_in_sight, res, surface_m, within_m, points, except_disc)
 
     def _search(
         self, search: Callable[..., tuple[int, int, int]], *args: object

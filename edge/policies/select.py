@@ -36,9 +36,26 @@ but at most `MOST_POINTS`. Fewer points may belong to another object in front.""
 
 _GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", SPIN: "spin"}
 
+_OTHER_SIDE_M, _MOST_AROUND_M = 0.6, 4.0
+"""Distance of a stop from the only viewpoint that an instance was confirmed from, and the longest
+path to such a stop."""
+
 Cell = tuple[float, float]
-InstanceOf = Callable[[int], Instance | None]
-MissedFrom = Callable[[int, Cell], bool]
+
+
+class InstanceQueries(NamedTuple):
+    """Queries about instances, by id.
+
+    Attributes:
+        get: returns the instance, or None if it is gone.
+        missed_from: returns True if the instance was out of reach from a place (x, y).
+        only_viewpoint: returns the place (x, y) that an instance was confirmed from, if there was
+            only one.
+    """
+
+    get: Callable[[int], Instance | None]
+    missed_from: Callable[[int, Cell], bool]
+    only_viewpoint: Callable[[int], Cell | None]
 
 
 class CurrentGoal(NamedTuple):
@@ -94,8 +111,7 @@ def choose(
     order: np.ndarray,
     held: CurrentGoal | None,
     margin: float,
-    instance_of: InstanceOf,
-    missed_from: MissedFrom,
+    instances: InstanceQueries,
     stop_m: float = STOP_M[-1],
 ) -> tuple[Goal, float, bool] | None:
     """Return the best reachable candidate, or the current one if it is about as good.
@@ -106,8 +122,7 @@ def choose(
         order: result of `rank_candidates`.
         held: the current goal, if any.
         margin: how much better another candidate must be, as a fraction of the current score.
-        instance_of: returns the instance with an id, or None if it is gone.
-        missed_from: returns True if an instance (id) was out of reach from a place (x, y).
+        instances: queries about the instances among the candidates.
         stop_m: stopping distance from an instance, tried before `STOP_M`; see `ENOUGH_SHARE`.
 
     Returns:
@@ -119,7 +134,7 @@ def choose(
     current_is_ranked = current in order
     for index in map(int, order):
         goal_m = None if held is None or index != current else held.goal.pose
-        cell = _goal_cell(context, index, instance_of, missed_from, stop_m, goal_m)
+        cell = _goal_cell(context, index, instances, stop_m, goal_m)
         if cell is None:
             continue
         if (
@@ -128,7 +143,7 @@ def choose(
             and index != current
             and not _is_clearly_better(index, current, context, score, held, margin)
         ):
-            kept = _goal_cell(context, current, instance_of, missed_from, stop_m, held.goal.pose)
+            kept = _goal_cell(context, current, instances, stop_m, held.goal.pose)
             if kept is not None:
                 index, cell = current, kept
         value = float(score[index])
@@ -192,8 +207,7 @@ def _is_still_valid(goal: Goal, cell: Cell, context: PolicyInput) -> bool:
 def _goal_cell(
     context: PolicyInput,
     index: int,
-    instance_of: InstanceOf,
-    missed_from: MissedFrom,
+    instances: InstanceQueries,
     stop_m: float,
     held: SE2 | None,
 ) -> Cell | None:
@@ -206,17 +220,17 @@ def _goal_cell(
     if kind == SPIN:
         return pose.x_m, pose.y_m
     if kind == INSTANCE:
-        instance = instance_of(int(candidates.id[index]))
+        instance = instances.get(int(candidates.id[index]))
         if instance is None or instance.state == "rejected":  # changed since it was gathered
             return None
-        return _instance_cell(context, instance, missed_from, stop_m, held)
+        return _instance_cell(context, instance, instances, stop_m, held)
     return _nearest_cell(context, candidates.xy_m[index], kind)
 
 
 def _instance_cell(
     context: PolicyInput,
     instance: Instance,
-    missed_from: MissedFrom,
+    instances: InstanceQueries,
     stop_m: float,
     held: SE2 | None,
 ) -> Cell | None:
@@ -224,12 +238,20 @@ def _instance_cell(
 
     If no cell is near enough to stop there, the cell is one from which the instance is in sight and
     not far, or at the frontier on the shortest path to it, whichever path is shorter. Without both,
-    it is next to the nearest point of the surface.
+    it is next to the nearest point of the surface. If an instance was confirmed from one viewpoint
+    only, the cell is away from there, if the path is short.
     """
     candidates, pose, points_m = context.candidates, context.pose, instance.points_m
     enough_points = max(1, min(MOST_POINTS, int(ENOUGH_SHARE * len(points_m))))
     # First near many points of its surface, then near any point, as `STOP_M` says.
     attempts = (stop_m, enough_points), *((fallback_m, 1) for fallback_m in STOP_M)
+    only_view = instances.only_viewpoint(instance.id)
+    if only_view is not None:
+        found = context.map.stopping_point(
+            points_m, stop_m, except_disc=(*only_view, _OTHER_SIDE_M)
+        )
+        if found is not None and found[2] <= _MOST_AROUND_M:
+            return found[:2]
     for within_m, points in attempts:
         found = context.map.stopping_point(points_m, within_m, points)
         if found is not None:
@@ -240,7 +262,7 @@ def _instance_cell(
     for within_m in _OBSERVE_M:
         found = context.map.stopping_point(points_m, within_m)
         is_shorter = found is not None and found[2] + within_m <= via_frontier_m
-        if found is not None and is_shorter and not missed_from(instance.id, found[:2]):
+        if found is not None and is_shorter and not instances.missed_from(instance.id, found[:2]):
             return found[:2]
     if frontier >= 0:
         return _nearest_cell(context, candidates.xy_m[frontier], FRONTIER)

@@ -49,13 +49,19 @@ class Map:
         return x, y, math.hypot(x, y)
 
     def stopping_point(
-        self, surface_m: np.ndarray, within_m: float, points: int = 1
+        self,
+        surface_m: np.ndarray,
+        within_m: float,
+        points: int = 1,
+        except_disc: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> tuple[float, float, float] | None:
         self.asked.append((within_m, points))
         if within_m < self.least_m or points > self.most_points:
             return None
-        nearest = min(surface_m.tolist(), key=lambda p: self.here.distance_to(p[0], p[1]))
-        return self.nearest(nearest[0], nearest[1], within_m)
+        x_m, y_m, radius_m = except_disc
+        allowed = [p for p in surface_m.tolist() if math.dist(p[:2], (x_m, y_m)) >= radius_m]
+        nearest = min(allowed, key=lambda p: self.here.distance_to(p[0], p[1]), default=None)
+        return nearest and self.nearest(nearest[0], nearest[1], within_m)
 
     def state_at(self, x: float, y: float) -> int:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
@@ -93,6 +99,7 @@ class Things(dict):
 
     sure: tuple[int, ...] = ()
     one_sided: tuple[int, ...] = ()
+    viewpoint: tuple[float, float] | None = None
 
     def verified(self, instance: Instance, pose: SE2) -> bool:
         return self.confirmed(instance) and instance.id not in self.one_sided
@@ -101,6 +108,9 @@ class Things(dict):
 
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
+
+    def only_viewpoint(self, instance_id: int) -> tuple[float, float] | None:
+        return self.viewpoint
 
     def of(self, label: str) -> list[Instance]:
         return list(self.values())
