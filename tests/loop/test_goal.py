@@ -297,6 +297,19 @@ def test_without_a_stop_the_robot_looks_from_near_or_goes_around(
     assert case.choose(*things).pose.x_m == expected_x_m
 
 
+@pytest.mark.parametrize(
+    ("chair_x_m", "viewpoint", "goal_x_m"),
+    [(3.0, None, 3.0), (3.0, (2.8, 0.0), 4.0), (3.0, (3.5, 0.0), 3.0), (3.1, (2.8, 0.0), 3.1)],
+    ids=["two viewpoints", "the other side", "all stops at the viewpoint", "far around"],
+)
+def test_an_object_seen_from_one_viewpoint_is_viewed_from_another_side(
+    chair_x_m, viewpoint, goal_x_m
+):
+    case = Case()
+    case.things.viewpoint = viewpoint
+    assert case.choose(chair(9, chair_x_m, 0.8)).pose.x_m == pytest.approx(goal_x_m)
+
+
 def test_a_place_from_which_an_object_was_out_of_reach_is_no_goal_again():
     case = Case()
     case.map.least_m = 1.1

@@ -151,6 +151,10 @@ def test_the_stopping_point_is_near_and_in_sight():
     assert x > 1.1, "not from behind the wall, though that is nearer"
     assert way_m == pytest.approx(grid.travel_cost.distance_m(x, y))
     assert grid.travel_cost.stopping_point(surface_m, 0.1) is None
+    around_m = grid.travel_cost.stopping_point(surface_m, 0.7, except_disc=(x, y, 0.4))
+    assert math.dist(around_m[:2], (x, y)) >= 0.4
+    assert around_m[2] > way_m
+    assert grid.travel_cost.stopping_point(surface_m, 0.7, except_disc=(x, y, 2.0)) is None
     # The point with the shortest path is chosen.
     more_m = np.array([[1.5, 0.5, 0.4], [1.5, -1.0, 0.4]], np.float32)
     assert grid.travel_cost.stopping_point(more_m, 0.7)[2] < way_m
