@@ -18,7 +18,7 @@ from edge import names
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
-from edge.mission.language.places import EXPLORED, HERE, NO, START
+from edge.mission.language.places import EVERY, EXPLORED, HERE, NO, START
 from edge.text import one_line
 
 CALLER = "caller"
@@ -34,6 +34,7 @@ _EXPLORE = re.compile(rf"{EXPLORED}(?: (?!for )(?P<room>.+?))?(?: for (?P<time>{
 _CANNOT_FAIL = re.compile(rf"{HERE}$|wait\b|{NO}")  # after NO
 _CHECK = re.compile(r"check (?:the )?(?P<name>.+?)(?: in (?:the )?(?P<room>.+))?")
 _ROOM_NUMBER = re.compile(r"room (?P<n>\w+)")
+_EVERY_ROOM = re.compile(rf"{EVERY} (?P<name>.+)")
 _ROOM_WITH = re.compile(r"room with (?:(?:the|a|an) )?(?P<name>.+)")
 
 Name = Annotated[str, Field(max_length=1000)]
@@ -121,6 +122,20 @@ class RoomTarget:
 
 
 @dataclass(frozen=True, slots=True)
+class EveryRoomTarget:
+    """A tour of rooms, reached when the robot was in each one that it can get into.
+
+    Attributes:
+        room: kind of the rooms; "" for all rooms.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    room: Name = ""
+    kind: Literal["every_room"] = "every_room"
+
+
+@dataclass(frozen=True, slots=True)
 class FailureTarget:
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
@@ -138,7 +153,15 @@ class FailureTarget:
 
 
 Destination = Annotated[
-    Union[PlaceTarget, ExploreTarget, WaitTarget, CheckTarget, RoomTarget, FailureTarget],
+    Union[
+        PlaceTarget,
+        ExploreTarget,
+        WaitTarget,
+        CheckTarget,
+        RoomTarget,
+        EveryRoomTarget,
+        FailureTarget,
+    ],
     Discriminator("kind"),
 ]
 _DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Destination])
@@ -150,9 +173,9 @@ def destination_of(text: str, site: Site) -> Destination | None:
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
     `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
     `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
-    `next room` and `room with sofa`. A place of the site comes before a phrase, and a room's name
-    before a kind. A kind of room that the robot cannot recognise is a thing, unless a person gave
-    a room that name.
+    `next room`, `room with sofa`, `every room` and `every bedroom`. A place of the site comes
+    before a phrase, and a room's name before a kind. A kind of room that the robot cannot recognise
+    is a thing, unless a person gave a room that name.
 
     Raises:
         DestinationError: a duration is no number or too long, or the caller's pose is not known.
@@ -181,6 +204,9 @@ def destination_of(text: str, site: Site) -> Destination | None:
         return ExploreTarget(room, found["time"] and duration_s(found["time"]))
     if found := _CHECK.fullmatch(text):
         return CheckTarget(found["name"], _room_name_of(found["room"], site))
+    if found := _EVERY_ROOM.fullmatch(text):
+        is_all = found["name"] == "room"
+        return EveryRoomTarget("" if is_all else _room_name_of(found["name"], site))
     return _room_of(text, site)
 
 
@@ -265,6 +291,8 @@ def describe_destination(name: str, destination: Destination) -> str:
         if destination.which == "with":
             return f"the room with the {destination.name}"
         return f"the {names.normalise(name)}"
+    if isinstance(destination, EveryRoomTarget):
+        return name
     if isinstance(destination, FailureTarget):
         return f"the point where the robot gives up {destination.target}"
     special = {

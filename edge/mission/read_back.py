@@ -15,6 +15,7 @@ from edge.mission.destinations import (
     CALLER,
     CheckTarget,
     Destination,
+    EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
     RoomTarget,
@@ -139,6 +140,8 @@ def _order(name: str, destinations: Mapping[str, Destination]) -> str:
         return "go back to the start" if name == START else "come back to where this mission began"
     if name == CALLER:
         return "come to the caller"
+    if isinstance(destination, EveryRoomTarget):
+        return f"go into {name}"
     if isinstance(destination, RoomTarget) and destination.which != "called":
         return f"go to {describe_destination(name, destination)}"
     return f"go to {_with_article(name)}"

@@ -18,6 +18,7 @@ from edge.memory import Site, is_room_name, parse_description
 from edge.mission.destinations import (
     CheckTarget,
     Destination,
+    EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
     PlaceTarget,
@@ -37,7 +38,7 @@ from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.nouns import split_entries
-from edge.mission.language.places import EXPLORED, NO, quote_places
+from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
 from edge.mission.language.said import (
     Control,
     MemoryQuestion,
@@ -68,7 +69,7 @@ from edge.text import one_line
 
 _NO_SITE = Site()
 # Spelled-out text that means more than the words as they were given.
-_MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED})\b|, then ')
+_MEANS_MORE = re.compile(rf'"(?:{CHECK}|{EXPLORED}|{EVERY})\b|, then ')
 _NEAREST = re.compile(r"\b(?:nearest|closest)\b", re.I)
 _MOST_SHOWN = 600  # characters of the parts of a contradiction
 
@@ -462,15 +463,17 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     automaton = _without_unused(automaton, targets)
     # Check now that the planner accepts the mission.
     make_planner(config.planner, automaton, translation.instruction)
-    # One step is enough, or only one target may be reached.
+    # One step is enough, or only one target may be reached. A tour has several stops.
     alone = automaton.steps_left[0] < 2 or len(automaton.possible) < 2
-    if translation.repeat is not None and alone:
+    destinations = translation.destinations
+    has_tour = any(isinstance(destinations.get(name), EveryRoomTarget) for name in targets)
+    if translation.repeat is not None and alone and not has_tour:
         raise MissionError(
             f"mission: {one_line(formula)} cannot be repeated: name at least two things or places "
             "to reach in each round"
         )
-    _refuse_bans(automaton, translation.destinations)
-    prompts = _prompts(targets, translation.destinations)
+    _refuse_bans(automaton, destinations)
+    prompts = _prompts(targets, destinations)
     return MissionSpec(translation, automaton, diagnosis, targets, prompts or (config.target,))
 
 
@@ -494,7 +497,8 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
         destination = destinations.get(name)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
         if chosen or isinstance(
-            destination, (CheckTarget, ExploreTarget, FailureTarget, WaitTarget)
+            destination,
+            (CheckTarget, EveryRoomTarget, ExploreTarget, FailureTarget, WaitTarget),
         ):
             raise MissionError(
                 f"mission: {one_line(name, 60)}: the robot can do this, but it cannot be "

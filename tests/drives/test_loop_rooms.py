@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from small_house import HOUSE, driven
@@ -179,3 +180,34 @@ def test_the_next_room_is_an_unvisited_one():
     loop = driven("go to the next room", seconds=60.0)
     assert loop.service.status.phase == "reached", loop.notes.events
     assert is_in_kitchen(loop)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "phase", "reason"),
+    [
+        # The bed may cut the bedroom into two rooms.
+        ("visit all rooms", "reached", r"was in [23] rooms: living room,.* bedroom; found: "),
+        ("visit every bedroom", "reached", "was in 1 bedroom: bedroom; found: "),
+        (
+            "visit all rooms except the bedroom",
+            "reached",
+            "was in 1 room: living room; did not get into: bedroom; found: ",
+        ),
+        ("visit every bathroom", "failed", "explored all reachable space, found no bathroom"),
+    ],
+)
+def test_a_tour_ends_when_each_room_was_visited(tmp_path, instruction, phase, reason):
+    loop = driven(instruction, folder=tmp_path)
+    status = loop.service.status
+    assert status.phase == phase, loop.notes.events
+    assert re.match(reason, status.reason), status.reason
+    if "except" in instruction:
+        entered = {room.title for room in loop.service.map.rooms.rooms if room.is_visited}
+        assert entered == {"living room"}
+
+
+def test_a_patrol_of_the_house_visits_each_room_in_each_round(tmp_path):
+    loop = driven("patrol the house twice", seconds=300.0, folder=tmp_path)
+    assert loop.service.status.phase == "reached", loop.notes.events
+    tours = [text for text in loop.notes.events if text.startswith("reached: every room (was in ")]
+    assert len(tours) == 2, loop.notes.events

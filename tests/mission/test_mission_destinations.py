@@ -13,6 +13,7 @@ from edge.geometry import SE2
 from edge.memory import Place, Site
 from edge.mission.destinations import (
     CheckTarget,
+    EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
     PlaceTarget,
@@ -45,6 +46,8 @@ SITE = Site((Place("dock", DOCK), Place("wait 5 s", DOCK)))
         ("explored living room", ExploreTarget("living room")),
         ("explored for 10 min", ExploreTarget("", 600.0)),
         ("explored kitchen for one hour", ExploreTarget("kitchen", 3600.0)),
+        ("every room", EveryRoomTarget()),
+        ("every living room", EveryRoomTarget("living room")),
         ("check stove", CheckTarget("stove")),
         ("check the red mug", CheckTarget("red mug")),
         ("check the kettle in the kitchen", CheckTarget("kettle", "kitchen")),
@@ -61,6 +64,7 @@ def test_the_text_decides(text, meant):
         ("wait 25 hours", "up to 24 h"),
         ("explored for some min", "^some min: expected a time"),
         ("explored map", "map: no room has this name, .*; give a room this name first"),
+        ("every pantry", "pantry: no room has this name"),
         ("check mug in pantry", "pantry: no room has this name"),
         ("caller", "caller: the request does not say where the caller is; send from_pose"),
     ],
@@ -82,6 +86,7 @@ destinations = st.one_of(
     st.builds(ExploreTarget, st.text(max_size=20), seconds),
     st.builds(WaitTarget, seconds),
     st.builds(CheckTarget, st.text(max_size=20)),
+    st.builds(EveryRoomTarget, st.text(max_size=20)),
     st.builds(FailureTarget, st.text(max_size=20)),
 )
 

@@ -65,7 +65,24 @@ PLACES = ["dock", "loading bay 2"]
          'go to "explored hall", then go to "explored kitchen"'),
         ("give the office a quick once-over", 'go to "explored office"'),
         ("explore the whole house, then come back", 'go to "explored", then go to "here"'),
+        # Tours of rooms.
+        ("visit all rooms", 'go to "every room"'),
+        ("check both of the bathrooms", 'go to "every bathroom"'),
+        ("explore all the bedrooms, one after the other", 'go to "every bedroom"'),
+        ("explore all rooms", 'go to "explored"'),
+        ("go into every room except the hall, then come back",
+         'go to "every room", but do not go to the hall, then go to "here"'),
+        ("first visit each bedroom, then each bathroom",
+         'first go to "every bedroom", then go to "every bathroom"'),
+        ("go to the hall and every bathroom", 'go to the hall, then go to "every bathroom"'),
+        ("avoid the hall and all bathrooms", "avoid the hall and all bathrooms"),
+        ("look for my keys in every room", 'find "keys"'),
+        ("check each room for the mug", 'find "mug"'),
         # Patrols.
+        ("patrol the dock and the bed", 'go to "dock", then go to the bed; repeat until told'),
+        ("patrol the house", 'go to "every room"; repeat until told'),
+        ("patrol all rooms, three rounds", 'go to "every room"; repeat 3 times'),
+        ("guard the house for an hour", 'go to "every room"; repeat for 60 min'),
         ("patrol the dock and the bed twice",
          'go to "dock", then go to the bed, then go to "dock", then go to the bed'),
         ("do two rounds of the dock and the bed",
@@ -192,6 +209,8 @@ def test_an_errand_is_spelled_out(said, plain):
         ("explore the house, then the dock", "unclear what to do with the second"),
         ("find the mug, then patrol the dock and the bed for 20 minutes", "before it first"),
         ("patrol the dock and the bed until I call, then wait", "rest afterwards"),
+        ("patrol the house, then come back", "rest afterwards"),
+        ("do not visit every room", "unclear which room"),
     ],
 )
 def test_an_impossible_errand_is_refused_in_one_line(said, hint):

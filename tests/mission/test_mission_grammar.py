@@ -216,7 +216,7 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
 @pytest.mark.parametrize(
     ("sentence", "reason"),
     [
-        ("keep visiting the bed", "a mission ends"),
+        ("keep visiting the bed", "only a patrol repeats"),
         ("wait at the door", "not stay or leave"),
         ("go to the bed and continue", "say where to go"),
         ("visit the bed forever", "a mission ends"),
@@ -309,7 +309,7 @@ CLAUSES = (
     "at *no point enter the *A",
     "visit the *A by going *through the *B", "keep going *until you reach the *A",
     "the *maximum number of visits to the *A is *two",
-    "visit the *A *in *the *end", "always *avoid the *A",
+    "visit the *A in the *end", "always *avoid the *A",
 )  # fmt: skip
 JOINTS = (", then ", " and finally ", ". ")
 

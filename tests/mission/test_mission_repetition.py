@@ -66,6 +66,7 @@ def test_an_invalid_repetition_is_refused(phrase):
         ("G (F dock & F shelf)", None, PATROL, Repetition()),
         ("G F dock & G F shelf & G !bed", Repetition(12), f"{PATROL} & G !bed", Repetition(12)),
         (PATROL, Repetition(2), PATROL, Repetition(2)),
+        ('F "every room"', Repetition(), 'F "every room"', Repetition()),
     ],
 )
 def test_recurrence_becomes_one_round_that_repeats(formula, given, one_round, repeat):

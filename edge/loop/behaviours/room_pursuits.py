@@ -16,7 +16,13 @@ from edge.loop.goal import GoalTracker
 from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import RECOGNISED_KINDS, DescribedThing, MappedRoom, RoomSurvey, kind_of_room
-from edge.mission.destinations import CheckTarget, ExploreTarget, RoomTarget, room_target
+from edge.mission.destinations import (
+    CheckTarget,
+    EveryRoomTarget,
+    ExploreTarget,
+    RoomTarget,
+    room_target,
+)
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
 from edge.policies.search import SearchPolicy
@@ -31,6 +37,8 @@ _SURVEYS = 2  # surveys after the arrival that must agree that the robot is insi
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
+_GROWN = 1.3  # a room that has grown by this factor since its visit is visited again
+_TRIES = 2  # failed goals in a room after which a tour leaves it out
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 
 
@@ -49,6 +57,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
     # The likeliest room that the target may mean, if zones close all such rooms.
     _closed_room: MappedRoom | None = None
     _is_final = False  # True if all is explored: the choice stays
+    _wanted = "it"  # the target, in the activity
     _surveyed: RoomSurvey | None = None  # the newest survey that agreed
     _agreed = 0  # number of surveys since the arrival that agree
 
@@ -64,7 +73,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
             self.finish(context.now_ns)  # retries and second looks would lead elsewhere
             return
         if room is None:
-            mission.activity = "exploring to find it"
+            mission.activity = f"exploring to find {self._wanted}"
             super().check_progress(context, images)
             return
         number = f"room {room.id}"
@@ -226,7 +235,7 @@ class RoomPursuit(Pursuit[RoomTarget]):
         kept = self._is_final or which == "next"
         if kept and (room := rooms.room(self._chosen_id)) is not None:
             return room
-        known = rooms_of(self._destination, self._map)
+        known = self._known_rooms()
         found = [room for room in known if not is_closed(room, self._map, self._kind)]
         self._closed_room = known[0] if known and not found else None
         if which == "next":
@@ -248,6 +257,10 @@ class RoomPursuit(Pursuit[RoomTarget]):
             self._chooser.abandon()
         return chosen
 
+    def _known_rooms(self) -> list[MappedRoom]:
+        """Return the rooms that the target may mean."""
+        return rooms_of(self._destination, self._map)
+
     def _distance_m(self, room: MappedRoom) -> float:
         """Return the driving distance to a room; inf if no path is known."""
         return float(self._distances_m(room, _ROOM_SNAP_M).min(initial=np.inf))
@@ -266,13 +279,13 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def __init__(
         self,
-        destination: ExploreTarget | CheckTarget | DescribedThing,
+        destination: ExploreTarget | CheckTarget | DescribedThing | EveryRoomTarget,
         mission: MissionRun,
         semantic_map: SemanticMap,
         goals: GoalTracker,
     ) -> None:
         super().__init__(room_target(destination.room), mission, semantic_map, goals)
-        self._name, self._activity = destination.room, "exploring"
+        self._phrase, self._activity = f"the {destination.room}", "exploring"
         self._limit_s = destination.limit_s if isinstance(destination, ExploreTarget) else None
         self._inside: MappedRoom | None = None  # the room, once the robot has been inside
 
@@ -286,7 +299,7 @@ class ExploreRoomPursuit(RoomPursuit):
             super().check_progress(context, images)
         else:
             left = "" if self._limit_s is None else f", {time_left(left_s)}"
-            self._mission.activity = f"{self._activity} the {self._name}{left}"
+            self._mission.activity = f"{self._activity} {self._phrase}{left}"
             self._explore_inside(context, images)
 
     def arrive(self, evidence: str, now_ns: int) -> None:
@@ -303,10 +316,11 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def end(self, now_ns: int) -> None:
         """End the target: the room is explored, or the time is over."""
-        known = f"the {self._name} was not reached"
+        known = f"{self._phrase} was not reached"
         if self._inside is not None:
             found = objects_found(self._map, self._inside)
-            known = f"{self._name}: {self._inside.area_m2:.0f} m² are known, {found}"
+            name = self._phrase.removeprefix("the ")
+            known = f"{name}: {self._inside.area_m2:.0f} m² are known, {found}"
         self._mission.on_reached(known, now_ns, known)
 
     def _explore_inside(self, context: PolicyInput, images: int) -> None:
@@ -337,6 +351,102 @@ class SearchRoomPursuit(ExploreRoomPursuit):
         missed = "did not get to" if self.gather() else "no"
         reason = f"{missed} {self._mission.target}: the room is explored"
         self._mission.abandon_target(reason, now_ns)
+
+
+class EveryRoomPursuit(ExploreRoomPursuit):
+    """Tour of all rooms, or of all of a kind: into each one, to its frontiers, and a look around.
+
+    The nearest room comes first. While none is left, the robot explores to find more.
+    """
+
+    def __init__(
+        self,
+        destination: EveryRoomTarget,
+        mission: MissionRun,
+        semantic_map: SemanticMap,
+        goals: GoalTracker,
+    ) -> None:
+        super().__init__(destination, mission, semantic_map, goals)
+        self._room_name = destination.room or "room"
+        self._wanted = f"another {self._room_name}"
+        # A point and the area of each room that is done, or that it cannot get into. The ids of
+        # rooms may change as the map grows.
+        self._done: list[tuple[float, float, float]] = []
+        self._missed: list[tuple[float, float, float]] = []
+
+    def check_progress(self, context: PolicyInput, images: int) -> None:
+        room = self._map.rooms.room(self._chosen_id)
+        if room is not None and self._chooser.place_failures >= _TRIES:
+            self._missed.append((*room.xy_m, room.area_m2))
+            self._next_room()
+        if self._inside is not None:
+            self._phrase = self._inside.phrase
+        elif self._chooser.search.exhausted and not self._known_rooms():
+            self.finish(context.now_ns)  # retries and second looks find no other room
+            return
+        super().check_progress(context, images)
+
+    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
+        if not self._chosen_id:  # the frontiers in rooms that are done lead to no other room
+            c = self._map.pool.candidates
+            for room in self._map.rooms.rooms:
+                if not self._covers(self._done, room):
+                    continue
+                c.blocked[: c.n] |= self._is_in(c.xy_m[: c.n], room) & (c.kind[: c.n] == FRONTIER)
+        return super().select(context, scores, images)
+
+    def end(self, now_ns: int) -> None:
+        """End the visit of one room: its frontiers are explored."""
+        if self._inside is not None:
+            self._done.append((*self._inside.xy_m, self._inside.area_m2))
+        self._next_room()
+
+    def finish(self, now_ns: int) -> None:
+        """End the tour: no room is left. If there was none, try the one most likely of the kind."""
+        kind = self._kind
+        if not self._done and kind is not None and self._most_likely(kind) is not None:
+            super().finish(now_ns)
+            return
+        rooms = self._rooms_of_kind()
+        done = [room.title for room in rooms if self._area_of(self._done, room)]
+        missed = [room.title for room in rooms if not self._area_of(self._done, room)]
+        end = f"; did not get into: {', '.join(missed)}" if missed else ""
+        if not self._done:
+            text = f"explored all reachable space, found no {self._room_name}{end}"
+            self._mission.abandon_target(one_line(text), now_ns)
+            return
+        plural = "" if len(done) == 1 else "s"
+        text = f"was in {len(done)} {self._room_name}{plural}: {', '.join(done) or 'none'}{end}"
+        text = one_line(text)
+        self._mission.on_reached(text, now_ns, f"{text}; {objects_found(self._map)}")
+
+    def _next_room(self) -> None:
+        """Start on the next room, with a new search."""
+        self._inside, self._chosen_id, self._is_final = None, 0, False
+        self._chooser.retarget(self._mission.target)
+
+    def _known_rooms(self) -> list[MappedRoom]:
+        """Return the rooms that are left."""
+        return [
+            room
+            for room in self._rooms_of_kind()
+            if not (self._covers(self._done, room) or self._covers(self._missed, room))
+            and np.isfinite(self._distance_m(room))
+        ]
+
+    def _rooms_of_kind(self) -> Sequence[MappedRoom]:
+        rooms, kind = self._map.rooms, self._destination.name
+        return rooms.matching(kind) if kind else rooms.rooms
+
+    def _covers(self, parts: Sequence[tuple[float, float, float]], room: MappedRoom) -> bool:
+        """Return True if the parts (x, y, area) cover a room, which may have grown or merged."""
+        area_m2 = self._area_of(parts, room)
+        return area_m2 > 0.0 and room.area_m2 <= _GROWN * area_m2
+
+    def _area_of(self, parts: Sequence[tuple[float, float, float]], room: MappedRoom) -> float:
+        """Return the area of the parts whose point is in a room; 0 if there is none."""
+        part = np.array(parts, np.float32).reshape(-1, 3)
+        return float(part[self._is_in(part[:, :2], room), 2].max(initial=0.0))
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):

@@ -17,6 +17,7 @@ from edge.loop.behaviours.pursuits import (
 )
 from edge.loop.behaviours.room_pursuits import (
     CheckRoomPursuit,
+    EveryRoomPursuit,
     ExploreRoomPursuit,
     RoomPursuit,
     SearchRoomPursuit,
@@ -27,6 +28,7 @@ from edge.loop.semantic_map import SemanticMap
 from edge.memory import parse_description
 from edge.mission.destinations import (
     CheckTarget,
+    EveryRoomTarget,
     ExploreTarget,
     FailureTarget,
     PlaceTarget,
@@ -67,6 +69,7 @@ PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
     WaitTarget: WaitPursuit,
     CheckTarget: _make_check_pursuit,
     RoomTarget: RoomPursuit,
+    EveryRoomTarget: EveryRoomPursuit,
 }
 """Pursuit by the class of the destination; `None` is for a thing, which has no destination."""
 

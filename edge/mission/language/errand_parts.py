@@ -62,6 +62,16 @@ PARTS = {
         (drive|go|run|move|walk) (around|round|up and down)|(go|drive|walk) between)
         [between|of|in|through|around|round|from|at|to|on]
         """,
+    "patrolling": """
+        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|guarding|[make|do] [a|the] patrol|
+        [go|be] on patrol|shuttle|[go|drive|run|keep going|move|walk] back and forth)
+        [between|of|in|through|around|round|from|at|to|on]
+        """,
+    "every": "(every [single] [one of]|each [single] [one] [of]|all [of]|both [of]) "
+             "[the|our|my|your|these|those]",
+    "turn": "[(of|in) [the|this|our|my|your] (house|home|flat|apartment|building|place)] "
+            "[, (one by one|in turn|one after (the other|another)|at least once)]",
+    "house": "({whole}|{every} (room|rooms))",
     "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
     "back": """
         [then|and|straight|right|directly|after|afterwards]* (

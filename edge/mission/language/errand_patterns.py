@@ -52,7 +52,19 @@ SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
             [around|round|in|at|inside|through]* <room> for <thing>
     (search|look) {whole} for <thing>
+    {goes} (check|visit|(look|search) [in|into|inside|through]|{drive} {over} (in|to|into|through))
+            {every} (room|rooms) [and look|and search] for <thing>
+    (find|(look|search) for) <thing> in {every} (room|rooms)
+    {drive} {over} (in|to|into|through) {every} (room|rooms) , [and] [then] (find|(look|search) for)
+            <thing>
 """
+EVERY_ROOM = """
+    {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
+            look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look})
+            {every} <rooms> [{turn}] [, (except|except for|apart from|but|but not) <left_out>]
+            [{turn}]
+"""
+EVERY_ROOM_TOO = "(, and|, then|, and then) {every} <rooms>"
 EXPLORES = """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
@@ -83,6 +95,10 @@ PATROLS = """
             (doing|repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
+    {patrolling} {house} , [for] <count> {rounds}
+    {patrolling} {house} , <often>
+    {patrolling} {house} , [for|during] <span>
+    {patrolling} ({house}|<stops>) [, (forever|until (told|further notice)|until (i|we) ...)]
 """
 ROUNDS_FIRST = (
     "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "

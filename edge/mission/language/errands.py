@@ -30,6 +30,7 @@ from edge.mission.language.everyday_words import (
 from edge.mission.language.impossible import refuse_impossible, refuse_states
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.places import (
+    EVERY,
     EXPLORED,
     HERE,
     START,
@@ -44,6 +45,7 @@ from edge.mission.language.unsupported import BEYOND_NAMES
 from edge.text import one_line
 
 _Change = Callable[[re.Match[str]], Union[str, None]]  # None keeps the match
+_BAN = re.compile(r"\b(?:not|never|avoid\w*|without|except|away|out of)\b", re.I)
 _JOINT = r",? (?:and then|and|then|or) |, "  # between the stops of an exploration
 
 
@@ -95,9 +97,11 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         ([patterns.NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
         ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
-        ([patterns.ROOM_FIRST], _rewrite_room_first),
         (patterns.SEARCHES, _rewrite_search),
         (patterns.PATROLS, _rewrite_patrol),
+        (patterns.EVERY_ROOM, _rewrite_every_room),
+        (patterns.EVERY_ROOM_TOO, _rewrite_every_room_too),
+        ([patterns.ROOM_FIRST], _rewrite_room_first),
         # Only at the start of the text.
         (patterns.ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
         (patterns.ERRAND_AND_BACK, _rewrite_errand_and_back),
@@ -241,8 +245,7 @@ def _rewrite_coloured(found: re.Match[str]) -> str | None:
 def _rewrite_nearest(found: re.Match[str]) -> str | None:
     """Return "the nearest chair" as the chair; None in a ban, which would mean all chairs."""
     clause = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
-    banned = re.search(r"\b(?:not|never|avoid\w*|without|except|away|out of)\b", clause, re.I)
-    return None if banned else f" the {found['thing']}"
+    return None if _BAN.search(clause) else f" the {found['thing']}"
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
@@ -252,6 +255,26 @@ def _rewrite_search(found: re.Match[str]) -> str | None:
         return None
     where = _relation_text("in", room)
     return None if where is None else f' find "{bare(found["thing"])}{where}"'
+
+
+def _rewrite_every_room(found: re.Match[str]) -> str | None:
+    """Return "visit all bedrooms" as `go to "every bedroom"`; None to explore all rooms."""
+    kind = names.singular(found["rooms"].lower())
+    explores = re.search(r"\b(?:explor|scan|map|survey)", found[0], re.I)
+    left_out = found["left_out"]
+    is_ban = re.search(r"\b(?:not|never)$", found.string[: found.start()], re.I)
+    if is_ban or (kind == "room" and explores) or (left_out and not is_room(bare(left_out))):
+        return None
+    ban = f", but do not go to {left_out}" if left_out else ""
+    is_next = found.start() and re.match(r",| (?:and|then|so|but)\b", found[0], re.I)
+    return _go_to(f"{EVERY} {kind}", found if is_next else None) + ban
+
+
+def _rewrite_every_room_too(found: re.Match[str]) -> str | None:
+    """Return "and every bathroom", after another stop, as an order."""
+    sentence = re.split(r"[.;!?]", found.string[: found.start()])[-1]
+    kind = names.singular(found["rooms"].lower())
+    return None if _BAN.search(sentence) else _go_to(f"{EVERY} {kind}", found)
 
 
 def _rewrite_check(found: re.Match[str]) -> str | None:
@@ -352,22 +375,23 @@ def _rewrite_patrol(found: re.Match[str]) -> str | None:
     Return None if it is no patrol.
     """
     slots = found.groupdict()
-    stops = [bare(stop) for stop in re.split(STOP, found["stops"])]
-    if re.search(r"\bor\b", found["stops"]) or any(is_vague(stop) for stop in stops):
-        return None
-    if len(stops) < 2:
-        return None
+    if slots.get("stops") is None:
+        stops = [f'"{EVERY} room"']
+    else:
+        stops = [bare(stop) for stop in re.split(STOP, slots["stops"])]
+        if re.search(r"\bor\b", slots["stops"]) or any(map(is_vague, stops)) or len(stops) < 2:
+            return None
     often = (slots.get("count") or slots.get("often") or "").lower()
     rounds = number_of(often) if often else None
     if often and rounds is None:
         return None
-    if rounds is not None and 1 <= rounds <= MAX_ROUNDS:
+    if rounds is not None and 1 <= rounds <= MAX_ROUNDS and len(stops) > 1:
         return _go_to_each(stops * rounds)
     if found.start() or found.string[found.end() :].strip(" .!?"):
         order = "send what comes before it first" if found.start() else "send the rest afterwards"
         raise UnclearError(
-            "instruction: a patrol for some time, or with more than "
-            f"{MAX_ROUNDS} rounds, must be the whole instruction; {order}"
+            "instruction: a patrol of all rooms, for some time, without an end or with more than "
+            f"{MAX_ROUNDS} rounds must be the only order; {order}"
         )
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else end

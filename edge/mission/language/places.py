@@ -14,6 +14,8 @@ HERE = "here"
 """Name of the pose at which a mission begins."""
 EXPLORED = "explored"
 """Name of the end of an exploration, wherever that is."""
+EVERY = "every"
+"""First word of the proposition of a tour: "every room", "every bedroom"."""
 NO = "no "
 """Beginning of the proposition that another target failed: "no mug" for "mug"."""
 _FIRST_MARK = 0xF000  # placeholders are from Unicode's private-use area

@@ -8,9 +8,9 @@ The modules `said`, `errands` and `remarks` compile them to regular expressions.
   times.
 - `<thing>` is a slot: a name of up to five words, with or without an article. The match has its
   text as a named group. So is each slot that is not in the next list.
-- `<stops>` is a list of names, `<count>` a number, `<often>` once or twice, `<relation>` a word
-  such as "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten
-  minutes".
+- `<stops>` is a list of names, `<rooms>` a word for rooms such as "bedrooms", `<count>` a number,
+  `<often>` once or twice, `<relation>` a word such as "behind", `<done>` a form such as "mopped",
+  and `<span>` a length of time, such as "ten minutes".
 - `{seen}` is another template, by its name in a table of parts.
 - `,` is a comma that may be left out, and `...` is any rest that begins no new order.
 """
@@ -33,6 +33,7 @@ _SLOTS = {
     "often": r"(?:once|twice|thrice)",
     "relation": phrase_of("relation"),
     "done": r"\w+(?:ed|ing)",
+    "rooms": rf"{phrase_of('room')}(?:s|es)?",
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}

@@ -19,7 +19,7 @@ MAX_WORDS = 1_000
 """Much more than an instruction needs; it limits the formula, and so the time to compile it."""
 
 REASONS = {
-    "endless": "a mission ends, so endless repetition is not possible",
+    "endless": "only a patrol repeats: 'patrol the dock and the shelf', or 'patrol the house'",
     "forever": "a mission ends, so 'forever' is not possible",
     "going on": "say where to go, or 'until … is reached'",
     "stay": "the robot can only go to objects, not stay or leave",
