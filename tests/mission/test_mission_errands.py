@@ -78,6 +78,7 @@ PLACES = ["dock", "loading bay 2"]
         ("avoid the hall and all bathrooms", "avoid the hall and all bathrooms"),
         ("look for my keys in every room", 'find "keys"'),
         ("check each room for the mug", 'find "mug"'),
+        ("see if there is a mug in all the rooms", 'go to "check mug"'),
         # Patrols.
         ("patrol the dock and the bed", 'go to "dock", then go to the bed; repeat until told'),
         ("patrol the house", 'go to "every room"; repeat until told'),
@@ -211,6 +212,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("patrol the dock and the bed until I call, then wait", "rest afterwards"),
         ("patrol the house, then come back", "rest afterwards"),
         ("do not visit every room", "unclear which room"),
+        ("find the mug in all the bedrooms", "one room or everywhere"),
     ],
 )
 def test_an_impossible_errand_is_refused_in_one_line(said, hint):

@@ -42,6 +42,10 @@ def test_an_order_without_a_condition_has_no_branches():
         ("find the mug. If it is not on the desk, try the hall, then the kitchen.",
          'F "mug on the desk" | F ("no mug on the desk" & (F "mug in the hall" | '
          'F ("no mug in the hall" & F "mug in the kitchen")))'),
+        ("find the mug in the kitchen; if it is not there, look in every room",
+         'F "mug in the kitchen" | F ("no mug in the kitchen" & F mug)'),
+        ("find the mug in the kitchen, otherwise visit every room",
+         'F "mug in the kitchen" | F ("no mug in the kitchen" & F "every room")'),
         ("find the mug, failing that the cup, otherwise come back",
          'F mug | F ("no mug" & (F cup | F ("no cup" & F here)))'),
         ("look for the mug in the hall or else in the kitchen",

@@ -23,6 +23,8 @@ from edge.mission.language.everyday_words import (
     NAME,
     NOWHERE,
     bare,
+    in_each_room,
+    is_each_room,
     is_room,
     is_vague,
     phrase_of,
@@ -311,6 +313,8 @@ def _relation_text(
     """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
     if not relation or not anchor:
         return ""
+    if is_each_room(anchor):
+        return in_each_room(anchor)
     name = bare(anchor)
     words = name.split()
     phrase = f"{relation} {anchor}".lower().split()

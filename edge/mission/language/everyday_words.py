@@ -13,6 +13,7 @@ from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
 from edge.mission.language.places import is_marked
+from edge.mission.language.tokens import UnclearError
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
@@ -272,6 +273,11 @@ PLAIN_NAME = rf"(?:{MARK}|(?:(?:(?<=[\w'-]) |(?<![\w'-])){_WORD}){{1,5}})"
 but the first. No word character may stand right before the name."""
 NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN_NAME})"
 """Regular expression for one name, with or without an article or "a pair of"."""
+_EACH_ROOM = re.compile(
+    r"(?:all|every|each|both)(?: of)?(?: the| our| my| these| those)?"
+    rf" (?P<kind>{phrase_of('room')}(?:s|es)?)",
+    re.I,
+)
 _ROOM_HEAD = re.compile(
     rf"(?:.* )?{phrase_of('room')}"
     rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(names.SMALL_NUMBERS)}))?"
@@ -289,6 +295,24 @@ def is_room(name: str) -> bool:
     """
     by_name = is_marked(name) or _ROOM_HEAD.fullmatch(name) is not None
     return by_name or kind_of_room(name) is not None
+
+
+def is_each_room(name: str) -> bool:
+    """Return True if a name means several rooms: "all the bedrooms", "every room"."""
+    return _EACH_ROOM.fullmatch(name) is not None
+
+
+def in_each_room(name: str) -> str:
+    """Return where to search for "in every room": everywhere, so "".
+
+    Raises:
+        UnclearError: the rooms are of one kind, so the robot would search too much or too little.
+    """
+    found = _EACH_ROOM.fullmatch(name)
+    if found is None or found["kind"].lower() not in ("room", "rooms"):
+        hint = "a search is in one room or everywhere; name one room, or say 'in every room'"
+        raise UnclearError(f"instruction: {name!r}: {hint}", name)
+    return ""
 
 
 def bare(name: str) -> str:

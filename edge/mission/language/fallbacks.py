@@ -13,7 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
-from edge.mission.language.everyday_words import NAME, bare, is_room, phrase_of
+from edge.mission.language.everyday_words import (
+    NAME,
+    bare,
+    in_each_room,
+    is_each_room,
+    is_room,
+    phrase_of,
+)
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
 from edge.mission.language.tokens import UnclearError
@@ -422,14 +429,19 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
     at = 0
     while found := _AREA.match(text, at):
         relation, verb = found["relation"], (found["verb"] or "try").lower()
-        in_room = verb in ("try", "check", "search") and is_room(bare(found["anchor"]))
-        if not (relation or in_room):
+        anchor = found["anchor"]
+        is_order = not found["verb"] and TABLE.get((anchor.split()[0].lower(),)) == "verb"
+        in_room = verb in ("try", "check", "search") and is_room(bare(anchor)) and not is_order
+        if is_each_room(anchor) and not is_order:
+            orders.append(f"find {noun}{in_each_room(anchor)}")
+        elif not (relation or in_room):
             if found["verb"] and not relation:
                 part = found[0].strip()
                 hint = "say 'look on the …' or 'look in the …'"
                 raise UnclearError(f"instruction: {part!r}: unclear where to look; {hint}", part)
             break
-        orders.append(f"find {noun} {relation or 'in'} {found['anchor']}")
+        else:
+            orders.append(f"find {noun} {relation or 'in'} {anchor}")
         joint = re.compile(_JOINT, re.I).match(text, found.end())
         at = joint.end() if joint else found.end()
     return orders, text[at:].strip(" ,.;!?")
