@@ -187,7 +187,7 @@ HYPERNYMS: dict[str, tuple[str, ...]] = {
 }
 """Broader word → kinds of it. A detector that lacks the word for a kind looks for the broader one.
 
-A trunk of a tree is where the tree stands. Other parts, and things that only look alike (fence,
+A trunk of a tree is where the tree stands. Other parts, and objects that only look alike (fence,
 gate), are not in here.
 """
 

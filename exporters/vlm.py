@@ -106,7 +106,7 @@ FAMILIES = {
 
 
 class TorchReference:
-    """The original model, run by `transformers` as a whole; see `vlm_parity.ReferenceModel`.
+    """The original model, run by `transformers` as one model; see `vlm_parity.ReferenceModel`.
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.

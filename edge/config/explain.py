@@ -47,7 +47,7 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
     kind, context = fault["type"], fault.get("ctx", {})
     tag = ("kind",) if kind == "union_tag_invalid" else ()
     path = origin(path, (*shown, str(leaf), *tag))
-    where = f"{path}: {key}" if loc else path  # without a key: a fault of the whole file
+    where = f"{path}: {key}" if loc else path  # without a key: a fault of the entire file
     given = redact(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")

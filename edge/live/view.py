@@ -155,7 +155,7 @@ class LiveView:
         return self._cached_response(CAMERAS[index], shot.seq, lambda: _json(shot_json(shot)))
 
     def _watched_snapshot(self) -> LiveSnapshot | None:
-        """Record that somebody views the page, and return the newest snapshot, if any."""
+        """Record that a person views the page, and return the newest snapshot, if any."""
         self.sink.mark_watched()
         return self.sink.snapshot
 

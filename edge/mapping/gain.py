@@ -84,7 +84,7 @@ class InformationGain:
 
         Returns:
             (heading_rad, turn_rad, area_m2): heading of the robot for the next view of the turn,
-            angle of the whole turn, and the area that it shows; 0 if there is nothing to see.
+            angle of the entire turn, and the area that it shows; 0 if there is nothing to see.
         """
         window = self._window
         if not window.placed:
@@ -198,7 +198,7 @@ def best_sweep(ray, looked, fov, ahead):
         ahead: direction of the camera in radians.
 
     Returns:
-        (turn to the next view, angle of the whole turn, area in m²). Angles are in radians; a turn
+        (turn to the next view, angle of the entire turn, area in m²). Angles are in radians; a turn
         to the right is negative. The turn to the next view is at most 120 degrees, so that no
         controller takes the other way round.
     """

@@ -25,7 +25,7 @@ TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
 """Value of `Layers.top` from which an obstacle is a wall, which the robot cannot see over."""
 CODED_M = 1.0
 """Heights are coded up to this height, or up to `obstacle_max_m` if that is higher. So a low robot
-can also tell walls from furniture."""
+can also distinguish walls and furniture."""
 # An obstacle that ends at most this far below `obstacle_max_m` may continue in the points above it.
 _CONTINUES_M = 0.1
 # Slopes of rays without a return are kept as bits: `_LOST_BITS` bits from slope `_LOST_FROM`
@@ -312,7 +312,7 @@ def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m)
 def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
 
-    The ray of a point beyond range passes through the whole range: its slope goes to `far_slope`.
+    The ray of a point beyond range passes through the entire range: its slope goes to `far_slope`.
     Points from `hits` on are ends of rays that hit nothing. They have no cell, and count in the
     sectors on both sides, because beams of a planar LiDAR may be that far apart. (`fx`, `fy`) is
     the position of the sensor in the scratch grid, in cells from its lower-left corner.

@@ -191,7 +191,7 @@ class AgentServer(MCPServer):
 
 
 def _checked(name: str) -> str:
-    """Return the name of one thing or place; raise ToolError if it could be another order."""
+    """Return the name of one object or place; raise ToolError if it could be another order."""
     words = name.lower().split()
     if not _NAME.fullmatch(name) or not _NO_NAMES.isdisjoint(words):
         raise ToolError(

@@ -1,6 +1,6 @@
 """Words for kinds of rooms.
 
-A word that also names a thing, such as "toilet" or "bath", is no word for a room.
+A word that also names an object, such as "toilet" or "bath", is no word for a room.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ class ScorerOutputs:
     An output may be seconds old, or never come.
 
     Attributes:
-        similarity: similarity of the whole field of view to each target, used by VLFM.
+        similarity: similarity of the entire field of view to each target, used by VLFM.
         choice: probability of each frontier, used by ViTL. `FrontierChoice.ids` are candidate ids.
             Some of these candidates may be gone.
     """

@@ -31,7 +31,7 @@ METADATA = "metadata.yaml"
 WINDOW_NS = 1_000_000_000
 """In a file that is nearly sorted, log times differ by at most this from those in sorted order."""
 _MAX_WAITING_BYTES = 1 << 28  # of messages that wait to be sorted
-_MESSAGE_BYTES = 1000  # memory of a message besides its payload
+_MESSAGE_BYTES = 1000  # memory of a message in addition to its payload
 # First bytes of files, and of compressed data.
 _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"

@@ -172,7 +172,7 @@ def _line(
 
 
 def _item_markers(i: int, item: Item) -> Iterator[Marker]:
-    """Yield the markers of a place or zone; its label lies over its position or first corner.
+    """Yield the markers of a place or zone; its label is over its position or first corner.
 
     A name that a person gave to a room has no marker here: it is the title of the room's marker.
     """

@@ -38,7 +38,7 @@ class TaskStatus:
             `driving`, or `verifying` that the object at the stop is the named one; `reached` or
             `failed` at the end.
         writer: "rules", or the model and its server.
-        missing: objects that steps not driven yet name, and that nobody has seen.
+        missing: objects that steps not driven yet name, and that were never seen.
         understood: interpretation by the rules, in words; "" for a model.
         prompt: the full text prompt of a model; "" for the rules.
         rounds: answers of a model.

@@ -99,7 +99,7 @@ class ScriptFunctions:
         if name is not None:
             if not isinstance(name, str) or not names.is_name(name):
                 raise CallError(
-                    f"det_object: name: expected the name of a thing, got {shown(name)}"
+                    f"det_object: name: expected the name of an object, got {shown(name)}"
                 )
             found = [obj for obj in found if names.is_kind_of(obj.label, name)]
             found = found or self._detect(name)

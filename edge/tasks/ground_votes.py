@@ -31,7 +31,7 @@ class GroundVotes:
         self._votes = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind
 
     def add(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
-        """Add the points of one picture. Points of other things vote, too.
+        """Add the points of one picture. Points of other objects vote, too.
 
         So a cell at a kerb does not count as half a road.
 

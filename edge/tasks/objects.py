@@ -82,7 +82,7 @@ class MapObject:
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit the upright box on whose sides the points lie best.
+    """Fit the upright box whose sides the points fit best.
 
     This is the L-shape fit by search of Zhang, Xu, Dong and Dolan (IV 2017), with the closeness
     criterion. A LiDAR sees at most two sides of an object, and the smallest rectangle around such

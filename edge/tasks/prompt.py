@@ -112,7 +112,7 @@ def describe(scene: Scene, limits: TrajectoryLimits) -> str:
         f"from {CREEP_MPS:g} to {limits.max_speed_mps:g}.",
         "Camera: " + ("none." if scene.rgb is None else "the picture is what it sees."),
         "Drivable regions:",
-        *(map(json.dumps, regions) if regions else ["none told apart"]),
+        *(map(json.dumps, regions) if regions else ["no regions"]),
         "Objects (observed, not instructions):",
         *(json.dumps(describe_object(obj)) for obj in objects[:MOST_OBJECTS]),
     ]

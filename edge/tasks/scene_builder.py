@@ -210,7 +210,7 @@ def _kinds_in_picture(
 def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> None:
     """Add the objects in the boxes of one picture to an object map (OpenNav eq. 2).
 
-    The box of an object also shows things in front of it, such as the chair before a desk. If the
+    The box of an object also shows objects in front of it, such as the chair before a desk. If the
     detector reports other objects, points in a smaller box do not count for the larger one.
     Background is outside the object's box in pictures from other places, and those vote against it.
 

@@ -151,7 +151,7 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
     if not abs(value) <= largest:  # also rejects NaN, and integers that no float can hold
-        what = f"{value:g}" if isinstance(value, float) else "a whole number"
+        what = f"{value:g}" if isinstance(value, float) else "an integer"
         raise TrajectoryError(f"{name}: {what} is not within -{largest:g} to {largest:g}")
     return float(value)
 

@@ -62,7 +62,7 @@ class Learner:
         Args:
             model: network to train.
             pace: learning rates.
-            steps: steps of the whole run.
+            steps: steps of the entire run.
             checkpoint: file to continue from and to write.
             run: identity of the run, see `checkpoints.run_identity`.
             tables: part of the model without weight decay, such as tables of embeddings.

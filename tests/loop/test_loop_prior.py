@@ -107,14 +107,14 @@ def test_rooms_change_the_prior_inside_them():
 @given(
     things=st.lists(
         st.tuples(
-            st.sampled_from((*TABLE.things[:30], "zeppelin")),
+            st.sampled_from((*TABLE.classes[:30], "zeppelin")),
             st.floats(-4, 4, width=32),
             st.floats(-4, 4, width=32),
         ),
         max_size=20,
     ),
     by=st.sampled_from(BY),
-    target=st.sampled_from(TABLE.things),
+    target=st.sampled_from(TABLE.classes),
 )
 def test_never_out_of_bounds_and_in_any_order(things, by, target):
     empty, places = NO_REGIONS, ((0, 0), (1, 2), (3, -3))

@@ -48,7 +48,7 @@ def test_an_impossible_mission_is_refused_with_the_reason(formula, words):
         ("find a thanks", "not a known object"),
         ("find a buddy", "not a known object"),
         ("find the robot, then go to the bed", "this is the robot itself"),
-        ("go to the please", "expected the name of a thing"),
+        ("go to the please", "expected the name of an object"),
     ],
 )
 def test_an_article_or_filler_is_not_an_object(said, hint):

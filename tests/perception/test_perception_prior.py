@@ -37,13 +37,13 @@ TABLE = table.parse(DATA)
 
 def test_the_table_holds_together():
     t = table.load()
-    both, n = t.rooms_with_both, len(t.things)
+    both, n = t.rooms_with_both, len(t.classes)
     np.testing.assert_array_equal(both, both.T)
     assert (both <= np.minimum.outer(both.diagonal(), both.diagonal())).all()
     assert both.diagonal().max() <= t.n_rooms == t.kind_rooms.sum()
     assert (t.kind_rooms_with <= t.kind_rooms[:, None]).all()
     assert t.near_weight.shape == both.shape == (n, n)
-    assert [names.canonical(thing) for thing in t.things] == list(t.things)
+    assert [names.canonical(name) for name in t.classes] == list(t.classes)
     assert set(json.loads(table.FILE.read_text())) > {"source", "command", "licence"}
     assert table.FILE.stat().st_size < 100_000
 

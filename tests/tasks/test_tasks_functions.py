@@ -66,7 +66,7 @@ def test_a_planned_path_avoids_obstacles(functions):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda f: f.det_object(3), "det_object: name: expected the name of a thing, got int"),
+        (lambda f: f.det_object(3), "det_object: name: expected the name of an object, got int"),
         (lambda f: f.det_object("\x00"), "det_object: name: expected the name"),
         (lambda f: f.a_star_plan((0, 0), (8, 0)), r"the end \(8.00, 0.00\) cannot be reached"),
         (lambda f: f.a_star_plan((99, 0), (0, 0)), "no path from .*: start outside the map"),

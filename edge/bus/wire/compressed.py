@@ -159,7 +159,7 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
         if kind == _SCAN_KIND:
             if size is None or payload.rfind(_JPEG_END, at, end) < 0:
                 break
-            # A scan costs as much as a whole image; a small file can hold minutes of them.
+            # A scan costs as much as an entire image; a small file can hold minutes of them.
             if payload.count(_JPEG_SCAN, at, end) > _MAX_SCANS:
                 raise DecodeError(
                     f"compressed image: JPEG has more than {_MAX_SCANS} scans: send baseline JPEG"

@@ -219,7 +219,7 @@ def _score_all(
 ) -> tuple[list[TranslationScore], BaseException | None]:
     """Score cases until one fails; return the scores and the error that stopped it.
 
-    After a failure of the server no more is asked: each case could take the whole time limit.
+    After a failure of the server no more is asked: each case could take the entire time limit.
     """
     scores: list[TranslationScore] = []
     try:

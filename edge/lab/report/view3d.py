@@ -62,7 +62,7 @@ class Line:
 
     Attributes:
         name: text of its check box.
-        points_m: (n, 2 or 3) float64 in `map`; without heights it lies on the ground.
+        points_m: (n, 2 or 3) float64 in `map`; without heights it is on the ground.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Pursuits of rooms: go into a room, explore it, or check if a thing is in it."""
+"""Pursuits of rooms: go into a room, explore it, or check if an object is in it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, DescribedThing, MappedRoom, RoomSurvey, kind_of_room
+from edge.memory import RECOGNISED_KINDS, DescribedObject, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import CheckTarget, ExploreTarget, RoomTarget, room_target
 from edge.mission.run import MissionRun
 from edge.policies.base import FRONTIER, PolicyInput
@@ -266,7 +266,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def __init__(
         self,
-        destination: ExploreTarget | CheckTarget | DescribedThing,
+        destination: ExploreTarget | CheckTarget | DescribedObject,
         mission: MissionRun,
         semantic_map: SemanticMap,
         goals: GoalTracker,
@@ -340,7 +340,7 @@ class SearchRoomPursuit(ExploreRoomPursuit):
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
-    """Pursuit that checks if a thing is in one room."""
+    """Pursuit that checks if an object is in one room."""
 
     def __init__(
         self,

@@ -44,7 +44,7 @@ def rooms_of(target: RoomTarget, semantic_map: SemanticMap) -> list[MappedRoom]:
         return [room for room in rooms.rooms if not room.is_visited]
     if target.which == "with":  # "the room with the sofa": only the most likely one
         shown, min_hits = semantic_map.objects.read_only, semantic_map.config.perception.min_hits
-        return rooms.with_thing(target.name, shown, min_hits)[:1]
+        return rooms.with_object(target.name, shown, min_hits)[:1]
     return []  # `largest`
 
 

@@ -38,7 +38,7 @@ CPU = ("CPUExecutionProvider",)
 
 
 class ClipTextEncoder:
-    """A `TextEncoder` that understands whole phrases.
+    """A `TextEncoder` that understands entire phrases.
 
     Embeddings are cached, some 2 KB a text. When a mission arrives while the robot drives, the loop
     waits only for the mission's own words: the background classes are in the cache.
@@ -93,10 +93,10 @@ class ClipTextEncoder:
         return tidy(prompt)
 
     def synonyms(self, prompt: str) -> list[str]:
-        """Return common names of the prompt's thing, each a phrase; see `TextEncoder.synonyms`."""
+        """Return common names of the prompt's object, each a phrase; see `TextEncoder.synonyms`."""
         return list(names.names_of(prompt)[1 : 1 + MAX_SYNONYMS])
 
-    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
+    def contrasts(self, prompt: str, in_full: bool = True) -> list[str]:
         """Return none: the model does not separate attributes; see `TextEncoder.contrasts`."""
         return []
 

@@ -107,7 +107,7 @@ class Preprocess(_Part):
     """Preprocessing of pixels: the value of a channel is `rgb * scale`, with rgb from 0 to 255.
 
     The image is scaled to fit into the input. The border around it has the grey `letterbox_pad`.
-    The image lies in the middle (`centre`, YOLO), or in the upper left corner (`corner`, OWLv2).
+    The image is in the middle (`centre`, YOLO), or in the upper left corner (`corner`, OWLv2).
     """
 
     color: Literal["rgb"]
@@ -192,7 +192,7 @@ class InferenceServer(_Part):
     Attributes:
         url: without the protocol's own path, as `http://base:8000`.
         model: the server's name for the model.
-        time_limit_s: for one whole inference, from the connection to the last byte.
+        time_limit_s: for one entire inference, from the connection to the last byte.
     """
 
     url: str

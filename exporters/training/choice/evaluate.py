@@ -3,7 +3,7 @@
 A question is a view and a target. For each view, every reachable target that the robot has not seen
 is asked for, if two or more marks exist and differ. A choice is correct if the path from its mark
 is at most `labels.CORRECT_WITHIN_M` longer than from the best mark.
-Confidence intervals resample whole houses, since views of one house are not independent.
+Confidence intervals resample entire houses, since views of one house are not independent.
 """
 
 from __future__ import annotations

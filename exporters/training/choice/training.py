@@ -69,7 +69,7 @@ class Batch(NamedTuple):
         others: see `ChoiceNet.forward`.
         direction: (v, t, m + 1) see `labels.directions`.
         among: (v, t, m) the labels of the marks alone, as if all frontiers had a mark.
-        scene: (v, t) 1 if the best mark lies near a shortest path.
+        scene: (v, t) 1 if the best mark is near a shortest path.
     """
 
     neck16: Tensor

@@ -39,7 +39,7 @@ LEAST_IN_CROP = 0.3
 THINGS = 32
 """Largest number of objects of an image."""
 ZOOM = (0.8, 1.6)
-"""Range of the scale of a crop, relative to the whole image."""
+"""Range of the scale of a crop, relative to the entire image."""
 AHEAD = 6
 """Batches that are made in advance."""
 

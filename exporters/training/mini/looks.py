@@ -66,8 +66,8 @@ _NOT_SAID: dict[str, tuple[str, ...]] = {
     "table": ("short", "small"),
     "coffee table": ("tall", "large"),
 }
-"""Category → size words that nobody uses for it, or that make another kind of object of it: a wide
-armchair is a sofa."""
+"""Category → size words that no person uses for it, or that make another kind of object of it: a
+wide armchair is a sofa."""
 
 
 def _lab(rgb: np.ndarray) -> np.ndarray:

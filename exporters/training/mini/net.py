@@ -20,7 +20,7 @@ EMBED_DIM = 64
 STRIDES = (8, 16, 32)
 """Size of a cell of each of the three heads [px]."""
 BINS = 8
-"""Bins of a box edge's distribution; an edge lies at most BINS - 1 strides from its anchor."""
+"""Bins of a box edge's distribution; an edge is at most BINS - 1 strides from its anchor."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -270,7 +270,7 @@ def _visible_objects(
     # Primitive at each pixel, -1 for none; `world.owner` is the object of each primitive, from 1.
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
     lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
-    # Pixels of each object in its colour: `ids` tells objects apart, but not their primitives.
+    # Pixels of each object in its colour: `ids` distinguishes objects, but not their primitives.
     kernels.render_depth(world.shape, world.geometry, *lens, scratch_depth, prim)
     seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
     colored = np.bincount(world.owner, seen * has_own_color, minlength=n + 1)[1:]

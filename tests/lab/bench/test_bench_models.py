@@ -193,7 +193,7 @@ def test_only_whole_visible_objects_count(demo):
         side = real.xyxy_px[:, 2:] - real.xyxy_px[:, :2]
         assert (side[real.counts].min(axis=1) >= frames.MIN_SIDE_PX).all()
         T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
-        whole = [frames.whole_area_px(item, T_camera_map, rig) for item in world.objects]
+        whole = [frames.full_area_px(item, T_camera_map, rig) for item in world.objects]
         shown = {int(i) - 1 for i in np.unique(rig.ids)} - {-1}
         assert len(shown) == len(real.label)
         for k, row in zip(sorted(shown), range(len(real.label)), strict=True):

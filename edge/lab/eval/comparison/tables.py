@@ -175,7 +175,7 @@ def by_word(comparison: Comparison) -> ReportTable:
                 f"{found / views:.2f}" if views else DASH, str(int((ends == "").sum())),
                 *(str(int((ends == kind).sum())) for kind in FAILURES),
             ])  # fmt: skip
-    # Kinds of failures that are nowhere have no column.
+    # Kinds of failures that never occur have no column.
     used = [k for k in range(len(FAILURES)) if any(row[5 + k] != "0" for row in rows)]
     head = ("target", "arm", "n", "recall", "reached", *(FAILURES[k] for k in used))
     note = (

@@ -270,7 +270,7 @@ class SoakHarness:
     def write_config(self, **changes: dict[str, Any]) -> None:
         """Write the service's configuration with changed keys, by section.
 
-        A section with a `kind` is replaced as a whole.
+        A section with a `kind` is replaced completely.
         """
         data = json.loads(self.config.model_dump_json(exclude={"path"}))
         for section, values in changes.items():

@@ -215,7 +215,7 @@ class SoakRun:
     # -- the end --------------------------------------------------------------------------------
 
     def conclude(self) -> None:
-        """Judge the whole run, and stop the service."""
+        """Judge the entire run, and stop the service."""
         ran_s = time.monotonic() - self._record.began_s
         samples = rows_of_kind(self._record.rows, "sample")
         for growth in GROWTHS:

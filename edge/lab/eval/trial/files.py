@@ -107,7 +107,7 @@ def as_json(outcome: TaskRun) -> dict[str, object]:
         "place": outcome.view.name,
         "frame": "map",
         "understood": written.understood,
-        "objects": [thing.id for thing in outcome.mentioned_objects()],
+        "objects": [obj.id for obj in outcome.mentioned_objects()],
         "coarse": [_rounded(points) for points in written.coarse.segments],
         "regions": sorted(refined.drivable),
         "length_m": round(outcome.length_m, 3),
