@@ -1,8 +1,8 @@
-"""Destinations: propositions that are no things to search for, such as places and waits.
+"""Destinations: propositions that are no objects to search for, such as places and waits.
 
 The text of a proposition decides which destination it is; see `destination_of`. So a proposition
 means the same in a formula that a person wrote, and as a quoted name in an instruction. `kind` of
-each class tells the classes apart in JSON.
+each class distinguishes the classes in JSON.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class WaitTarget:
     """A wait at the robot's position.
 
     Attributes:
-        seconds: duration; None to wait until a person tells the robot to go on.
+        seconds: duration; None: wait until a person orders to go on.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -90,7 +90,7 @@ class WaitTarget:
 
 @dataclass(frozen=True, slots=True)
 class CheckTarget:
-    """A check if a thing is there; either answer fulfils it.
+    """A check if an object is there; either answer fulfils it.
 
     Attributes:
         room: name of the room to look in; "" for everywhere.
@@ -108,9 +108,9 @@ class RoomTarget:
     """A room, reached when the robot is inside.
 
     Attributes:
-        name: name of a room or kind of room, or "room 3"; for `with`, name of the thing in it.
+        name: name of a room or kind of room, or "room 3"; for `with`, name of the object in it.
         which: `called` by its name, `largest`, `next` (the nearest unvisited one), or `with` a
-            thing.
+            object.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -125,7 +125,7 @@ class FailureTarget:
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
     It is never pursued. It becomes true when the other target has failed and the plan needs it.
-    Only formulas name it: the English name "no entry sign" is a thing.
+    Only formulas name it: the English name "no entry sign" is an object.
 
     Attributes:
         target: the other target.
@@ -145,13 +145,13 @@ _DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Dest
 
 
 def destination_of(text: str, site: Site) -> Destination | None:
-    """Return the destination that a proposition means, or None if it is a thing to search for.
+    """Return the destination that a proposition means, or None if it is an object to search for.
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
     `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
     `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
     `next room` and `room with sofa`. A place of the site comes before a phrase, and a room's name
-    before a kind. A kind of room that the robot cannot recognise is a thing, unless a person gave
+    before a kind. A kind of room that the robot cannot recognise is an object, unless a person gave
     a room that name.
 
     Raises:

@@ -15,7 +15,7 @@ from edge import names
 from edge.memory import parse_description
 from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.everyday_words import NAME, bare, is_room
-from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, sought_in
+from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, searched_object
 from edge.mission.language.nouns import is_plural
 from edge.mission.language.places import EXPLORED, NO
 from edge.mission.language.tokens import UnclearError
@@ -115,11 +115,11 @@ class FallbackTranslator:
 
     Attributes:
         translate: returns the formula of an order without conditions.
-        is_thing: returns True if a proposition is an object to search for.
+        is_object: returns True if a proposition is an object to search for.
     """
 
     translate: Callable[[str], Formula]
-    is_thing: Callable[[str], bool]
+    is_object: Callable[[str], bool]
 
     def readings(self, branches: Branches) -> list[Formula]:
         """Return the formulas that the branches may mean, one or two.
@@ -236,9 +236,9 @@ class FallbackTranslator:
             asks, goals = True, tuple(goal.removeprefix(f"{CHECK} ") for goal in goals)
             order = _with_last(order, lambda _: eventually(disj(*map(ap, goals))))
         self._check_subject(branches, order, goals, noun)
-        if condition.thing and branches.order and not _is_same(goals, condition.thing):
-            thing = _singular(condition.thing)
-            order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
+        if condition.name and branches.order and not _is_same(goals, condition.name):
+            name = _singular(condition.name)
+            order = _then(order, self.translate(f"find {name}{_place(condition, goals)}"))
             asks = True
         elif condition.at and branches.order:
             if _DRIVES.match(branches.order) or _NEAREST.search(branches.order):
@@ -246,7 +246,7 @@ class FallbackTranslator:
             order = self._at(order, goals, condition)
         goals = _last_goals(order)
         self._check_kind(goals, condition)
-        noun = _noun(goals[0]) if all(map(self.is_thing, goals)) else ""
+        noun = _noun(goals[0]) if all(map(self.is_object, goals)) else ""
         described = parse_description(goals[0]) if noun else None
         place = described.room if described is not None else ""
         end = failed if branches.both == (condition.outcome == "found") else found
@@ -263,7 +263,7 @@ class FallbackTranslator:
         """Return the formula of the order, and True if it only asks if an object is there."""
         condition = branches.condition
         if branches.order:
-            by_way = condition.state and not condition.thing and _BY_WAY.search(branches.order)
+            by_way = condition.state and not condition.name and _BY_WAY.search(branches.order)
             if by_way or _WHEN.search(branches.order):
                 raise UnclearError(f"instruction: {_UNPLACED}")
             orders, rest = areas_of(branches.order, noun) if noun else ([], "")
@@ -271,16 +271,18 @@ class FallbackTranslator:
                 return self.translate(orders[0]), True
             text = _FIND_IT.sub(rf"\g<find> {noun}", branches.order) if noun else branches.order
             return self.translate(text), False
-        thing = condition.thing
+        name = condition.name
         answer = branches.failed if condition.outcome == "failed" else branches.found
-        if not thing and condition.at and isinstance(answer, str):
-            thing = sought_in(answer)  # "look for the mug in the hall if it is not on the desk"
+        if not name and condition.at and isinstance(answer, str):
+            name = searched_object(
+                answer
+            )  # "look for the mug in the hall if it is not on the desk"
         presumes = condition.presumes or branches.both or condition.at
-        if not (thing and presumes) or (condition.there and not condition.at):
+        if not (name and presumes) or (condition.there and not condition.at):
             hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
             raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
-        thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
-        return self.translate(f"{verb} {thing}{condition.at}"), True
+        name, verb = _singular(name), "go to" if condition.is_object is False else "find"
+        return self.translate(f"{verb} {name}{condition.at}"), True
 
     def _check_subject(
         self, branches: Branches, order: Formula, goals: Sequence[str], noun: str
@@ -290,23 +292,23 @@ class FallbackTranslator:
         "Find the mug, then go to the bed, and if you can't find it …" may be about the mug.
         """
         condition, others = branches.condition, set(_targets(order)).difference(goals)
-        if any((thing := parse_description(goal)) and thing.is_new for goal in goals):
-            hint = "a number of things cannot have a fallback; say it for one of them"
+        if any((described := parse_description(goal)) and described.is_new for goal in goals):
+            hint = "a number of objects cannot have a fallback; say it for one of them"
             raise UnclearError(f"instruction: {hint}")
-        things = all(map(self.is_thing, goals))
-        if condition.thing:  # one of a choice
-            is_unclear = len(goals) > 1 and _is_same(goals, condition.thing)
+        are_objects = all(map(self.is_object, goals))
+        if condition.name:  # one of a choice
+            is_unclear = len(goals) > 1 and _is_same(goals, condition.name)
         elif not branches.order:
             is_unclear = False
-        elif things and condition.seeks is not False:
-            new = condition.seeks and noun and _noun(goals[0]) != noun
+        elif are_objects and condition.is_object is not False:
+            new = condition.is_object and noun and _noun(goals[0]) != noun
             drives = new and _DRIVES.match(branches.order) is not None
-            is_unclear = bool(drives or any(map(self.is_thing, others)))
+            is_unclear = bool(drives or any(map(self.is_object, others)))
         else:
-            rooms = [thing.room for thing in map(parse_description, goals) if thing is not None]
-            is_unclear = bool(others or (condition.seeks and noun) or any(rooms))
+            rooms = [found.room for found in map(parse_description, goals) if found is not None]
+            is_unclear = bool(others or (condition.is_object and noun) or any(rooms))
         if is_unclear:
-            part = condition.thing or "it"
+            part = condition.name or "it"
             hint = "unclear which of the orders the condition is about; use one order before it"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
@@ -323,14 +325,14 @@ class FallbackTranslator:
 
     def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
         """Refuse a condition that does not fit the goals: a wait is not found."""
-        thing, part = all(map(self.is_thing, goals)), condition.thing or "it"
+        are_objects, part = all(map(self.is_object, goals)), condition.name or "it"
         timed = goals[0].startswith((WAIT, EXPLORED))
-        is_there = condition.seeks and condition.there and not thing
-        if condition.state and thing:
+        is_there = condition.is_object and condition.there and not are_objects
+        if condition.state and are_objects:
             hint = "the robot cannot see this state; say it for a room or a place"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
         if timed or is_there:
-            hint = "unclear what this is about; name the thing that may be missing"
+            hint = "unclear what this is about; name the object that may be missing"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
 
@@ -459,33 +461,33 @@ def _split_first(formula: Formula, several: bool) -> tuple[Formula, Formula | No
 
 
 def _noun(goal: str) -> str:
-    thing = parse_description(goal)
-    return f"the {goal if thing is None else thing.noun}"
+    described = parse_description(goal)
+    return f"the {goal if described is None else described.noun}"
 
 
-def _singular(thing: str) -> str:
+def _singular(name: str) -> str:
     """Return the name of one of several: "chair" of "if there are no chairs"."""
-    before, space, last = thing.rpartition(" ")
-    return f"{before}{space}{names.singular(last)}" if is_plural(last) else thing
+    before, space, last = name.rpartition(" ")
+    return f"{before}{space}{names.singular(last)}" if is_plural(last) else name
 
 
-def _is_same(goals: Sequence[str], thing: str) -> bool:
+def _is_same(goals: Sequence[str], name: str) -> bool:
     nouns = {*goals, *(_noun(goal).removeprefix("the ") for goal in goals)}
-    return names.canonical(bare(_singular(thing))) in {names.canonical(one) for one in nouns}
+    return names.canonical(bare(_singular(name))) in {names.canonical(one) for one in nouns}
 
 
 def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
     """Return the place of an object that the condition names: the last room for "there"."""
     goal = goals[0]
     if len(goals) > 1 and (not condition.at or condition.at.endswith(" it")):
-        raise UnclearError(f"instruction: {condition.thing!r}: unclear where; name the place")
+        raise UnclearError(f"instruction: {condition.name!r}: unclear where; name the place")
     if condition.at.endswith(" it"):  # "if there is a cat on it"
         return f"{condition.at[:-2]}{_noun(goal)}"
     if condition.at:
         return condition.at
     room = goal.removeprefix(f"{EXPLORED} ").partition(" for ")[0]
-    if not condition.there or not is_room(room) or condition.seeks is False:
-        part = condition.thing
+    if not condition.there or not is_room(room) or condition.is_object is False:
+        part = condition.name
         hint = "say where, as in 'if there is a cup in the kitchen'"
         raise UnclearError(f"instruction: {part!r}: {hint}", part)
     return f" in the {room}"

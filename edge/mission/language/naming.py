@@ -63,7 +63,7 @@ def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoRe
     start = start or reader.peek()
     if start.text == "the robot":
         reader.refuse_finally("this is the robot itself; say 'a robot' for another one", start)
-    reader.refuse("expected the name of a thing here", start)
+    reader.refuse("expected the name of an object here", start)
 
 
 def _take_words(reader: TokenReader, article: bool) -> list[Token]:

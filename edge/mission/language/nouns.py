@@ -234,7 +234,7 @@ _NAMED_BY_CONTENT = (
     "park",
 )
 """Places that are named after their content: "coffee shop", "printer room"."""
-# Further things that lead to a place.
+# Further objects that lead to a place.
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
 """Largest number of words of a known noun."""

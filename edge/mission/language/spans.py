@@ -17,7 +17,7 @@ _WORD_VALUES = {
 _TENS = rf"(?:{'|'.join(names.TENS)})(?:[ -](?:{'|'.join(names.SMALL_NUMBERS[1:10])}))?"
 _NUMBER = rf"(?:\d+(?:\.\d+)?|{_TENS}|{'|'.join(sorted(names.SMALL_NUMBERS, key=len)[::-1])})"
 COUNT = rf"(?:a couple of|a couple|{_NUMBER}|a)"
-"""Regular expression for a whole number."""
+"""Regular expression for an integer."""
 _SIZE = rf"(?:{'|'.join(sorted(_WORD_VALUES, key=len)[::-1])}|{_NUMBER})"
 DURATION = (
     rf"(?:(?:about|around|like|exactly|roughly|maybe|another|the next|just|only|at least) )*{_SIZE}"
@@ -30,7 +30,7 @@ _DURATION_PARTS = re.compile(
 
 
 def number_of(word: str) -> int | None:
-    """Return the value of a whole number in digits or words; None for other words.
+    """Return the value of an integer in digits or words; None for other words.
 
     >>> number_of("twenty-one"), number_of("12"), number_of("twice"), number_of("some")
     (21, 12, 2, None)

@@ -1,6 +1,6 @@
 """Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons.
 
-`tidy_up` is the first step with an utterance; the module `said` then classifies the rest.
+`tidy_up` is the first step with an utterance; the module `intents` then classifies the rest.
 """
 
 from __future__ import annotations

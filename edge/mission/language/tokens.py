@@ -177,7 +177,7 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
 def _is_object(words: Sequence[Token], i: int) -> bool:
     """Return True if a word of the lexicon is used as a noun here.
 
-    The "robot" of "find a little robot" addresses nobody; the "mop" of "the mop" and the "water" of
+    The "robot" of "find a little robot" is no address; the "mop" of "the mop" and the "water" of
     "the water cooler" are no verbs.
     """
     kind = TABLE[(words[i].text,)]

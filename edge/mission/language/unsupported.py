@@ -1,8 +1,8 @@
 """Refusal of instructions that no formula over reached objects can express, recognised by words.
 
-The whole instruction is searched before it is parsed. Otherwise a parser or a model could leave out
-or misread a part. Then a ban could become its opposite ("never go out of the yard"), or the robot
-could go to an object that nobody meant ("guard the gate").
+The instruction is searched before it is parsed. Otherwise a parser or a model could leave out or
+misread a part. Then a ban could become its opposite ("never go out of the yard"), or the robot
+could go to an object that no person meant ("guard the gate").
 """
 
 from __future__ import annotations
@@ -166,12 +166,12 @@ def _handling_reason(reader: TokenReader, denied: bool) -> str:
     first = token.text.split()[0]
     if first in ("pass", "passing", "cross", "crossing") and reader.peek(1).text in ("up", "out"):
         return _LEFT_OUT  # "pass up the sofa"
-    handles = first.startswith(_HANDLED) and _is_thing(reader, ahead)
+    handles = first.startswith(_HANDLED) and _is_object(reader, ahead)
     opens = first.startswith(_OPENS) and reader.is_at("article", ahead=ahead)
     return _DENIED if denied and (handles or opens) else ""
 
 
-def _is_thing(reader: TokenReader, ahead: int) -> bool:
+def _is_object(reader: TokenReader, ahead: int) -> bool:
     """Return True if an article and a known name that is no place come there."""
     article = reader.is_at("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
     return article and bool(_name_at(reader, ahead)) and not _is_place(reader, ahead)
@@ -182,7 +182,7 @@ def _no_order_reason(reader: TokenReader) -> str:
     token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.text == "let" and after.text == "me":
         return _OTHERS
-    if token.kind == "verb" and token.text in _CAUSES and _is_thing(reader, 1):
+    if token.kind == "verb" and token.text in _CAUSES and _is_object(reader, 1):
         ahead = 2
         while reader.is_at("word", ahead=ahead):
             ahead += 1
