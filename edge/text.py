@@ -171,11 +171,6 @@ def read_json_object(text: bytes | str, max_bytes: int | None = None) -> dict[st
 def split_url(url: str, server: str, advice: str) -> SplitResult:
     """Return the parts of a server's URL.
 
-    Args:
-        url: The URL, http or https.
-        server: Name of the server, for messages.
-        advice: Advice to the user, for messages.
-
     Raises:
         ValueError: It is not a URL, or it holds a password. The message is one line that shows no
             secret.

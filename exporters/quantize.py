@@ -56,13 +56,6 @@ PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsque
 def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
     """Write an INT8 model.
 
-    Args:
-        fp32: ONNX file to quantize.
-        out: file to write.
-        feeds: inputs to calibrate on, see `calibration_feeds`.
-        recipe: nodes that are not quantized.
-        precision: one of `PRECISIONS`.
-
     Raises:
         ExportError: no such precision, or too few inputs.
     """

@@ -223,9 +223,6 @@ def _image_processor(folder: Path, family: Family) -> Any:
 def export(args: Any) -> dict[str, LetterReport]:
     """Make the FP32 files and their card; return the parity by card.
 
-    Args:
-        args: as for `exporters.clip.export`.
-
     Raises:
         ExportError: the folder or the images cannot be used, or the parity misses its limits.
     """

@@ -132,11 +132,7 @@ class ReferenceModel(Protocol):
 
 
 class OnnxPipeline:
-    """The three ONNX files of a model, run one after another on the CPU.
-
-    Args:
-        files: vision encoder, token embedding, decoder.
-    """
+    """The three ONNX files of a model, run one after another on the CPU."""
 
     def __init__(self, files: list[Path]) -> None:
         self._vision, self._embedding, self._decoder = (cpu_session(f, threads=2) for f in files)

@@ -119,9 +119,6 @@ class CameraShot:
 class LiveSink:
     """A sink that costs almost nothing while no person views the page.
 
-    Args:
-        clock: returns a time in seconds.
-
     Attributes:
         snapshot: the newest state; None while no person views the page.
         shots: the newest image of each camera, by `camera_index`; empty without a viewer.

@@ -55,9 +55,6 @@ PUBLIC = tuple(_FILES)
 class LiveView:
     """Serves the page; all methods but `sink.tick` run on HTTP threads.
 
-    Args:
-        health: health of the service, from its start on.
-
     Attributes:
         sink: receives the results.
     """

@@ -57,10 +57,6 @@ class DepthMotionCheck:
     The image is cut into vertical strips. Three in four strips must be wrong, so that a person who
     walks in front of the camera causes no failure.
 
-    Args:
-        max_speed_mps: Largest speed of the robot.
-        max_turn_radps: Largest turn rate of the robot.
-
     Attributes:
         since_ns: Loop time since which the images do not fit.
     """

@@ -305,11 +305,7 @@ BOARD_METRICS: tuple[MetricSpec[BoardReading], ...] = (
 
 
 class Metrics:
-    """The page `/metrics`. Metrics of the service are on it after `add_service` was called.
-
-    Args:
-        board: Reads the computer's sensors.
-    """
+    """The page `/metrics`. Metrics of the service are on it after `add_service` was called."""
 
     def __init__(
         self, health: ServiceHealth, board: Callable[[], BoardReading] = read_board

@@ -34,11 +34,6 @@ cells."""
 class LocationPrior:
     """The likelihood ratio of targets near places, from all objects seen; see `likelihood_ratio`.
 
-    Args:
-        by: `cooccurrence`, `rooms`, or `both`.
-        table: Co-occurrence table of objects and rooms.
-        words: Maps words to rows of the table.
-
     Attributes:
         words: As in `Args`; with the detector's vocabulary if it has one.
     """

@@ -201,12 +201,6 @@ def _prepare(
 ) -> _PreparedConfig:
     """Compare the configurations and make the parts that changed.
 
-    Args:
-        present: Current configuration.
-        new: New configuration.
-        running: Name of the detector's current model.
-        ground: What names kinds of ground at present.
-
     Raises:
         ReloadError: A changed key needs a restart.
         UserError: The policy, or the model of `tasks.ground`, cannot be made.

@@ -37,9 +37,6 @@ class SemanticMap:
 
     They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
-    Args:
-        targets: Targets of the first mission.
-
     Attributes:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.

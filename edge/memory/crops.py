@@ -37,9 +37,6 @@ _Stored = dict[int, tuple[float, bytes]]
 class CropStore:
     """The pictures of objects, by object id. A background thread encodes them.
 
-    Args:
-        inline: encode in `observe`, for tests.
-
     Attributes:
         changes: number of pictures that were stored or removed.
     """

@@ -103,13 +103,7 @@ def objects_by_region(regions: RegionMap, objects: SeenObjects, n_classes: int) 
 
 
 def kinds_by_region(table: ObjectPrior, border: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
-
-    Args:
-        table: the prior.
-        border: see `edge.mapping.regions.border_lengths`.
-        held: see `objects_by_region`.
-    """
+    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64."""
     adjacent = kind_model.adjacent_regions(border, held)
     return kind_model.room_posterior_at(table, held, held[adjacent])
 
@@ -180,10 +174,6 @@ class MappedRoom(RoomShape):
 
 class RoomMemory:
     """The owner of the rooms; for the loop's thread.
-
-    Args:
-        table: co-occurrence table of objects and rooms.
-        words: maps words to rows of the table.
 
     Attributes:
         version: number that grows when anything about the rooms changes.

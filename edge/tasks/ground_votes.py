@@ -19,9 +19,6 @@ MOST_VOTES = 1 << 18
 class GroundVotes:
     """Votes for the kind of ground, and the kind that they give each cell of a map.
 
-    Args:
-        kinds: names of the kinds.
-
     Attributes:
         kinds: as above.
     """

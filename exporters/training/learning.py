@@ -121,14 +121,7 @@ def rate(step: int, steps: int, warm_up: int) -> float:
 
 @torch.no_grad()
 def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
-    """Update the exponential mean of weights and norm statistics; faster at first.
-
-    Args:
-        averaged: model with the mean, changed in place.
-        model: model with the newest weights.
-        keep: share of the mean that stays.
-        step: number of steps so far.
-    """
+    """Update the exponential mean of weights and norm statistics; faster at first."""
     keep = min(keep, (1.0 + step) / (20.0 + step))
     pairs = zip(averaged.state_dict().values(), model.state_dict().values(), strict=True)
     for mean, value in pairs:

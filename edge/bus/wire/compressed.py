@@ -177,12 +177,6 @@ def decode_compressed_into(
     Depth is 0 or NaN if there was no return. The decoder allocates one image of the size of `out`,
     because OpenCV cannot decode in place.
 
-    Args:
-        payload: the message.
-        header: header of the message.
-        out: array to write.
-        unit_m: see `decode_image_into`.
-
     Raises:
         DecodeError: the image is corrupt, or does not match `out`.
     """

@@ -17,11 +17,7 @@ from edge.text import one_line
 
 
 class RoomKindPrior:
-    """A prior of frontiers by the kind of room that they are in or lead to.
-
-    Args:
-        kind: The kind of room that is searched for.
-    """
+    """A prior of frontiers by the kind of room that they are in or lead to."""
 
     def __init__(self, rooms: RoomMemory, kind: str) -> None:
         self._rooms, self._kind = rooms, kind

@@ -201,12 +201,7 @@ def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | 
 
 
 def next_numbered(reader: TokenReader, last: Sequence[Sequence[str]]) -> str:
-    """Parse `2` after "landmark 1", and return "landmark two".
-
-    Args:
-        reader: the token reader.
-        last: as in `number_ahead`.
-    """
+    """Parse `2` after "landmark 1", and return "landmark two"."""
     reader.skip("comma", "and", "or")
     token = reader.peek()
     number = " ".join(said.text for said in _take_number(reader))

@@ -227,12 +227,7 @@ class TokenReader:
         self._picks = picks or {}
 
     def pick(self, token: Token, ways: int) -> int:
-        """Return the number of the choice to take at an ambiguous token in this pass.
-
-        Args:
-            token: the token.
-            ways: number of choices, for later passes.
-        """
+        """Return the number of the choice to take at an ambiguous token in this pass."""
         self.forks[token.start] = ways
         return self._picks.get(token.start, 0)
 

@@ -107,9 +107,6 @@ class ClipTextEncoder:
 class ClipImageEncoder:
     """An image encoder: one image → one unit row.
 
-    Args:
-        providers, threads, device_id, engine: see `open_session`.
-
     Raises:
         ModelError: the model is missing or unusable.
     """

@@ -120,13 +120,6 @@ def tidy(prompt: str) -> str:
 def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:
     """Run an encoder on a batch; return (n, dim) float32, finite, without a row of zeros.
 
-    Args:
-        session: session of the encoder.
-        file: file of the model, for messages.
-        name: name of the model's input.
-        batch: value of the input.
-        dim: length of an embedding.
-
     Raises:
         ModelError: the model fails, or its output is anything else.
     """

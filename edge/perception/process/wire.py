@@ -256,10 +256,6 @@ class FrameView:
 
         After use, the caller checks with `is_intact` that the image was not overwritten.
 
-        Args:
-            seq: number of the image.
-            image_hw: height and width in pixels.
-
         Raises:
             ValueError: another image, or part of one, is there.
         """

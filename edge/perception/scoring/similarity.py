@@ -60,10 +60,6 @@ class SimilarityScorer(Protocol):
 class PairSimilarity:
     """The cosine between the embeddings of an image and a text, as VLFM uses BLIP-2.
 
-    Args:
-        name: name of the scorer's card.
-        text: encoder of texts, into the same embedding space.
-
     Raises:
         ModelError: the embeddings of the two encoders have different lengths.
     """

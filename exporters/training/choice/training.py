@@ -87,11 +87,6 @@ class Batch(NamedTuple):
 class Data:
     """Views with their features and labels, from which batches are made.
 
-    Args:
-        views: images and marks.
-        level_scales: see `features.Trunk`.
-        words: see `features.Trunk`.
-
     Attributes:
         rows: indices of the views with a target to ask for.
     """

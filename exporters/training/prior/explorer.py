@@ -56,10 +56,6 @@ class Frontiers:
 class Explorer:
     """A robot in an unknown house.
 
-    Args:
-        cell: row and column at which it starts.
-        random: decides which objects are detected.
-
     Attributes:
         known: (h, w) bool, cells that it has mapped.
         object_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.

@@ -81,11 +81,6 @@ def _endpoint() -> str:
 class SoakHarness:
     """Runs the service and all processes around it until it is closed.
 
-    Args:
-        config: as `soak_config` returns it.
-        out: folder of all files.
-        stop: ends a wait.
-
     Attributes:
         config_file: the service's configuration.
         children: all processes that this one has started.

@@ -52,9 +52,6 @@ class MarkNetwork:
 
     Call `ask` from one thread at a time.
 
-    Args:
-        providers, threads, device_id: see `open_session`.
-
     Raises:
         ModelError: the model is missing or unusable, its first run fails, or the text encoder's
             embeddings have another length.
@@ -166,10 +163,6 @@ class MarkInput(NamedTuple):
 
 class MarkScorer:
     """A scorer (`edge.perception.worker`) of views, by a mark network.
-
-    Args:
-        network: the network, here or in its own process.
-        limit_s: time limit of both questions together.
 
     Attributes:
         name: name of the network's card.
