@@ -247,11 +247,6 @@ def _write_qdq(
 def precisions_to_make(args: Any, choices: Collection[str], network: str) -> list[str]:
     """Return the precisions of `--precision`, after FP32, which the others are made from.
 
-    Args:
-        args: options `precision`, `calibration` and `card` of the command line.
-        choices: all precisions of this kind of network.
-        network: kind of network, for the message.
-
     Raises:
         ExportError: a precision is unknown, or one needs pictures that were not given.
     """

@@ -51,15 +51,7 @@ def carry_out(service: Service, intent: MemoryQuestion | SiteOrder, now_ns: int)
 def _call_handler(
     handle: Any, verbs: Mapping[str, Verb], service: Service, now_ns: int, **data: Any
 ) -> dict:
-    """Check a request like one that came over the bus, and return its answer.
-
-    Args:
-        handle: Handler of the requests: `handle_memory` or `handle_site`.
-        verbs: Verbs of these requests.
-        service: The running service.
-        now_ns: Loop time.
-        data: The request: `do`, and the fields of that verb.
-    """
+    """Check a request like one that came over the bus, and return its answer."""
     try:
         do, fields = read_request(json.dumps(data).encode(), verbs)
     except ValueError as error:

@@ -36,7 +36,7 @@ RAY_LEAST_M2 = 0.05
 
 
 class InformationGain:
-    """Computes the information gain over the current map, and remembers what was seen from where."""
+    """Computes the information gain over the map, and remembers what was seen from where."""
 
     def __init__(self, layers: Layers, window: Window, range_m: float) -> None:
         self._layers, self._window = layers, window

@@ -57,10 +57,6 @@ def pixel_samples(camera: CameraModel, range_m: float) -> PixelSamples:
 class ScanReader:
     """A reader of scans: it finds floor, steps and heights of obstacles in the newest points.
 
-    Args:
-        config: settings of the map.
-        robot: the robot's shape. Points on the robot itself are ignored.
-
     Attributes:
         polar: bins of the *scratch grid*: a square of cells with the sensor's cell in its centre.
         half_side: cells on each side of its centre.

@@ -24,11 +24,6 @@ def open_detector(
 ) -> OnnxDetector | RemoteDetector:
     """Open the detector of a card, on this computer or on the card's server.
 
-    Args:
-        detector: settings of the detector; `model` names the card.
-        prompts: names of the objects to look for.
-        progress: called every few seconds while a TensorRT engine is built.
-
     Raises:
         PromptError, ModelError: see `OnnxDetector` and `RemoteDetector`.
     """

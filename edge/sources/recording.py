@@ -332,7 +332,7 @@ def _shift_stamp(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> b
 def wait_for_service(
     session: zenoh.Session, settings: ZenohConfig, timeout_s: float, stop: threading.Event
 ) -> bool:
-    """Return True once a service subscribes to odometry, as every service does; False if none came."""
+    """Return True once a service subscribes to odometry, as each one does; False if none came."""
     deadline_s = time.monotonic() + timeout_s
     publisher = declare_publisher(session, topics.ODOMETRY, settings)
     try:

@@ -186,11 +186,6 @@ def open_pipeline(
     Words of the detector's `background` are detected too, except words that the model does not
     know.
 
-    Args:
-        perception: the settings of perception.
-        words: the vocabulary; each picture is tagged with all of it.
-        truth: see `edge.perception.factory.make_detector`.
-
     Yields:
         The pipeline.
 

@@ -63,11 +63,6 @@ def plan_by_rules(
 
     The trajectory has one segment for each step.
 
-    Args:
-        instruction: the task in words.
-        functions: the functions over the scene; they receive the trajectory.
-        step_slice: steps to do; see `edge.tasks.reading.parse_steps`.
-
     Returns:
         The steps that were understood.
 

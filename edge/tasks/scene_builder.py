@@ -147,12 +147,6 @@ def add_ground(
 
     Points outside the picture do not vote: a turn of the robot takes no name from the ground.
 
-    Args:
-        votes: the votes.
-        ground: names the kind in each pixel.
-        observation: the frame, with a camera and a cloud or depth.
-        mapping: settings of the occupancy map.
-
     Raises:
         ValueError: the frame has no usable image, or see `cloud_of`.
         ModelError: the network failed.

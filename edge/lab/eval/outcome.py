@@ -159,9 +159,6 @@ def read_outcomes(path: Path) -> list[EpisodeOutcome]:
 class OutcomeFile:
     """`outcomes.jsonl` of a folder: reads what is there, then appends complete lines.
 
-    Args:
-        folder: made if it is missing.
-
     Raises:
         FileError: the file cannot be read or written.
         UserError: the file has other content.

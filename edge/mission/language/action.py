@@ -145,15 +145,7 @@ def take_passed(
     passes: bool = True,
     verb: Token | None = None,
 ) -> None:
-    """Parse objects and the objects after them: "through a and into b", "from a to b to c".
-
-    Args:
-        reader: the token reader.
-        memory: antecedents of pronouns.
-        clause: the clause; the result is written here.
-        passes: True if the first objects are on the way to others.
-        verb: the last token before the objects.
-    """
+    """Parse objects and the objects after them: "through a and into b", "from a to b to c"."""
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
         reader.refuse_finally(
             "unclear: none of them, or not all? say for each if to avoid it", reader.peek()

@@ -127,15 +127,7 @@ def _count_goes_on(reader: TokenReader) -> bool:
 def _count_meant(
     reader: TokenReader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
-    """Return the count that markers and numbers mean; see `take_count`.
-
-    Args:
-        reader: the token reader.
-        markers: kinds of the tokens that say how the numbers are meant.
-        numbers: the numbers, at least one.
-        negated: True if the clause is negated.
-        begin: index of the count's first token.
-    """
+    """Return the count that markers and numbers mean; see `take_count`."""
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
         reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])

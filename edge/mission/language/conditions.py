@@ -66,13 +66,7 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
 
 
 def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
-    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`.
-
-    Args:
-        reader: the token reader, after the first word of the condition.
-        memory: the objects that pronouns mean.
-        condition: receives the objects of the event, its flags and its count.
-    """
+    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     inner = Clause(reader.peek())  # only collects the event's "not" and "first"
     mood_kinds = take_mood(reader, inner)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)

@@ -50,12 +50,6 @@ def anchor_goals(
 
     "Go to a, and go to b after that" refers to the visit to a that was already asked for. It moves
     from the last step to the front of this clause's goals.
-
-    Args:
-        meaning: the clause, changed in place.
-        sequence: steps before it.
-        asked: names that the instruction has asked for so far.
-        then: True if the clause comes after the entire sequence anyway.
     """
     for anchor in meaning.anchors:
         asked_names = set(anchor.names)

@@ -95,11 +95,6 @@ class NavigateProxy:
     """Passes NavigateToPose: three services and two topics.
 
     The goal that was accepted last is cancelled if the service is gone.
-
-    Args:
-        ends: node and session.
-        plan: ROS name, key and type of the action.
-        is_followed: returns True if the service receives the robot's sensors.
     """
 
     def __init__(

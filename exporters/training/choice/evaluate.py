@@ -51,14 +51,7 @@ def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
 
 
 def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> float:
-    """Return the largest difference between an ONNX file's logits and `logits`, on the images.
-
-    Args:
-        model: the ONNX file.
-        views: images and marks.
-        words: (t, text_dim) of `looks.CATEGORIES`.
-        logits: see `logits_of`.
-    """
+    """Return the largest difference between an ONNX file's logits and `logits`, on the images."""
     session, marks, counts = cpu_session(model, 1), labels.marks_of(views), is_counted(views)
     asked = np.argwhere(counts)  # (questions, 2): view and target
     chosen = np.random.default_rng(0).permutation(len(asked))[:PARITY_QUESTIONS]

@@ -253,16 +253,7 @@ def _visible_objects(
     ids: np.ndarray,
     depth: np.ndarray,
 ) -> np.ndarray:
-    """Return the objects that an image shows, (o,) `OBJECT`.
-
-    Args:
-        world: the house.
-        appearances: of all its objects.
-        has_own_color: see `_has_own_color`.
-        camera: camera of the image.
-        ids: (h, w) object ids of the image.
-        depth: (h, w) depth of the image.
-    """
+    """Return the objects that an image shows, (o,) `OBJECT`."""
     n = len(appearances)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     detection_kernels.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))

@@ -135,16 +135,7 @@ def starting_cells(plan: HousePlan) -> np.ndarray:
 def _sample(
     number: int, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int, kind: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return the samples of one decision, in the order of the fields of `Samples`.
-
-    Args:
-        number: number of the house.
-        explorer: the robot.
-        frontiers: its current frontiers.
-        row: see `PriorInputs`.
-        m: see `PriorInputs`.
-        kind: (rooms,) index of the kind of each room.
-    """
+    """Return the samples of one decision, in the order of the fields of `Samples`."""
     plan, n = explorer.plan, len(frontiers.cell)
     views = PriorInputs(explorer, frontiers, row, m)
     room = _rooms(views.label, plan.room, len(kind))[views.region]

@@ -108,12 +108,7 @@ def load(path: Path = PHRASES) -> Phrases:
 
 
 class Composer:
-    """Source of random pairs.
-
-    Args:
-        phrases: tables to draw from.
-        rng: draws everything; the same generator gives the same pairs.
-    """
+    """Source of random pairs."""
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng

@@ -89,11 +89,6 @@ class SoakRun:
     """Drives one soak run: faults, missions, samples, then the verdict.
 
     Call `run`, then `conclude`.
-
-    Args:
-        harness: the started processes.
-        record: gets all that happens.
-        seed: of the order of the faults, their durations, and the missions.
     """
 
     def __init__(

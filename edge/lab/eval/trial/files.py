@@ -32,9 +32,6 @@ COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 class RunFolder:
     """Writes the results of `edge trajectory` as files of a folder.
 
-    Args:
-        path: path of the folder; results of an earlier run are removed.
-
     Attributes:
         path: path of the folder.
         written: names of the files, in the order of writing.

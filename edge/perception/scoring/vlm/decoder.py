@@ -145,12 +145,6 @@ class Decoder:
     ) -> tuple[KeyValueCache, np.ndarray]:
         """Run the decoder on more tokens; see `read`.
 
-        Args:
-            rows: see `read`.
-            places: see `read`.
-            past: see `read`.
-            wanted: names of the outputs to compute.
-
         Returns:
             (cache of the wanted key and value outputs, logits or an empty array).
         """
