@@ -175,7 +175,9 @@ class Bag:
 
     def _messages(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages of a file, decompressed; note if the file is damaged."""
-        reader = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
+        reader = (
+            Db3Reader(path) if _first_bytes(path, len(_SQLITE)) == _SQLITE else McapReader(path)
+        )
         for message in reader:
             payload = _decompressed(message.payload)
             if payload is None:
@@ -258,10 +260,6 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
     """Return a sort key that puts `bag_10` behind `bag_9`."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
-
-
-def _begins_with(path: Path, magic: bytes) -> bool:
-    return _first_bytes(path, len(magic)) == magic
 
 
 def _first_bytes(path: Path, n: int) -> bytes:

@@ -153,7 +153,12 @@ def take_passed(
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
     targets = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
-    if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_object(reader):
+    if (
+        clause.negated
+        and clause.verb.startswith((*_CARRIES, "move"))
+        and reader.is_at("to")
+        and starts_noun_phrase(reader, 1)
+    ):
         reader.refuse_finally("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, targets.names))
     clause.targets, clause.through = targets, passes or (rides and clause.verb[:2] != "go")
@@ -179,11 +184,6 @@ def take_passed(
         else:
             add_to_route(reader, clause, clause.targets, token)
         clause.targets = further
-
-
-def _onto_object(reader: TokenReader) -> bool:
-    """Return True if "to the table" comes."""
-    return reader.is_at("to") and starts_noun_phrase(reader, 1)
 
 
 def _may_go_onward(reader: TokenReader, clause: Clause) -> bool:

@@ -74,7 +74,11 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
             marked.setdefault(marker, numbers[-1])
         elif token.kind == "times":
             times = True
-        elif not (token.kind in ("or", "and") and (markers or numbers) and _count_goes_on(reader)):
+        elif not (
+            token.kind in ("or", "and")
+            and (markers or numbers)
+            and reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
+        ):
             break
         reader.at += 1
     if not numbers or not times:
@@ -117,11 +121,6 @@ def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
 def _means_as_soon_as(reader: TokenReader) -> bool:
     """Return True if "once" here means "as soon as"."""
     return reader.is_at("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
-
-
-def _count_goes_on(reader: TokenReader) -> bool:
-    """Return True if the count continues after "or" or "and"."""
-    return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
 
 
 def _count_meant(

@@ -120,7 +120,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", clause.token
         )  # "I have a sofa"
-    if reader.peek().text in _PERFORM and _is_count(reader, 1):
+    if reader.peek().text in _PERFORM and reader.is_at(*COUNTING, ahead=1):
         reader.at += 1
     # The action: a count, a verb, a place after "be", names with a predicate, or only names.
     count_at = reader.peek()
@@ -271,10 +271,6 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         if clause.conditions and reader.peek().text == "then":
             reader.at += 1  # "if …, then …"
             clause.leads = True
-
-
-def _is_count(reader: TokenReader, ahead: int) -> bool:
-    return reader.is_at(*COUNTING, ahead=ahead)
 
 
 def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare: Bare) -> None:

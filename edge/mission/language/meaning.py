@@ -184,7 +184,8 @@ def _meaning_of_ban(
         meaning.rules += held_until(targets.names, avoided)
     if clause.count:  # "never visit a more than twice"
         _add_count(clause, targets, clause.count, meaning, times)
-        _refuse_conditions(clause, reader)
+        for condition in clause.conditions:
+            reader.refuse("a count and a condition cannot be combined", condition.token)
     elif _is_again(clause, targets, times) and not (
         clause.conditions or set(targets.names) <= set(times)
     ):
@@ -242,11 +243,6 @@ def _rules_of_ban(
 def _refuse_count_in_condition(condition: Condition, reader: TokenReader) -> None:
     if condition.count and condition.count != Count(1):
         reader.refuse("a condition cannot count visits", condition.token)
-
-
-def _refuse_conditions(clause: Clause, reader: TokenReader) -> None:
-    for condition in clause.conditions:
-        reader.refuse("a count and a condition cannot be combined", condition.token)
 
 
 def _add_count(

@@ -268,7 +268,7 @@ def unknown_in(words: list[str]) -> int | None:
     begin, end = 0, len(words)  # without the number at the end
     if end > 2 and names.number(words[-2:]) is not None:
         end -= 2
-    elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
+    elif end > 1 and (names.number(words[-1:]) is not None or _MARK.fullmatch(words[-1])):
         end -= 1
     # The longest noun at the end begins at `start`.
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
@@ -329,11 +329,6 @@ def _is_owner(word: str) -> bool:
 
 # "b", "12", "b12", "3a"
 _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
-
-
-def _is_member_mark(word: str) -> bool:
-    """Return True if a word distinguishes members of a kind: "room b", "gate b12", "bay 3a"."""
-    return _MARK.fullmatch(word) is not None
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ _MARK_FEATURES, _OTHERS_FEATURES = 17, 6
 
 
 class ChoiceNet(nn.Module):
-    """The network: map, text and marks → logits of the directions ("elsewhere" last) and the scene."""
+    """The network: map, text and marks → logits of directions ("elsewhere" last) and scene."""
 
     def __init__(self, kinds: int, width: int = 64, heads: int = 4, layers: int = 2) -> None:
         super().__init__()

@@ -74,7 +74,8 @@ def tables(comparison: Comparison) -> list[ReportTable]:
 def summary(comparison: Comparison, name: str) -> ReportTable:
     """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
-    keys = [key for key in wanted if _has_values(comparison, key)]
+    figures_of_arms = comparison.figures.values()
+    keys = [key for key in wanted if any(figures[key].n for figures in figures_of_arms)]
     head = ["arm", "n", *(METRICS[key].title for key in keys)]
     rows = []
     for arm, figures in comparison.figures.items():
@@ -193,10 +194,6 @@ def _spl_sr(figures: dict[str, Estimate]) -> str:
         return DASH
     share = 100 * figures["sr"].interval.value
     return f"{bounded(figures['spl'].interval, 2)}, {share:.0f}"
-
-
-def _has_values(comparison: Comparison, key: str) -> bool:
-    return any(figures[key].n for figures in comparison.figures.values())
 
 
 def _arm_name(comparison: Comparison, index: int) -> str:
