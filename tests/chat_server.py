@@ -56,11 +56,7 @@ def completion(content: Any, finish_reason: str = "stop") -> bytes:
 
 
 def likeliest(logprobs: Any) -> bytes:
-    """Return the body of a one-token chat completion, with log-probabilities of other tokens.
-
-    Args:
-        logprobs: by token; anything but a mapping is sent in the place of the list as it is.
-    """
+    """Return the body of a one-token chat completion, with log-probabilities of other tokens."""
     listed = isinstance(logprobs, dict)
     top = [{"token": t, "logprob": p} for t, p in logprobs.items()] if listed else logprobs
     choice = {

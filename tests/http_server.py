@@ -35,13 +35,7 @@ class _Server(ThreadingHTTPServer):
 def running(
     handler: type[BaseHTTPRequestHandler], stopping: threading.Event, port: int = 0
 ) -> Iterator[str]:
-    """Run a server; yield its URL.
-
-    Args:
-        handler: class that answers the requests.
-        stopping: set at the end, so that a handler which would go on for ever ends too.
-        port: 0: a free one of this machine.
-    """
+    """Run a server; yield its URL."""
     with _Server(("127.0.0.1", port), handler) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
         thread.start()

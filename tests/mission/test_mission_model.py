@@ -23,11 +23,7 @@ KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
 
 
 class Stub:
-    """A network that writes given text.
-
-    Args:
-        written: formulas with their probability, and how well each tells a sentence back, a word.
-    """
+    """A network that writes given text."""
 
     words = KNOWN
 
