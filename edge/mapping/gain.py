@@ -128,16 +128,13 @@ class InformationGain:
 
 @jit
 def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
-    """Compute the expected unknown area that each ray from a place shows.
+    """Compute the expected unknown area that each ray from a place shows; return the sum of `out`.
 
     - `x`, `y`: world coordinates in cells, with fractions.
     - `direction`: (rays, 2) float64, one step along each ray, in cells.
     - `area`: (steps,) float64, area of a ray's sector at each step.
     - `decay`: probability that a ray continues after a step through unknown cells.
     - `out`: (rays,) float64 output.
-
-    Returns:
-        The sum of `out`.
     """
     raw, near = layers.raw, layers.near
     n = raw.shape[0]

@@ -271,7 +271,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
 
 @jit
 def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
-    """Remove the points of the robot itself from `xyz`.
+    """Remove the points of the robot itself from `xyz`; return (points left, hits left).
 
     The robot is a cylinder around the axis of its base. The cylinder has no top, because something
     above the robot is not an obstacle where the robot stands.
@@ -282,9 +282,6 @@ def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m)
     - `sensor_z`: height of the sensor in `map`.
     - `radius_m`, `height_m`: size of the robot; the height also covers its points when it is
       tilted.
-
-    Returns:
-        (points left, hits left).
     """
     x, y, z = sensor_m[0], sensor_m[1], sensor_m[2]
     tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))

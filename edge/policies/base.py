@@ -257,10 +257,7 @@ class StatefulPolicy(Protocol):
 
 
 def scores_of(policy: Policy, context: PolicyInput) -> np.ndarray:
-    """Return a policy's scores for the current candidates, checked.
-
-    Returns:
-        (n,) float32.
+    """Return a policy's scores for the current candidates, checked, (n,) float32.
 
     Raises:
         ValueError: the policy did not return one finite number for each candidate.

@@ -62,10 +62,7 @@ class ClipTextEncoder:
         return self.encode([sentence.format(self.resolve(p)) for p in check_prompts(prompts)])[None]
 
     def encode(self, texts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per text, without resolving it as a prompt.
-
-        Returns:
-            (n, d) float32.
+        """Return one unit row per text, without resolving it as a prompt, (n, d) float32.
 
         Raises:
             PromptError: a text is longer than the model's context.
@@ -130,13 +127,10 @@ class ClipImageEncoder:
             self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
-        """Encode an image.
+        """Encode an image; return (d,) float32.
 
         Args:
             rgb: (h, w, 3) uint8.
-
-        Returns:
-            (d,) float32.
 
         Raises:
             ModelError: the model fails, or its output is not finite.

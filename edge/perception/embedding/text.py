@@ -66,10 +66,7 @@ class TextEncoder(Protocol):
     dim: int
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per prompt.
-
-        Returns:
-            (1, n, dim) float32.
+        """Return one unit row per prompt, (1, n, dim) float32.
 
         Raises:
             PromptError: there is no prompt, a prompt is empty, or a prompt is not understood.
@@ -219,15 +216,12 @@ class TextEmbeddings:
         return self._rows.shape[1]
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per prompt.
+        """Return one unit row per prompt, (1, n, d) float32.
 
         Args:
             prompts: words or phrases. A phrase that the vocabulary lacks is read as its longest
                 known ending ("tall white trash bin": trash bin), and a kind as the broader word
                 ("bush": plant, see `names.HYPERNYMS`), with a warning.
-
-        Returns:
-            (1, n, d) float32.
 
         Raises:
             PromptError: an empty prompt, or a word outside the vocabulary (nearest words are

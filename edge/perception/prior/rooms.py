@@ -49,7 +49,7 @@ def room_prior(table: ObjectPrior) -> np.ndarray:
 
 
 def room_posterior(table: ObjectPrior, seen: np.ndarray) -> np.ndarray:
-    """Return P(kind | classes seen in the region): naive Bayes.
+    """Return P(kind | classes seen in the region): naive Bayes, (m, kinds) float64, rows sum to 1.
 
     Each class counts with the weight `ObjectPrior.evidence`, since classes are not independent.
     Classes that were not seen do not count: a region is rarely seen completely.
@@ -57,9 +57,6 @@ def room_posterior(table: ObjectPrior, seen: np.ndarray) -> np.ndarray:
     Args:
         table: the learned counts.
         seen: (m, classes) float32 in [0, 1], confidence that each class is in each region.
-
-    Returns:
-        (m, kinds) float64, rows sum to 1.
     """
     prior, p_class = room_prior(table), object_given_room(table)
     log_ratio = np.log(p_class) - np.log(prior @ p_class)
@@ -144,15 +141,12 @@ def adjacent_regions(border: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def likelihood_ratio(table: ObjectPrior, row: int, belief: np.ndarray) -> np.ndarray:
-    """Return P(the room holds the target | belief) / P(a room holds the target).
+    """Return P(the room holds the target | belief) / P(a room holds the target), (m,) float64.
 
     Args:
         table: the learned counts.
         row: the target's row in the table; -1: unknown, so the ratio is 1.
         belief: (m, kinds), P(kind) of each room.
-
-    Returns:
-        (m,) float64.
     """
     if row < 0:
         return np.ones(len(belief))

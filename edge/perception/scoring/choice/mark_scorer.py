@@ -194,10 +194,7 @@ class MarkScorer:
         return MarkInput(view, image, rows, view.mark_costs.others)
 
     def answer(self, prepared: MarkInput) -> FrontierChoice | None:
-        """Get both answers at once.
-
-        Returns:
-            None if there is no mark to choose from.
+        """Get both answers at once; None if there is no mark to choose from.
 
         Raises:
             PromptError: the text encoder does not know the target.
