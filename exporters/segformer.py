@@ -44,7 +44,6 @@ class PixelReport(Report):
     """Agreement of a file with the original.
 
     Attributes:
-        pictures: number of pictures.
         same_class: share of the scores' pixels that have the same best class.
         max_abs_diff: largest difference of a score.
     """

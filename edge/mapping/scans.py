@@ -23,10 +23,8 @@ class PixelSamples(NamedTuple):
     """The pixels of a camera that are read: every stride-th one.
 
     Attributes:
-        camera: intrinsics.
         strides: across and up.
         column, row: (w,) and (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
-        n: number of samples.
     """
 
     camera: CameraModel

@@ -126,9 +126,6 @@ class FailureTarget:
 
     It is never pursued. It becomes true when the other target has failed and the plan needs it.
     Only formulas name it: the English name "no entry sign" is an object.
-
-    Attributes:
-        target: the other target.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)

@@ -33,7 +33,6 @@ class TaskStatus:
     """Status of a task at one moment.
 
     Attributes:
-        instruction: the task in words.
         phase: `looking` for its objects, `writing` its trajectory (the robot stands still),
             `driving`, or `verifying` that the object at the stop is the named one; `reached` or
             `failed` at the end.

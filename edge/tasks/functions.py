@@ -65,8 +65,6 @@ class ScriptFunctions:
     """The functions over one scene, and what a script handed over through them.
 
     Attributes:
-        ground: the ground of the scene.
-        limits: limits of trajectories.
         keep_to: ids of regions that `a_star_plan` prefers if a call names none; empty: any.
         detect: returns the scene with the objects of a name that the frame at hand shows
             (`edge.tasks.on_demand`); None: there is no detector for it.

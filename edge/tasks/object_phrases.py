@@ -118,11 +118,7 @@ def object_of_last_step(
 
 
 class AmbiguousObjectError(TranslationError):
-    """A name that fits several objects.
-
-    Attributes:
-        ids: ids of these objects.
-    """
+    """A name that fits several objects."""
 
     def __init__(self, message: str, part: str, position: int, ids: tuple[int, ...]) -> None:
         super().__init__(message, part, position)

@@ -71,7 +71,6 @@ class CaptionedDetections(NamedTuple):
 
     Attributes:
         found: n boxes, with their masks if there is a segmenter.
-        caption: n captions.
         embedding: (n, d) float32; None without embeddings.
     """
 

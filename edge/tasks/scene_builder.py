@@ -61,7 +61,6 @@ class SceneBuilder:
 
     Attributes:
         objects: the 3-D object map.
-        map: the occupancy map.
     """
 
     def __init__(

@@ -41,7 +41,6 @@ class PlanAttempt:
     """One answer of the model and its result.
 
     Attributes:
-        answer: the entire answer.
         code: the script in the answer; "" if there is none.
         printed: output of the script.
         error: one line; "" if the script gave a trajectory.
@@ -59,7 +58,6 @@ class WrittenTrajectory:
 
     Attributes:
         instruction: the text that was given.
-        coarse: the trajectory.
         ground: the ground on which the trajectory was checked.
         understood: interpretation by the rules, in words; "" for a model.
         rounds: answers of a model, oldest first; the last one gave the trajectory.

@@ -26,7 +26,6 @@ class LearningRates(Protocol):
     """Learning rates of a run's plan.
 
     Attributes:
-        rate: peak of the learning rate.
         decay: weight decay; not for biases, norms and tables of embeddings.
         warm_up: steps until the peak.
         average: share of the averaged weights that stays in each step.

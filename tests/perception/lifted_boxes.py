@@ -19,7 +19,7 @@ def lifted(
     z_m: float = 0.4,
     competing_score: float = 0.0,
 ) -> BackProjectedBoxes:
-    """Return (label, x, y, score) each, if its label is one of the words, the highest score first."""
+    """Return (label, x, y, score) each, if its label is one of the words, best first."""
     mine = sorted((t for t in things if t[0] in words), key=lambda t: -t[3])
     n = len(mine)
     places = np.array([(t[1], t[2], z_m) for t in mine], np.float32).reshape(n, 3)

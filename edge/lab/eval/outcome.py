@@ -35,7 +35,6 @@ class EpisodeOutcome:
         target: name of the object to find; None for a mission.
         instruction: text of the mission.
         start: x and y [m], yaw [rad].
-        shortest_m: shortest path of the episode.
         success: the service reported `reached`, and each time the robot was within `REACHED_M` of
             the footprint of such an object.
         reason: why the episode ended, in one line.

@@ -42,11 +42,7 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class InSequence:
-    """A sequence of goals, one after the other.
-
-    Attributes:
-        goals: the goals, in order.
-    """
+    """A sequence of goals, one after the other."""
 
     goals: tuple[Goal, ...]
 

@@ -158,7 +158,6 @@ class Parity(_Part):
     The images were not used for calibration.
 
     Attributes:
-        images: number of images.
         recall: share of the source variant's boxes that this variant finds.
         precision: share of this variant's boxes that the source variant has.
         score_error: difference between the scores of matching boxes; None if there were none.
@@ -461,9 +460,6 @@ class MarksCard(_FileCard):
     bearing [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown
     area that it is expected to show [m²], and 1. The row is all 0 if there is no mark. `others` is
     `MarkCosts.others` of `edge.perception.scoring.choice.question`.
-
-    Attributes:
-        text_encoder: card of the encoder for targets.
     """
 
     task: Literal["marks"]

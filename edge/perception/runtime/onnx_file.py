@@ -110,7 +110,6 @@ class OnnxFile(NamedTuple):
             also in subgraphs.
         external: other files that hold weights, as the model names them.
         inputs: inputs without initializers.
-        outputs: outputs in order.
     """
 
     ir: int

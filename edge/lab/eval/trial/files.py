@@ -33,7 +33,6 @@ class RunFolder:
     """Writes the results of `edge trajectory` as files of a folder.
 
     Attributes:
-        path: path of the folder.
         written: names of the files, in the order of writing.
 
     Raises:
