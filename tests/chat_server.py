@@ -30,7 +30,7 @@ class ChatServer:
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """Send a whole answer; JSON unless a header says otherwise."""
+    """Send an entire answer; JSON unless a header says otherwise."""
     http_server.send(handler, body, status, **{"Content_Type": "application/json", **headers})
 
 

@@ -17,7 +17,7 @@ class Quiet(BaseHTTPRequestHandler):
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """Send a whole answer."""
+    """Send an entire answer."""
     handler.send_response(status)
     for name, value in headers.items():
         handler.send_header(name.replace("_", "-"), value)

@@ -1,4 +1,4 @@
-"""A real HTTP server, in a thread, that speaks KServe's protocol and lies on command."""
+"""A real HTTP server, in a thread, that speaks KServe's protocol, falsely on command."""
 
 from __future__ import annotations
 

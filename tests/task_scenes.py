@@ -1,4 +1,4 @@
-"""Small scenes with known truth: a street whose things stand where a test says."""
+"""Small scenes with known truth: a street whose objects stand where a test says."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def test_no_children_of_a_package_form_a_circle(package):
 
 
 def child(package: str, module: str) -> str:
-    """Return the child of a package that a module belongs to; empty if it lies outside."""
+    """Return the child of a package that a module belongs to; empty if it is outside."""
     return module[len(package) + 1 :].split(".")[0] if module.startswith(f"{package}.") else ""
 
 

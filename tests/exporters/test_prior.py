@@ -18,7 +18,9 @@ from exporters.training.prior.house import CELL_M, read_plan
 from exporters.training.prior.samples import Samples, gather, starting_cells
 
 
-def house(*things: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)) -> dict:
+def house(
+    *objects: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)
+) -> dict:
     """Return a bathroom and a bedroom of 4 m × 4 m with a door between them."""
     walls = [[0, 0, 8, 0], [8, 0, 8, 4], [8, 4, 0, 4], [0, 4, 0, 0]]
     walls += [[4, 0, 4, 4]] if door is None else [[4, 0, 4, door[0]], [4, door[1], 4, 4]]
@@ -37,7 +39,7 @@ def house(*things: tuple[str, float, float], door: tuple[float, float] | None = 
                 "size": [0.4, 0.4, 0.6],
                 "yaw": 0,
             }
-            for i, (name, x, y) in enumerate(things)
+            for i, (name, x, y) in enumerate(objects)
         ],
     }  # fmt: skip
 
@@ -163,8 +165,8 @@ def houses(tmp_path_factory):
     with gzip.open(file, "wt") as lines:
         for _ in range(100):
             x, y = rng.uniform(0.6, 3.4, 2)
-            things = [("toilet", x, y), ("toilet paper", x, y + 0.5), ("bed", x + 4, y)]
-            lines.write(json.dumps(house(*things)) + "\n")
+            objects = [("toilet", x, y), ("toilet paper", x, y + 0.5), ("bed", x + 4, y)]
+            lines.write(json.dumps(house(*objects)) + "\n")
     return file
 
 

@@ -96,7 +96,7 @@ def window(grid: RollingMap, layer: str) -> np.ndarray:
 
 
 def states(grid: RollingMap) -> np.ndarray:
-    """Return the published state of the whole window (-1, 0 or 100), inflated from scratch."""
+    """Return the published state of the entire window (-1, 0 or 100), inflated from scratch."""
     raw = window(grid, "raw")
     blocked = np.zeros(raw.shape, bool)
     disc = grid._cells.disc

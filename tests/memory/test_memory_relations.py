@@ -1,4 +1,4 @@
-"""Things that a relation describes, and the instances that they mean."""
+"""Objects that a relation describes, and the instances that they mean."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_plain_name_has_no_relation(name):
 
 
 @pytest.mark.parametrize(
-    ("text", "thing"),
+    ("text", "obj"),
     [
         ("the chair next to the desk", DescribedObject("chair", "next to", "desk")),
         ("chair by the window", DescribedObject("chair", "next to", "window")),
@@ -52,9 +52,9 @@ def test_a_plain_name_has_no_relation(name):
         ),
     ],
 )
-def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
+def test_a_description_has_noun_relation_anchor_room_and_number(text, obj):
     found = parse_description(text)
-    assert found == (thing or DescribedObject("2nd red chair", room="kitchen"))
+    assert found == (obj or DescribedObject("2nd red chair", room="kitchen"))
     assert found.prompts == tuple(filter(None, (found.noun, found.anchor)))
 
 
@@ -71,7 +71,7 @@ def test_a_relation_that_cannot_be_checked_is_refused(text, why):
         parse_description(text)
 
 
-def thing(id, label, x_m, y_m=0.0, z_m=0.5):
+def obj(id, label, x_m, y_m=0.0, z_m=0.5):
     points_m = np.array([(x_m - 0.2, y_m, z_m), (x_m + 0.2, y_m, z_m)], np.float32)
     center_m = points_m.mean(axis=0)
     return Instance(
@@ -80,9 +80,9 @@ def thing(id, label, x_m, y_m=0.0, z_m=0.5):
 
 
 MAP = (
-    thing(1, "desk", 0.0), thing(2, "chair", 1.0), thing(3, "chair", 4.0),
-    thing(4, "chair", 1.5), thing(5, "window", 9.0), thing(6, "mug", 0.1, z_m=0.9),
-    thing(7, "mug", 4.1, z_m=0.9), thing(8, "box", 0.0, z_m=0.1),
+    obj(1, "desk", 0.0), obj(2, "chair", 1.0), obj(3, "chair", 4.0),
+    obj(4, "chair", 1.5), obj(5, "window", 9.0), obj(6, "mug", 0.1, z_m=0.9),
+    obj(7, "mug", 4.1, z_m=0.9), obj(8, "box", 0.0, z_m=0.1),
 )  # fmt: skip
 
 

@@ -285,7 +285,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("find the dog; if it is in the kitchen, come back", "which place or order"),
         ("find the mug in the hall; if you can't get in, come back", "unclear which of the orders"),
         ("find the mug; if it's not there wait until it is", "an order that has one meaning"),
-        # Numbers of things.
+        # Numbers of objects.
         ("find three chairs in the kitchen but not in the hall", "differ by kind"),
         ("find two dogs but avoid the dog", "expected the name"),
         ("find two chairs in the kitchen, but not in the hall", "differ by kind"),

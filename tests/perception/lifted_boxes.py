@@ -1,4 +1,4 @@
-"""Back-projected boxes of things at known places, as if a detector had found them."""
+"""Back-projected boxes of objects at known places, as if a detector had found them."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def object_boxes(ids, depth, n):
 
 
 def cloud_raster(cloud, T, fx, fy, cx, cy, cell_px, shape):
-    """Index of the nearest point of every cell, -1 where none lies."""
+    """Index of the nearest point of every cell, -1 where none is."""
     raster = np.full(shape, -1)
     nearest = np.full(shape, np.inf)
     for i, point in enumerate(cloud.astype(np.float64)):
@@ -152,7 +152,7 @@ def surfaces(z, max_range, bins, gap_m, sparse):
 
 
 def going_on(strips, low, high, T, floor_z):
-    """Mean share of the strips' points that lie between two depths, above the floor."""
+    """Mean share of the strips' points that are between two depths, above the floor."""
     shares = []
     for points in strips:
         if len(points):

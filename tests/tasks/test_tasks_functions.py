@@ -43,12 +43,12 @@ def test_a_scene_without_objects_lists_none():
     ],
 )
 def test_objects_are_found_by_name_with_the_nearest_first(functions, name, ids):
-    assert [thing["id"] for thing in functions.det_object(name)] == ids
+    assert [obj["id"] for obj in functions.det_object(name)] == ids
 
 
 def test_a_caption_is_cut_to_one_printable_line():
-    thing = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
-    (sign,) = ScriptFunctions(ground_of(street(thing), 0.3), LIMITS).det_object()
+    obj = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
+    (sign,) = ScriptFunctions(ground_of(street(obj), 0.3), LIMITS).det_object()
     assert sign["caption"].isprintable()
     assert len(sign["caption"]) == 200
 
