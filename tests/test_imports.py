@@ -20,7 +20,7 @@ from edge.cli.options import EXTRAS
 ROOT, EXPORTERS = (Path(package.__file__).parent for package in (edge, exporters))
 # A package imports from itself and from the lines above its own.
 LAYERS = (
-    ("__init__", "errors", "text", "geometry", "types", "logs", "names", "stuck", "jit"),
+    tuple("__init__ errors text geometry types logs number_words names stuck jit".split()),
     ("host",),
     ("config",),
     ("bus", "chat"),

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from edge import names
+from edge import names, number_words
 from edge.errors import UserError
 from edge.memory.room_kinds import is_room_name
 from edge.perception.tracking.instance_kernels import least_gap
@@ -120,7 +120,7 @@ def parse_description(text: str) -> DescribedObject | None:
             raise _undecidable(text, "a second relation")
     nth, noun = _split_off_ordinal(noun)
     counted = _COUNTED.fullmatch(noun)
-    is_new = counted is not None and all(names.number([n]) for n in counted.group("n", "of"))
+    is_new = counted is not None and all(number_words.number([n]) for n in counted.group("n", "of"))
     if counted is not None and is_new:
         noun = counted["noun"]
     if not (relation or room or nth or is_new):
@@ -151,7 +151,7 @@ def _is_known(name: str) -> bool:
 def _split_off_ordinal(noun: str) -> tuple[int, str]:
     """Return the number of "second door" and its name; 0 and the noun if it has no number."""
     first, _, rest = noun.partition(" ")
-    nth = names.ordinal(first)
+    nth = number_words.ordinal(first)
     if nth is None or not names.is_known(rest):
         return 0, noun
     return nth, rest

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import ConfigDict, Discriminator, Field, TypeAdapter
 
-from edge import names
+from edge import names, number_words
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
@@ -228,7 +228,7 @@ def _room_of(text: str, site: Site) -> RoomTarget | None:
     if target.which != "called":
         return target
     kind, found = kind_of_room(text), _ROOM_NUMBER.fullmatch(text)
-    by_number = found is not None and names.number([found["n"]]) is not None
+    by_number = found is not None and number_words.number([found["n"]]) is not None
     by_person = site.room_name(text) or any(
         kind and kind_of_room(room.name) == kind for room in site.room_names
     )
@@ -298,7 +298,7 @@ def duration_s(text: str) -> float:
     """
     *number, unit = text.split()
     unit_s = _UNITS_S.get(unit if unit == "s" else unit.rstrip("s"), 0)
-    count: float | None = names.number(number) if number else None
+    count: float | None = number_words.number(number) if number else None
     if count is None and re.fullmatch(r"\d{1,6}\.\d{1,3}", " ".join(number)):
         count = float(number[0])
     if count is None or not 0 < count * unit_s <= LONGEST_S:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from edge import names
+from edge import number_words
 from edge.memory import parse_description
 from edge.mission.destinations import (
     CALLER,
@@ -28,7 +28,7 @@ from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
 # A name that ends in a number or a letter: "room 12".
-_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(names.SMALL_NUMBERS)})")
+_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(number_words.SMALL_NUMBERS)})")
 
 
 def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Union
 
-from edge import names
+from edge import names, number_words
 from edge.mission.language import errand_patterns as patterns
 from edge.mission.language import nouns
 from edge.mission.language.errand_parts import PARTS
@@ -299,7 +299,7 @@ def _relation_text(
     bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
     if idiom or verb or bare_by or is_vague(anchor) or words[-1] in NOWHERE:
         return None  # "at some point", "by passing the desk"
-    if names.number(words) is not None and not is_room(name):
+    if number_words.number(words) is not None and not is_room(name):
         return None  # "between the two"
     relation = patterns.RELATIONS.get(relation.lower(), relation.lower())
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from edge import names
+from edge import number_words
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
@@ -274,7 +274,7 @@ NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN
 """Regular expression for one name, with or without an article or "a pair of"."""
 _ROOM_HEAD = re.compile(
     rf"(?:.* )?{phrase_of('room')}"
-    rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(names.SMALL_NUMBERS)}))?"
+    rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(number_words.SMALL_NUMBERS)}))?"
     "|toilet",
     re.I,
 )

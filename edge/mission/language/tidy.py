@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from edge import names
+from edge import number_words
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
 from edge.mission.language.lexicon import TABLE, WORD, expand_word
 from edge.mission.language.remarks import SUBORDINATE, is_remark
@@ -55,7 +55,7 @@ _REPEATED = re.compile(
 """Words that a speaker says twice: "where is the where is the", "explore hall, explore hall"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
-    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
+    rf"(?=\d|{ARTICLE}\b|{'|'.join(number_words.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
     re.I,
 )
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""

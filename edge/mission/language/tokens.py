@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from edge import names
+from edge import number_words
 from edge.errors import UserError
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
@@ -171,7 +171,7 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
         return False
     numbered = words[i + 1].text in nouns.NUMBERED
     beyond = words[i + 2].text if len(words) > i + 2 else ""
-    return numbered and names.number([beyond]) is None
+    return numbered and number_words.number([beyond]) is None
 
 
 def _is_object(words: Sequence[Token], i: int) -> bool:
