@@ -20,7 +20,8 @@ from edge.cli.options import EXTRAS
 ROOT, EXPORTERS = (Path(package.__file__).parent for package in (edge, exporters))
 # A package imports from itself and from the lines above its own.
 LAYERS = (
-    tuple("__init__ errors text geometry types logs number_words names stuck jit".split()),
+    ("__init__", "errors", "text", "geometry", "types", "logs", "number_words"),
+    ("names", "stuck", "jit"),
     ("host",),
     ("config",),
     ("bus", "chat"),
