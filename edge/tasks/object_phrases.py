@@ -8,10 +8,10 @@
             | "second from the left"
     place   = "on the left" | "on the right" | "ahead" | "behind you" | "near" object
             | order | "that is" (description | place)
-    aside   = "on the left" | "on your left" | …
+    passing = "on the left" | "on your left" | …
 
-`read_objects` reads an object, `_read_word` a chooser, and `read_passing_side` an aside: the side
-on which an object is passed. `edge.tasks.reading` reads the rest.
+`read_objects` reads an object, `_read_word` a chooser, and `read_passing_side` the side on
+which an object is passed. `edge.tasks.reading` reads the rest.
 
 The robot's place at the time of the request decides which object is meant. A number counts from the
 nearest object. "From the left" counts only objects ahead.

@@ -2,10 +2,11 @@
 
     task   = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]]
     step   = go ("to" | "near" | …) object ["'s" side | "from behind" | gap] | "approach" object
-           | (go "past" | "pass" | go "around") [side "of"] object [on its side | "'s" side | aside]
+           | (go "past" | "pass" | go "around") [side "of"] object
+             [on its side | "'s" side | passing]
            | ("circle" | go "around" object "once") [("counter")"clockwise"]
            | (go "along" | "follow") object | go "halfway to" object
-           | ("leave" | "keep" | "with") object aside
+           | ("leave" | "keep" | "with") object passing
            | go (side "of" | "in front of" | "behind") object | go "to its" side
            | go "between" (object "and" object | "the two" objects)
            | go "straight" (distance | "until you reach" object) | go distance "straight"
@@ -17,7 +18,7 @@
     gap    = "but stay" distance "away" | "and stop" distance "before it"
     distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
 
-`edge.tasks.object_phrases` reads an object and an aside; the words are in `edge.tasks.phrases`.
+`edge.tasks.object_phrases` reads objects and passing sides; the words are in `edge.tasks.phrases`.
 `edge.tasks.step_phrases` reads a step and a distance, `_read_limits` a limit.
 
 A clause may depend on another ("after passing …", "before you …", see `edge.tasks.clauses`). Words

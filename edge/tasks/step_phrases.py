@@ -269,9 +269,11 @@ def _read_passed(
         )
     begin, start = reader.at, reader.peek()
     found = read_objects(reader, scene, before, is_passed=True)
-    said, aside = reader.peek(), read_passing_side(reader)
-    if aside is None or reader.is_at("its left", "its right"):
-        if aside is not None:  # "the car on the left on its right": the first side chooses the car
+    said, passing = reader.peek(), read_passing_side(reader)
+    if passing is None or reader.is_at("its left", "its right"):
+        if (
+            passing is not None
+        ):  # "the car on the left on its right": the first side chooses the car
             reader.at = begin
             found = read_objects(reader, scene, before)
         side = reader.take("its left", "its right")
@@ -284,12 +286,12 @@ def _read_passed(
     except TranslationError:
         on_that_side = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
-    side = OTHER_SIDE[aside.direction] if aside.of_robot else aside.direction
+    side = OTHER_SIDE[passing.direction] if passing.of_robot else passing.direction
     differs = isinstance(scene, Scene) and bool(on_that_side) and on_that_side[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
-            f"of …', or '… that is on the {aside.direction}'", said,
+            f"of …', or '… that is on the {passing.direction}'", said,
         )  # fmt: skip
     return InstructionStep(kind, (found[0],), side)
 
@@ -300,10 +302,10 @@ def _read_leaving(
     """Read `leave the van on your left`: the robot passes its right."""
     start = reader.peek()
     obj = only_one(read_objects(reader, scene, before, is_passed=True), reader, start)
-    aside = read_passing_side(reader)
-    if aside is None:
+    passing = read_passing_side(reader)
+    if passing is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return InstructionStep("past", (obj,), OTHER_SIDE[aside.direction])
+    return InstructionStep("past", (obj,), OTHER_SIDE[passing.direction])
 
 
 def _read_two_objects(

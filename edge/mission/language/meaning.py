@@ -424,7 +424,7 @@ def _is_rule(clause: Clause, condition: Condition, reader: TokenReader) -> bool:
     """Return True if "x before y" may leave open if y is to be reached at all.
 
     "Make sure that …", "x must be visited …" and "… before you may ever go to y" do. A plain order
-    does not, unless it is an alternative, an aside, or one of several in a sequence.
+    does not, unless it is an alternative, an avoidance, or one of several in a sequence.
     """
     duty = clause.mood == "must" and not clause.subject
     if duty or clause.done or clause.token.text.startswith(_DUTY_STARTS):

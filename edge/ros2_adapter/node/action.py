@@ -12,7 +12,7 @@ from passing import AdapterEnds, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-GONE_S = 3.0  # after this time without a receiver on Zenoh, nobody supervises the robot
+GONE_S = 3.0  # after this time without a receiver on Zenoh, no service supervises the robot
 _REQUEST_BYTES = 4096
 _QUEUE_SIZE = 16  # requests that wait for the node's thread
 
