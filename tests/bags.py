@@ -63,7 +63,6 @@ def write_bag(
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """Write a rosbag2 folder."""
     writer = BagWriter(folder, version=9, storage_plugin=storage)
     if compression != CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)

@@ -35,7 +35,6 @@ def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **head
 
 
 def stalls(handler: BaseHTTPRequestHandler) -> None:
-    """Never answers."""
     handler.stopping.wait()
 
 
@@ -49,7 +48,6 @@ def sends_100_mb(handler: BaseHTTPRequestHandler) -> None:
 
 
 def completion(content: Any, finish_reason: str = "stop") -> bytes:
-    """Return the body of a chat completion."""
     message = {"role": "assistant", "content": content}
     choice = {"index": 0, "message": message, "finish_reason": finish_reason}
     return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()

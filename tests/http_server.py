@@ -10,14 +10,11 @@ from typing import Any
 
 
 class Quiet(BaseHTTPRequestHandler):
-    """Logs nothing."""
-
     def log_message(self, *_: Any) -> None:
         pass
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """Send an entire answer."""
     handler.send_response(status)
     for name, value in headers.items():
         handler.send_header(name.replace("_", "-"), value)

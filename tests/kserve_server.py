@@ -74,7 +74,6 @@ class Handler(Quiet):
         self.send(b"out of memory", 503)
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Return the tensors of the request."""
         length = int(self.headers.get(HEADER_LENGTH, len(self.body)))
         told, at, found = json.loads(self.body[:length]), length, {}
         for entry in told["inputs"]:

@@ -23,8 +23,6 @@ SIDE = 32
 
 
 class Size(NamedTuple):
-    """Dimensions of a decoder."""
-
     hidden: int
     heads: int
     layers: int

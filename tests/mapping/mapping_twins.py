@@ -326,7 +326,6 @@ def writable(grid: RollingMap) -> ly.Layers:
 
 
 def set_free(grid: RollingMap, x: int, y: int) -> None:
-    """Free a cell of the window."""
     ly.set_free(writable(grid), *grid.window.shift, x, y, grid._cells.changed)
 
 

@@ -127,7 +127,6 @@ def test_text_without_a_formula(written: list[tuple[str, float, float]]) -> None
 
 @cache
 def shipped() -> NeuralTranslator:
-    """One session for all tests."""
     return NeuralTranslator(TranslationNetwork("mini-translator"))
 
 

@@ -292,7 +292,6 @@ def encoder(rows, **names):
 
 
 def greedy_encoder():
-    """Wants a petabyte."""
     g = Graph(np.random.default_rng(0), F32)
     size = g("Mul", g("Shape", "pixel_values"), g.constant([1, 1, 1, 1 << 20, 1 << 24]))
     large = g("Expand", g.constant(np.float32(0)), size)

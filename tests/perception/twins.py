@@ -226,7 +226,6 @@ def strongest_competing_score(
 
 
 def share_in_view(points, T, view):
-    """Share of points in the image."""
     fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ points.astype(np.float64).T + T[:3, 3:]
     z = np.where(z > 0, z, np.nan)
@@ -235,7 +234,6 @@ def share_in_view(points, T, view):
 
 
 def look_weight(xyz, points, T, view, depth, near_m, far_m):
-    """Return the weight of an observation for an object."""
     fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ xyz + T[:3, 3]
     if not 0.1 < z < far_m:

@@ -41,7 +41,6 @@ class Head:
         )
 
     def live(self) -> list:
-        """Return the observations of a life."""
         seen = []
         for at_ms, name, stamp_ms in self._arrivals:
             self.now_ns = BEGIN_NS + at_ms * MS
