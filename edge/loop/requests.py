@@ -136,7 +136,6 @@ _PREPARED_FIELDS = (*_INSTRUCTION_FIELDS, "reading", "caller", "repeat")  # argu
 
 
 def _check_new(fields: dict) -> dict:
-    """Return the checked fields of a new mission."""
     texts = {name: check_text(name, fields[name]) for name in _INSTRUCTION_FIELDS if name in fields}
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of the fields instruction, formula and task")

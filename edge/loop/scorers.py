@@ -309,5 +309,4 @@ def make_scorers(
 
 
 def _rounded(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:
-    """Return the values by key, rounded for JSON."""
     return {str(k): round(float(v), 4) for k, v in zip(keys, values, strict=True)}

@@ -68,7 +68,6 @@ class SemanticMap:
         self._set_grid(RollingMap(config.mapping, config.robot))
 
     def _set_grid(self, grid: RollingMap) -> None:
-        """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
         self._set_zones()
         self._reset_values()

@@ -340,7 +340,6 @@ def _objects_of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
 def _objects_described(
     found: list[SceneObject], reader: TokenReader, words: Sequence[Token]
 ) -> list[SceneObject]:
-    """Return the objects that every word describes."""
     for token in words:
         fitting = _filtered(found, lambda t, word=token.text: word in _caption_words(t))
         if not fitting:

@@ -388,5 +388,4 @@ def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
 
 
 def _length_m(path: Sequence[Point]) -> float:
-    """Return the length of a path."""
     return float(np.hypot(*np.diff(np.array(path), axis=0).T).sum())

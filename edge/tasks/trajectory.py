@@ -210,7 +210,6 @@ def _advice(ground: ReachableGround, x_m: float, y_m: float) -> str:
 
 
 def _point_name(segments: Sequence[np.ndarray], index: int) -> str:
-    """Return the name of a point, from its index over all segments."""
     named = chain.from_iterable(
         (f"point {i} of segment {k}" for i, _ in _enumerate_from_1(points))
         for k, points in _enumerate_from_1(segments)

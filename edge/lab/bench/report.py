@@ -72,7 +72,6 @@ def _rows(report: Report) -> list[str]:
 
 
 def _cells(row: dict[str, Any], family: str) -> tuple[str, ...]:
-    """Return a cell for each heading."""
     times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
     fp32, truth = row["agreement"] or {}, row["truth"] or {}
     shares = [fp32.get("recall"), fp32.get("precision"), fp32.get("score_error")]

@@ -234,7 +234,6 @@ def _score_all(
 
 
 def _first_failures(lines: Sequence[str]) -> Iterator[str]:
-    """Yield the first failures, for the screen."""
     for line in lines[:_SHOWN_FAILURES]:
         yield f"  {one_line(line, _SHOWN_CHARS)}"
     if len(lines) > _SHOWN_FAILURES:

@@ -251,7 +251,6 @@ def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    """Return the table of facts."""
     if not facts:
         return ""
     rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)

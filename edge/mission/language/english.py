@@ -166,7 +166,6 @@ def _goal_sentences(parts: tuple[Formula, ...]) -> list[str]:
 
 
 def _rule_sentences(parts: tuple[Formula, ...]) -> list[str]:
-    """Return sentences for all other parts."""
     counted = {_count_of(part) for part in parts if _is_exact_count(part, parts)}
     return [
         _rule_text(part) or _read_out(part)

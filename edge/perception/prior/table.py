@@ -90,7 +90,6 @@ class ObjectPrior:
 
 @lru_cache(maxsize=8)
 def _rows(classes: tuple[str, ...]) -> dict[str, int]:
-    """Return the row of each class."""
     return {name: i for i, name in enumerate(classes)}
 
 

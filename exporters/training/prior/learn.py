@@ -216,7 +216,6 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
 
 
 def _only(samples: Samples, rows: np.ndarray) -> Samples:
-    """Return these samples only."""
     return Samples(*(getattr(samples, field)[rows] for field in Samples.__slots__))
 
 

@@ -128,7 +128,6 @@ class Composer:
         return delexicalised(self._add_noise(self._fill_template_of(family)), family.tokens)
 
     def _fill_template_of(self, family: Family) -> str:
-        """Return a sentence of a family."""
         return self.filled(self._rng.choice(family.templates))
 
     def filled(self, template: str) -> str:
