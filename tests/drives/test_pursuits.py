@@ -259,7 +259,7 @@ NEVER_SURE = {"confirm_mean": 0.99}  # the bed is seen well, but never confirmed
     [
         ("refuse", "failed", "explored all reachable space"),
         ("accept", "reached", r"probably, 0\.\d\d: bed$"),
-        ("ask", "failed", r"probably, 0\.\d\d: bed; nobody confirmed it within 60 s$"),
+        ("ask", "failed", r"probably, 0\.\d\d: bed; not confirmed within 60 s$"),
     ],
 )
 def test_an_unconfirmed_object_is_handled_as_configured(probable, phase, reason, tmp_path):
