@@ -137,11 +137,6 @@ class ChatClient:
         prompt caching: vLLM and llama.cpp cache without one, and hosted servers refuse unknown
         fields.
 
-        Args:
-            messages: see `ask`.
-            left_s: see `ask`.
-            options: see `ask`.
-
         Returns:
             At most about `MOST_TOKENS` pairs; the log-probabilities are at most 0, not NaN.
 

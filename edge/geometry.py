@@ -243,7 +243,7 @@ def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """An undistorted pinhole camera; pixel centres lie at integer coordinates.
+    """An undistorted pinhole camera; pixel centres are at integer coordinates.
 
     Code that computes strides or rays from a camera need not check the numbers again.
 
@@ -275,7 +275,7 @@ class CameraModel:
     def __post_init__(self) -> None:
         width, height, fx, fy = self.width_px, self.height_px, self.fx_px, self.fy_px
         side = max(width, height)
-        aside = (self.cx_px - 0.5 * width, self.cy_px - 0.5 * height)
+        offsets_px = (self.cx_px - 0.5 * width, self.cy_px - 0.5 * height)
         # The comparisons are written so that NaN fails.
         if not 0 < min(width, height) <= side <= MAX_SIDE_PX:
             raise ValueError(
@@ -286,7 +286,7 @@ class CameraModel:
                 f"not a camera: focal lengths {fx:g}, {fy:g} px at {width}x{height}, "
                 f"expected {MIN_FOCAL * side:g} to {MAX_FOCAL * side:g}"
             )
-        if not all(abs(off) <= MAX_ASIDE * side for off in aside):
+        if not all(abs(off) <= MAX_ASIDE * side for off in offsets_px):
             raise ValueError(
                 f"not a camera: principal point ({self.cx_px:g}, {self.cy_px:g}) px is over "
                 f"{MAX_ASIDE * side:g} px from the centre of the image of {width}x{height}"

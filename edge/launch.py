@@ -150,7 +150,7 @@ def open_service(
                 stop,
                 keep_zenoh_timeout=config.loop.lockstep,
                 most_bytes=int(config.source.max_message_mb * 1e6) + ENVELOPE_BYTES,
-                tell=progress,
+                report=progress,
             )
         )
         presence = Presence(session, config.zenoh)
@@ -273,7 +273,7 @@ def child_processes(
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
     """Run `edge COMMAND` processes with this configuration until the block ends.
 
-    A child reads the whole configuration from a file, which already includes `--target` and the
+    A child reads the entire configuration from a file, which already includes `--target` and the
     overrides of the environment. Unknown EDGE variables are not passed on, because this process
     has already warned about them.
 

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from edge.errors import UserError
+from edge.number_words import ORDINALS, SMALL_NUMBERS, number, ordinal
 from edge.text import one_line
 
 MAX_CHARS = 200  # of a name, before it is normalised
@@ -187,7 +188,7 @@ HYPERNYMS: dict[str, tuple[str, ...]] = {
 }
 """Broader word → kinds of it. A detector that lacks the word for a kind looks for the broader one.
 
-A trunk of a tree is where the tree stands. Other parts, and things that only look alike (fence,
+A trunk of a tree is where the tree stands. Other parts, and objects that only look alike (fence,
 gate), are not in here.
 """
 
@@ -223,17 +224,6 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _VARIANT = re.compile(r"(?:(?:_|(?<!\w)\s)+(?:[A-Z]|\d+))+$")
 _VARIANT_LETTER = re.compile(r"(?<=[a-z])[A-Z]$")
 
-_SMALL_NUMBERS = """
-    zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
-    sixteen seventeen eighteen nineteen
-"""
-_ORDINALS = "first second third fourth fifth sixth seventh eighth ninth tenth"
-SMALL_NUMBERS = tuple(_SMALL_NUMBERS.split())
-"""Words for 0 to 19."""
-# Words for 20, 30, …
-TENS = ("twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
-ORDINALS = tuple(_ORDINALS.split())
-"""Words for 1st to 10th."""
 STOREYS = ("floor", "level", "storey", "story")  # "floor 2" is the "second floor"
 _MOST_SPELLED = 10  # largest number that a normalised name has as a word
 
@@ -308,43 +298,6 @@ def _normalise_number(text: str) -> str:
         return text  # digits with leading zeros stay: "room 007"
     is_spelled = n <= _MOST_SPELLED and head[-1] != "of"  # "chair 1 of 2"
     return " ".join([*head, SMALL_NUMBERS[n] if is_spelled else str(n)])
-
-
-def number(words: Sequence[str]) -> int | None:
-    """Return the number that one or two words spell; None if they spell none.
-
-    >>> number(["12"]), number(["twelve"]), number(["twenty", "one"]), number(["chair"])
-    (12, 12, 21, None)
-    """
-    first, last = words[0], words[-1]
-    if len(words) == 2:
-        units = SMALL_NUMBERS[1:10]
-        if first in TENS and last in units:
-            return 10 * (TENS.index(first) + 2) + units.index(last) + 1
-        return None
-    if last.isdecimal() and last.isascii() and len(last) < 10:
-        return int(last)
-    if last in SMALL_NUMBERS:
-        return SMALL_NUMBERS.index(last)
-    return 10 * (TENS.index(last) + 2) if last in TENS else None
-
-
-_NTH = re.compile(r"(\d{1,9})(?:st|nd|rd|th)")
-_TEENTHS = {"eleventh": 11, "twelfth": 12, "twentieth": 20}
-
-
-def ordinal(word: str) -> int | None:
-    """Return the number of an ordinal, such as 12 for "12th" or "twelfth"; None for other words.
-
-    Known are all in digits, and those in words up to "twentieth".
-    """
-    if found := _NTH.fullmatch(word):
-        return int(found[1])
-    if word in ORDINALS:
-        return ORDINALS.index(word) + 1
-    if word in _TEENTHS:
-        return _TEENTHS[word]
-    return number([word.removesuffix("th")]) if word.endswith("teenth") else None
 
 
 def _quoted(word: str) -> str:

@@ -17,10 +17,6 @@ class StuckDetector:
     count. Nor does it restart the wait, because a blocked robot may get one goal after another,
     with breaks between them.
 
-    Args:
-        stuck_s: Time with a motion command and without movement, in seconds.
-        stuck_m: Distance that counts as movement, in metres.
-
     Example:
         >>> detector = StuckDetector(stuck_s=2.0)
         >>> pose = SE2(0.0, 0.0, 0.0)

@@ -39,7 +39,7 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
     'stuck 12:00 info mission: [31m reached'
     """
     # Only ten times the limit is read, so the cost does not grow with the text. `str` of an integer
-    # or a container would build the whole text first; `bounded_repr` does not.
+    # or a container would build the entire text first; `bounded_repr` does not.
     is_data = type(text) is int or type(text) in _BRACKETS
     head = bounded_repr(text, 10 * limit) if is_data else str(text)[: 10 * limit]
     line = " ".join(_printable(head).split())
@@ -49,7 +49,7 @@ def one_line(text: object, limit: int = MAX_CHARS) -> str:
 def bounded_repr(value: object, limit: int = 80) -> str:
     """Return the `repr` of outside data, cut to `limit` characters; a cut text ends in `…`.
 
-    The cost depends on `limit`, not on the data. `f"{value!r:.80}"` would build the whole text
+    The cost depends on `limit`, not on the data. `f"{value!r:.80}"` would build the entire text
     first, and would raise for an integer of more than 4300 digits.
 
     >>> bounded_repr({"a": [1, None, "x" * 9_000_000]}, 24)
@@ -170,11 +170,6 @@ def read_json_object(text: bytes | str, max_bytes: int | None = None) -> dict[st
 
 def split_url(url: str, server: str, advice: str) -> SplitResult:
     """Return the parts of a server's URL.
-
-    Args:
-        url: The URL, http or https.
-        server: Name of the server, for messages.
-        advice: Advice to the user, for messages.
 
     Raises:
         ValueError: It is not a URL, or it holds a password. The message is one line that shows no

@@ -67,15 +67,13 @@ def to_fp16(
     return converted
 
 
-def overflowing_nodes(
-    model: onnx.ModelProto, feeds: list[Feed], limit: float = SAFE_LIMIT
-) -> set[str]:
-    """Return the names of nodes that read or write a value beyond ±`limit` (or NaN) on `feeds`."""
+def overflowing_nodes(model: onnx.ModelProto, feeds: list[Feed]) -> set[str]:
+    """Return the names of nodes that read or write a value beyond ±`SAFE_LIMIT` (or NaN)."""
     names = float_tensors(model)
-    session = _range_session(model, names, limit)
+    session = _range_session(model, names)
     large: set[str] = set()
     for feed in with_progress("pictures: values", feeds):
-        large.update(k for k, v in feed.items() if not np.abs(v).max(initial=0.0) <= limit)
+        large.update(k for k, v in feed.items() if not np.abs(v).max(initial=0.0) <= SAFE_LIMIT)
         is_small = session.run([_SMALL + name for name in names], feed) if names else []
         large.update(name for name, small in zip(names, is_small, strict=True) if not small)
     return {
@@ -83,15 +81,17 @@ def overflowing_nodes(
     }
 
 
-def _range_session(model: onnx.ModelProto, names: list[str], limit: float) -> InferenceSession:
-    """Return a session that outputs, for each of `names`, 1 if its values are within ±`limit`.
+def _range_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession:
+    """Return a session that outputs, for each name, 1 if its values are within ±`SAFE_LIMIT`.
 
     The session compares the values itself: those of a large transformer together fill 20 GB.
     """
     augmented = onnx.ModelProto()
     augmented.CopyFrom(model)
     graph, node, uint8 = augmented.graph, onnx.helper.make_node, onnx.TensorProto.UINT8
-    graph.initializer.append(onnx.helper.make_tensor("limit?", onnx.TensorProto.FLOAT, (), [limit]))
+    graph.initializer.append(
+        onnx.helper.make_tensor("limit?", onnx.TensorProto.FLOAT, (), [SAFE_LIMIT])
+    )
     for name in names:
         magnitude, within, number = (f"{what}?{name}" for what in ("abs", "within", "number"))
         graph.node.extend([

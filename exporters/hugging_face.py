@@ -34,7 +34,7 @@ def read_json(path: Path) -> dict[str, Any]:
         return read_json_object(read_regular(path))
     except (OSError, ValueError) as error:
         raise ExportError(
-            f"{path}: cannot be read: {one_line(error)}; give the whole folder of a model, as "
+            f"{path}: cannot be read: {one_line(error)}; give the entire folder of a model, as "
             "Hugging Face publishes it"
         ) from None
 

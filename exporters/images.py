@@ -22,7 +22,7 @@ class Border(NamedTuple):
 
     Attributes:
         grey: its value, 0 to 255.
-        centred: True: the image lies in the middle; False: in the upper left corner.
+        centred: True: the image is in the middle; False: in the upper left corner.
     """
 
     grey: int

@@ -107,9 +107,6 @@ def load_detector(folder: Path) -> tuple[Owlv2Detector, ClipTextTower]:
 def export(args: Any) -> dict[str, ParityReport | EmbeddingReport | None]:
     """Make all files and cards that were asked for; return the parity by card, None if unknown.
 
-    Args:
-        args: see `exporters.clip.export`.
-
     Raises:
         ExportError: the folder or the images cannot be used, or a parity misses its limits.
     """

@@ -42,7 +42,7 @@ class ParityReport(Report):
         recall: share of these that the candidate also has (see `match_to_reference`).
         precision: share of the candidate's detections that the reference also has.
         score_error: mean of |candidate - reference| / reference over every anchor and class whose
-            reference score lies in `SCORE_BAND`; NaN if there is none.
+            reference score is in `SCORE_BAND`; NaN if there is none.
         score_bias: mean of (candidate - reference) / reference over the same anchors and classes.
         max_abs_diff: largest difference of any two scores.
     """

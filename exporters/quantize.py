@@ -56,13 +56,6 @@ PASSES_RANGE_ON = {"Slice", "Reshape", "Transpose", "Resize", "MaxPool", "Unsque
 def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision: str) -> None:
     """Write an INT8 model.
 
-    Args:
-        fp32: ONNX file to quantize.
-        out: file to write.
-        feeds: inputs to calibrate on, see `calibration_feeds`.
-        recipe: nodes that are not quantized.
-        precision: one of `PRECISIONS`.
-
     Raises:
         ExportError: no such precision, or too few inputs.
     """
@@ -89,7 +82,9 @@ def quantize(fp32: Path, out: Path, feeds: list[Feed], recipe: Recipe, precision
         layers = [n for n in model.graph.node if n.op_type == "Conv"]
     layers = [n for n in layers if n.name not in excluded]
     # TensorRT needs ranges around 0; else there are no limits, and each range has two free ends.
-    limits = symmetric_limits(model, feeds, tensors) if for_trt else {}
+    # Largest magnitude of every activation's symmetric 8-bit range.
+    histograms = collect_histograms(model, feeds, tensors) if for_trt else {}
+    limits = {name: least_loss_limit(h) for name, h in histograms.items()}
     ranges = {n: (-r, r) for n, r in limits.items()} or activation_ranges(model, feeds, tensors)
     stride = -(-len(feeds) // MAX_ROUNDING_IMAGES)  # rounded up
     scales = round_weights(model, layers, feeds[::stride], limits)
@@ -164,13 +159,6 @@ def activation_ranges(
         into_silu = producer.get(name) == "Conv" and consumers.get(name) == {"Sigmoid", "Mul"}
         ranges[name] = least_loss_range(histogram, silu if into_silu else None)
     return ranges
-
-
-def symmetric_limits(
-    model: onnx.ModelProto, feeds: list[Feed], tensors: list[str] | None = None
-) -> dict[str, float]:
-    """Return the largest magnitude of every activation's symmetric 8-bit range, by tensor name."""
-    return {n: least_loss_limit(h) for n, h in collect_histograms(model, feeds, tensors).items()}
 
 
 def _overrides(
@@ -253,11 +241,6 @@ def _write_qdq(
 
 def precisions_to_make(args: Any, choices: Collection[str], network: str) -> list[str]:
     """Return the precisions of `--precision`, after FP32, which the others are made from.
-
-    Args:
-        args: options `precision`, `calibration` and `card` of the command line.
-        choices: all precisions of this kind of network.
-        network: kind of network, for the message.
 
     Raises:
         ExportError: a precision is unknown, or one needs pictures that were not given.

@@ -18,7 +18,7 @@ class Recipe:
     """Nodes of a network that keep more bits, as patterns of their names.
 
     Attributes:
-        not_symmetric: nodes that are also not quantized if 8-bit ranges lie around 0, since values
+        not_symmetric: nodes that are also not quantized if 8-bit ranges are around 0, since values
             of one sign then have only half the steps.
         not_fp16: nodes that stay in float32 when the others become float16.
         matrices_only: quantize only the inputs of products with constant matrices, for a

@@ -120,7 +120,6 @@ def input_statistics(
     layers: list[onnx.NodeProto],
     feeds: list[Feed],
     limits: Mapping[str, float],
-    seed: int = 0,
 ) -> dict[str, list[InputStatistics]]:
     """Return the statistics of each layer's input, one for each group of channels, by node name.
 
@@ -129,12 +128,11 @@ def input_statistics(
         layers: `Conv` and `MatMul` nodes.
         feeds: inputs, one for each image.
         limits: largest magnitude of each tensor's symmetric 8-bit range, if known.
-        seed: seed of the choice of cells.
     """
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
     session = tensor_session(model, names)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     statistics: dict[str, list[InputStatistics]] = {}
     for feed in with_progress("pictures: inputs of layers", feeds):
         made = session.run(names, feed) if names else []  # an empty list means all outputs

@@ -44,7 +44,6 @@ class PixelReport(Report):
     """Agreement of a file with the original.
 
     Attributes:
-        pictures: number of pictures.
         same_class: share of the scores' pixels that have the same best class.
         max_abs_diff: largest difference of a score.
     """
@@ -55,11 +54,7 @@ class PixelReport(Report):
 
 
 class Scores(nn.Module):
-    """SegFormer with its scores as the only output, (1, k, h/4, w/4).
-
-    Args:
-        model: `SegformerForSemanticSegmentation`.
-    """
+    """SegFormer with its scores as the only output, (1, k, h/4, w/4)."""
 
     def __init__(self, model: nn.Module) -> None:
         super().__init__()
@@ -72,9 +67,6 @@ class Scores(nn.Module):
 
 def export(args: Any) -> dict[str, PixelReport | None]:
     """Make all files and cards that were asked for; return the parity by card, None if unknown.
-
-    Args:
-        args: see `exporters.clip.export`.
 
     Raises:
         ExportError: the folder or the images cannot be used, or a parity misses its limits.
@@ -111,11 +103,6 @@ def export(args: Any) -> dict[str, PixelReport | None]:
 
 def make_card(args: Any, precision: str, labels: dict[int, str]) -> GroundCard:
     """Return the card of one precision.
-
-    Args:
-        args: see `export`.
-        precision: of the file.
-        labels: names of the classes by number.
 
     Raises:
         ExportError: no class is a kind of ground, or the images cannot be prepared.

@@ -106,7 +106,7 @@ FAMILIES = {
 
 
 class TorchReference:
-    """The original model, run by `transformers` as a whole; see `vlm_parity.ReferenceModel`.
+    """The original model, run by `transformers` as one model; see `vlm_parity.ReferenceModel`.
 
     Attributes:
         prepare: (h, w, 3) uint8 → inputs of the vision encoder's ONNX.
@@ -222,9 +222,6 @@ def _image_processor(folder: Path, family: Family) -> Any:
 
 def export(args: Any) -> dict[str, LetterReport]:
     """Make the FP32 files and their card; return the parity by card.
-
-    Args:
-        args: as for `exporters.clip.export`.
 
     Raises:
         ExportError: the folder or the images cannot be used, or the parity misses its limits.

@@ -245,9 +245,9 @@ class _Qwen2Rotation(nn.Module):
 
 
 class _Qwen3Places(_Qwen2Rotation):
-    """`grid_thw` → rotary embedding, and where each patch lies in the grid of learned positions.
+    """`grid_thw` → rotary embedding, and where each patch is in the grid of learned positions.
 
-    The grid is stretched over the image: a patch lies between four learned positions, (4, n) int64,
+    The grid is stretched over the image: a patch is between four learned positions, (4, n) int64,
     with weights (4, n).
     """
 
@@ -257,7 +257,7 @@ class _Qwen3Places(_Qwen2Rotation):
 
     def forward(self, grid_thw: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
         places, last = self._places(grid_thw), self.side - 1
-        # With one row of patches, all lie at 0.
+        # With one row of patches, all are at 0.
         scaled = places.float() * last / (grid_thw[0, 1:] - 1).clamp(min=1)
         low = scaled.floor().clamp(max=last)
         share, low = scaled - low, low.to(torch.int64)

@@ -71,7 +71,7 @@ def questions(folder: Path, image_token: int) -> list[Question]:
 
 
 def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
-    """Return the position ids of tokens.
+    """Return the position ids of tokens, (1, n) int64; with a grid (3, 1, n).
 
     With a grid, each token has three numbers (Qwen2-VL section 2.1): time, row and column.
 
@@ -81,9 +81,6 @@ def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge:
         grid: (1, 3) number of frames, rows and columns of patches of the image; None for plain
             positions.
         merge: see `ReferenceModel`.
-
-    Returns:
-        (1, n) int64; with a grid (3, 1, n).
     """
     n = ids.shape[1]
     if grid is None:
@@ -132,11 +129,7 @@ class ReferenceModel(Protocol):
 
 
 class OnnxPipeline:
-    """The three ONNX files of a model, run one after another on the CPU.
-
-    Args:
-        files: vision encoder, token embedding, decoder.
-    """
+    """The three ONNX files of a model, run one after another on the CPU."""
 
     def __init__(self, files: list[Path]) -> None:
         self._vision, self._embedding, self._decoder = (cpu_session(f, threads=2) for f in files)
@@ -172,15 +165,12 @@ class OnnxPipeline:
     def read(
         self, rows: np.ndarray, positions: np.ndarray, past: dict[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Read more tokens.
+        """Read more tokens; return logits (v,) after the last token, and `past` of the next call.
 
         Args:
             rows: see `rows`.
             positions: see `position_ids_of`.
             past: keys and values of the tokens so far; None if there are none.
-
-        Returns:
-            Logits (v,) after the last token, and `past` of the next call.
         """
         past = self._empty_cache() if past is None else past
         logits, *present = self._decoder.run(None, self.decoder_feeds(rows, positions, past))

@@ -225,7 +225,7 @@ class OnnxReference:
         return self._chain.logits(question, shown.features, shown.grid, self.merge)
 
     def decoder_feeds(self, question: Question, shown: EncodedImage) -> dict[str, np.ndarray]:
-        """Return the decoder's inputs for the whole question, with an empty cache."""
+        """Return the decoder's inputs for the entire question, with an empty cache."""
         ids = question.ids(len(shown.features))
         positions = position_ids_of(ids, question.image, shown.grid, self.merge)
         rows = self._chain.rows(ids, question.image, shown.features)

@@ -61,10 +61,6 @@ def onnx_of(size: LlamaSize, parameters: dict[str, np.ndarray]) -> Any:
     """Return the ONNX decoder, with keys and values as inputs and outputs.
 
     It has the same operators as our exports.
-
-    Args:
-        size: dimensions of the model.
-        parameters: see `weights`.
     """
     g, width = Graph(np.random.default_rng(0), F32), size.hidden // size.heads
     epsilon, two = g.real(EPSILON), g.real(2.0)

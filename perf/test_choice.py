@@ -47,7 +47,7 @@ def view(k: int) -> str:
 def test_two_questions_against_two_prefills(benchmark, against, tmp_path, monkeypatch):
     """Compare both questions about a new view with two full prefills, in processor time.
 
-    The reference reads both questions whole, in its own session without a cache.
+    The reference reads both questions completely, in its own session without a cache.
     """
     benchmark.extra_info["budget"] = "choice_two_questions"
     monkeypatch.setenv("EDGE_CACHE_DIR", str(tmp_path))

@@ -76,7 +76,7 @@ def detector():
 
 @pytest.mark.benchmark(timer=time.perf_counter)
 def test_detect(benchmark, detector, against):
-    """Compare a whole detection, on two threads, with a run of the network alone."""
+    """Compare an entire detection, on two threads, with a run of the network alone."""
     benchmark.extra_info["budget"] = "detect_int8_cpu_256x320"
     observation = observe()
     detector.detect(observation)

@@ -66,8 +66,8 @@ def test_tasks_whole(benchmark):
     """Measure everything for one planner on one core: tasks, automata, plans, 20,000 runs."""
     benchmark.extra_info["budget"] = "eval_planning_2000_vitl"
 
-    def whole():
+    def plan_all():
         compiled.cache_clear()
         return run_tasks(generate(2000), Settings(("vitl",), P_OBS))
 
-    assert benchmark.pedantic(whole, rounds=1).complete.all()
+    assert benchmark.pedantic(plan_all, rounds=1).complete.all()

@@ -37,7 +37,7 @@ def objects(n: int, words: Sequence[str]) -> TrackedObjects:
 def seen() -> tuple[LocationPrior, MapView, TrackedObjects, np.ndarray]:
     """Return the state after all of a house of 10 m × 10 m was seen."""
     rng, table = np.random.default_rng(0), load()
-    sightings = objects(THINGS, table.things)
+    sightings = objects(THINGS, table.classes)
     words = make_words(table, DetectorSim())
     prior = LocationPrior("both", table, words)
     view = MapView(explored_map(1000))
@@ -86,7 +86,7 @@ def test_kinds_of_rooms(benchmark, seen):
     """Measure the kinds of rooms with a full memory; the tick computes them once a second."""
     benchmark.extra_info["budget"] = "room_kinds_5000"
     view, table = seen[1], load()
-    sightings = objects(MAX_SIGHTINGS, table.things)
+    sightings = objects(MAX_SIGHTINGS, table.classes)
     memory = RoomMemory(table, make_words(table, DetectorSim()))
     memory.on_survey(survey_rooms(survey_regions(view.layers, view.window, TALL), NO_SURVEY))
 

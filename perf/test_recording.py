@@ -36,7 +36,7 @@ class ResultStore:
 
 @pytest.fixture(scope="module")
 def results():
-    """Return the results of one second of the demo, with depth in whole millimetres."""
+    """Return the results of one second of the demo, with depth rounded to millimetres."""
     lockstep = {"lockstep": True}
     perception = {"detector": {"kind": "sim"}}
     store = ResultStore()
@@ -74,7 +74,7 @@ def test_record_a_tick_in_the_loop(benchmark, results):
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_record_a_tick(benchmark, against, results, tmp_path, compression):
-    """Compare the whole recording, in one thread, with zlib on the depth of one second."""
+    """Compare the entire recording, in one thread, with zlib on the depth of one second."""
     config, ticks = results
     sink = McapSink(config, str(tmp_path), compression=compression)
 

@@ -32,7 +32,7 @@ class VlfmValueMap:
 
     A template of confidences, cos^2 over the field of view, is made once. Each update cuts the
     visible part out of a copy of the template, turns it by the camera's yaw, and places it in an
-    empty map of full size. Then it averages the whole value map with this map, for each channel.
+    empty map of full size. Then it averages the entire value map with this map, for each channel.
     """
 
     def __init__(self, channels: int, size: int = 1000, pixels_per_m: int = 20) -> None:

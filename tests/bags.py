@@ -63,7 +63,6 @@ def write_bag(
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """Write a rosbag2 folder."""
     writer = BagWriter(folder, version=9, storage_plugin=storage)
     if compression != CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -77,13 +76,7 @@ def write_bag(
 
 
 def write_db3(path: Path, sent: Iterable[Sent], messages: str = "") -> Path:
-    """Write the file alone, with rosbag2's two tables.
-
-    Args:
-        path: of the file.
-        sent: messages of the recording.
-        messages: SQL that makes `messages`, in place of the usual table.
-    """
+    """Write the file alone, with rosbag2's two tables."""
     with closing(sqlite3.connect(path)) as db:
         db.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, "
                    "serialization_format TEXT, offered_qos_profiles TEXT)")  # fmt: skip

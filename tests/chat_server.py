@@ -30,12 +30,11 @@ class ChatServer:
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """Send a whole answer; JSON unless a header says otherwise."""
+    """Send an entire answer; JSON unless a header says otherwise."""
     http_server.send(handler, body, status, **{"Content_Type": "application/json", **headers})
 
 
 def stalls(handler: BaseHTTPRequestHandler) -> None:
-    """Never answers."""
     handler.stopping.wait()
 
 
@@ -49,18 +48,13 @@ def sends_100_mb(handler: BaseHTTPRequestHandler) -> None:
 
 
 def completion(content: Any, finish_reason: str = "stop") -> bytes:
-    """Return the body of a chat completion."""
     message = {"role": "assistant", "content": content}
     choice = {"index": 0, "message": message, "finish_reason": finish_reason}
     return json.dumps({"object": "chat.completion", "choices": [choice]}).encode()
 
 
 def likeliest(logprobs: Any) -> bytes:
-    """Return the body of a one-token chat completion, with log-probabilities of other tokens.
-
-    Args:
-        logprobs: by token; anything but a mapping is sent in the place of the list as it is.
-    """
+    """Return the body of a one-token chat completion, with log-probabilities of other tokens."""
     listed = isinstance(logprobs, dict)
     top = [{"token": t, "logprob": p} for t, p in logprobs.items()] if listed else logprobs
     choice = {

@@ -34,7 +34,7 @@ sys.dont_write_bytecode = False
 HERE = Path(__file__).resolve().parent
 SHARED = HERE.parents[1] / "shared"
 
-# Longer than a test of live processes waits for any one thing, so that it can say what did not
+# Longer than a test of live processes waits for any event, so that it can say what did not
 # happen.
 LIVE = ("integration", "attacks")
 LIVE_LIMIT_S = 900
@@ -46,7 +46,7 @@ SERVICES = {
 
 # pytest-timeout ends a test by an exception in its main thread: it does nothing for a kernel or a
 # library that never returns to Python, nor once more for a fixture that then hangs as well. After
-# this much longer the whole process ends, with a look at its threads; xdist starts another.
+# this much longer the entire process ends, with a look at its threads; xdist starts another.
 HARD_EXTRA_S = 60
 
 

@@ -9,12 +9,7 @@ import zenoh
 
 
 class Flooded:
-    """Stands in for a session, its subscribers and its rings.
-
-    Args:
-        key: the only one under which anything is sent.
-        payloads: what is; the next one waits as soon as one is taken, as long as there are any.
-    """
+    """Stands in for a session, its subscribers and its rings."""
 
     def __init__(self, key: str, payloads: Iterable[bytes]) -> None:
         self._key, self._payloads = key, iter(payloads)

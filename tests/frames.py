@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 class Slot:
-    """Counts holds as a frame pool does.
-
-    Args:
-        holds: how many there are to begin with; a source gives its frames out held once.
-    """
+    """Counts holds as a frame pool does."""
 
     def __init__(self, holds: int = 0) -> None:
         self.holds = holds

@@ -10,14 +10,11 @@ from typing import Any
 
 
 class Quiet(BaseHTTPRequestHandler):
-    """Logs nothing."""
-
     def log_message(self, *_: Any) -> None:
         pass
 
 
 def send(handler: BaseHTTPRequestHandler, body: bytes, status: int = 200, **headers: str) -> None:
-    """Send a whole answer."""
     handler.send_response(status)
     for name, value in headers.items():
         handler.send_header(name.replace("_", "-"), value)
@@ -35,13 +32,7 @@ class _Server(ThreadingHTTPServer):
 def running(
     handler: type[BaseHTTPRequestHandler], stopping: threading.Event, port: int = 0
 ) -> Iterator[str]:
-    """Run a server; yield its URL.
-
-    Args:
-        handler: class that answers the requests.
-        stopping: set at the end, so that a handler which would go on for ever ends too.
-        port: 0: a free one of this machine.
-    """
+    """Run a server; yield its URL."""
     with _Server(("127.0.0.1", port), handler) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
         thread.start()

@@ -1,4 +1,4 @@
-"""A real HTTP server, in a thread, that speaks KServe's protocol and lies on command."""
+"""A real HTTP server, in a thread, that speaks KServe's protocol, falsely on command."""
 
 from __future__ import annotations
 
@@ -74,7 +74,6 @@ class Handler(Quiet):
         self.send(b"out of memory", 503)
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Return the tensors of the request."""
         length = int(self.headers.get(HEADER_LENGTH, len(self.body)))
         told, at, found = json.loads(self.body[:length]), length, {}
         for entry in told["inputs"]:

@@ -39,12 +39,6 @@ _STATUS = "action_msgs/msg/GoalStatusArray"
 class Nav2:
     """The server.
 
-    Args:
-        distribution: whose result it sends, and whether types have hashes.
-        accepts: what it says to new goals.
-        dialect: whether it speaks rmw_zenoh, or stands behind a bridge.
-        action: key of `_ACTIONS`.
-
     Attributes:
         goals: (id, request) in the order of coming.
         cancelled: ids.

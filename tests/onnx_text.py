@@ -27,12 +27,6 @@ def tiny_detector(
     """Return a detector of these boxes in every image, whose scores are sigmoid(logits · text).
 
     The image counts as its mean times 0, so that it is an input.
-
-    Args:
-        boxes: (1, k, 4), in pixels.
-        logits: (k, d), for texts of length d.
-        hw: size of the image.
-        names: of the inputs.
     """
     k, d = logits.shape
     image, text = names

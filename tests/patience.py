@@ -16,13 +16,7 @@ def eventually(
     otherwise: str | Callable[[], str] = "never happened",
     patience_s: float = PATIENCE_S,
 ) -> T:
-    """Return the first truthy answer; fail if none comes in time.
-
-    Args:
-        what: condition that is polled.
-        patience_s: longest wait.
-        otherwise: the reason to fail with; a function if it depends on what happened meanwhile.
-    """
+    """Return the first truthy answer; fail if none comes in time."""
     deadline_s = time.monotonic() + patience_s
     while not (answer := what()):
         if time.monotonic() >= deadline_s:

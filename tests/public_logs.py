@@ -23,7 +23,7 @@ from edge.bus.wire.transforms import Transform, encode_transforms
 from edge.geometry import SE2, CameraModel, invert, se3
 
 START_NS = 1_700_000_000_000_000_000
-# y is up in Redwood's world, and its floor lies at 0.13 m.
+# y is up in Redwood's world, and its floor is at 0.13 m.
 T_MAP_REDWOOD = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, -0.13], [0, 0, 0, 1]], float)
 _OPTICAL = "camera_rgb_optical_frame"
 _LASER_M = 0.3

@@ -27,7 +27,6 @@ def observation(stamp_ns: int) -> Observation:
 
 @cache
 def facts(target: str = "chair") -> MissionFacts:
-    """Return a new mission with one target."""
     config = simulated({"mission": {"target": target}}).mission
     return mission_facts(MissionRun(prepare(config), config))
 

@@ -17,7 +17,6 @@ from edge.host.ports import free_port
 
 @contextmanager
 def router() -> Iterator[int]:
-    """Its port on this machine."""
     port = free_port()
     config = zenoh.Config()
     for key, value in {

@@ -80,14 +80,7 @@ def settings_of(
 
 
 def out_of_date(etc: Path, file: str, whose: str, use: str) -> Path:
-    """Copy a file of `etc`, with an expired certificate.
-
-    Args:
-        etc: folder of the files.
-        file: name of the copied file.
-        whose: name of a certificate's file, in the place of which it is named.
-        use: `clientAuth` or `serverAuth`.
-    """
+    """Copy a file of `etc`, with an expired certificate."""
     _bash(f"set -- edge-{whose} {use}\n{OUT_OF_DATE}", etc / "tls")
     for kind in ("crt", "key"):
         (etc / f"tls/old.{kind}").rename(etc / f"tls/old-{whose}.{kind}")

@@ -1,4 +1,4 @@
-"""Small scenes with known truth: a street whose things stand where a test says."""
+"""Small scenes with known truth: a street whose objects stand where a test says."""
 
 from __future__ import annotations
 
@@ -44,14 +44,7 @@ def street(
     walls: tuple[tuple[float, float, float, float], ...] = (),
     picture: bool = False,
 ) -> Scene:
-    """Return a scene of 40 m by 40 m around the origin, free but for its objects and walls.
-
-    Args:
-        *things: objects of the scene.
-        pose: of the robot.
-        walls: (x0, x1, y0, y1) of what is occupied and no object.
-        picture: with a grey one that has a contour of each thing that is in view.
-    """
+    """Return a scene of 40 m by 40 m around the origin, free but for its objects and walls."""
     n = round(SIDE_M / RESOLUTION_M)
     occupancy = Grid(np.zeros((n, n), np.int8), (-SIDE_M / 2, -SIDE_M / 2), RESOLUTION_M)
     centres_m = occupancy.centres_m(*np.indices((n, n)))

@@ -20,7 +20,7 @@ KEY = "sk-very-secret-0123456789"
 
 
 def drip_body_and_keep_alive(handler):
-    """One byte every 50 ms: no single read is slow, the answer as a whole never ends."""
+    """One byte every 50 ms: no single read is slow, the entire answer never ends."""
     handler.protocol_version = "HTTP/1.1"
     handler.send_response(200)
     handler.send_header("Content-Length", "10000")

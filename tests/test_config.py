@@ -293,6 +293,14 @@ def test_every_fault_has_its_line():
     assert all(line.startswith("f.yaml: ") for line in lines)
 
 
+def assert_refused(path, says):
+    with pytest.raises(ConfigError) as error:
+        load(path, {})
+    assert str(error.value).startswith(f"{path}: ")
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -307,12 +315,7 @@ def test_every_fault_has_its_line():
     ],
 )
 def test_an_invalid_configuration_file_is_refused(write, content, says):
-    path = write(content)
-    with pytest.raises(ConfigError) as error:
-        load(path, {})
-    assert str(error.value).startswith(f"{path}: ")
-    assert says in str(error.value)
-    assert "\n" not in str(error.value)
+    assert_refused(write(content), says)
 
 
 def nested(first: str, more: str) -> str:
@@ -343,12 +346,7 @@ def nested(first: str, more: str) -> str:
     ],
 )  # fmt: skip
 def test_absurd_yaml_is_refused_at_once(write, content, says):
-    path = write(content)
-    with pytest.raises(ConfigError) as error:
-        load(path, {})
-    assert str(error.value).startswith(f"{path}: ")
-    assert says in str(error.value)
-    assert "\n" not in str(error.value)
+    assert_refused(write(content), says)
 
 
 def test_a_yaml_alias_may_be_reused(write):

@@ -128,7 +128,7 @@ fields_of_view = st.floats(0.2, 2.6)
 def test_camera_from_its_field_of_view(width, height, hfov):
     camera = CameraModel.from_hfov(width, height, hfov)
     assert camera.hfov_rad == pytest.approx(hfov)
-    # The image's edges lie half a pixel outside the outer pixels' centres.
+    # The image's edges are half a pixel outside the outer pixels' centres.
     assert camera.bearing_of(-0.5) == pytest.approx(hfov / 2)
     assert camera.bearing_of(width - 0.5) == pytest.approx(-hfov / 2)
     assert camera.bearing_of((width - 1) / 2) == 0.0

@@ -20,7 +20,8 @@ from edge.cli.options import EXTRAS
 ROOT, EXPORTERS = (Path(package.__file__).parent for package in (edge, exporters))
 # A package imports from itself and from the lines above its own.
 LAYERS = (
-    ("__init__", "errors", "text", "geometry", "types", "logs", "names", "stuck", "jit"),
+    ("__init__", "errors", "text", "geometry", "types", "logs", "number_words"),
+    ("names", "stuck", "jit"),
     ("host",),
     ("config",),
     ("bus", "chat"),
@@ -148,7 +149,7 @@ def test_no_children_of_a_package_form_a_circle(package):
 
 
 def child(package: str, module: str) -> str:
-    """Return the child of a package that a module belongs to; empty if it lies outside."""
+    """Return the child of a package that a module belongs to; empty if it is outside."""
     return module[len(package) + 1 :].split(".")[0] if module.startswith(f"{package}.") else ""
 
 

@@ -23,8 +23,6 @@ SIDE = 32
 
 
 class Size(NamedTuple):
-    """Dimensions of a decoder."""
-
     hidden: int
     heads: int
     layers: int
@@ -87,16 +85,7 @@ def publish(
     pinned: bool = True,
     size: Size = TINY,
 ) -> ChoiceCard:
-    """Write a model of a family as it is published, and its card; the card.
-
-    Args:
-        models_dir: folder of the models.
-        family: of the card.
-        name: of the card.
-        half: store weights in FP16.
-        pinned: it lies in the models' cache, and was pulled.
-        size: other than `TINY` for the text family only.
-    """
+    """Write a model of a family as it is published, and its card; the card."""
     folder = models_dir / f"{name}-files"
     (folder / "onnx").mkdir(parents=True)
     tokenizer = train_tokenizer(SPECIAL[family])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CONNECT_S = 5.0
 """Longest time in seconds to connect."""
 _TRIES, _AGAIN_S = 3, 0.3
-"""Number of times to send a request that nobody replies to, and the pause between them: a service
+"""Number of times to send a request that gets no reply, and the pause between them: a service
 that gets too many requests at once drops some unread."""
 _REASON_CHARS = 1000  # the longest error of a server, see `edge.bus.requests`
 _ZENOH_TIMEOUT = b"Timeout"  # Zenoh's own payload if no answer came in time

@@ -36,7 +36,7 @@ PATIENCE_S = 2.0
 """Time in seconds in which the loop must answer a request."""
 
 _MAX_SERVED = 12  # requests in one call of `serve`: more than `_MAX_WAITING`
-_MAX_UNPREPARED = 2  # requests that wait for preparation, besides the one in preparation
+_MAX_UNPREPARED = 2  # requests that wait for preparation, in addition to the one in preparation
 _MAX_WAITING = 8  # requests in each lane; stops may exceed it
 _MAX_MERGED = 256  # queries merged into one request, whose preparation may take minutes
 _BUSY = "busy with other requests; try again later"

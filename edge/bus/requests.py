@@ -32,11 +32,6 @@ _SENDERS = 4  # threads
 class RequestServer:
     """Accepts requests over Zenoh until it is closed.
 
-    Args:
-        verbs: see `RequestQueue`.
-        handle: see `RequestQueue`.
-        patience_s: see `RequestQueue`.
-
     Attributes:
         queue: the queue of requests; other transports may add queries to it.
         serve: see `RequestQueue.serve`.

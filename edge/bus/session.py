@@ -55,8 +55,8 @@ ENVELOPE_BYTES = 65536
 """More than Zenoh adds to a message: key, attachment and options."""
 
 _PAUSE_S = 0.2  # between two attempts to connect
-# Appended to `RUST_LOG`, Zenoh's log levels: these two modules log the whole configuration at lower
-# levels.
+# Appended to `RUST_LOG`, Zenoh's log levels: these two modules log the entire configuration at
+# lower levels.
 _NO_CONFIGURATION = ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
 _NO_SERVER_TEXT = "Unable to connect to any of"  # in Zenoh's error if no server answers
 
@@ -179,14 +179,14 @@ def zenoh_session(
     stop: threading.Event | None = None,
     keep_zenoh_timeout: bool = False,
     most_bytes: int | None = None,
-    tell: Callable[[str], None] = lambda what: None,
+    report: Callable[[str], None] = lambda what: None,
 ) -> Iterator[zenoh.Session]:
     """Open a session as `open_session` does, and close it in limited time when the block ends.
 
     If a peer accepts no data, Zenoh needs up to 12 s to close (it flushes, then lingers). After
     `CLOSE_S` closing continues in a thread that is not joined (`edge.host.interruptible`).
     """
-    opened = open_session(settings, role, stop, keep_zenoh_timeout, most_bytes, tell)
+    opened = open_session(settings, role, stop, keep_zenoh_timeout, most_bytes, report)
     try:
         yield opened
     finally:
@@ -211,7 +211,7 @@ def open_session(
     stop: threading.Event | None = None,
     keep_zenoh_timeout: bool = False,
     most_bytes: int | None = None,
-    tell: Callable[[str], None] = lambda what: None,
+    report: Callable[[str], None] = lambda what: None,
 ) -> zenoh.Session:
     """Open a session; the caller closes it (an unclosed session can hang the process's exit).
 
@@ -225,7 +225,7 @@ def open_session(
         stop: stops waiting when it is set.
         keep_zenoh_timeout: see `session_config`.
         most_bytes: see `session_config`.
-        tell: called after each failed attempt with a line that describes the wait.
+        report: called after each failed attempt with a line that describes the wait.
 
     Raises:
         ConfigError: Zenoh's own file cannot be used.
@@ -267,7 +267,7 @@ def open_session(
             what += f"; trying again for up to {HOST_S:g} s"
         elif refused is None:
             level, what = logging.INFO, f"waiting for a server at {settings.address}"
-        tell(what)
+        report(what)
         # Log a reason only the second time: a server that starts or is busy refuses once.
         reason = unknown or refused
         if reason not in logged and reason == last_reason:

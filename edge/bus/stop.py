@@ -64,12 +64,7 @@ def stop_requests(latch: StopLatch) -> dict[str, StopRequests]:
 
 
 class StopServer:
-    """Answers requests to stop and to release over Zenoh, with a thread for each.
-
-    Args:
-        settings: `zenoh` of the configuration.
-        requests: as `stop_requests` returns them.
-    """
+    """Answers requests to stop and to release over Zenoh, with a thread for each."""
 
     def __init__(
         self, session: zenoh.Session, settings: ZenohConfig, requests: dict[str, StopRequests]

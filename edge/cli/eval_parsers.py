@@ -151,7 +151,7 @@ def _add_translate(kinds) -> None:  # type: ignore[no-untyped-def]
            "headings, each line has a sentence in double quotes, a tab, and a JSON list of the "
            "correct formulas; [] in the list means that a refusal is correct, too")
     option("--everyday", type=Path, metavar="JSONL", help="score only the everyday sentences in "
-           "this file (format: docs/language.md), which may also be questions, or things to "
+           "this file (format: docs/language.md), which may also be questions, or facts to "
            "remember")
     option("--failures", type=Path, metavar="FILE", help="write the instructions that were "
            "translated wrongly to this file, as JSON Lines")

@@ -104,7 +104,7 @@ def _print_readings(readings: Sequence[str]) -> None:
 
 
 def _default_reading(implied: int | None) -> str:
-    """Return the reading that is used when nobody can be asked, as the end of a sentence."""
+    """Return the reading that is used when no person can be asked, as the end of a sentence."""
     if implied is None:
         return "; without a choice, mission.instruction is refused (key mission.reading)"
     return (

@@ -204,7 +204,7 @@ def new(args: argparse.Namespace) -> int:
         mission = plan(spec, roster.ask_status(), named, args.share, args.restart)
         _say(f"mission {mission.id}: {spec.translation.understood}")
         if mission.unsplit_reason:
-            _say(f"mission not divided: {mission.unsplit_reason}; one robot gets the whole mission")
+            _say(f"mission not divided: {mission.unsplit_reason}; one robot gets all of it")
         dispatcher = Dispatcher(roster, mission, _say, args.patience or PATIENCE_S)
         try:
             outcomes = dispatcher.run()

@@ -23,7 +23,7 @@ def add_memory(commands) -> None:  # type: ignore[no-untyped-def]
     for do, text in (
         ("find", "show where an object was seen"),
         ("list", "list all known objects"),
-        ("export", "write all known objects as JSON, or the whole memory as GeoJSON"),
+        ("export", "write all known objects as JSON, or the entire memory as GeoJSON"),
         ("crop", "write the picture of an object, as JPEG"),
     ):
         action = add_action(actions, do, text, "edge.cli.memory")

@@ -73,7 +73,7 @@ def _add_new(action: argparse.ArgumentParser) -> tuple[tuple[str, ...], tuple[st
            "instructions such as `come here`: x and y in the map frame in m, heading in degrees")
     fleet = action.add_argument_group("with --fleet")
     whom = fleet.add_mutually_exclusive_group()
-    whom.add_argument("--to", nargs="+", metavar="ROBOT", help="send the whole mission to each of "
+    whom.add_argument("--to", nargs="+", metavar="ROBOT", help="send the entire mission to each of "
                       "these robots (default: `any`, the free robot that knows most of the objects "
                       "and is nearest to them)")
     flag(whom, "--share",

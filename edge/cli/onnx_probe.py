@@ -31,7 +31,7 @@ TRIED = (CPU, "CUDAExecutionProvider")
 An available provider was compiled in; only a run shows if it has code for this GPU.
 """
 LIMIT_S = 120.0
-"""Time for the whole test."""
+"""Time for the entire test."""
 
 
 @dataclass(frozen=True, slots=True)

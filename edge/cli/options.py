@@ -131,10 +131,10 @@ def positive(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """Parse a whole number of at least 1."""
+    """Parse an integer of at least 1."""
     value = int(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected an integer from 1, got {text}")
     return value
 
 
@@ -174,7 +174,7 @@ def seed(text: str) -> int:
     """Parse the seed of a random number generator."""
     value = int(text)
     if not 0 <= value < 1 << 63:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2**63 - 1, got {text}")
+        raise argparse.ArgumentTypeError(f"expected an integer from 0 to 2**63 - 1, got {text}")
     return value
 
 

@@ -47,7 +47,7 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
     kind, context = fault["type"], fault.get("ctx", {})
     tag = ("kind",) if kind == "union_tag_invalid" else ()
     path = origin(path, (*shown, str(leaf), *tag))
-    where = f"{path}: {key}" if loc else path  # without a key: a fault of the whole file
+    where = f"{path}: {key}" if loc else path  # without a key: a fault of the entire file
     given = redact(fault.get("input"))
     if kind == "union_tag_invalid":
         choices = context["expected_tags"].replace("'", "")
@@ -72,16 +72,16 @@ def explain(fault: Any, path: str, root: type[BaseModel], origin: Origin = _file
 
 def _missing(loc: tuple[Any, ...], models: list[Any], root: type[BaseModel]) -> str:
     """Return the end of the message for a missing key; for a union with its kinds and advice."""
-    kinds = [m.model_fields["kind"].default for m in _walk(list(loc), root)[1] if _is_kind(m)]
+    kinds = [
+        m.model_fields["kind"].default
+        for m in _walk(list(loc), root)[1]
+        if "kind" in m.model_fields
+    ]
     field = models[0].model_fields.get(str(loc[-1])) if models else None
     if not kinds or (field is not None and get_origin(field.annotation) is tuple):
         return ": missing"
     advice = field.description if field is not None else None
     return f".kind: missing (choices: {', '.join(kinds)}){': ' + advice if advice else ''}"
-
-
-def _is_kind(model: type[BaseModel]) -> bool:
-    return "kind" in model.model_fields
 
 
 def _walk(sections: list[Any], root: type[BaseModel]) -> tuple[list[str], list[Any]]:

@@ -1,4 +1,4 @@
-"""The whole configuration, and the functions that read it."""
+"""The entire configuration, and the functions that read it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _SCORER_ADVICE = {
 
 
 class Config(Section):
-    """A whole configuration.
+    """An entire configuration.
 
     Attributes:
         path: path of the file. Set by `edge`, not in the file.

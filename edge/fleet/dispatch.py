@@ -68,7 +68,7 @@ def plan(
     Args:
         spec: The mission.
         robots: Robots by name, with their status.
-        to: Names of robots that each get the whole mission. Empty: any one robot gets it.
+        to: Names of robots that each get the entire mission. Empty: any one robot gets it.
         share: Split the mission, so that several robots can share it.
         restart: Start a new mission even if robots know an unfinished one like it.
 

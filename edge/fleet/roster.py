@@ -234,13 +234,15 @@ def settings_of_robot(settings: ZenohConfig, name: str) -> ZenohConfig:
 
 
 @contextmanager
-def open_roster(settings: ZenohConfig, patience_s: float = client.CONNECT_S) -> Iterator[Roster]:
+def open_roster(settings: ZenohConfig) -> Iterator[Roster]:
     """Open a roster with its own session.
 
     Raises:
         RequestError: Nothing listens at the endpoint, or it refuses the connection.
     """
-    with client.connect(settings, patience_s, "fleet", "router", "edge fleet router") as session:
+    with client.connect(
+        settings, client.CONNECT_S, "fleet", "router", "edge fleet router"
+    ) as session:
         roster = Roster(session, settings)
         try:
             yield roster

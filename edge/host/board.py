@@ -128,7 +128,7 @@ def _over_current(hwmon: Path) -> Iterator[tuple[str, int]]:
 
 
 def _power(hwmon: Path) -> Iterator[tuple[str, float]]:
-    """Yield the power of a Jetson's rails, and of the whole input on a Thor (INA238)."""
+    """Yield the power of a Jetson's rails, and of the entire input on a Thor (INA238)."""
     for chip in _chips(hwmon, "ina3221"):
         for label in chip.glob("in*_label"):
             rail, number = _read_name(label), label.name[2 : -len("_label")]  # 1 of `in1_label`
@@ -169,7 +169,7 @@ def _read_celsius(file: Path) -> float | None:
 
 
 def _read_number(file: Path) -> int | None:
-    """Return the whole number in a file, of at most 18 digits; None for other content."""
+    """Return the integer in a file, of at most 18 digits; None for other content."""
     match = re.fullmatch(r"-?[0-9]{1,18}", text_of(file).strip())
     return int(match[0]) if match else None
 

@@ -23,8 +23,8 @@ def _streams() -> tuple[ctypes.c_void_p, int | None, int | None] | None:
     libc = ctypes.CDLL(None)
     libc.fopen.restype = ctypes.c_void_p
     variable = ctypes.c_void_p.in_dll(libc, "stderr")
-    nowhere = libc.fopen(b"/dev/null", b"we")
-    return None if nowhere is None else (variable, variable.value, nowhere)
+    null_file = libc.fopen(b"/dev/null", b"we")
+    return None if null_file is None else (variable, variable.value, null_file)
 
 
 _STREAMS = _streams()
@@ -37,10 +37,10 @@ def silence_c_stderr() -> Iterator[None]:
         yield
         return
     global _n_blocks
-    variable, usual, nowhere = _STREAMS
+    variable, usual, null_file = _STREAMS
     with _lock:
         _n_blocks += 1
-        variable.value = nowhere
+        variable.value = null_file
     try:
         yield
     finally:

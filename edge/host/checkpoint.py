@@ -175,9 +175,9 @@ def _sha256(content: bytes | memoryview) -> bytes:
 
 def _read_archive(content: bytes) -> Arrays:
     """Read an uncompressed archive, so that the arrays are not larger than the file."""
-    # zipfile reads the whole directory when it opens the archive, so check its size before. A plain
-    # archive ends with a record PK 5 6; its bytes 12 to 15 are the directory's size, its last two
-    # the length of a comment (0).
+    # zipfile reads the entire directory when it opens the archive, so check its size before. A
+    # plain archive ends with a record PK 5 6; its bytes 12 to 15 are the directory's size, its last
+    # two the length of a comment (0).
     end = content[-_ZIP_END_BYTES:]
     is_plain = (
         end[:4] == b"PK\x05\x06" and end[-2:] == b"\0\0" and _ZIP64 not in content[-_TAIL_BYTES:]
@@ -295,10 +295,10 @@ def load(path: Path, form: CheckpointFormat[State]) -> tuple[Checkpoint[State] |
     try:
         return form.decode(content), ""
     except ValueError as error:
-        return None, set_aside(path, one_line(error))
+        return None, quarantine(path, one_line(error))
 
 
-def set_aside(path: Path, problem: str) -> str:
+def quarantine(path: Path, problem: str) -> str:
     """Rename an unusable file to the first free `<name>.damaged-N`; log and return a message.
 
     Raises:
@@ -306,17 +306,17 @@ def set_aside(path: Path, problem: str) -> str:
     """
     path = _resolve_links(path)
     for n in itertools.count(1):
-        aside = path.with_name(f"{path.name}.damaged-{n}")
+        kept = path.with_name(f"{path.name}.damaged-{n}")
         try:
             # Reserve the name: a rename would overwrite an existing file.
-            os.close(os.open(aside, os.O_CREAT | os.O_EXCL))
-            os.replace(path, aside)
+            os.close(os.open(kept, os.O_CREAT | os.O_EXCL))
+            os.replace(path, kept)
             break
         except FileExistsError:
             continue
         except OSError as error:
             raise _unusable(path, error) from None
-    problem = f"mission.checkpoint: {path}: {problem}; kept as {aside.name}, starting without it"
+    problem = f"mission.checkpoint: {path}: {problem}; kept as {kept.name}, starting without it"
     log.warning("%s", problem)
     return problem
 

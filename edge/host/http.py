@@ -53,7 +53,7 @@ class CancellableRequest:
     def send(
         self, client: httpx.Client, request: httpx.Request, max_bytes: int, limit_s: float
     ) -> HttpReply:
-        """Send the request, and return the whole answer.
+        """Send the request, and return the entire answer.
 
         Raises:
             TimeoutError: the answer was not complete in time; the connection is cut.

@@ -21,10 +21,7 @@ class Process:
     """A process. Its start time distinguishes it from a later process with the same pid.
 
     Attributes:
-        pid: process id.
-        parent: process id of the parent.
         started: start time in clock ticks of the kernel since the boot.
-        command: command line.
     """
 
     pid: int
@@ -45,7 +42,6 @@ class Usage:
     Attributes:
         memory_mb: resident memory without mapped files, including `shared_mb`.
         shared_mb: resident shared memory.
-        threads: number of threads.
         descriptors: number of open descriptors.
         cpu_s: CPU time of all threads since the start.
     """

@@ -11,11 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def data_dir(kind: str) -> Path:
-    """Return a folder of built-in data, in an installed wheel or in a clone.
-
-    Args:
-        kind: `config` or `models`.
-    """
+    """Return a folder of built-in data, in an installed wheel or in a clone."""
     packaged = PACKAGE / "_data" / kind
     return packaged if packaged.is_dir() else PACKAGE.parent / kind
 

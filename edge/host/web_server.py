@@ -164,8 +164,8 @@ def serve(
 class _Server(ThreadingMixIn, HTTPServer):
     """A server with a thread for each connection, and at most `MOST_OPEN` connections.
 
-    A new connection closes an old one, so that idle or slow clients lock nobody out. The oldest
-    connection without the token is closed first, then the oldest idle one with the token.
+    A new connection closes an old one, so that idle or slow clients do not lock others out. The
+    oldest connection without the token is closed first, then the oldest idle one with the token.
     """
 
     daemon_threads, block_on_close = True, False
@@ -289,7 +289,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_GET  # noqa: N815 - the name that http.server calls
 
     def do_POST(self) -> None:
-        """Pass the body to the handler of the path, if the client may change things."""
+        """Pass the body to the handler of the path, if the client may make changes."""
         path = self.path.partition("?")[0]
         try:
             handle = self._find_form(path)

@@ -34,10 +34,8 @@ class StateNode(NamedTuple):
 
     Attributes:
         state: number of the state in the automaton.
-        initial: True for the initial state.
         accepting: True if the mission succeeds here.
         dead: True if success is impossible from here.
-        current: True for the current state.
         forbidden: lines with the steps that are fatal here.
         hidden: number of next states that are not shown.
         title: a full description in one sentence.

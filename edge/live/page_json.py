@@ -168,7 +168,7 @@ def _candidates(snapshot: LiveSnapshot) -> list[dict[str, Any]]:
 
 
 def log_json(snapshot: LiveSnapshot, latency: LatencyReport) -> dict[str, Any]:
-    """Return the data that change seldom: mission, driven path, latency, log, health."""
+    """Return the data that rarely change: mission, driven path, latency, log, health."""
     result, mission = snapshot.result, snapshot.mission
     return {
         "targets": list(result.targets),

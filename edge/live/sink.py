@@ -1,4 +1,4 @@
-"""Sink that keeps the data of the live page while somebody views the page.
+"""Sink that keeps the data of the live page while a person views the page.
 
 A mark is a letter that the page draws at a candidate in the image, if the choice scorer was asked
 about the candidate.
@@ -117,14 +117,11 @@ class CameraShot:
 
 
 class LiveSink:
-    """A sink that costs almost nothing while nobody views the page.
-
-    Args:
-        clock: returns a time in seconds.
+    """A sink that costs almost nothing while no person views the page.
 
     Attributes:
-        snapshot: the newest state; None while nobody views the page.
-        shots: the newest image of each camera, by `camera_index`; empty if nobody views the page.
+        snapshot: the newest state; None while no person views the page.
+        shots: the newest image of each camera, by `camera_index`; empty without a viewer.
         ticked_s: time of the loop's last tick, on the clock; None: never.
     """
 
@@ -147,7 +144,7 @@ class LiveSink:
     # -- for any thread ------------------------------------------------------------------------
 
     def mark_watched(self) -> float:
-        """Record that somebody views the page; return the time on the sink's clock."""
+        """Record that a person views the page; return the time on the sink's clock."""
         self._viewed_s = self._clock()
         return self._viewed_s
 

@@ -55,9 +55,6 @@ PUBLIC = tuple(_FILES)
 class LiveView:
     """Serves the page; all methods but `sink.tick` run on HTTP threads.
 
-    Args:
-        health: health of the service, from its start on.
-
     Attributes:
         sink: receives the results.
     """
@@ -155,7 +152,7 @@ class LiveView:
         return self._cached_response(CAMERAS[index], shot.seq, lambda: _json(shot_json(shot)))
 
     def _watched_snapshot(self) -> LiveSnapshot | None:
-        """Record that somebody views the page, and return the newest snapshot, if any."""
+        """Record that a person views the page, and return the newest snapshot, if any."""
         self.sink.mark_watched()
         return self.sink.snapshot
 

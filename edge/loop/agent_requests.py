@@ -17,10 +17,10 @@ from edge.bus.verbs import Request, Verb, check_text
 from edge.config import McpConfig
 from edge.errors import UserError
 from edge.loop.behaviours.room_targets import refuse_closed
+from edge.loop.intent_requests import carry_out
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.requests import check_repetition
-from edge.loop.said_requests import carry_out
-from edge.mission.language.said import MemoryQuestion
+from edge.mission.language.intents import MemoryQuestion
 from edge.mission.spec import MissionSpec
 from edge.text import one_line
 from edge.types import CAMERAS

@@ -81,9 +81,6 @@ class DiscardedCandidates:
 class CandidatePool:
     """The candidates of the current tick, with their ids and the discarded ones.
 
-    Args:
-        capacity: Largest number of candidates.
-
     Attributes:
         candidates: The candidates, updated in place.
         discarded: Blocked candidates.

@@ -19,7 +19,7 @@ from edge.types import Detections
 
 
 class RelatedScores:
-    """Scores a whole view by the detector's boxes, one score for each target (like VLFM).
+    """Scores an entire view by the detector's boxes, one score for each target (like VLFM).
 
     The score of a target is the maximum of score(box) x P(target in the room | class of the box in
     the room) over all boxes, including context boxes. A box of the target itself has probability 1.
@@ -82,7 +82,7 @@ class PriorChoice:
 
 
 def p_object_given_word(
-    known: table.ObjectPrior, things: Sequence[str], words: Sequence[str]
+    known: table.ObjectPrior, objects: Sequence[str], words: Sequence[str]
 ) -> np.ndarray:
     """Return P(a room holds the object | it holds the word).
 
@@ -91,12 +91,12 @@ def p_object_given_word(
     Returns:
         (n, m) float64: 1 if both are the same, 0 if the table lacks one of them.
     """
-    p = known.likelihood_ratio([*things, *words])[: len(things), len(things) :]
-    for i, thing in enumerate(things):
-        row = known.row(thing)
+    p = known.likelihood_ratio([*objects, *words])[: len(objects), len(objects) :]
+    for i, name in enumerate(objects):
+        row = known.row(name)
         p[i] *= 0.0 if row < 0 else known.rooms_with_both[row, row] / known.n_rooms
         for j, word in enumerate(words):
-            if names.same_name(thing, word):
+            if names.same_name(name, word):
                 p[i, j] = 1.0
             elif known.row(word) < 0:
                 p[i, j] = 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
+from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, quarantine
 from edge.memory import MAX_CROP_BYTES, CropStore
 
 SUFFIX = ".crops"
@@ -50,7 +50,7 @@ class CropCheckpoint:
         try:
             crops.load_state_dict(self._loaded.arrays)
         except ValueError as error:
-            self._loaded, self.problem = None, set_aside(self.writer.path, str(error))
+            self._loaded, self.problem = None, quarantine(self.writer.path, str(error))
         self._queued_changes = crops.changes
 
     def save_if_changed(self, crops: CropStore, now_ns: int) -> None:

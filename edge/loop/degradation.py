@@ -21,7 +21,7 @@ MOST_DOUBLINGS = 6
 """`LOW_S` is doubled after each failed attempt to add work, at most this often (64 minutes)."""
 UNLIKELY_DOUBLINGS = 4
 """If earlier detector times predict no low load with the added work, `LOW_S` is doubled at least
-this often. The work is then tried seldom, but it is tried: the load may have changed."""
+this often. The work is then tried rarely, but it is tried: the load may have changed."""
 
 
 class LoadSample(NamedTuple):

@@ -22,7 +22,7 @@ whether images and poses fit again, so it retries at growing intervals."""
 _APART_M = 0.08  # a view is kept if it is this far from the last one
 _BASELINE_M, _FARTHEST_M = 0.2, 0.6  # views within this range are compared
 _VIEWS = 4  # number of views that are kept
-_SCORES = 5  # the check uses the mean of so many scores: somebody may fill the view for a moment
+_SCORES = 5  # the check uses the mean of so many scores: a person may fill the view for a moment
 _GOOD_SCORES = 12  # after so many good scores, retries start again at `RETRY_NS`
 _STRIPS = 8  # vertical strips of an image
 # A score needs so many strips, each with so many informative points.
@@ -56,10 +56,6 @@ class DepthMotionCheck:
 
     The image is cut into vertical strips. Three in four strips must be wrong, so that a person who
     walks in front of the camera causes no failure.
-
-    Args:
-        max_speed_mps: Largest speed of the robot.
-        max_turn_radps: Largest turn rate of the robot.
 
     Attributes:
         since_ns: Loop time since which the images do not fit.

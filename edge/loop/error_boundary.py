@@ -30,9 +30,6 @@ T = TypeVar("T")
 class ErrorBoundary:
     """The error boundary; for the loop's thread.
 
-    Args:
-        event: Reports an event for people, at a loop time.
-
     Attributes:
         failed: Number of exceptions that were caught.
         failures: Number of exceptions by `where: type`.

@@ -93,11 +93,7 @@ def read_table(table: Iterable[MetricSpec[Source]], source: Source) -> Iterator[
 
 
 class Exposition(Collector):
-    """The page `/metrics`: metrics of the process and the interpreter, and those of `read`.
-
-    Args:
-        read: Yields the metrics. Each scrape calls it on its own thread.
-    """
+    """The page `/metrics`: metrics of the process and the interpreter, and those of `read`."""
 
     def __init__(self, read: ReadMetrics) -> None:
         self._read = read

@@ -207,7 +207,7 @@ class _Repeats:
         self.since_ns = 0
         self.repeats = False
         self._sample: np.ndarray = np.empty(0)
-        # Last few frames: checksum of the sample -> checksum of the whole frame, which is computed
+        # Last few frames: checksum of the sample -> checksum of the entire frame, which is computed
         # at the first repetition.
         self._known: dict[int, int | None] = {}
         # Since the frames last changed: motion (x, y, yaw), the longest step of it, and the
@@ -233,21 +233,21 @@ class _Repeats:
         """Return the distance (1 rad of turn counts as 1 m) since the frames last changed.
 
         The longest step does not count, because a localisation may have corrected the pose of a
-        standing robot. The whole frame is read only if its sample equals one of the last few.
+        standing robot. The entire frame is read only if its sample equals one of the last few.
         """
         crc, known = zlib.crc32(self._sample.data), self._known
-        whole = zlib.crc32(np.ascontiguousarray(array).data) if crc in known else None
-        self.repeats = whole is not None and known[crc] in (None, whole)
+        full = zlib.crc32(np.ascontiguousarray(array).data) if crc in known else None
+        self.repeats = full is not None and known[crc] in (None, full)
         if not self.repeats:
             known.pop(crc, None)
-            known[crc], self.since_ns = whole, now_ns
+            known[crc], self.since_ns = full, now_ns
             self._way[:], self._longest_m, self._driven_m = 0.0, 0.0, 0.0
             if len(known) > _BUFFERS:
                 del known[next(iter(known))]
             return 0.0
-        # At the first repetition the frame before was not read as a whole, so only its sample is
+        # At the first repetition the frame before was not read completely, so only its sample is
         # known to be equal. The distance counts from the second repetition on.
-        is_certain, known[crc] = known[crc] is not None, whole
+        is_certain, known[crc] = known[crc] is not None, full
         self._way += step
         way_m, self._longest_m = _length_m(self._way), max(self._longest_m, _length_m(step))
         if way_m < _MOVES_M:

@@ -83,7 +83,7 @@ class GoalClient:
             self._unknown_stamp_logged = True
             log.warning(
                 "goal_status: no goal has the stamp %d (the nearest is %d): the controller must "
-                "return the goal's own stamp, in whole nanoseconds (further ones are not logged)",
+                "return the goal's own stamp, an integer [ns] (further ones are not logged)",
                 stamp_ns, nearest_ns,
             )  # fmt: skip
         return status

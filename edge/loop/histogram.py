@@ -33,9 +33,6 @@ class Histograms:
     """Histograms with the same buckets, one for each column of a row of durations.
 
     They use lists and `bisect`, which are twice as fast as NumPy for the ten numbers of a tick.
-
-    Args:
-        bounds_s: Upper bounds of the buckets, ascending.
     """
 
     def __init__(self, columns: int, bounds_s: Sequence[float]) -> None:

@@ -26,15 +26,7 @@ SAME_POINT_M = 0.6
 def goal_at_place(
     goal: Goal | None, context: PolicyInput, grid: RollingMap, place: SE2, target: str
 ) -> Goal | None:
-    """Return a goal at a place, or None while no path to it is known.
-
-    Args:
-        goal: Current goal.
-        context: Input of this tick.
-        grid: The map.
-        place: Position and final heading.
-        target: The place's name.
-    """
+    """Return a goal at a place, or None while no path to it is known."""
     cell = grid.travel_cost.nearest(place.x_m, place.y_m, AT_PLACE_M)
     if cell is None:
         return None

@@ -36,7 +36,7 @@ _QUANTILES = np.array([0.50, 0.95, 0.99, 1.0])
 
 
 class Span(NamedTuple):
-    """A time span: one stage of one tick, a whole tick, or one run of a background stage.
+    """A time span: one stage of one tick, an entire tick, or one run of a background stage.
 
     Attributes:
         name: Name of the stage, or `tick`.
@@ -95,7 +95,7 @@ class LatencyReport:
     """The latency of every stage, in the order of the stage table, and of the tick.
 
     Attributes:
-        tick: Row of the whole tick.
+        tick: Row of the entire tick.
         calibration: Calibration of this computer, which scales the budgets. None if it was never
             calibrated; then only the tick and the detector have limits, their deadlines.
     """
@@ -212,7 +212,7 @@ class LatencyRing:
     """The spans of the last `capacity` ticks, and of as many runs of each background stage.
 
     One thread runs the ticks. Other threads may call `report`, `histograms`, and `span` for
-    background stages. A tick enters the ring as a whole in `end_tick`, so a report never sees half
+    background stages. A tick enters the ring at once, in `end_tick`, so a report never sees half
     a tick.
 
     Args:

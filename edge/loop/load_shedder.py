@@ -236,7 +236,6 @@ class LoadShedder:
         return fit[-1]
 
     def _paused_scorers(self, level: int) -> frozenset[str]:
-        """Return the scorers that a level pauses."""
         return frozenset(setting.pause for setting in self._settings[:level] if setting.pause)
 
     def _pause_scorers(self, level: int) -> None:

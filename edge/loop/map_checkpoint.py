@@ -23,7 +23,7 @@ from pydantic import ConfigDict, Field
 
 from edge.config import Config
 from edge.geometry import FARTHEST_M, SE2, wrap_angle
-from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, set_aside
+from edge.host.checkpoint import Checkpoint, CheckpointFormat, CheckpointWriter, load, quarantine
 from edge.host.machine import boot_id
 from edge.loop.candidates import CandidatePool
 from edge.loop.goal_choice import GoalChooser
@@ -249,7 +249,7 @@ class MapCheckpoint:
         try:
             self.waiting = make_map(self.loaded, self._config)
         except ValueError as error:
-            self.loaded, self.problem = None, set_aside(self._path, str(error))
+            self.loaded, self.problem = None, quarantine(self._path, str(error))
 
     def frame_mismatch(self, last_pose: StampedPose) -> str:
         """Return why `map` is probably not the saved frame; "" if it is the same.

@@ -98,7 +98,7 @@ def handle_memory(service: Service, request: Request, now_ns: int) -> dict:
 
 
 def similar_words(name: str, words: Sequence[str], prior: LocationPrior | None) -> list[str]:
-    """Return the words that mean a similar thing, most similar first: at most three.
+    """Return the words that mean a similar object, most similar first: at most three.
 
     The first words have similar text embeddings in the detector's vocabulary, which the prior
     holds. The next ones are in the table of objects that look alike (`edge.names.NEAR`).

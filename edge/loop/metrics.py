@@ -1,8 +1,8 @@
 """Prometheus metrics of the service: `/metrics` (docs/metrics.md).
 
 The loop does no work for the metrics. A scrape reads, on its own thread, the numbers that the
-service counts anyway: numbers, strings and frozen objects that the loop's thread replaces as a
-whole, dicts of counts (copied in one step of the interpreter), and methods that any thread may call
+service counts anyway: numbers, strings and frozen objects that the loop's thread replaces at
+once, dicts of counts (copied in one step of the interpreter), and methods that any thread may call
 (`LatencyRing`, `RollingMap.known_m2`, `Detector.health`). Two values may therefore come from two
 ticks. A scrape does not wait for the loop, except for the lock of the ring, which the loop holds
 for microseconds. So a loop that hangs is visible, too.
@@ -305,11 +305,7 @@ BOARD_METRICS: tuple[MetricSpec[BoardReading], ...] = (
 
 
 class Metrics:
-    """The page `/metrics`. Metrics of the service are on it after `add_service` was called.
-
-    Args:
-        board: Reads the computer's sensors.
-    """
+    """The page `/metrics`. Metrics of the service are on it after `add_service` was called."""
 
     def __init__(
         self, health: ServiceHealth, board: Callable[[], BoardReading] = read_board

@@ -160,8 +160,8 @@ class Plausibility:
     Attributes:
         blind_s: Time without an observation after which the robot must stand still.
         meter: Measurements of the newest observation.
-        failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced as a
-            whole, so any thread may read it.
+        failed: Checks that have failed for at least `REPORT_AFTER_NS`. The tuple is replaced at
+            once, so any thread may read it.
         refused: Number of refused observations by check.
     """
 

@@ -34,11 +34,6 @@ cells."""
 class LocationPrior:
     """The likelihood ratio of targets near places, from all objects seen; see `likelihood_ratio`.
 
-    Args:
-        by: `cooccurrence`, `rooms`, or `both`.
-        table: Co-occurrence table of objects and rooms.
-        words: Maps words to rows of the table.
-
     Attributes:
         words: As in `Args`; with the detector's vocabulary if it has one.
     """
@@ -54,7 +49,7 @@ class LocationPrior:
         # ratio by target; valid for this version of the objects and of the regions.
         self._places_version = (-1, -1)
         self._xy_m = np.zeros((0, 2), np.float32)
-        self._near_objects = np.zeros((0, len(table.things)), np.float32)
+        self._near_objects = np.zeros((0, len(table.classes)), np.float32)
         self._room_kinds = np.zeros((0, len(table.kinds)))
         self._ratios: dict[str, np.ndarray] = {}
         # Layers by target, for this version of the objects and of the regions.
@@ -151,7 +146,7 @@ class LocationPrior:
             the places' rooms, see `_kinds_of_rooms`. An array that `by` does not use is 0.
         """
         n = len(xy_m)
-        near_objects = np.zeros((n, len(self._table.things)), np.float32)
+        near_objects = np.zeros((n, len(self._table.classes)), np.float32)
         if self._by != "rooms":
             grid = regions.grid
             nearby(
@@ -166,7 +161,7 @@ class LocationPrior:
         self, seen: SeenObjects, regions: RegionMap, xy_m: np.ndarray
     ) -> np.ndarray:
         """Return P(kind of room) for each place, (n, kinds) float64."""
-        objects = objects_by_region(regions, seen, len(self._table.things))
+        objects = objects_by_region(regions, seen, len(self._table.classes))
         return kinds_by_region(self._table, regions.border, objects)[regions.at(xy_m)]
 
 

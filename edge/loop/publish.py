@@ -51,13 +51,6 @@ def statuses(sinks: Sequence[Sink]) -> dict[str, dict[str, Any]]:
 class ResultPublisher:
     """Builds the result of a tick and passes it to the sinks; for the loop's thread.
 
-    Args:
-        sinks: Receivers of the results; their methods never block.
-        site: Places and zones.
-        scorers: The scorers, if any.
-        latency: Times of the stages.
-        health: Returns the health of all parts.
-
     Attributes:
         goals: Goals since the last result; bounded.
         goal_statuses: Goal statuses since the last result; bounded.

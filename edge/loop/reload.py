@@ -133,9 +133,10 @@ class Reloader:
         except Exception as error:
             self._preparing = self._swapping = None
             known = isinstance(error, UserError)
-            why = str(error) if known else f"{type(error).__name__}: {error}"
+            text = str(error) if known else f"{type(error).__name__}: {error}"
+            why = "; ".join(text.splitlines())
             log.debug("reload", exc_info=True)
-            self._report("refused", f"refused, nothing has changed: {_joined_lines(why)}", now_ns)
+            self._report("refused", f"refused, nothing has changed: {why}", now_ns)
 
     def _begin(self) -> None:
         """Start to read and prepare the configuration, on a thread."""
@@ -200,12 +201,6 @@ def _prepare(
     present: Config, new: Config, running: str, ground: GroundClassifier | None
 ) -> _PreparedConfig:
     """Compare the configurations and make the parts that changed.
-
-    Args:
-        present: Current configuration.
-        new: New configuration.
-        running: Name of the detector's current model.
-        ground: What names kinds of ground at present.
 
     Raises:
         ReloadError: A changed key needs a restart.
@@ -278,8 +273,3 @@ def _is_below(key: str, keys: tuple[str, ...]) -> bool:
 
 def _advice(key: str) -> str:
     return _ADVICE.get(key, "restart the service to change it")
-
-
-def _joined_lines(text: str) -> str:
-    """Join the lines of an error that lists one fault a line."""
-    return "; ".join(text.splitlines())

@@ -17,13 +17,13 @@ from edge.bus.verbs import CANCELLED, Request, Verb, check_flag, check_pose, che
 from edge.config import TranslatorLtl
 from edge.errors import UserError
 from edge.loop.behaviours.room_targets import refuse_closed
+from edge.loop.intent_requests import carry_out
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.result import mission_facts
-from edge.loop.said_requests import carry_out
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.loop.status import reply_json
 from edge.mission.destinations import LONGEST_S
-from edge.mission.language.said import (
+from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
     NoMissionError,
@@ -111,9 +111,9 @@ def mission_verbs(prepare: Callable[..., object], in_words: bool = False) -> dic
         try:
             return prepare(**{name: fields[name] for name in _PREPARED_FIELDS if name in fields})
         except NoMissionError as error:
-            if isinstance(error.said, Control):
+            if isinstance(error.intent, Control):
                 raise
-            return error.said
+            return error.intent
 
     return {
         "new": Verb(
@@ -136,7 +136,6 @@ _PREPARED_FIELDS = (*_INSTRUCTION_FIELDS, "reading", "caller", "repeat")  # argu
 
 
 def _check_new(fields: dict) -> dict:
-    """Return the checked fields of a new mission."""
     texts = {name: check_text(name, fields[name]) for name in _INSTRUCTION_FIELDS if name in fields}
     if len(texts) != 1:
         raise ValueError("do: new needs exactly one of the fields instruction, formula and task")
@@ -168,12 +167,12 @@ def _check_pause(fields: dict) -> dict:
 def _as_control(fields: dict) -> tuple[str, dict] | None:
     """Return the request that an instruction about the present mission means; None for others."""
     try:
-        said = understand(fields.get("instruction", ""))
+        intent = understand(fields.get("instruction", ""))
     except TranslationError:
         return None  # the preparation reports it
-    if not isinstance(said, Control):
+    if not isinstance(intent, Control):
         return None
-    return said.do, {} if said.seconds is None else {"for_s": said.seconds}
+    return intent.do, {} if intent.seconds is None else {"for_s": intent.seconds}
 
 
 def _check_reading(fields: dict) -> dict:

@@ -43,7 +43,7 @@ class RoomSurveyor:
     def step(self, rooms: RoomMemory, view: MapView, now_ns: int) -> None:
         """Pass a finished survey to `rooms`, and start the next when it is due, once a tick.
 
-        A survey is one cut of the whole map.
+        A survey is one cut of the entire map.
         """
         is_due = self._requested_ns is None or now_ns - self._requested_ns >= PERIOD_NS
         if is_due and self._worker.idle:
@@ -69,12 +69,12 @@ def warm_up(config: Config) -> None:
     grid.update_cloud(np.zeros((0, 3), np.float32), np.eye(4), np.eye(4))
     words = PriorWordIndex(table)
     rooms, prior = RoomMemory(table, words), LocationPrior("both", table, words)
-    objects.words.append(table.things[0])
+    objects.words.append(table.classes[0])
     objects.n = 1
     seen = objects.read_only()
     RoomSurveyor(inline=True).step(rooms, MapView(grid), 0)
     rooms.update(seen, 0)
     prior.step(rooms.survey.regions, seen)
     prior.likelihood_ratio(
-        table.things[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32)
+        table.classes[0], np.zeros((1, 2), np.float32), 1, np.empty(1, np.float32)
     )

@@ -98,7 +98,7 @@ def _count_drops(running: RunningService) -> None:
 
 
 def _real_time(running: RunningService, stop: threading.Event) -> Iterator[None]:
-    """Run cycles at a fixed period. A cycle that is a whole period late shifts the schedule.
+    """Run cycles at a fixed period. A cycle that is a full period late shifts the schedule.
 
     A cycle without an observation is followed by the next one after an eighth of the period. This
     synchronises the loop to the camera. Otherwise the two rates would drift, and the loop would
@@ -239,7 +239,7 @@ def _tick(running: RunningService, observation: Observation, now_ns: int) -> Non
         if service.refused:
             _idle(running, now_ns, observation)
         else:
-            # A whole tick does all that `idle` does.
+            # An entire tick does all that `idle` does.
             service.error_boundary.on_success(IDLE, now_ns)
         service.latency.end_tick(perf_counter_ns())
     finally:

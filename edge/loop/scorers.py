@@ -128,18 +128,7 @@ class Scorers:
         prior: TargetPrior | None = None,
         other_objects: TrackedObjects | None = None,
     ) -> None:
-        """Ask the idle scorers about this observation. Never block, unless `inline`.
-
-        Args:
-            observation: The observation.
-            targets: Targets of the mission.
-            target: The active target.
-            candidates: The frontiers among them are the directions to choose from.
-            tracker: Objects of the targets.
-            values: Computes the visible part of the map for the value maps.
-            prior: The prior, for the choice scorer that uses it.
-            other_objects: Other objects that were detected.
-        """
+        """Ask the idle scorers about this observation. Never block, unless `inline`."""
         if self.paused:
             return
         similarity = None if "similarity" in self.shed else self._similarity
@@ -320,5 +309,4 @@ def make_scorers(
 
 
 def _rounded(keys: Sequence[object], values: np.ndarray) -> dict[str, float]:
-    """Return the values by key, rounded for JSON."""
     return {str(k): round(float(v), 4) for k, v in zip(keys, values, strict=True)}

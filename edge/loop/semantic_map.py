@@ -37,9 +37,6 @@ class SemanticMap:
 
     They call `update`, `on_detections`, `infer` and `gather`, in this order.
 
-    Args:
-        targets: Targets of the first mission.
-
     Attributes:
         config: Current configuration; set by `reconfigure`.
         grid: Occupancy, frontiers, distances and value maps. Another frame has another grid.
@@ -71,7 +68,6 @@ class SemanticMap:
         self._set_grid(RollingMap(config.mapping, config.robot))
 
     def _set_grid(self, grid: RollingMap) -> None:
-        """Replace the grid."""
         self.grid, self.view = grid, MapView(grid)
         self._set_zones()
         self._reset_values()

@@ -185,7 +185,7 @@ class Service:
     # -- the tick ---------------------------------------------------------------------------
 
     def tick(self, observation: Observation, now_ns: int) -> Goal | None:
-        """Run all stages on one observation.
+        """Run all stages on one observation; return the goal that the robot drives to, or None.
 
         A tick that raises counts as no tick. If `refused` is True afterwards, the caller must call
         `idle`.
@@ -193,9 +193,6 @@ class Service:
         Args:
             observation: The observation, held by its source until the tick returns.
             now_ns: Loop time, on the clock of the observation's stamp.
-
-        Returns:
-            The goal that the robot drives to, or None.
         """
         self._input_log.note("tick", now_ns=now_ns)
         self.stage = CHECK

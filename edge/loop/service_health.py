@@ -40,12 +40,7 @@ STATES: tuple[State, ...] = get_args(State)
 
 
 class ServiceHealth:
-    """State of the service, and the problems that make it not ready.
-
-    Args:
-        manager: Service manager that gets each change.
-        clock: Clock in seconds.
-    """
+    """State of the service, and the problems that make it not ready."""
 
     def __init__(
         self, manager: SystemdNotifier, clock: Callable[[], float] = time.monotonic

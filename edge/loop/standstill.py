@@ -30,9 +30,6 @@ class StandstillMonitor:
     """A monitor for a robot that does not move although it should.
 
     The monitor does not depend on single goals: a blocked robot may get one goal after another.
-
-    Args:
-        event: Reports an event for people, at a loop time.
     """
 
     def __init__(self, config: Config, event: Callable[[str, int], None]) -> None:

@@ -134,12 +134,12 @@ def warm_policy(config: Config) -> None:
         np.zeros(1, np.int32),
         ("x",),
     )
-    nowhere, target = (0, 0, 0, 0), detections.prompts[0]
+    no_area, target = (0, 0, 0, 0), detections.prompts[0]
     context = PolicyInput(
         observation,
         observation.pose,
         MapView(grid),
-        nowhere,
+        no_area,
         pool.read_only,
         detections,
         ScorerOutputs(),

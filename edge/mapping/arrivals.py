@@ -1,4 +1,4 @@
-"""Cells that somebody may have left: where something arrived, and small obstacles."""
+"""Cells that a person may have left: where something arrived, and small obstacles."""
 
 from __future__ import annotations
 

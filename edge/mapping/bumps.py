@@ -96,10 +96,6 @@ class ContactObstacles:
     A bump opens if the robot stands there, if the sensors see floor there, after a fifth of
     `MEMORY_S`, or by `open_all`. If the robot is then blocked there again, the sensors cannot see
     the obstacle: the bump stays for all of `MEMORY_S`.
-
-    Args:
-        config: settings of the map.
-        write: sets one world cell to a state and an obstacle height.
     """
 
     def __init__(

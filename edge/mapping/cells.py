@@ -29,7 +29,7 @@ class MapCells:
         layers: writable arrays by storage cell.
         inflation_cells: distance that the robot's centre keeps from an obstacle's.
         body: half widths of a disc of the robot's size, see `layers.on_trail`.
-        reach_cells: cells that must lie in the window on each side of the sensor.
+        reach_cells: cells that must be in the window on each side of the sensor.
         disc: half widths of the inflation disc, see `layers.disc_half_widths`.
         changed: (4,) int64, half-open window rectangle of the cells that changed since the last
             `take_changed`; writers of layers extend it.

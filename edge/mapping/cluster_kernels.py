@@ -82,12 +82,9 @@ def _unknown(layers, sy, word):
 
 @jit
 def retest(layers, shift_x, shift_y, x0, y0, x1, y1, clusters, n_pending):
-    """Test the frontier cells of a window rectangle again.
+    """Test the frontier cells of a window rectangle again; return the new number of pending cells.
 
     New frontier cells get label -1 and wait in `pending`. Clusters that lost a cell become dirty.
-
-    Returns:
-        The new number of pending cells.
     """
     n = layers.raw.shape[0]
     words = n >> 6

@@ -31,7 +31,6 @@ class FrontierFinder:
 
     Attributes:
         targets: the target points, refreshed in place.
-        clusters: clusters of the frontier cells.
     """
 
     def __init__(self, layers: Layers, window: Window) -> None:

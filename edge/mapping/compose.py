@@ -26,7 +26,7 @@ def compose(
         body: half widths of a disc of the robot's size. A cell where the robot has driven (its
             trail) is not inflated while this disc around it is free, so that the robot can drive
             back (`on_trail`).
-        x0: world cell of `out[0, 0]`; world cell c lies at c mod N.
+        x0: world cell of `out[0, 0]`; world cell c is at c mod N.
         y0: as `x0`.
         inflated: value of cells that are only too near to an occupied cell, or in a zone.
         zones: False leaves zones open.

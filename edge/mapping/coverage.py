@@ -235,7 +235,7 @@ def show(
     raw, looks, bits, shift_x, shift_y, x, y, first, ray_step_rad, rays, near, far, looks_needed,
     action, new_places,
 ):  # fmt: skip
-    """Cast rays from a camera and update the places that it sees.
+    """Cast rays from a camera and update the places that it sees; return the sum of `new_places`.
 
     - `x`, `y`: window coordinates in cells, with fractions.
     - `first`, `ray_step_rad`: direction of the first ray, and angle to the next, radians.
@@ -245,9 +245,6 @@ def show(
     - `looks_needed`: number of looks after which a place counts as seen well.
     - `new_places`: (rays,) int32 output: number of places with too few looks that no earlier ray
       showed.
-
-    Returns:
-        The sum of `new_places`.
     """
     total = 0
     for k in range(rays):

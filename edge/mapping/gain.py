@@ -36,11 +36,7 @@ RAY_LEAST_M2 = 0.05
 
 
 class InformationGain:
-    """Computes the information gain over the current map, and remembers what was seen from where.
-
-    Args:
-        range_m: range of the map's sensor.
-    """
+    """Computes the information gain over the map, and remembers what was seen from where."""
 
     def __init__(self, layers: Layers, window: Window, range_m: float) -> None:
         self._layers, self._window = layers, window
@@ -84,7 +80,7 @@ class InformationGain:
 
         Returns:
             (heading_rad, turn_rad, area_m2): heading of the robot for the next view of the turn,
-            angle of the whole turn, and the area that it shows; 0 if there is nothing to see.
+            angle of the entire turn, and the area that it shows; 0 if there is nothing to see.
         """
         window = self._window
         if not window.placed:
@@ -132,16 +128,13 @@ class InformationGain:
 
 @jit
 def cast(layers, origin_x, origin_y, x, y, direction, area, decay, out):
-    """Compute the expected unknown area that each ray from a place shows.
+    """Compute the expected unknown area that each ray from a place shows; return the sum of `out`.
 
     - `x`, `y`: world coordinates in cells, with fractions.
     - `direction`: (rays, 2) float64, one step along each ray, in cells.
     - `area`: (steps,) float64, area of a ray's sector at each step.
     - `decay`: probability that a ray continues after a step through unknown cells.
     - `out`: (rays,) float64 output.
-
-    Returns:
-        The sum of `out`.
     """
     raw, near = layers.raw, layers.near
     n = raw.shape[0]
@@ -198,7 +191,7 @@ def best_sweep(ray, looked, fov, ahead):
         ahead: direction of the camera in radians.
 
     Returns:
-        (turn to the next view, angle of the whole turn, area in m²). Angles are in radians; a turn
+        (turn to the next view, angle of the entire turn, area in m²). Angles are in radians; a turn
         to the right is negative. The turn to the next view is at most 120 degrees, so that no
         controller takes the other way round.
     """

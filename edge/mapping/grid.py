@@ -148,12 +148,12 @@ class RollingMap:
         """Free all cells in which something arrived, such as a person; return True if any was.
 
         What is still there is occupied again as soon as it is seen. Obstacles next to the robot
-        stay whole: the sensor may not see them. The cost grows with the window, so not for each
+        stay complete: the sensor may not see them. The cost grows with the window, so not for each
         tick.
 
         Args:
             small_too: True: cells of other obstacles that are no larger than a person become
-                unknown. Somebody may have stood there when the floor was first seen.
+                unknown. A person may have stood there when the floor was first seen.
         """
         cells = cells_to_forget(self.layers.raw, self.window, self._footprint.cell, small_too)
         for x, y, arrived in cells:
@@ -246,7 +246,7 @@ class RollingMap:
     def load_state_dict(self, state: Arrays, packed: Arrays, tile_bytes: int, values: bool) -> None:
         """Restore a map from a checkpoint; this map must be empty.
 
-        Frontiers keep their clusters if the window has the same size. Otherwise the window lies
+        Frontiers keep their clusters if the window has the same size. Otherwise the window is
         around the robot, and cells outside it are lost.
 
         Args:

@@ -7,7 +7,7 @@ coordinates:
 - *window*: 0 .. N-1 from the lower-left corner of the window, whose world cell is its origin.
 - *storage*: index into the arrays: world mod N = (window + shift) mod N, with shift = origin mod N.
 
-N and the origin are multiples of 64. So a move of the window clears whole strips of 64 cells, and
+N and the origin are multiples of 64. So a move of the window clears full strips of 64 cells, and
 the place where the storage wraps around is never inside a word of the bit planes. Every layer is
 zero where nothing was seen, so memory that was never visited stays untouched.
 """

@@ -25,7 +25,7 @@ TALL = LOWEST_OBSTACLE + int(0.85 * HEIGHT_CODES)
 """Value of `Layers.top` from which an obstacle is a wall, which the robot cannot see over."""
 CODED_M = 1.0
 """Heights are coded up to this height, or up to `obstacle_max_m` if that is higher. So a low robot
-can also tell walls from furniture."""
+can also distinguish walls and furniture."""
 # An obstacle that ends at most this far below `obstacle_max_m` may continue in the points above it.
 _CONTINUES_M = 0.1
 # Slopes of rays without a return are kept as bits: `_LOST_BITS` bits from slope `_LOST_FROM`
@@ -271,7 +271,7 @@ def from_cloud(cloud_m, T, min_range_m, xyz):
 
 @jit
 def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m):
-    """Remove the points of the robot itself from `xyz`.
+    """Remove the points of the robot itself from `xyz`; return (points left, hits left).
 
     The robot is a cylinder around the axis of its base. The cylinder has no top, because something
     above the robot is not an obstacle where the robot stands.
@@ -282,9 +282,6 @@ def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m)
     - `sensor_z`: height of the sensor in `map`.
     - `radius_m`, `height_m`: size of the robot; the height also covers its points when it is
       tilted.
-
-    Returns:
-        (points left, hits left).
     """
     x, y, z = sensor_m[0], sensor_m[1], sensor_m[2]
     tilted_m = np.hypot(axes[2, 0], axes[2, 1]) * (height_m + abs(z))
@@ -312,7 +309,7 @@ def drop_self_points(n, hits, xyz, axes, sensor_m, sensor_z, radius_m, height_m)
 def bin_points(n_points, hits, sensor_z, range_m, inv_res, fx, fy, polar, scan):
     """Bin scan.xyz: the lowest point of each bin, and the cell of each point within range.
 
-    The ray of a point beyond range passes through the whole range: its slope goes to `far_slope`.
+    The ray of a point beyond range passes through the entire range: its slope goes to `far_slope`.
     Points from `hits` on are ends of rays that hit nothing. They have no cell, and count in the
     sectors on both sides, because beams of a planar LiDAR may be that far apart. (`fx`, `fy`) is
     the position of the sensor in the scratch grid, in cells from its lower-left corner.

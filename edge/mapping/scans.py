@@ -23,10 +23,8 @@ class PixelSamples(NamedTuple):
     """The pixels of a camera that are read: every stride-th one.
 
     Attributes:
-        camera: intrinsics.
         strides: across and up.
         column, row: (w,) and (h,) float32: (u - cx) / fx and (v - cy) / fy of each pixel.
-        n: number of samples.
     """
 
     camera: CameraModel
@@ -56,10 +54,6 @@ def pixel_samples(camera: CameraModel, range_m: float) -> PixelSamples:
 
 class ScanReader:
     """A reader of scans: it finds floor, steps and heights of obstacles in the newest points.
-
-    Args:
-        config: settings of the map.
-        robot: the robot's shape. Points on the robot itself are ignored.
 
     Attributes:
         polar: bins of the *scratch grid*: a square of cells with the sensor's cell in its centre.

@@ -122,7 +122,7 @@ def unknown_ratios(
         first_word = (word + (shift_x >> 6)) % words
         second_word = (first_word + 1) % words
         back = np.uint64(63) - offset
-        # Columns of the 64 that lie in the window.
+        # Columns of the 64 that are in the window.
         in_window = full
         if left < 0:
             in_window &= full << np.uint64(-left)

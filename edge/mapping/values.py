@@ -1,8 +1,8 @@
 """Value maps: a score of each place for each target.
 
-There are two ways to write scores: VLFM (Yokoyama et al., ICRA 2024) writes one score for a whole
-view, and ViTL (IV-B2) one for each direction. ViTL's scene score S rates the whole image; its value
-V of a direction is S times the probability that the target lies there.
+There are two ways to write scores: VLFM (Yokoyama et al., ICRA 2024) writes one score for an entire
+view, and ViTL (IV-B2) one for each direction. ViTL's scene score S rates the entire image; its
+value V of a direction is S times the probability that the target is there.
 
 A cell is about 0.2 m wide. For each target it has a value and a weight of 16 bits each. The weight
 is the scene score when ViTL writes, and the confidence when VLFM writes. Weight 0: no score yet.
@@ -75,7 +75,7 @@ class ValueMap:
         Args:
             layers: layers of the map.
             window: window of the map.
-            cell_m: rounded so that a move of the window moves whole cells.
+            cell_m: rounded so that a move of the window moves complete cells.
             range_m: farthest range that counts as in view.
             beta: in [0, 1]; ViTL assumes a frontier of value beta * S at both edges of a view.
         """

@@ -27,7 +27,7 @@ class MapView:
         layers: read-only, by storage cell (see `edge.mapping.layers`).
         window: part of the world that the layers hold; only the map moves it.
         state_at: state of the cell of a point: unknown, free or occupied.
-        snapshot: copy of the whole map; these two are methods of `edge.mapping.grid.RollingMap`.
+        snapshot: copy of the entire map; these two are methods of `edge.mapping.grid.RollingMap`.
         unknown_ratio: share of unknown cells around a point, see `unknown.UnknownArea.ratio`.
         distance_m: driving distance to a point.
         nearest: nearest free cell that the robot can reach, near a point.

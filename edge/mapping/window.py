@@ -10,7 +10,7 @@ import numpy as np
 from edge.geometry import Grid
 
 TILE = 64
-"""Cells on a side of a tile; the window moves by whole tiles."""
+"""Cells on a side of a tile; the window moves by complete tiles."""
 
 
 class Window:
@@ -51,7 +51,7 @@ class Window:
         return (cell[0] + 0.5) * self.resolution_m, (cell[1] + 0.5) * self.resolution_m
 
     def contains(self, x: int, y: int) -> bool:
-        """Return True if a world cell lies in the window."""
+        """Return True if a world cell is in the window."""
         (ox, oy), n = self.origin, self.n
         return self.placed and ox <= x < ox + n and oy <= y < oy + n
 

@@ -80,7 +80,7 @@ class Zones:
             self.paint((0, 0, n, n), changed)
 
     def _paint_around(self, points_m: np.ndarray, changed: np.ndarray) -> None:
-        """Paint the rectangle around some points; the whole window would take too long."""
+        """Paint the rectangle around some points; the entire window would take too long."""
         n, origin = self._window.n, self._window.origin
         cells = points_m / self._window.resolution_m - origin
         low = np.floor(cells.min(axis=0)).astype(int) - self._margin - 1
@@ -96,7 +96,7 @@ class Zones:
         The trail is cleared in a zone: a robot that was there before may still not go back.
 
         Args:
-            rect: half-open window rectangle (x0, y0, x1, y1), x in whole words of the bit planes.
+            rect: half-open window rectangle (x0, y0, x1, y1), x in full words of the bit planes.
             changed: see `set`.
         """
         layers, (x0, y0, x1, y1), n = self._layers, rect, self._window.n

@@ -22,10 +22,6 @@ class AuditLog:
     Each call has two lines with the same `call`: one before it is carried out, one with its
     outcome.
 
-    Args:
-        path: the file; its folder is created.
-        who: name of the agent, for each line.
-
     Raises:
         FileError: the file cannot be written.
     """

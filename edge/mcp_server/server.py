@@ -49,13 +49,7 @@ Name = Annotated[str, Field(max_length=_MAX_NAME_CHARS)]
 
 
 class AgentServer(MCPServer):
-    """A server that logs and limits all calls.
-
-    Args:
-        ask: see `Ask`.
-        limit: limit of the calls; stops are not limited.
-        cameras: names of the robot's cameras.
-    """
+    """A server that logs and limits all calls."""
 
     def __init__(
         self, ask: Ask, audit: AuditLog, limit: CallLimit, cameras: Sequence[str] = CAMERAS[:1]
@@ -191,7 +185,7 @@ class AgentServer(MCPServer):
 
 
 def _checked(name: str) -> str:
-    """Return the name of one thing or place; raise ToolError if it could be another order."""
+    """Return the name of one object or place; raise ToolError if it could be another order."""
     words = name.lower().split()
     if not _NAME.fullmatch(name) or not _NO_NAMES.isdisjoint(words):
         raise ToolError(

@@ -2,7 +2,12 @@
 
 from edge.memory.crops import MAX_CROP_BYTES, CropStore
 from edge.memory.objects import KnownObject, describe_location, describe_similar, known_objects
-from edge.memory.relations import DescribedTargets, DescribedThing, RelationError, parse_description
+from edge.memory.relations import (
+    DescribedObject,
+    DescribedTargets,
+    RelationError,
+    parse_description,
+)
 from edge.memory.room_kinds import ROOM_KINDS, is_room_name, kind_of_room
 from edge.memory.room_shapes import NO_SURVEY, LostRoom, RoomSurvey, outline_rooms, survey_rooms
 from edge.memory.rooms import (

@@ -37,9 +37,6 @@ _Stored = dict[int, tuple[float, bytes]]
 class CropStore:
     """The pictures of objects, by object id. A background thread encodes them.
 
-    Args:
-        inline: encode in `observe`, for tests.
-
     Attributes:
         changes: number of pictures that were stored or removed.
     """
@@ -166,7 +163,7 @@ class CropStore:
 
 
 def quality(score: float, xyxy_px: np.ndarray, height_px: int, width_px: int) -> float:
-    """Return the quality of a view in [0, 1]. The best view is a large, whole box of high score."""
+    """Return the quality of a view in [0, 1]. The best view is a large, complete box."""
     x0, y0, x1, y1 = xyxy_px.tolist()
     size = min(1.0, max(0.0, min(x1 - x0, y1 - y0)) / _LARGE_PX)
     is_cut = min(x0, y0, width_px - x1, height_px - y1) < _RIM_PX

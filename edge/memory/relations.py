@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from edge import names
+from edge import names, number_words
 from edge.errors import UserError
 from edge.memory.room_kinds import is_room_name
 from edge.perception.tracking.instance_kernels import least_gap
@@ -33,7 +33,7 @@ _CONTAINERS = """
     packet pouch pram rack sack safe tin toolbox tray trolley tub wheelbarrow
 """
 CONTAINERS = frozenset(_CONTAINERS.split())
-"""Things that may hold others and are not in the alias table."""
+"""Objects that may hold others and are not in the alias table."""
 
 Relation = Literal["", "next to", "nearest to", "on", "under", "in"]
 InstancesOf = Callable[[str], Sequence[Instance]]
@@ -65,14 +65,14 @@ class RelationError(UserError):
 
 
 @dataclass(frozen=True, slots=True)
-class DescribedThing:
-    """A thing with a relation that tells it from others of its name.
+class DescribedObject:
+    """An object with a relation that distinguishes it from others of its name.
 
     Attributes:
-        relation: relation of the thing to the anchor; "" if there is none.
-        anchor: name of the other thing; "" without a relation.
+        relation: relation of the object to the anchor; "" if there is none.
+        anchor: name of the other object; "" without a relation.
         room: name of the room that it must be in; "" for any.
-        nth: number in the order in which such things were seen: 2 for the second one; 0 for any.
+        nth: number in the order in which such objects were seen: 2 for the second one; 0 for any.
         is_new: True for one that the mission has not reached yet: "chair 2 of 3".
     """
 
@@ -89,8 +89,8 @@ class DescribedThing:
         return (self.noun, self.anchor) if self.anchor else (self.noun,)
 
 
-def parse_description(text: str) -> DescribedThing | None:
-    """Return the thing that a text describes by a relation; None if the text is a plain name.
+def parse_description(text: str) -> DescribedObject | None:
+    """Return the object that a text describes by a relation; None if the text is a plain name.
 
     Raises:
         RelationError: the text has a relation that cannot be decided.
@@ -120,30 +120,30 @@ def parse_description(text: str) -> DescribedThing | None:
             raise _undecidable(text, "a second relation")
     nth, noun = _split_off_ordinal(noun)
     counted = _COUNTED.fullmatch(noun)
-    is_new = counted is not None and all(names.number([n]) for n in counted.group("n", "of"))
+    is_new = counted is not None and all(number_words.number([n]) for n in counted.group("n", "of"))
     if counted is not None and is_new:
         noun = counted["noun"]
     if not (relation or room or nth or is_new):
         return None
-    return DescribedThing(noun, relation, anchor, room, nth, is_new)
+    return DescribedObject(noun, relation, anchor, room, nth, is_new)
 
 
 def _split_off_room(phrase: str) -> tuple[str, str] | None:
     """Return the phrase without its last "in ROOM", and the room; None if there is none.
 
-    A word for no known thing is the name that a person gave to a room.
+    A word for no known object is the name that a person gave to a room.
     """
     for word in (" in ", " inside "):
-        thing, _, text = phrase.rpartition(word)
+        noun, _, text = phrase.rpartition(word)
         room = names.normalise(text)
-        may_be_name = room and not _is_thing(room) and not _SPLIT.match(room)
-        if thing and (is_room_name(room) or may_be_name):
-            return thing, room
+        may_be_name = room and not _is_known(room) and not _SPLIT.match(room)
+        if noun and (is_room_name(room) or may_be_name):
+            return noun, room
     return None
 
 
-def _is_thing(name: str) -> bool:
-    """Return True if a name or its last word is a known thing: "toy box", "top drawer"."""
+def _is_known(name: str) -> bool:
+    """Return True if a name or its last word is a known object: "toy box", "top drawer"."""
     head = names.singular(name.rpartition(" ")[2])
     return names.is_known(name) or names.is_known(head) or head in CONTAINERS
 
@@ -151,7 +151,7 @@ def _is_thing(name: str) -> bool:
 def _split_off_ordinal(noun: str) -> tuple[int, str]:
     """Return the number of "second door" and its name; 0 and the noun if it has no number."""
     first, _, rest = noun.partition(" ")
-    nth = names.ordinal(first)
+    nth = number_words.ordinal(first)
     if nth is None or not names.is_known(rest):
         return 0, noun
     return nth, rest
@@ -174,10 +174,10 @@ class DescribedTargets:
 
     def __init__(self, is_in: IsIn) -> None:
         self._contains = is_in
-        self._known: dict[str, DescribedThing | None] = {}
+        self._known: dict[str, DescribedObject | None] = {}
 
-    def thing(self, label: str) -> DescribedThing | None:
-        """Return the thing that a label describes; None if it is a plain name."""
+    def described(self, label: str) -> DescribedObject | None:
+        """Return the object that a label describes; None if it is a plain name."""
         if label not in self._known:
             if len(self._known) >= MOST_DESCRIBED:
                 self._known.clear()
@@ -195,55 +195,58 @@ class DescribedTargets:
             of: returns the instances of a name, best first.
             last: True if the search is over. "Nearest to" then accepts any distance.
         """
-        thing = self.thing(label)
-        if thing is None:
+        described = self.described(label)
+        if described is None:
             return None
-        return [instance for instance, _ in self._ranked(thing, of, last)]
+        return [instance for instance, _ in self._ranked(described, of, last)]
 
     def reason_for(self, label: str, instance: Instance, of: InstancesOf) -> str:
         """Return why an instance is the one that a label describes; "" for a plain name."""
-        thing = self.thing(label)
-        found = () if thing is None else self._ranked(thing, of, last=True)
+        described = self.described(label)
+        found = () if described is None else self._ranked(described, of, last=True)
         return next((why for other, why in found if other.id == instance.id), "")
 
     def _ranked(
-        self, thing: DescribedThing, of: InstancesOf, last: bool
+        self, described: DescribedObject, of: InstancesOf, last: bool
     ) -> list[tuple[Instance, str]]:
-        """Return the instances that a thing means, best first, each with the reason."""
-        known = of(thing.noun)
-        found = [instance for instance in known if self._is_in(thing.room, instance)]
-        if thing.is_new:
+        """Return the instances that a description means, best first, each with the reason."""
+        known = of(described.noun)
+        found = [instance for instance in known if self._is_in(described.room, instance)]
+        if described.is_new:
             reached = [instance for instance in known if instance.state == "reached"]
             found = [
                 one for one in found
                 if all(least_gap(one.points_m, it.points_m) > TOUCHING_M for it in reached)
             ]  # fmt: skip
-        why = f"in the {thing.room}" if thing.room else ""
-        if not thing.relation:
+        why = f"in the {described.room}" if described.room else ""
+        if not described.relation:
             pairs = [(instance, why) for instance in found]
         else:
-            anchors = list(of(thing.anchor))
-            limit_m = NEXT_TO_M if thing.relation in ("next to", "nearest to") else TOUCHING_M
-            if thing.relation == "nearest to" and last:
+            anchors = list(of(described.anchor))
+            limit_m = NEXT_TO_M if described.relation in ("next to", "nearest to") else TOUCHING_M
+            if described.relation == "nearest to" and last:
                 limit_m = math.inf
-            pairs = list(_things_near(thing, found, anchors, limit_m))
-        if not thing.nth:
+            pairs = list(_found_near(described, found, anchors, limit_m))
+        if not described.nth:
             return pairs
         by_age = sorted(pairs, key=lambda pair: pair[0].id)  # ids grow with the first sighting
-        ordinal = f"number {thing.nth} in the order of seeing"
+        ordinal = f"number {described.nth} in the order of seeing"
         return [
             (instance, f"{ordinal}{', ' * bool(place)}{place}")
-            for instance, place in by_age[thing.nth - 1 :][:1]
+            for instance, place in by_age[described.nth - 1 :][:1]
         ]
 
     def _is_in(self, room: str, instance: Instance) -> bool:
         return not room or self._contains(room, *instance.center_m[:2].tolist())
 
 
-def _things_near(
-    thing: DescribedThing, found: Sequence[Instance], anchors: Sequence[Instance], limit_m: float
+def _found_near(
+    described: DescribedObject,
+    found: Sequence[Instance],
+    anchors: Sequence[Instance],
+    limit_m: float,
 ) -> Iterator[tuple[Instance, str]]:
-    """Yield the things within a distance of an anchor, with the reason.
+    """Yield the objects within a distance of an anchor, with the reason.
 
     For "nearest to" only the nearest one is yielded. For the other relations the order is kept.
     """
@@ -251,14 +254,14 @@ def _things_near(
     for instance in found:
         gaps = [
             (least_gap(instance.points_m, other.points_m), other) for other in anchors
-            if other.id != instance.id and _is_level(thing.relation, instance, other)
+            if other.id != instance.id and _is_level(described.relation, instance, other)
         ]  # fmt: skip
         if not gaps:
             continue
         gap_m, other = min(gaps, key=lambda pair: (pair[0], pair[1].id))
         if gap_m <= limit_m:
             found_near.append((gap_m, instance, f"{gap_m:.1f} m from {other.label} {other.id}"))
-    if thing.relation == "nearest to":
+    if described.relation == "nearest to":
         found_near = sorted(found_near, key=lambda each: (each[0], each[1].id))[:1]
     yield from ((instance, why) for _, instance, why in found_near)
 

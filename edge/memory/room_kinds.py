@@ -1,11 +1,11 @@
 """Words for kinds of rooms.
 
-A word that also names a thing, such as "toilet" or "bath", is no word for a room.
+A word that also names an object, such as "toilet" or "bath", is no word for a room.
 """
 
 from __future__ import annotations
 
-from edge import names
+from edge import names, number_words
 
 ROOM_KINDS: dict[str, tuple[str, ...]] = {
     "attic": ("loft",),
@@ -60,4 +60,4 @@ def is_room_name(word: str) -> bool:
     """
     kind, *number = names.normalise(word).split()
     numbered = kind in ("room", "ward", "bay", "aisle") and number
-    return bool(kind_of_room(word) or (numbered and names.number(number) is not None))
+    return bool(kind_of_room(word) or (numbered and number_words.number(number) is not None))

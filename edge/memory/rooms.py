@@ -1,6 +1,6 @@
 """Rooms of the map: their kinds by the objects seen in them, names from people, and questions.
 
-The prior's table says how often each thing is in each kind of room. A thing is a name of objects
+The prior's table says how often each class is in each kind of room. A class is a name of objects
 that has a row in this table, such as "bed".
 """
 
@@ -42,25 +42,25 @@ _MAX_ROOMS = 1 << 12  # in a checkpoint
 RECOGNISED_KINDS = load().kinds
 """Kinds of rooms that the robot recognises by objects; others only a person can name."""
 TYPICAL = 2
-"""Number of typical things from which the kind of a room should be known."""
+"""Number of typical classes from which the kind of a room should be known."""
 _TYPICAL_RATIO = 1.5
-"""A thing is typical of a kind of room if it is more frequent there by this factor than on average.
+"""A class is typical of a kind of room if it is more frequent there by this factor than on average.
 """
 
 
 @lru_cache(maxsize=8)
 def _kind_log_ratio(table: ObjectPrior) -> np.ndarray:
-    """Return log P(thing in a room | kind) / P(thing in a room), (kinds, things) float64."""
+    """Return log P(class in a room | kind) / P(class in a room), (kinds, classes) float64."""
     p_object_given_kind = kind_model.object_given_room(table)
     return np.log(p_object_given_kind / (kind_model.room_prior(table) @ p_object_given_kind))
 
 
 @cache
-def typical_things(kind: str) -> frozenset[str]:
-    """Return the things of the prior's table that are clearly more frequent in a kind of room."""
+def typical_classes(kind: str) -> frozenset[str]:
+    """Return the classes of the prior's table that are clearly more frequent in a kind of room."""
     table = load()
     ratio = np.exp(_kind_log_ratio(table)[table.kinds.index(kind)])
-    return frozenset(table.things[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
+    return frozenset(table.classes[at] for at in np.flatnonzero(ratio >= _TYPICAL_RATIO))
 
 
 class SeenObjects(NamedTuple):
@@ -93,9 +93,9 @@ class SeenObjectIndex:
         return SeenObjects(s.xyz_m[: s.n], self._row[s.word[: s.n]], weight)
 
 
-def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -> np.ndarray:
-    """Return the confidence that each thing is in each region, (n + 1, things) float32."""
-    confidence = np.zeros((regions.n + 1, n_things), np.float32)
+def objects_by_region(regions: RegionMap, objects: SeenObjects, n_classes: int) -> np.ndarray:
+    """Return the confidence that each class is in each region, (n + 1, classes) float32."""
+    confidence = np.zeros((regions.n + 1, n_classes), np.float32)
     region = regions.at(objects.xyz_m)
     counts = (region > 0) & (objects.row >= 0)
     np.maximum.at(confidence, (region[counts], objects.row[counts]), objects.weight[counts])
@@ -103,13 +103,7 @@ def objects_by_region(regions: RegionMap, objects: SeenObjects, n_things: int) -
 
 
 def kinds_by_region(table: ObjectPrior, border: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64.
-
-    Args:
-        table: the prior.
-        border: see `edge.mapping.regions.border_lengths`.
-        held: see `objects_by_region`.
-    """
+    """Return P(kind of room | objects seen) of each region, (n + 1, kinds) float64."""
     adjacent = kind_model.adjacent_regions(border, held)
     return kind_model.room_posterior_at(table, held, held[adjacent])
 
@@ -123,7 +117,7 @@ class MappedRoom(RoomShape):
         kinds: kinds of the room that are certain enough. An open-plan room may be kitchen and
             living room.
         chance: probability of each kind of the prior's table; 1 for a kind that a person named.
-        held: (things,) float32, confidence that each thing of the prior's table is in the room.
+        held: (classes,) float32, confidence that each class of the prior's table is in the room.
         is_visited: True if the robot was inside.
     """
 
@@ -154,9 +148,9 @@ class MappedRoom(RoomShape):
         return "named by a person" if self.is_named else _reason_text(self.kinds, self.held)
 
     @property
-    def things(self) -> list[str]:
-        """Things of the prior's table that were seen in the room."""
-        return [load().things[at] for at in np.flatnonzero(self.held)]
+    def classes(self) -> list[str]:
+        """Classes of the prior's table that were seen in the room."""
+        return [load().classes[at] for at in np.flatnonzero(self.held)]
 
     def closed_by(self, site: Site) -> str:
         """Return the name of a zone if zones close all points to stand at; else ""."""
@@ -180,10 +174,6 @@ class MappedRoom(RoomShape):
 
 class RoomMemory:
     """The owner of the rooms; for the loop's thread.
-
-    Args:
-        table: co-occurrence table of objects and rooms.
-        words: maps words to rows of the table.
 
     Attributes:
         version: number that grows when anything about the rooms changes.
@@ -232,7 +222,7 @@ class RoomMemory:
         self.version += 1
         self._votes.clear()
         regions, objects = self.survey.regions, self._index.of(sightings)
-        held = objects_by_region(regions, objects, len(self._table.things))
+        held = objects_by_region(regions, objects, len(self._table.classes))
         self._objects = objects._replace(xyz_m=objects.xyz_m.copy())
         self._belief = kinds_by_region(self._table, regions.border, held)
         shapes, named = self.survey.shapes, _names_by_room(self.survey, self.site.room_names)
@@ -304,8 +294,8 @@ class RoomMemory:
             or kind in room.kinds
         ]
 
-    def with_thing(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
-        """Return the rooms in which a thing was seen, the most confident sighting first."""
+    def with_object(self, name: str, sightings: TrackedObjects, min_hits: int) -> list[MappedRoom]:
+        """Return the rooms in which an object was seen, the most confident sighting first."""
         found = [
             self.room_at(*obj.xyz_m[:2]) for obj in known_objects(sightings, 0, min_hits, name)
         ]
@@ -432,5 +422,5 @@ def _reason_text(found: tuple[str, ...], held: np.ndarray) -> str:
     for kind in found:
         weights = held * log_ratio[table.kinds.index(kind)]
         best = [at for at in np.argsort(-weights)[:_REASONS].tolist() if weights[at] > 0.0]
-        named += [table.things[at] for at in best]
+        named += [table.classes[at] for at in best]
     return one_line(f"{' and '.join(dict.fromkeys(named))} seen") if named else ""

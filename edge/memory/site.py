@@ -83,7 +83,7 @@ class Place:
 
     @classmethod
     def at(cls, name: str, pose: SE2) -> Place:
-        """Return a place whose heading is a whole hundredth of a degree, as a file keeps it."""
+        """Return a place whose heading is a multiple of 0.01 degrees, as a file keeps it."""
         yaw_rad = math.radians(round(math.degrees(pose.yaw_rad), 2))
         return cls(name, SE2(pose.x_m, pose.y_m, yaw_rad))
 

@@ -1,4 +1,4 @@
-"""Files of a site and of the whole memory, as GeoJSON (`edge.memory.site` has the format).
+"""Files of a site and of the entire memory, as GeoJSON (`edge.memory.site` has the format).
 
 What is read is untrusted.
 """
@@ -234,7 +234,7 @@ def read_site(path: Path, imported: bool = False) -> Site:
 
 
 def write_site(path: Path, site: Site) -> None:
-    """Write a site as GeoJSON: the whole file or nothing.
+    """Write a site as GeoJSON: the entire file or nothing.
 
     Raises:
         OSError: the file cannot be written.

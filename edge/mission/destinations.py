@@ -1,8 +1,8 @@
-"""Destinations: propositions that are no things to search for, such as places and waits.
+"""Destinations: propositions that are no objects to search for, such as places and waits.
 
 The text of a proposition decides which destination it is; see `destination_of`. So a proposition
 means the same in a formula that a person wrote, and as a quoted name in an instruction. `kind` of
-each class tells the classes apart in JSON.
+each class distinguishes the classes in JSON.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Union
 
 from pydantic import ConfigDict, Discriminator, Field, TypeAdapter
 
-from edge import names
+from edge import names, number_words
 from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
@@ -80,7 +80,7 @@ class WaitTarget:
     """A wait at the robot's position.
 
     Attributes:
-        seconds: duration; None to wait until a person tells the robot to go on.
+        seconds: duration; None: wait until a person orders to go on.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -91,7 +91,7 @@ class WaitTarget:
 
 @dataclass(frozen=True, slots=True)
 class CheckTarget:
-    """A check if a thing is there; either answer fulfils it.
+    """A check if an object is there; either answer fulfils it.
 
     Attributes:
         room: name of the room to look in; "" for everywhere.
@@ -109,9 +109,9 @@ class RoomTarget:
     """A room, reached when the robot is inside.
 
     Attributes:
-        name: name of a room or kind of room, or "room 3"; for `with`, name of the thing in it.
+        name: name of a room or kind of room, or "room 3"; for `with`, name of the object in it.
         which: `called` by its name, `largest`, `next` (the nearest unvisited one), or `with` a
-            thing.
+            object.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -140,10 +140,7 @@ class FailureTarget:
     """The failure of another target of the mission: it was given up, "no mug" for "mug".
 
     It is never pursued. It becomes true when the other target has failed and the plan needs it.
-    Only formulas name it: the English name "no entry sign" is a thing.
-
-    Attributes:
-        target: the other target.
+    Only formulas name it: the English name "no entry sign" is an object.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -168,14 +165,14 @@ _DESTINATIONS: TypeAdapter[dict[str, Destination]] = TypeAdapter(dict[Name, Dest
 
 
 def destination_of(text: str, site: Site) -> Destination | None:
-    """Return the destination that a proposition means, or None if it is a thing to search for.
+    """Return the destination that a proposition means, or None if it is an object to search for.
 
     The canonical phrases are `start`, `here`, `caller`, the names of places, `explored`,
     `explored kitchen`, `explored for 10 min`, `wait`, `wait 30 s`, `check stove`,
     `check kettle in kitchen`, the names of rooms and their kinds, `room 3`, `largest room`,
     `next room`, `room with sofa`, `every room` and `every bedroom`. A place of the site comes
     before a phrase, and a room's name before a kind. A kind of room that the robot cannot recognise
-    is a thing, unless a person gave a room that name.
+    is an object, unless a person gave a room that name.
 
     Raises:
         DestinationError: a duration is no number or too long, or the caller's pose is not known.
@@ -257,7 +254,7 @@ def _room_of(text: str, site: Site) -> RoomTarget | None:
     if target.which != "called":
         return target
     kind, found = kind_of_room(text), _ROOM_NUMBER.fullmatch(text)
-    by_number = found is not None and names.number([found["n"]]) is not None
+    by_number = found is not None and number_words.number([found["n"]]) is not None
     by_person = site.room_name(text) or any(
         kind and kind_of_room(room.name) == kind for room in site.room_names
     )
@@ -329,7 +326,7 @@ def duration_s(text: str) -> float:
     """
     *number, unit = text.split()
     unit_s = _UNITS_S.get(unit if unit == "s" else unit.rstrip("s"), 0)
-    count: float | None = names.number(number) if number else None
+    count: float | None = number_words.number(number) if number else None
     if count is None and re.fullmatch(r"\d{1,6}\.\d{1,3}", " ".join(number)):
         count = float(number[0])
     if count is None or not 0 < count * unit_s <= LONGEST_S:

@@ -15,20 +15,13 @@ from edge import names
 from edge.memory import parse_description
 from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.everyday_words import NAME, bare, is_room
-from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, sought_in
+from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, searched_object
 from edge.mission.language.nouns import is_plural
 from edge.mission.language.places import EXPLORED, NO
 from edge.mission.language.tokens import UnclearError
-from edge.mission.logic.ltl import (
-    Formula,
-    ap,
-    conj,
-    disj,
-    eventually,
-    next_,
-    postorder,
-    propositions,
-)
+from edge.mission.logic import goal_sequence
+from edge.mission.logic.goal_sequence import last_goals, reach, replace_last, then
+from edge.mission.logic.ltl import Formula, ap, conj, disj, eventually, propositions
 from edge.text import one_line
 
 # Orders that ask for nothing more: the robot stops anyway, or reports anyway.
@@ -115,11 +108,11 @@ class FallbackTranslator:
 
     Attributes:
         translate: returns the formula of an order without conditions.
-        is_thing: returns True if a proposition is an object to search for.
+        is_object: returns True if a proposition is an object to search for.
     """
 
     translate: Callable[[str], Formula]
-    is_thing: Callable[[str], bool]
+    is_object: Callable[[str], bool]
 
     def readings(self, branches: Branches) -> list[Formula]:
         """Return the formulas that the branches may mean, one or two.
@@ -131,20 +124,21 @@ class FallbackTranslator:
             UnclearError: it is unclear what a condition is about.
         """
         after, bans = self._end(branches.after)
-        tree = self._node(branches, "", True)
-        rest = None if after else _rest_of(tree)
-        last = _formula(tree, after, False)
-        found = [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
+        try:
+            tree = self._node(branches, "", True)
+            rest = None if after else _rest_of(tree)
+            last = _formula(tree, after, False)
+            found = [formula for formula in (rest and _formula(tree, rest, True), last) if formula]
+        except goal_sequence.NotASequenceError:
+            hint = "unclear what the condition is about; use one sequence of orders before it"
+            raise UnclearError(f"instruction: {hint}") from None
         return [conj(formula, *bans) for formula in found]
 
     def _end(self, text: str) -> tuple[Formula | None, list[Formula]]:
         """Return the goals and the bans of the orders that hold in any case."""
         if not text:
             return None, []
-        formula = self.translate(text)
-        parts = formula.args if formula.op == "&" else (formula,)
-        bans = [part for part in parts if part.op == "G"]
-        goals = [part for part in parts if part.op != "G"]
+        goals, bans = goal_sequence.split_bans(self.translate(text))
         if not goals:
             return None, bans
         _refuse_rules(conj(*goals), text)
@@ -194,7 +188,7 @@ class FallbackTranslator:
             raise UnclearError("instruction: 'there': unclear where; name the room", "there")
         if there:
             leaf, goal = self._leaf(text, last), self.translate(f"go to the {place}")
-            return _Leaf(goal if leaf.first is None else _then(goal, leaf.first), leaf.rest)
+            return _Leaf(then(goal, leaf.first), leaf.rest)
         if not orders:
             return self._leaf(text, last)
         *before, order = map(self.translate, orders)
@@ -213,7 +207,7 @@ class FallbackTranslator:
             return _NONE
         named = re.fullmatch(NAME, text, re.I) and is_room(bare(text))  # "otherwise the hall"
         formula = self._goals(f"go to {text}" if named else text)
-        first, later = _split_first(formula, bool(_NEXT_SENTENCE.search(text)))
+        first, later = goal_sequence.split_first(formula, bool(_NEXT_SENTENCE.search(text)))
         waits = later is not None and all(n.startswith(WAIT) for n in propositions(later))
         return _leaf(first, later, last and not (waits or _HERE.search(text)))
 
@@ -229,24 +223,25 @@ class FallbackTranslator:
     def _node(self, branches: Branches, noun: str, last: bool) -> _Node:
         condition, found, failed = branches.condition, branches.found or "", branches.failed or ""
         order, asks = self._order(branches, noun)
-        goals = _last_goals(order)
+        goals = last_goals(order)
         if all(goal.startswith(f"{CHECK} ") for goal in goals):
             if _IS_THERE.search(branches.order) and not all(map(parse_description, goals)):
                 raise UnclearError(f"instruction: {_UNPLACED}")
             asks, goals = True, tuple(goal.removeprefix(f"{CHECK} ") for goal in goals)
-            order = _with_last(order, lambda _: eventually(disj(*map(ap, goals))))
+            order = replace_last(order, lambda _: eventually(disj(*map(ap, goals))))
         self._check_subject(branches, order, goals, noun)
-        if condition.thing and branches.order and not _is_same(goals, condition.thing):
-            thing = _singular(condition.thing)
-            order = _then(order, self.translate(f"find {thing}{_place(condition, goals)}"))
+        if condition.name and branches.order and not _is_same(goals, condition.name):
+            name = _singular(condition.name)
+            search = self.translate(f"find {name}{_place(condition, goals)}")
+            order = replace_last(order, lambda goal: reach(goal, search))
             asks = True
         elif condition.at and branches.order:
             if _DRIVES.match(branches.order) or _NEAREST.search(branches.order):
                 raise UnclearError(f"instruction: {_UNPLACED}")
             order = self._at(order, goals, condition)
-        goals = _last_goals(order)
+        goals = last_goals(order)
         self._check_kind(goals, condition)
-        noun = _noun(goals[0]) if all(map(self.is_thing, goals)) else ""
+        noun = _noun(goals[0]) if all(map(self.is_object, goals)) else ""
         described = parse_description(goals[0]) if noun else None
         place = described.room if described is not None else ""
         end = failed if branches.both == (condition.outcome == "found") else found
@@ -263,7 +258,7 @@ class FallbackTranslator:
         """Return the formula of the order, and True if it only asks if an object is there."""
         condition = branches.condition
         if branches.order:
-            by_way = condition.state and not condition.thing and _BY_WAY.search(branches.order)
+            by_way = condition.state and not condition.name and _BY_WAY.search(branches.order)
             if by_way or _WHEN.search(branches.order):
                 raise UnclearError(f"instruction: {_UNPLACED}")
             orders, rest = areas_of(branches.order, noun) if noun else ([], "")
@@ -271,16 +266,17 @@ class FallbackTranslator:
                 return self.translate(orders[0]), True
             text = _FIND_IT.sub(rf"\g<find> {noun}", branches.order) if noun else branches.order
             return self.translate(text), False
-        thing = condition.thing
+        name = condition.name
         answer = branches.failed if condition.outcome == "failed" else branches.found
-        if not thing and condition.at and isinstance(answer, str):
-            thing = sought_in(answer)  # "look for the mug in the hall if it is not on the desk"
+        if not name and condition.at and isinstance(answer, str):
+            # "look for the mug in the hall if it is not on the desk"
+            name = searched_object(answer)
         presumes = condition.presumes or branches.both or condition.at
-        if not (thing and presumes) or (condition.there and not condition.at):
+        if not (name and presumes) or (condition.there and not condition.at):
             hint = "say first what to do, as in 'find the mug; if it is not there, come back'"
             raise UnclearError(f"instruction: unclear what the condition is about; {hint}")
-        thing, verb = _singular(thing), "go to" if condition.seeks is False else "find"
-        return self.translate(f"{verb} {thing}{condition.at}"), True
+        name, verb = _singular(name), "go to" if condition.is_object is False else "find"
+        return self.translate(f"{verb} {name}{condition.at}"), True
 
     def _check_subject(
         self, branches: Branches, order: Formula, goals: Sequence[str], noun: str
@@ -290,23 +286,23 @@ class FallbackTranslator:
         "Find the mug, then go to the bed, and if you can't find it …" may be about the mug.
         """
         condition, others = branches.condition, set(_targets(order)).difference(goals)
-        if any((thing := parse_description(goal)) and thing.is_new for goal in goals):
-            hint = "a number of things cannot have a fallback; say it for one of them"
+        if any((described := parse_description(goal)) and described.is_new for goal in goals):
+            hint = "a number of objects cannot have a fallback; say it for one of them"
             raise UnclearError(f"instruction: {hint}")
-        things = all(map(self.is_thing, goals))
-        if condition.thing:  # one of a choice
-            is_unclear = len(goals) > 1 and _is_same(goals, condition.thing)
+        are_objects = all(map(self.is_object, goals))
+        if condition.name:  # one of a choice
+            is_unclear = len(goals) > 1 and _is_same(goals, condition.name)
         elif not branches.order:
             is_unclear = False
-        elif things and condition.seeks is not False:
-            new = condition.seeks and noun and _noun(goals[0]) != noun
+        elif are_objects and condition.is_object is not False:
+            new = condition.is_object and noun and _noun(goals[0]) != noun
             drives = new and _DRIVES.match(branches.order) is not None
-            is_unclear = bool(drives or any(map(self.is_thing, others)))
+            is_unclear = bool(drives or any(map(self.is_object, others)))
         else:
-            rooms = [thing.room for thing in map(parse_description, goals) if thing is not None]
-            is_unclear = bool(others or (condition.seeks and noun) or any(rooms))
+            rooms = [found.room for found in map(parse_description, goals) if found is not None]
+            is_unclear = bool(others or (condition.is_object and noun) or any(rooms))
         if is_unclear:
-            part = condition.thing or "it"
+            part = condition.name or "it"
             hint = "unclear which of the orders the condition is about; use one order before it"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
@@ -319,36 +315,34 @@ class FallbackTranslator:
         if len(goals) > 1 or parse_description(goals[0]) or condition.at.endswith(" it"):
             part = condition.at.strip()
             raise UnclearError(f"instruction: {part!r}: unclear what should be there", part)
-        return _with_last(order, lambda _: self.translate(f"find the {goals[0]}{condition.at}"))
+        return replace_last(order, lambda _: self.translate(f"find the {goals[0]}{condition.at}"))
 
     def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
         """Refuse a condition that does not fit the goals: a wait is not found."""
-        thing, part = all(map(self.is_thing, goals)), condition.thing or "it"
+        are_objects, part = all(map(self.is_object, goals)), condition.name or "it"
         timed = goals[0].startswith((WAIT, EXPLORED))
-        is_there = condition.seeks and condition.there and not thing
-        if condition.state and thing:
+        is_there = condition.is_object and condition.there and not are_objects
+        if condition.state and are_objects:
             hint = "the robot cannot see this state; say it for a room or a place"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
         if timed or is_there:
-            hint = "unclear what this is about; name the thing that may be missing"
+            hint = "unclear what this is about; name the object that may be missing"
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
 
 
 def _refuse_rules(formula: Formula, text: str) -> None:
-    """Refuse all but goals: what always holds, and a goal that is reached twice."""
-    if any(part.op in ("G", "W", "U", "!") for part in postorder(formula)):
+    if not goal_sequence.has_only_goals(formula):
         hint = "with a condition, only goals are understood here; say first what to avoid"
         raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
 
 
 def _targets(formula: Formula) -> tuple[str, ...]:
     """Return the propositions of a formula without its bans."""
-    parts = formula.args if formula.op == "&" else (formula,)
-    return propositions(conj(*(part for part in parts if part.op != "G")))
+    return propositions(conj(*goal_sequence.split_bans(formula)[0]))
 
 
 def _leaf(first: Formula, rest: Formula | None, last: bool) -> _Leaf:
-    return _Leaf(first, rest) if last or rest is None else _Leaf(_then(first, rest))
+    return _Leaf(first, rest) if last or rest is None else _Leaf(then(first, rest))
 
 
 def _rest_of(tree: _Tree) -> Formula | None:
@@ -367,125 +361,50 @@ def _formula(tree: _Tree, after: Formula | None, spread: bool) -> Formula | None
         spread: True if `after` has the rest of the last leaf.
     """
     if isinstance(tree, _Leaf):
-        parts = (tree.first, None if spread else tree.rest, after)
-        return _in_sequence(*parts)
+        return then(tree.first, None if spread else tree.rest, after)
     found, failed = _formula(tree.found, after, spread), _formula(tree.failed, after, spread)
 
     def branch(goal: Formula) -> Formula:
         names_of_goal = propositions(goal)
         missed = failed
         for name in reversed(names_of_goal):
-            missed = _reach(ap(NO + name), missed)
+            missed = reach(ap(NO + name), missed)
         assert missed is not None
-        reached = _reach(goal, found)
+        reached = reach(goal, found)
         # "have you seen the mug? If not, look for it"
         return disj(reached, missed) if tree.may_fail and failed != reached else reached
 
-    return _with_last(tree.order, branch)
-
-
-def _in_sequence(*parts: Formula | None) -> Formula | None:
-    given = [part for part in parts if part is not None]
-    if not given:
-        return None
-    formula = given[-1]
-    for part in reversed(given[:-1]):
-        formula = _then(part, formula)
-    return formula
-
-
-def _reach(goal: Formula, after: Formula | None) -> Formula:
-    if after is None:
-        return eventually(goal)
-    again = set(propositions(goal)) & set(propositions(after))  # one visit could be both
-    return eventually(conj(goal, next_(after) if again else after))
-
-
-def _then(first: Formula, after: Formula) -> Formula:
-    return _with_last(first, lambda goal: _reach(goal, after))
-
-
-def _with_last(formula: Formula, change: Callable[[Formula], Formula]) -> Formula:
-    """Return a sequence with its last goal replaced: `change` gets a proposition, or a choice."""
-    if formula.op == "|" and all(one.op == "F" and one.args[0].op == "ap" for one in formula.args):
-        return change(disj(*(one.args[0] for one in formula.args)))
-    if formula.op == "&":
-        bans = [one for one in formula.args if one.op == "G"]
-        goals = [one for one in formula.args if one.op != "G"]
-        if len(goals) == 1:
-            return conj(_with_last(goals[0], change), *bans)
-    if formula.op == "F":
-        body = formula.args[0]
-        if _is_goal(body):
-            return change(body)
-        if body.op == "&" and len(body.args) == 2 and _is_goal(body.args[0]):
-            goal, later = body.args
-            strict = later.op == "X"
-            later = _with_last(later.args[0] if strict else later, change)
-            return eventually(conj(goal, next_(later) if strict else later))
-    hint = "unclear what the condition is about; use one sequence of orders before it"
-    raise UnclearError(f"instruction: {hint}")
-
-
-def _is_goal(formula: Formula) -> bool:
-    parts = formula.args if formula.op == "|" else (formula,)
-    return all(part.op == "ap" for part in parts)
-
-
-def _last_goals(order: Formula) -> tuple[str, ...]:
-    """Return the name of the last goal, or of each of a choice."""
-    found: list[str] = []
-
-    def note(goal: Formula) -> Formula:
-        found.extend(propositions(goal))
-        return eventually(goal)
-
-    _with_last(order, note)
-    return tuple(found)
-
-
-def _split_first(formula: Formula, several: bool) -> tuple[Formula, Formula | None]:
-    """Return the first goal of a sequence and the rest; the formula and None for others.
-
-    `several` is True if goals in any order come from several sentences.
-    """
-    if formula.op == "&" and several:
-        return formula.args[0], conj(*formula.args[1:])
-    body = formula.args[0] if formula.op == "F" else formula
-    if formula.op == "F" and body.op == "&" and len(body.args) == 2 and _is_goal(body.args[0]):
-        goal, later = body.args
-        return eventually(goal), later.args[0] if later.op == "X" else later
-    return formula, None
+    return replace_last(tree.order, branch)
 
 
 def _noun(goal: str) -> str:
-    thing = parse_description(goal)
-    return f"the {goal if thing is None else thing.noun}"
+    described = parse_description(goal)
+    return f"the {goal if described is None else described.noun}"
 
 
-def _singular(thing: str) -> str:
+def _singular(name: str) -> str:
     """Return the name of one of several: "chair" of "if there are no chairs"."""
-    before, space, last = thing.rpartition(" ")
-    return f"{before}{space}{names.singular(last)}" if is_plural(last) else thing
+    before, space, last = name.rpartition(" ")
+    return f"{before}{space}{names.singular(last)}" if is_plural(last) else name
 
 
-def _is_same(goals: Sequence[str], thing: str) -> bool:
+def _is_same(goals: Sequence[str], name: str) -> bool:
     nouns = {*goals, *(_noun(goal).removeprefix("the ") for goal in goals)}
-    return names.canonical(bare(_singular(thing))) in {names.canonical(one) for one in nouns}
+    return names.canonical(bare(_singular(name))) in {names.canonical(one) for one in nouns}
 
 
 def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
     """Return the place of an object that the condition names: the last room for "there"."""
     goal = goals[0]
     if len(goals) > 1 and (not condition.at or condition.at.endswith(" it")):
-        raise UnclearError(f"instruction: {condition.thing!r}: unclear where; name the place")
+        raise UnclearError(f"instruction: {condition.name!r}: unclear where; name the place")
     if condition.at.endswith(" it"):  # "if there is a cat on it"
         return f"{condition.at[:-2]}{_noun(goal)}"
     if condition.at:
         return condition.at
     room = goal.removeprefix(f"{EXPLORED} ").partition(" for ")[0]
-    if not condition.there or not is_room(room) or condition.seeks is False:
-        part = condition.thing
+    if not condition.there or not is_room(room) or condition.is_object is False:
+        part = condition.name
         hint = "say where, as in 'if there is a cup in the kitchen'"
         raise UnclearError(f"instruction: {part!r}: {hint}", part)
     return f" in the {room}"

@@ -12,7 +12,6 @@ class MissionMeter:
 
     Attributes:
         elapsed_s: time since the first observation.
-        path_m: driven path.
         exempt_s: part of `elapsed_s` that does not count towards the limit: targets with their own
             duration, and in a mission that repeats, earlier rounds.
         exempt_m: the same for `path_m`.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from edge import names
+from edge import number_words
 from edge.memory import parse_description
 from edge.mission.destinations import (
     CALLER,
@@ -29,7 +29,7 @@ from edge.mission.language.places import HERE, START
 from edge.mission.logic.ltl import Formula, conj
 
 # A name that ends in a number or a letter: "room 12".
-_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(names.SMALL_NUMBERS)})")
+_NUMBERED = re.compile(rf".* (?:\w?\d+\w?|\w|{'|'.join(number_words.SMALL_NUMBERS)})")
 
 
 def orders_of(formula: Formula, destinations: Mapping[str, Destination]) -> str:
@@ -72,11 +72,11 @@ def _branches(formula: Formula, destinations: Mapping[str, Destination]) -> str:
         yes, no = (part and _branches(part, destinations) for part in (found, missed))
         if not goal or "" in (yes, no):
             return ""
-        thing = parse_description(goal[0])
-        noun = goal[0] if thing is None else thing.noun
-        is_thing = destinations.get(goal[0]) is None and not is_room(noun)
+        described = parse_description(goal[0])
+        noun = goal[0] if described is None else described.noun
+        is_object = destinations.get(goal[0]) is None and not is_room(noun)
         works, fails = (
-            ("it is found", "it is not found") if is_thing else ("that works", "that fails")
+            ("it is found", "it is not found") if is_object else ("that works", "that fails")
         )
         text = " or ".join(_order(name, destinations) for name in goal)
         return f"{text}{f'; if {works}, {yes}' if yes else ''}; if {fails}, {no or 'that is all'}"

@@ -13,7 +13,7 @@ from typing import Annotated
 
 from pydantic import ConfigDict, Field
 
-from edge import names
+from edge import number_words
 from edge.errors import UserError
 from edge.mission.destinations import DURATION, Seconds, duration_s, shown_s
 from edge.mission.logic import ltl
@@ -88,7 +88,7 @@ def split_repetition(instruction: str) -> tuple[str, Repetition | None]:
         return rest, Repetition(limit_s=duration_s(found["time"].lower()))
     if found["rounds"] is None:
         return rest, Repetition()
-    rounds = names.number([found["rounds"].lower()])
+    rounds = number_words.number([found["rounds"].lower()])
     if rounds is None or not 1 <= rounds <= MAX_ROUNDS:
         raise UserError(
             f"instruction: to repeat {bounded_repr(found['rounds'], 40)} times: expected a number "

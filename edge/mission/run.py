@@ -59,7 +59,7 @@ class MissionRun:
         retargets: number of times that a new target was set.
         changes: number of changes that a checkpoint should hold.
         config: the `mission` section; may be replaced to change the limits.
-        destinations: targets that are no things; `locate` sets poses that were not known before.
+        destinations: targets that are no objects; `locate` sets poses that were not known before.
         id: the requester's name of the mission; "" if there is none.
         activity: what the robot does for the active target, for the status; "" to say nothing.
         question: text about an object that a person may confirm as the target now; "" if none.
@@ -264,7 +264,7 @@ class MissionRun:
             self.finish("failed", reason, now_ns)
 
     def finish(self, ended: Literal["reached", "failed"], reason: str, now_ns: int) -> None:
-        """End the whole mission, unless it has already ended."""
+        """End the entire mission, unless it has already ended."""
         if self.done:
             return
         self.ended, self.reason, self.question = ended, reason, ""

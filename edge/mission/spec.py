@@ -37,15 +37,15 @@ from edge.mission.language.everyday_words import is_room
 from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
-from edge.mission.language.nouns import split_entries
-from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
-from edge.mission.language.said import (
+from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
     MissionOrder,
     NoMissionError,
     understand,
 )
+from edge.mission.language.nouns import split_entries
+from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
@@ -89,7 +89,7 @@ class MissionSpec:
             (`NOTHING`) adds one.
         diagnosis: result of checking the formula.
         targets: the propositions that make a difference, in order of first appearance.
-        prompts: the names of the targets that are things, with the anchors of relations ("desk" of
+        prompts: the names of the targets that are objects, with the anchors of relations ("desk" of
             "chair next to desk"), or else the target of the configuration. The detector searches
             for them, and each has its own vision-language scores.
         steps: steps of a task (`edge.tasks`), at least one; None if this is no task.
@@ -106,8 +106,8 @@ class MissionSpec:
         """Return the prompt to search for while this target is pursued."""
         destination = self.translation.destinations.get(target)
         wanted = destination.name if isinstance(destination, CheckTarget) else target
-        if wanted not in self.prompts and (thing := parse_description(wanted)) is not None:
-            wanted = thing.noun
+        if wanted not in self.prompts and (described := parse_description(wanted)) is not None:
+            wanted = described.noun
         if wanted in self.prompts:
             return wanted
         key = names.canonical(wanted)
@@ -124,7 +124,7 @@ class MissionSpec:
         if self.translation.implied:
             ways = len(self.translation.readings)
             lines.append(
-                f"the instruction has {ways} readings and nobody chose one, so reading "
+                f"the instruction has {ways} readings and no person chose one, so reading "
                 f"{self.translation.reading} was taken: it fulfils all of them"
             )
         return tuple(lines)
@@ -147,9 +147,9 @@ def prepare(
 
     Args:
         config: the `mission` section.
-        instruction: text for the configured translator. Its sender can choose a reading. Nobody may
-            be present to choose a reading of the configuration's own instruction, so the safer one
-            is taken (see `Translator.translate`).
+        instruction: text for the configured translator. Its sender can choose a reading. For the
+            configuration's own instruction the safer reading is taken, as no person may be there
+            to choose (see `Translator.translate`).
         formula: linear temporal logic, instead of an instruction. With neither, the instruction
             or the target of the configuration is used.
         reading: the chosen reading of the given instruction, counted from 1. For the
@@ -247,7 +247,7 @@ def _translate_plain(
     translation = translator.translate(chosen, reading, ask)
     short = {name for name in ltl.propositions(translation.formula) if len(name) == 1}
     if short == {"a"} and '"a"' not in text:  # "find a" has lost its noun
-        hint = "the name of the thing is missing after 'a'; say for example 'find a mug'"
+        hint = "the name of the object is missing after 'a'; say for example 'find a mug'"
         raise UnclearError(f"instruction: {hint}")
     english = translation.english + _note(order.speech.reasons, translation.formula)
     if asks_for_work(order.speech.text):
@@ -274,14 +274,14 @@ def _translate_branches(
         try:
             parts.append(translate(config, part, site))
         except (AmbiguousInstructionError, NoMissionError) as error:
-            said = error.said if isinstance(error, NoMissionError) else None
+            intent = error.intent if isinstance(error, NoMissionError) else None
             waits_for = re.search(r"\buntil (?!I |we )", part, re.I)  # "wait until it is there"
-            if isinstance(said, Control) and said.do == "pause" and not waits_for:
+            if isinstance(intent, Control) and intent.do == "pause" and not waits_for:
                 return ltl.eventually(
-                    ltl.ap(f"wait {said.seconds:g} s" if said.seconds else "wait")
+                    ltl.ap(f"wait {intent.seconds:g} s" if intent.seconds else "wait")
                 )
-            if isinstance(said, MemoryQuestion) and said.topic == "exists":
-                return translate_part(f"check if there is {said.thing}")
+            if isinstance(intent, MemoryQuestion) and intent.topic == "exists":
+                return translate_part(f"check if there is {intent.object_phrase}")
             hint = "with a condition, expected an order that has one meaning"
             raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part) from error
         if parts[-1].repeat is not None:
@@ -289,12 +289,12 @@ def _translate_branches(
             raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part)
         return parts[-1].formula
 
-    def is_thing(name: str) -> bool:
+    def is_object(name: str) -> bool:
         described = parse_description(name)
         noun = name if described is None else described.noun
         return destination_of(name, site) is None and not is_room(noun)
 
-    formulas = FallbackTranslator(translate_part, is_thing).readings(branches)
+    formulas = FallbackTranslator(translate_part, is_object).readings(branches)
     if branches.may_drive:
         with suppress(UserError):
             formulas.append(_translate_plain(config, instruction, site).formula)
@@ -325,12 +325,12 @@ def _with_failures(translation: Translation) -> Translation:
 
 
 def _refuse_other_of_kind(formula: Formula) -> None:
-    """Refuse one thing of a kind of which a number is asked for: "two dogs, but avoid the dog"."""
-    things = [(name, parse_description(name)) for name in ltl.propositions(formula)]
-    counted = {thing.noun for _, thing in things if thing is not None and thing.is_new}
-    for name, thing in things:
-        noun = name if thing is None else thing.noun
-        if (thing is None or not thing.is_new) and names.same_as_any(noun, counted):
+    """Refuse one object of a kind of which a number is asked for: "two dogs, but avoid the dog"."""
+    targets = [(name, parse_description(name)) for name in ltl.propositions(formula)]
+    counted = {found.noun for _, found in targets if found is not None and found.is_new}
+    for name, described in targets:
+        noun = name if described is None else described.noun
+        if (described is None or not described.is_new) and names.same_as_any(noun, counted):
             hint = "unclear if it is one of those that you counted; leave it out"
             raise UnclearError(f"instruction: {one_line(noun)!r}: {hint}", noun)
 
@@ -379,7 +379,7 @@ def with_repetition(translation: Translation, repeat: Repetition | None) -> Tran
     """Return a translation to one round of a mission that repeats, if it does.
 
     Args:
-        translation: the whole mission, or one round.
+        translation: the entire mission, or one round.
         repeat: the end of the repetition; None: the mission repeats if its formula says so.
     """
     formula, recurs = recurrence(translation.formula, repeat is not None)
@@ -399,7 +399,7 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
     Raises:
         DestinationError: see `destination_of`.
         RelationError: see `parse_description`.
-        MissionError: a zone closes a place, or a thing is in a room that has no such name.
+        MissionError: a zone closes a place, or an object is in a room that has no such name.
     """
     found: dict[str, Destination] = {}
     english = translation.english
@@ -419,11 +419,11 @@ def with_destinations(translation: Translation, site: Site) -> Translation:
 
 
 def _refuse_unknown_room(name: str, site: Site) -> None:
-    """Refuse a thing in a room whose name is no kind of room, and which no person gave."""
-    room = thing.room if (thing := parse_description(name)) is not None else ""
+    """Refuse an object in a room whose name is no kind of room, and which no person gave."""
+    room = described.room if (described := parse_description(name)) is not None else ""
     if room and not is_room_name(room) and site.room_name(room) is None:
         raise MissionError(
-            f"mission: {one_line(name, 80)}: no room or thing is called {one_line(room, 60)!r}; "
+            f"mission: {one_line(name, 80)}: no room or object is called {one_line(room, 60)!r}; "
             "leave it out, or give a room this name first"
         )
 
@@ -469,7 +469,7 @@ def spec_of(config: MissionConfig, translation: Translation) -> MissionSpec:
     has_tour = any(isinstance(destinations.get(name), EveryRoomTarget) for name in targets)
     if translation.repeat is not None and alone and not has_tour:
         raise MissionError(
-            f"mission: {one_line(formula)} cannot be repeated: name at least two things or places "
+            f"mission: {one_line(formula)} cannot be repeated: name at least two objects or places "
             "to reach in each round"
         )
     _refuse_bans(automaton, destinations)
@@ -482,11 +482,11 @@ def _prompts(targets: Iterable[str], destinations: Mapping[str, Destination]) ->
     found: dict[str, str] = {}
     for target in targets:
         destination = destinations.get(target)
-        by_thing = isinstance(destination, RoomTarget) and destination.which == "with"
-        if destination is None or isinstance(destination, CheckTarget) or by_thing:
-            thing = target if destination is None else destination.name
-            relation = parse_description(thing)
-            for name in (thing,) if relation is None else relation.prompts:
+        by_object = isinstance(destination, RoomTarget) and destination.which == "with"
+        if destination is None or isinstance(destination, CheckTarget) or by_object:
+            wanted = target if destination is None else destination.name
+            relation = parse_description(wanted)
+            for name in (wanted,) if relation is None else relation.prompts:
                 found.setdefault(names.canonical(name), name)
     return tuple(found.values())
 
@@ -565,7 +565,7 @@ def _without_unused(automaton: Automaton, used: tuple[str, ...]) -> Automaton:
 def _with_one_name(formula: Formula, destinations: Collection[str]) -> Formula:
     """Return the formula with one name for each object: the first one of its synonyms.
 
-    A destination keeps its name: what a person calls a place is no synonym of a thing.
+    A destination keeps its name: what a person calls a place is no synonym of an object.
     """
     first: dict[str, str] = {}
 

@@ -17,7 +17,7 @@ from edge.text import one_line
 class MissionSplit:
     """The parts of a mission, one for each robot.
 
-    If each robot's trace fulfils its part, any interleaving of the traces fulfils the whole.
+    If each robot's trace fulfils its part, any interleaving of the traces fulfils the mission.
 
     Attributes:
         parts: one formula for each robot, each with all avoidances. If the formula cannot be

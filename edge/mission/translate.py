@@ -57,7 +57,7 @@ class Translation:
         reading: number of the chosen reading, from 1; None if there is only one.
         readings: all readings of an ambiguous instruction in English, else empty.
         implied: True if the reading was chosen without a question, because it implies all others.
-        destinations: propositions of the formula that are no things to search for.
+        destinations: propositions of the formula that are no objects to search for.
         repeat: the end of a mission that repeats in rounds, each as the formula says; else None.
         warning: fault of a translator that was replaced by another; "" if there was none.
     """
@@ -88,7 +88,7 @@ class ParsedInstruction:
         formulas: one or more possible formulas, the most likely first.
         backend: kind of the translator that read the instruction.
         confident: True if one formula may be carried out without a question. Of several, the one
-            that implies the others may be used if nobody can be asked.
+            that implies the others may be used if no person can be asked.
         doubts: questions about single words, shown with the question.
         warning: see `Translation`.
     """

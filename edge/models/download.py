@@ -37,7 +37,7 @@ class DownloadLimits:
         slow_s: period for `slow_bytes`.
         slow_bytes: a download that gets fewer bytes in `slow_s` is stopped.
         tries: attempts per address; each resumes where the one before ended.
-        small_s: time for a whole small file.
+        small_s: time for an entire small file.
         small_bytes: largest small file.
     """
 
@@ -137,7 +137,7 @@ def _fetch(url: str, part: PartialFile, limits: DownloadLimits) -> None:
 
 
 def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
-    """Make `part` end where the response begins; return the whole file's size, None if unknown.
+    """Make `part` end where the response begins; return the entire file's size, None if unknown.
 
     A server may ignore the requested range, and send the file from its start: `part` is then
     emptied.
@@ -154,7 +154,7 @@ def _agree_on_start(response: httpx.Response, part: PartialFile) -> int | None:
             raise InterruptedFetchError("the server sent another part of the file than requested")
         return int(sent[2]) if sent[2] != "*" else None
     if part.have:
-        part.restart()  # the server does not resume, and sends the whole file
+        part.restart()  # the server does not resume, and sends the entire file
     return int(length) if length.isdecimal() else None
 
 
@@ -164,16 +164,16 @@ class _SpeedWatch:
     If it cut the connection, the end of the context raises InterruptedFetchError with the reason.
 
     Args:
-        whole_s: time for the whole content; None: only its speed is limited, see `DownloadLimits`.
+        total_s: time for the entire content; None: only its speed is limited, see `DownloadLimits`.
 
     Attributes:
         has_header: set it when the header of the response has come.
         n_bytes: number of content bytes so far; keep it up to date.
     """
 
-    def __init__(self, limits: DownloadLimits, whole_s: float | None = None) -> None:
+    def __init__(self, limits: DownloadLimits, total_s: float | None = None) -> None:
         self.connection, self.has_header, self.n_bytes = CuttableConnection(), threading.Event(), 0
-        self._limits, self._whole_s, self._ended = limits, whole_s, threading.Event()
+        self._limits, self._total_s, self._ended = limits, total_s, threading.Event()
         self._why = ""
 
     def __enter__(self) -> _SpeedWatch:
@@ -191,9 +191,9 @@ class _SpeedWatch:
         limits, before = self._limits, 0
         if not self.has_header.wait(limits.answer_s):
             self._cut(f"no answer within {limits.answer_s:g} s")
-        elif self._whole_s is not None:
-            if not self._ended.wait(self._whole_s):
-                self._cut(f"not complete after {self._whole_s:g} s")
+        elif self._total_s is not None:
+            if not self._ended.wait(self._total_s):
+                self._cut(f"not complete after {self._total_s:g} s")
         else:
             while not self._ended.wait(limits.slow_s):
                 came, before = self.n_bytes - before, self.n_bytes

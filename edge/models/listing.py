@@ -90,7 +90,8 @@ def _describe_file(card: Card) -> str:
         return f"on {redact(served[0])}"
     if _first_path(card) is None:
         return "missing"
-    return _megabytes(sum(path.stat().st_size for file in card.files for path in _paths(file)))
+    size = sum(path.stat().st_size for file in card.files for path in _paths(file))
+    return f"{size / 1e6:.0f} MB" if size >= 10e6 else f"{size / 1e6:.1f} MB"
 
 
 def _paths(file: FileCard | ChoiceCard) -> list[Path]:
@@ -98,10 +99,6 @@ def _paths(file: FileCard | ChoiceCard) -> list[Path]:
     if isinstance(file, ChoiceCard):
         return [file.path_of(part) for part in file.parts]
     return [file.path]
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.0f} MB" if size >= 10e6 else f"{size / 1e6:.1f} MB"
 
 
 def _describe_parity(card: Card) -> str:

@@ -24,11 +24,6 @@ def open_detector(
 ) -> OnnxDetector | RemoteDetector:
     """Open the detector of a card, on this computer or on the card's server.
 
-    Args:
-        detector: settings of the detector; `model` names the card.
-        prompts: names of the objects to look for.
-        progress: called every few seconds while a TensorRT engine is built.
-
     Raises:
         PromptError, ModelError: see `OnnxDetector` and `RemoteDetector`.
     """
@@ -44,28 +39,6 @@ def open_detector(
     from edge.perception.detection.onnx import OnnxDetector
 
     return OnnxDetector(detector, prompts, progress)
-
-
-def _onnx(
-    detector: config.DetectorOnnx,
-    prompts: Sequence[str],
-    progress: ProgressCallback,
-    truth: TruthAt | None,
-) -> Detector:
-    return open_detector(detector, prompts, progress)
-
-
-def _sim(
-    detector: config.DetectorSim,
-    prompts: Sequence[str],
-    progress: ProgressCallback,
-    truth: TruthAt | None,
-) -> Detector:
-    return SimDetector(detector, prompts, truth)
-
-
-REGISTRY = {"onnx": _onnx, "sim": _sim}
-"""Kind of detector → function that makes it."""
 
 
 def _runs_on_server(detector: config.DetectorOnnx | config.DetectorSim) -> bool:
@@ -111,7 +84,9 @@ def make_detector(
         from edge.perception.detection.process import ProcessDetector
 
         return ProcessDetector(perception, prompts, progress, cancelled)
-    return REGISTRY[perception.detector.kind](perception.detector, prompts, progress, truth)
+    if perception.detector.kind == "sim":
+        return SimDetector(perception.detector, prompts, truth)
+    return open_detector(perception.detector, prompts, progress)
 
 
 def _make_with_fallback(

@@ -85,7 +85,7 @@ def answer_images(images: socket.socket, detector: Detector, frames: FrameView) 
                 detector.set_prompts(prompts)
             rgb = frames.read(seq, request["hw"])
             found = detector.detect(Observation(seq, 0, np.eye(4), rgb=rgb))
-            if not frames.is_whole(seq):
+            if not frames.is_intact(seq):
                 raise ValueError(f"frame {seq}: overwritten by a newer frame")
         except Exception as error:
             images.send(wire.encode_error(as_memory_error(error), seq=seq))

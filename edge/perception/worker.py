@@ -241,13 +241,6 @@ class ScorerWorker(ModelWorker[Q, A, Scorer[Q, A]]):
     """Runs a scorer on one question at a time.
 
     After a failure it pauses: a server that refuses at once must not be asked at the loop's rate.
-
-    Args:
-        kind: purpose of the scorer, for messages.
-        scorer: answers the next question.
-        rest_s: pause after an answer.
-        inline: see `DetectorWorker`.
-        pause_s: pause after a failure; see `Worker`.
     """
 
     def __init__(

@@ -65,7 +65,7 @@ class AdaptivePolicy:
         """Write the values of the first n candidates; NaN if there is no value.
 
         A likelihood ratio L becomes L / (1 + L), the posterior probability from even prior odds. It
-        then lies between 0 and 1, like the values of the value maps.
+        then is between 0 and 1, like the values of the value maps.
         """
         value = self._value
         if self.config.by != "prior":

@@ -109,7 +109,7 @@ class ScorerOutputs:
     An output may be seconds old, or never come.
 
     Attributes:
-        similarity: similarity of the whole field of view to each target, used by VLFM.
+        similarity: similarity of the entire field of view to each target, used by VLFM.
         choice: probability of each frontier, used by ViTL. `FrontierChoice.ids` are candidate ids.
             Some of these candidates may be gone.
     """
@@ -257,10 +257,7 @@ class StatefulPolicy(Protocol):
 
 
 def scores_of(policy: Policy, context: PolicyInput) -> np.ndarray:
-    """Return a policy's scores for the current candidates, checked.
-
-    Returns:
-        (n,) float32.
+    """Return a policy's scores for the current candidates, checked, (n,) float32.
 
     Raises:
         ValueError: the policy did not return one finite number for each candidate.

@@ -1,6 +1,6 @@
 """Policy `hvl`: VL-Nav's heuristic-vision-language score of candidates (III.D).
 
-S_HVL is the whole score of a frontier (eq. 8). S_VL is its vision-language part: the evidence of
+S_HVL is the entire score of a frontier (eq. 8). S_VL is its vision-language part: the evidence of
 detections in the frontier's direction (eq. 2 to 4). Numbers of equations are those of VL-Nav.
 """
 

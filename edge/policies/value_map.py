@@ -1,7 +1,7 @@
 """Policies `vlfm` and `directional` (ViTL eq. 9): choose the frontier with the best value near it.
 
 A value map has a score for each cell and target: how promising the cell is. The two policies
-differ in the source of the value maps (`Config.value_source`). VLFM writes whole-view
+differ in the source of the value maps (`Config.value_source`). VLFM writes full-view
 similarity, weighted towards the centre of the view. ViTL spreads directional scores over the view.
 """
 

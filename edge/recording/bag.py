@@ -31,7 +31,7 @@ METADATA = "metadata.yaml"
 WINDOW_NS = 1_000_000_000
 """In a file that is nearly sorted, log times differ by at most this from those in sorted order."""
 _MAX_WAITING_BYTES = 1 << 28  # of messages that wait to be sorted
-_MESSAGE_BYTES = 1000  # memory of a message besides its payload
+_MESSAGE_BYTES = 1000  # memory of a message in addition to its payload
 # First bytes of files, and of compressed data.
 _SQLITE = b"SQLite format 3\0"
 _ROS1 = b"#ROSBAG V"
@@ -175,7 +175,9 @@ class Bag:
 
     def _messages(self, path: Path) -> Iterator[RecordedMessage]:
         """Yield the messages of a file, decompressed; note if the file is damaged."""
-        reader = Db3Reader(path) if _begins_with(path, _SQLITE) else McapReader(path)
+        reader = (
+            Db3Reader(path) if _first_bytes(path, len(_SQLITE)) == _SQLITE else McapReader(path)
+        )
         for message in reader:
             payload = _decompressed(message.payload)
             if payload is None:
@@ -258,10 +260,6 @@ def _natural_order(path: Path) -> list[tuple[int, str]]:
     """Return a sort key that puts `bag_10` behind `bag_9`."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
-
-
-def _begins_with(path: Path, magic: bytes) -> bool:
-    return _first_bytes(path, len(magic)) == magic
 
 
 def _first_bytes(path: Path, n: int) -> bytes:

@@ -133,7 +133,6 @@ class _KeptRecords:
 
 
 def _chunk_records(chunk: Chunk, kept: _KeptRecords) -> Iterator[Record]:
-    """Yield the messages and the kept records of a chunk."""
     data = _decompress(chunk)
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamagedError("the checksum of a chunk does not match")

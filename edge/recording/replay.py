@@ -278,7 +278,7 @@ class _ReplayedService:
         self.service.begin(restore_spec(self.config.mission, translation, task), now_ns, id)
 
     def _reconfigure(self, observation: Observation | None, config: Config) -> None:
-        """Apply a recorded reload, unless another configuration is used for the whole run."""
+        """Apply a recorded reload, unless another configuration is used for the entire run."""
         if not self._has_other_config:
             self._session.check(config)
             config, service = self._limit(config), self.service

@@ -213,7 +213,6 @@ _ARRAY_TOPICS |= {channels.SECOND[c].topic: c.topic for c in (channels.PICTURE, 
 def _make_step(
     page: JournalPage, array_messages: dict[str, RecordedMessage], rig: dict[str, Any]
 ) -> RecordedStep:
-    """Return a page with its observation."""
     fields = page.observation
     if fields is None:
         return RecordedStep(page, None, False, ())

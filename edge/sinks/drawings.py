@@ -33,12 +33,7 @@ _LABEL_M = (0.0, 0.0, 0.2)  # a text marker has a height only
 
 
 class PathRing:
-    """The driven path: the last poses, in a preallocated ring.
-
-    Args:
-        capacity: largest number of poses.
-        apart_m: smallest distance of two poses, in metres.
-    """
+    """The driven path: the last poses, in a preallocated ring."""
 
     def __init__(self, capacity: int = 2000, apart_m: float = 0.1) -> None:
         self._poses = np.zeros((capacity, 3))
@@ -172,7 +167,7 @@ def _line(
 
 
 def _item_markers(i: int, item: Item) -> Iterator[Marker]:
-    """Yield the markers of a place or zone; its label lies over its position or first corner.
+    """Yield the markers of a place or zone; its label is over its position or first corner.
 
     A name that a person gave to a room has no marker here: it is the title of the room's marker.
     """

@@ -289,7 +289,6 @@ def _camera_message(observation: Observation, camera: CameraModel) -> _PendingMe
 def _array_messages(
     observation: Observation, arrays: dict[str, np.ndarray]
 ) -> Iterator[_PendingMessage]:
-    """Yield the messages of the arrays."""
     stamp_ns, n = observation.stamp_ns, observation.seq & 0xFFFFFFFF  # MCAP has 32 bits for it
     for name, array in arrays.items():
         channel, encoder = _ENCODERS[name]
@@ -333,7 +332,6 @@ def _encode_boxes(stamp_ns: int, found: Detections) -> bytes:
 
 
 def _encode_log(now_ns: int, text: str) -> bytes:
-    """Encode foxglove.Log."""
     return json_bytes({
         "timestamp": _time(now_ns), "level": _INFO, "message": one_line(text, 1000),
         "name": "edge", "file": "", "line": 0,

@@ -17,11 +17,6 @@ class KeepoutPublisher:
 
     While the robot is inside a zone, the mask is open (all cells unknown), as the published map is.
     Otherwise the controller could not drive out.
-
-    Args:
-        put: publishes a nav_msgs/OccupancyGrid.
-        resolution_m: side of a cell.
-        inflation_m: distance that the robot keeps from obstacles.
     """
 
     def __init__(

@@ -104,7 +104,7 @@ class McapSink:
         self._rig: dict[str, Any] = {}  # camera and mounts as last written to the journal
         self._most_bytes, self._pending_bytes = int(pending_mb * 1e6), 0
         self._lock = threading.Lock()  # for pending bytes
-        self._dropped = {"arrays": 0, "moments": 0}  # ticks without arrays; whole ticks
+        self._dropped = {"arrays": 0, "moments": 0}  # ticks without arrays; entire ticks
         # In lockstep the simulated time waits for writing, so nothing is dropped.
         self._lockstep = config.loop.lockstep
         self._failed, self._problem = 0, ""

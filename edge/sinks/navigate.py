@@ -198,7 +198,6 @@ class NavigateToPoseClient:
         return navigation.encode_send_goal(goal_id, goal.stamp_ns, goal.pose, self._frame_id)
 
     def _decode_result(self, payload: bytes) -> navigation.Result:
-        """Return the result of a goal."""
         return navigation.decode_result(payload)
 
     def _step_sent(self, active: _ActiveGoal) -> None:

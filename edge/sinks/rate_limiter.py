@@ -6,9 +6,6 @@ from __future__ import annotations
 class RateLimiter:
     """Limits the rate of several kinds of messages.
 
-    Args:
-        hz: highest rate of each, by name.
-
     Example:
         >>> limiter = RateLimiter(map=2.0)
         >>> limiter.take_turn("map", 0), limiter.take_turn("map", 100_000_000)

@@ -44,9 +44,6 @@ class CameraReader:
     A read that never returns keeps the thread; the camera is then reported as stalled, and the
     thread ends with the process.
 
-    Args:
-        address: URL, device file or video file.
-
     Attributes:
         n_images: number of images so far.
     """

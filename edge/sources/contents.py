@@ -209,12 +209,7 @@ def is_static(topic: str) -> bool:
 
 
 def missing_inputs(config: Config, present: Collection[str]) -> Iterator[str]:
-    """Yield the inputs that an observation needs and that are not present.
-
-    Args:
-        config: the configuration.
-        present: our names of the topics that were found.
-    """
+    """Yield the inputs that an observation needs and that are not present."""
     required = {field for field, stream in streams_of(config).items() if stream.required}
     groups = [
         [

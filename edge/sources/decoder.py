@@ -61,14 +61,6 @@ def _compressed_into(settings: SourceConfig, payload: bytes, out: np.ndarray) ->
     return height
 
 
-def _cloud_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
-    return messages.decode_point_cloud_into(payload, out)
-
-
-def _scan_into(settings: SourceConfig, payload: bytes, out: np.ndarray) -> int:
-    return messages.decode_scan_points_into(payload, out, settings.scan_inf == "free")
-
-
 KINDS: dict[Topic, type[SensorFrame]] = {
     topics.CLOUD: Cloud,
     topics.SCAN: LaserScanFrame,
@@ -86,8 +78,12 @@ INFOS: dict[Topic, type[CameraInfo]] = {
 """Message class of each topic of intrinsics."""
 
 _DECODERS: dict[str, Callable[[SourceConfig, bytes, np.ndarray], int]] = {
-    "sensor_msgs/PointCloud2": _cloud_into,
-    "sensor_msgs/LaserScan": _scan_into,
+    "sensor_msgs/PointCloud2": lambda _, payload, out: messages.decode_point_cloud_into(
+        payload, out
+    ),
+    "sensor_msgs/LaserScan": lambda settings, payload, out: messages.decode_scan_points_into(
+        payload, out, settings.scan_inf == "free"
+    ),
     "sensor_msgs/Image": _image_into,
     "sensor_msgs/CompressedImage": _compressed_into,
 }

@@ -111,10 +111,6 @@ class InputTable:
     """State of all inputs; a row of the table is one input.
 
     One thread writes; any thread may read `rows`.
-
-    Args:
-        streams: the sensors in use, by field (`edge.sources.synchronizer`).
-        clock: time of arrivals, in ns.
     """
 
     def __init__(

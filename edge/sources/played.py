@@ -246,11 +246,6 @@ class _ReadAhead:
 class Playback:
     """A recording with the configuration that plays it; a context manager.
 
-    Args:
-        path: see `edge.recording.bag.Bag`.
-        rate: see `PlayedSource`.
-        stop: stops reading when it is set.
-
     Attributes:
         needed_topics: our names of the topics that the configuration needs.
         read_s: duration in seconds of the first pass over the file.

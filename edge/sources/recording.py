@@ -84,13 +84,6 @@ def record(
 
     Ends after `duration_s`, or when `stop` is set.
 
-    Args:
-        session: an open session.
-        config: the configuration.
-        path: the MCAP file to write.
-        duration_s: how long to record.
-        stop: ends the recording when it is set.
-
     Returns:
         The number of messages written, by channel.
 
@@ -339,14 +332,7 @@ def _shift_stamp(payload: bytes, first_ns: int, begin_ns: int, rate: float) -> b
 def wait_for_service(
     session: zenoh.Session, settings: ZenohConfig, timeout_s: float, stop: threading.Event
 ) -> bool:
-    """Return True once a service subscribes to odometry, as every service does; False if none came.
-
-    Args:
-        session: an open session.
-        settings: `zenoh` of the configuration.
-        timeout_s: how long to wait.
-        stop: stops waiting when it is set.
-    """
+    """Return True once a service subscribes to odometry, as each one does; False if none came."""
     deadline_s = time.monotonic() + timeout_s
     publisher = declare_publisher(session, topics.ODOMETRY, settings)
     try:

@@ -38,10 +38,6 @@ class Rectifier:
     Depth uses the nearest pixel, since a mean of near and far is wrong. Pixels outside the raw
     image are 0.
 
-    Args:
-        lens: distortion of the raw images.
-        camera: intrinsics of the rectified images, which have the same size.
-
     Raises:
         ValueError: unknown model, wrong number of coefficients, or too large an image.
     """

@@ -162,7 +162,6 @@ class TfBuffer:
         return T, oldest_ns, why
 
     def _path_to_root(self, frame: str) -> list[str]:
-        """Return the frame and all its ancestors."""
         above = [frame]
         while len(above) < _MAX_DEPTH and (edge := self._edges.get(above[-1])) is not None:
             if edge.parent in above:

@@ -109,7 +109,7 @@ def parse_header(data: bytes, n_bytes: int) -> ZmqHeader:
 def _non_negative_int(fields: dict[str, Any], name: str) -> int:
     value = fields.get(name)
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ValueError(f"{name}: expected a whole number, got {bounded_repr(value, 40)}")
+        raise ValueError(f"{name}: expected an integer, got {bounded_repr(value, 40)}")
     return value
 
 

@@ -58,7 +58,7 @@ def light_gains(rgb: np.ndarray) -> np.ndarray:
 
     The light is warm or cool as a lamp or the sky is: its green is between its red and blue. So the
     least saturated bright pixels of that order are taken for neutral, from the lower half of the
-    picture: a blue sky is no neutral. Dim light is seen in the bright pixels of the whole picture.
+    picture: a blue sky is no neutral. Dim light is seen in the bright pixels of the entire picture.
 
     Args:
         rgb: (h, w, 3) uint8.
@@ -171,7 +171,7 @@ def caption_with_place(caption: str, position_m: np.ndarray, size_m: np.ndarray,
 
 
 def place_of(position_m: np.ndarray, pose: SE2) -> str:
-    """Return the place of a point as seen from the robot, in whole metres."""
+    """Return the place of a point as seen from the robot, in metres, rounded."""
     c, s = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
     dx, dy = position_m[0] - pose.x_m, position_m[1] - pose.y_m
     ahead, left = c * dx + s * dy, c * dy - s * dx

@@ -33,12 +33,11 @@ class TaskStatus:
     """Status of a task at one moment.
 
     Attributes:
-        instruction: the task in words.
         phase: `looking` for its objects, `writing` its trajectory (the robot stands still),
             `driving`, or `verifying` that the object at the stop is the named one; `reached` or
             `failed` at the end.
         writer: "rules", or the model and its server.
-        missing: objects that steps not driven yet name, and that nobody has seen.
+        missing: objects that steps not driven yet name, and that were never seen.
         understood: interpretation by the rules, in words; "" for a model.
         prompt: the full text prompt of a model; "" for the rules.
         rounds: answers of a model.

@@ -33,7 +33,7 @@ MIN_AHEAD_M = 0.5
 PASSED_M = 0.14
 """A leg is driven when the robot was this near to its last pose.
 
-That pose lies within half of `edge.tasks.refine.SPACING_M` of the leg's end, so within 0.2 m.
+That pose is within half of `edge.tasks.refine.SPACING_M` of the leg's end, so within 0.2 m.
 """
 MAX_END_CUT_M = 0.1
 """Largest distance between the straight line to a goal and the end of a leg that it passes."""

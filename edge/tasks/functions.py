@@ -65,8 +65,6 @@ class ScriptFunctions:
     """The functions over one scene, and what a script handed over through them.
 
     Attributes:
-        ground: the ground of the scene.
-        limits: limits of trajectories.
         keep_to: ids of regions that `a_star_plan` prefers if a call names none; empty: any.
         detect: returns the scene with the objects of a name that the frame at hand shows
             (`edge.tasks.on_demand`); None: there is no detector for it.
@@ -99,7 +97,7 @@ class ScriptFunctions:
         if name is not None:
             if not isinstance(name, str) or not names.is_name(name):
                 raise CallError(
-                    f"det_object: name: expected the name of a thing, got {shown(name)}"
+                    f"det_object: name: expected the name of an object, got {shown(name)}"
                 )
             found = [obj for obj in found if names.is_kind_of(obj.label, name)]
             found = found or self._detect(name)

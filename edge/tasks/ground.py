@@ -39,7 +39,6 @@ class ReachableGround:
     A cell is open as `edge.tasks.value_map.open_cells` defines it.
 
     Attributes:
-        scene: the scene.
         costmap: cells that are not open have weight 0; costs grow towards obstacles.
         unoccupied: weight 0 only at occupied cells, for lines of sight.
         reachable: (h, w) bool, the cells of the scene's grids that are open and connected with the

@@ -19,9 +19,6 @@ MOST_VOTES = 1 << 18
 class GroundVotes:
     """Votes for the kind of ground, and the kind that they give each cell of a map.
 
-    Args:
-        kinds: names of the kinds.
-
     Attributes:
         kinds: as above.
     """
@@ -31,7 +28,7 @@ class GroundVotes:
         self._votes = np.zeros((0, 3), np.float32)  # x [m], y [m] and kind
 
     def add(self, xy_m: np.ndarray, kind: np.ndarray) -> None:
-        """Add the points of one picture. Points of other things vote, too.
+        """Add the points of one picture. Points of other objects vote, too.
 
         So a cell at a kerb does not count as half a road.
 

@@ -17,7 +17,7 @@ from edge.tasks.speeds import headings_rad
 TURN_RAD = math.radians(45.0)
 """A segment is cut where it has turned by this angle, so that A* cannot shorten a longer bend.
 
-A circle as wide as three tubes becomes an octagon whose sides lie inside the tube.
+A circle as wide as three tubes becomes an octagon whose sides are inside the tube.
 """
 _COS_TURN = math.cos(TURN_RAD) + 1e-6
 

@@ -48,8 +48,8 @@ def limited_ground(
     scene = ground.scene
     cells, occupancy = scene.occupancy.cells.copy(), scene.occupancy
     centres_m = occupancy.centres_m(*np.indices(cells.shape).reshape(2, -1))
-    for thing in limits.avoid:
-        near = ground.outline(thing).gaps_m(centres_m) <= AVOID_M
+    for obj in limits.avoid:
+        near = ground.outline(obj).gaps_m(centres_m) <= AVOID_M
         cells[near.reshape(cells.shape)] = 100
     cells[_mask(ground, limits.avoid_ground)] = 100
     closed = replace(scene, occupancy=replace(occupancy, cells=cells))
@@ -194,7 +194,7 @@ def cut_before(
 
 
 def cut_at(path: Sequence[Point], length_m: float) -> list[Point]:
-    """Return the first `length_m` of a path; at most the whole path."""
+    """Return the first `length_m` of a path; at most the entire path."""
     done = [0.0, *accumulate(math.dist(a, b) for a, b in pairwise(path))]
     n = next((k for k, m in enumerate(done) if m >= length_m), len(path))
     if n in (0, len(path)):

@@ -20,6 +20,7 @@ from edge.tasks.scene import Scene, SceneObject
 from edge.tasks.value_map import open_cells
 from edge.types import Detections, Instance, Observation
 
+_FLOOR = "floor"  # label of free ground without another name
 _INFLATED_VALUE = 50  # of inflated cells in a copy of the map; occupied ones have 100
 
 
@@ -29,7 +30,6 @@ def scene_of_map(
     instances: Iterable[Instance],
     radius_m: float,
     found: Detections | None = None,
-    floor: str = "floor",
     object_map: ObjectMap | None = None,
     ground: GroundVotes | None = None,
 ) -> Scene:
@@ -43,19 +43,18 @@ def scene_of_map(
         instances: they become the objects, with their own ids.
         radius_m: see `SceneBuilder`.
         found: boxes of the same picture. A box around an instance's centre is its contour.
-        floor: label of free ground without another name.
         object_map: object map of the same objects. A tracker keeps only a few points of an
             instance, and may have several instances of a large object.
-        ground: votes for kinds of ground; None: all free ground is `floor`.
+        ground: votes for kinds of ground; None: all free ground is "floor".
     """
     objects = _with_all_points(
         [instance for instance in instances if len(instance.points_m)], object_map or ObjectMap()
     )
     contours = {} if found is None else _contours_by_object(objects, found)
     occupancy = terrain.with_blind_spot(uninflated(view), observation.pose)
-    kind, labels = None, (floor,)
+    kind, labels = None, (_FLOOR,)
     if ground is not None:
-        labels = (*ground.kinds, floor)
+        labels = (*ground.kinds, _FLOOR)
         kind = ground.classify(occupancy, observation.pose)
         kind[kind == 0] = len(labels)
         kind[~_free_ground(occupancy, observation.pose)] = 0

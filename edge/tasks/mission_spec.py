@@ -43,7 +43,7 @@ def prepare_task(config: Config, task: str) -> MissionSpec:
     """Prepare a task: find the objects that it names, before the robot moves.
 
     The rules split a task into steps; the objects of a step must be seen before the step is driven.
-    A model does the whole task in one step. In that case the detector looks for the known names in
+    A model does the entire task in one step. In that case the detector looks for the known names in
     the instruction, but none of them has to be seen. If the task names no object, the detector
     looks for the target of the configuration.
 

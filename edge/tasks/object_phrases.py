@@ -1,16 +1,16 @@
 """Parser of the objects that an instruction names: `the second car on the left`, `it`, `object 3`.
 
-    thing  = [article] { description } name { place } | "it"
-           | "object" number | [article] { description } name ["number"] number
-             with `chooser` anywhere before the places
+    object  = [article] { description } name { place } | "it"
+            | "object" number | [article] { description } name ["number"] number
+              with `chooser` anywhere before the places
     chooser = order | "second" | "left" | "right"
-    order  = ("nearest" | "farthest") ["to" thing] | "leftmost" | "rightmost"
-           | "second from the left"
-    place  = "on the left" | "on the right" | "ahead" | "behind you" | "near" thing
-           | order | "that is" (description | place)
-    aside  = "on the left" | "on your left" | …
+    order   = ("nearest" | "farthest") ["to" object] | "leftmost" | "rightmost"
+            | "second from the left"
+    place   = "on the left" | "on the right" | "ahead" | "behind you" | "near" object
+            | order | "that is" (description | place)
+    passing = "on the left" | "on your left" | …
 
-`read_objects` reads a thing, `_read_word` a chooser, and `read_passing_side` an aside: the side on
+`read_objects` reads an object, `_read_word` a chooser, and `read_passing_side` the side on
 which an object is passed. `edge.tasks.reading` reads the rest.
 
 The robot's place at the time of the request decides which object is meant. A number counts from the
@@ -54,7 +54,7 @@ class UnseenScene:
     names: dict[str, str] = field(default_factory=dict)
     refers: bool = False
 
-    def thing(self, words: Sequence[Token] = ()) -> SceneObject:
+    def placeholder(self, words: Sequence[Token] = ()) -> SceneObject:
         """Return the placeholder object for some words; without words, for a bare number."""
         if _is_name(words):
             nouns = list(names.head_nouns(" ".join(token.text for token in words)))
@@ -110,23 +110,19 @@ def object_of_last_step(
     scene: Scene | UnseenScene, before: Sequence[InstructionStep], reader: TokenReader, token: Token
 ) -> SceneObject:
     """Return the only object of the previous step, for which `it` or `its` stands."""
-    if not before or len(before[-1].things) != 1:
+    if not before or len(before[-1].objects) != 1:
         reader.refuse("it is not clear what this stands for; name the object", token)
     if isinstance(scene, UnseenScene):
         scene.refers = True
-    return before[-1].things[0]
+    return before[-1].objects[0]
 
 
 class AmbiguousObjectError(TranslationError):
-    """A name that fits several objects.
+    """A name that fits several objects."""
 
-    Attributes:
-        things: ids of these objects.
-    """
-
-    def __init__(self, message: str, part: str, position: int, things: tuple[int, ...]) -> None:
+    def __init__(self, message: str, part: str, position: int, ids: tuple[int, ...]) -> None:
         super().__init__(message, part, position)
-        self.things = things
+        self.ids = ids
 
 
 def read_object(
@@ -145,8 +141,8 @@ def only_one(found: list[SceneObject], reader: TokenReader, start: Token) -> Sce
         try:
             reader.refuse(hint, start)
         except TranslationError as error:
-            things = tuple(thing.id for thing in found)
-            raise AmbiguousObjectError(str(error), error.part, error.position, things) from None
+            ids = tuple(obj.id for obj in found)
+            raise AmbiguousObjectError(str(error), error.part, error.position, ids) from None
     return found[0]
 
 
@@ -179,10 +175,10 @@ def read_objects(
     if words and reader.is_at("number"):
         return [_read_by_number(reader, scene, words, choosers)]
     if not _is_name(words):
-        reader.refuse("expected the name of a thing", start)
+        reader.refuse("expected the name of an object", start)
     unseen = isinstance(scene, UnseenScene)
     found = (
-        [scene.thing(words)]
+        [scene.placeholder(words)]
         if unseen
         else _objects_described(_objects_named(reader, scene, words), reader, words)
     )
@@ -212,7 +208,7 @@ def read_objects(
         else:
             found = _filtered(found, lambda t, k=token.kind: _PLACES[k](_bearing_rad(scene, t)))
         if not found:
-            reader.refuse("no such thing is there", token)
+            reader.refuse("no such object is there", token)
     for token in words_before_that_is if is_passed else ():
         if token.kind in ("leftmost", "rightmost") and token.text.startswith(_SIDE_OPENERS):
             side = token.kind.removesuffix("most")
@@ -305,15 +301,13 @@ def _read_by_number(
     if choosers:
         reader.refuse("this chooses the object in two ways; say only one", choosers[0])
     if isinstance(scene, UnseenScene):
-        return scene.thing(words)
-    thing = scene.objects.get(int(token.text)) if token.text.isdecimal() else None
-    if thing is None:
+        return scene.placeholder(words)
+    obj = scene.objects.get(int(token.text)) if token.text.isdecimal() else None
+    if obj is None:
         reader.refuse(f"no object has that number; there are {_labels_text(scene)}", start)
-    if words and thing not in _objects_described(
-        _objects_named(reader, scene, words), reader, words
-    ):
-        reader.refuse(f"that is the number of {object_name(thing)}", start)
-    return thing
+    if words and obj not in _objects_described(_objects_named(reader, scene, words), reader, words):
+        reader.refuse(f"that is the number of {object_name(obj)}", start)
+    return obj
 
 
 def _objects_named(reader: TokenReader, scene: Scene, words: list[Token]) -> list[SceneObject]:
@@ -340,15 +334,12 @@ def _objects_of_kind(scene: Scene, words: Sequence[Token]) -> list[SceneObject]:
     if not _is_name(words):
         return []
     name = " ".join(token.text for token in words)
-    return _filtered(
-        list(scene.objects.values()), lambda thing: names.is_kind_of(thing.label, name)
-    )
+    return _filtered(list(scene.objects.values()), lambda obj: names.is_kind_of(obj.label, name))
 
 
 def _objects_described(
     found: list[SceneObject], reader: TokenReader, words: Sequence[Token]
 ) -> list[SceneObject]:
-    """Return the objects that every word describes."""
     for token in words:
         fitting = _filtered(found, lambda t, word=token.text: word in _caption_words(t))
         if not fitting:
@@ -390,7 +381,7 @@ def _choose(
         return found
     place = int(number.text) - 1 if number and number.kind == "ordinal" else 0
     kind = order.kind if order else "nearest"
-    found = [thing for thing in found if thing is not origin]
+    found = [obj for obj in found if obj is not origin]
     if kind not in ("nearest", "farthest"):
         ahead = _filtered(found, lambda t: abs(_bearing_rad(scene, t)) < math.pi / 2)
         found = ahead or found  # "from left to right" counts the objects in view
@@ -409,18 +400,18 @@ def _none_there(found: list[SceneObject], reader: TokenReader, token: Token | No
     reader.refuse(f"there is no such object; there are {there}", token)
 
 
-def centre_m(thing: SceneObject) -> tuple[float, float]:
+def centre_m(obj: SceneObject) -> tuple[float, float]:
     """Return the centre of an object on the ground, (x, y) in `map`."""
-    x, y = thing.position_m[:2].tolist()
+    x, y = obj.position_m[:2].tolist()
     return x, y
 
 
-def _distance_m(scene: Scene, thing: SceneObject) -> float:
-    return scene.pose.distance_to(*centre_m(thing))
+def _distance_m(scene: Scene, obj: SceneObject) -> float:
+    return scene.pose.distance_to(*centre_m(obj))
 
 
-def _bearing_rad(scene: Scene, thing: SceneObject) -> float:
-    return scene.pose.bearing_to(*centre_m(thing))
+def _bearing_rad(scene: Scene, obj: SceneObject) -> float:
+    return scene.pose.bearing_to(*centre_m(obj))
 
 
 def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
@@ -430,21 +421,21 @@ def _gap_m(scene: Scene, a: SceneObject, b: SceneObject) -> float:
 
 
 def _filtered(found: list[SceneObject], keep: Callable[[SceneObject], bool]) -> list[SceneObject]:
-    return [thing for thing in found if keep(thing)]
+    return [obj for obj in found if keep(obj)]
 
 
-def _caption_words(thing: SceneObject) -> set[str]:
-    return set(re.findall(r"[^\W_]+", f"{thing.label} {thing.caption}".lower()))
+def _caption_words(obj: SceneObject) -> set[str]:
+    return set(re.findall(r"[^\W_]+", f"{obj.label} {obj.caption}".lower()))
 
 
-def object_name(thing: SceneObject) -> str:
+def object_name(obj: SceneObject) -> str:
     """Return an object's label, id and caption, to distinguish it from others."""
-    caption = one_line(thing.caption, 40)
-    return f"{thing.label} {thing.id}" + (f" ({caption})" if caption else "")
+    caption = one_line(obj.caption, 40)
+    return f"{obj.label} {obj.id}" + (f" ({caption})" if caption else "")
 
 
 def _labels_text(scene: Scene) -> str:
-    labels = dict.fromkeys(thing.label for thing in scene.objects.values())
+    labels = dict.fromkeys(obj.label for obj in scene.objects.values())
     return one_line(", ".join(labels), 120) or "no objects"
 
 
@@ -457,12 +448,12 @@ _PLACES: dict[str, Callable[[float], bool]] = {
 }
 """Kind of phrase → function that returns True if an object at this bearing is meant."""
 _ORDER: dict[str, Callable[[Scene, SceneObject], float]] = {
-    "nearest": lambda scene, thing: _distance_m(scene, thing),
-    "farthest": lambda scene, thing: -_distance_m(scene, thing),
-    "leftmost": lambda scene, thing: -_bearing_rad(scene, thing),
-    "rightmost": lambda scene, thing: _bearing_rad(scene, thing),
-    "from the left": lambda scene, thing: -_bearing_rad(scene, thing),
-    "from the right": lambda scene, thing: _bearing_rad(scene, thing),
+    "nearest": lambda scene, obj: _distance_m(scene, obj),
+    "farthest": lambda scene, obj: -_distance_m(scene, obj),
+    "leftmost": lambda scene, obj: -_bearing_rad(scene, obj),
+    "rightmost": lambda scene, obj: _bearing_rad(scene, obj),
+    "from the left": lambda scene, obj: -_bearing_rad(scene, obj),
+    "from the right": lambda scene, obj: _bearing_rad(scene, obj),
 }
 """Kind of phrase → sort key of the objects; the first is meant, or the one of a number."""
 CHOSEN_BY_SIDE = {*_PLACES, *_ORDER, "left", "right"} - {"nearest", "farthest"}

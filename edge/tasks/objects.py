@@ -82,7 +82,7 @@ class MapObject:
 
 
 def box_around(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit the upright box on whose sides the points lie best.
+    """Fit the upright box whose sides the points fit best.
 
     This is the L-shape fit by search of Zhang, Xu, Dong and Dolan (IV 2017), with the closeness
     criterion. A LiDAR sees at most two sides of an object, and the smallest rectangle around such
@@ -188,16 +188,16 @@ def first_in_voxels(points: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.sort(np.unique(flat, return_index=True)[1])
 
 
-def overlap_share(a_m: np.ndarray, b_m: np.ndarray, near_m: float = NEAR_M) -> float:
+def overlap_share(a_m: np.ndarray, b_m: np.ndarray) -> float:
     """Return the share of points (n, 3) that are near one of the others (m, 3); 0 without points.
 
-    Near means in the same cube of side `near_m`, or in an adjacent one.
+    Near means in the same cube of side `NEAR_M`, or in an adjacent one.
     """
     corner = np.minimum(a_m.min(axis=0), b_m.min(axis=0)) if len(a_m) and len(b_m) else None
     if corner is None:
         return 0.0
     # Cubes as flat indices: a point is near if its cube is one of `b` or next to one of `b`.
-    a, b = (np.floor((points - corner) / near_m).astype(np.int64) + 1 for points in (a_m, b_m))
+    a, b = (np.floor((points - corner) / NEAR_M).astype(np.int64) + 1 for points in (a_m, b_m))
     sides = np.maximum(a.max(axis=0), b.max(axis=0)) + 2
     steps = np.array([sides[1] * sides[2], sides[2], 1])
     offsets = np.arange(-1, 2)

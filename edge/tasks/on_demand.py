@@ -23,7 +23,6 @@ class FrameDetector:
         observation: the frame, with a picture and a cloud or depth.
         open_pipeline: opens a pipeline that looks for a name, and closes it.
         radius_m: clearance of the trajectories; at least the robot's radius.
-        range_m: range of the map.
     """
 
     observation: Observation

@@ -61,7 +61,7 @@ class Outline:
         apart[tuple((at - low).T[::-1])] = 0
         away = cv2.distanceTransform(apart, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         (x0, y0), (h, w) = -low, grid.cells.shape
-        # The squares are whole numbers, so rounding makes equal distances equal.
+        # The squares are integers, so rounding makes equal distances equal.
         away_cells = np.sqrt(np.rint(np.square(away[y0 : y0 + h, x0 : x0 + w], dtype=np.float64)))
         return np.maximum(away_cells * grid.resolution_m - self.rim_m, 0.0)
 

@@ -42,7 +42,7 @@ PHRASES: dict[str, str] = {
     "turn": "turn|rotate",
     "turn around": "turn around|turn round|turn back|make a u turn|do a u turn|take a u turn",
     "degrees": "degrees|degree",
-    # Restrictions of the whole path, and of the distance from its end.
+    # Restrictions of the entire path, and of the distance from its end.
     "avoid": "avoid|avoiding|but avoid|while avoiding|keep away from|keep clear of|stay clear of|"
     "stay away from|steer clear of|keeping away from|staying away from|keep off|stay off|"
     "without going near|without coming near|without getting near|but keep clear of|"

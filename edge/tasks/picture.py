@@ -23,10 +23,6 @@ def draw_marks(scene: Scene, longest_px: int = 1280) -> np.ndarray | None:
     A number is drawn in the middle of the object's largest outline, or in the nearest free place
     with a line to the middle. If there is no free place, the number is left out.
 
-    Args:
-        scene: the scene.
-        longest_px: largest length of the longer side.
-
     Returns:
         (h, w, 3) uint8; None if the scene has no picture.
     """

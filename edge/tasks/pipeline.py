@@ -52,7 +52,7 @@ class PerceptionPipeline(NamedTuple):
     Attributes:
         tags: words to look for in a picture (RAM).
         boxes: boxes of these words (Grounding DINO).
-        masks: pixels of the objects in the boxes (TAP); `boxes_as_masks` uses the whole boxes.
+        masks: pixels of the objects in the boxes (TAP); `boxes_as_masks` uses the entire boxes.
         captions: one caption per box (TAP).
         embeddings: (n, d) float32, one per box; None: no embeddings.
         ground: kinds of ground in a picture; None: all ground is of one kind.
@@ -71,7 +71,6 @@ class CaptionedDetections(NamedTuple):
 
     Attributes:
         found: n boxes, with their masks if there is a segmenter.
-        caption: n captions.
         embedding: (n, d) float32; None without embeddings.
     """
 
@@ -115,25 +114,25 @@ def in_tiles(boxes: Boxes, aspect: float = 4.0 / 3.0) -> Boxes:
     """
 
     def detect_in_tiles(observation: Observation, tags: Sequence[str]) -> Detections:
-        on_whole = boxes(observation, tags)
+        on_full = boxes(observation, tags)
         rgb = check_rgb(observation)
         height, width = rgb.shape[:2]
         side = round(aspect * height)
         if width < TILE_FROM * side:
-            return on_whole
+            return on_full
         n = math.ceil((width - TILE_OVERLAP * side) / ((1.0 - TILE_OVERLAP) * side))
-        parts = [on_whole]
+        parts = [on_full]
         for left in np.linspace(0, width - side, n).round().astype(int):
             part = np.ascontiguousarray(rgb[:, left : left + side])
             found = boxes(replace(observation, rgb=part, camera=None, depth_m=None), tags)
             shift = np.array([left, 0, left, 0], np.float32)
             parts.append(replace(found, xyxy_px=found.xyxy_px + shift))
-        return _merge_boxes(on_whole, parts)
+        return _merge_boxes(on_full, parts)
 
     return detect_in_tiles
 
 
-def _merge_boxes(on_whole: Detections, parts: Sequence[Detections]) -> Detections:
+def _merge_boxes(on_full: Detections, parts: Sequence[Detections]) -> Detections:
     """Merge boxes of one object that were found in several parts of a picture."""
     xyxy, score, class_id = (
         np.concatenate([getattr(part, name) for part in parts])
@@ -150,7 +149,7 @@ def _merge_boxes(on_whole: Detections, parts: Sequence[Detections]) -> Detection
             xyxy[same, :2] = np.minimum(xyxy[same, :2], xyxy[i, :2])
             xyxy[same, 2:] = np.maximum(xyxy[same, 2:], xyxy[i, 2:])
     return replace(
-        on_whole, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
+        on_full, xyxy_px=xyxy[kept], score=score[kept], class_id=class_id[kept],
         competing_score=None, context=None, mask=None,
         latency_ns=sum(part.latency_ns for part in parts),
     )  # fmt: skip
@@ -185,11 +184,6 @@ def open_pipeline(
     A box counts from the score `perception.tau_det` on, if no other word explains its place better.
     Words of the detector's `background` are detected too, except words that the model does not
     know.
-
-    Args:
-        perception: the settings of perception.
-        words: the vocabulary; each picture is tagged with all of it.
-        truth: see `edge.perception.factory.make_detector`.
 
     Yields:
         The pipeline.

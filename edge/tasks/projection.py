@@ -43,7 +43,7 @@ def points_of_masks(
 
     A mask also shows some background. The points are split where their depth jumps. The part whose
     picture fits the mask best is taken (see `scan_kernels.best_surface`). Trees before a building
-    cut it into several parts, so each cluster that lies mostly on the mask is taken, too. A box
+    cut it into several parts, so each cluster that is mostly on the mask is taken, too. A box
     without a mask has one part, and none if that covers only a corner of the box.
 
     Args:

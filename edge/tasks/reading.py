@@ -1,23 +1,24 @@
 """Parser of instructions: a small grammar reads them as steps.
 
     task   = step { ("then" | "and" | "," | ".") step } ["stop" ["there"]]
-    step   = go ("to" | "near" | …) thing ["'s" side | "from behind" | gap] | "approach" thing
-           | (go "past" | "pass" | go "around") [side "of"] thing [on its side | "'s" side | aside]
-           | ("circle" | go "around" thing "once") [("counter")"clockwise"]
-           | (go "along" | "follow") thing | go "halfway to" thing
-           | ("leave" | "keep" | "with") thing aside
-           | go (side "of" | "in front of" | "behind") thing | go "to its" side
-           | go "between" (thing "and" thing | "the two" things)
-           | go "straight" (distance | "until you reach" thing) | go distance "straight"
-           | "turn" (side | "around") [angle] ["at" thing]
+    step   = go ("to" | "near" | …) object ["'s" side | "from behind" | gap] | "approach" object
+           | (go "past" | "pass" | go "around") [side "of"] object
+             [on its side | "'s" side | passing]
+           | ("circle" | go "around" object "once") [("counter")"clockwise"]
+           | (go "along" | "follow") object | go "halfway to" object
+           | ("leave" | "keep" | "with") object passing
+           | go (side "of" | "in front of" | "behind") object | go "to its" side
+           | go "between" (object "and" object | "the two" objects)
+           | go "straight" (distance | "until you reach" object) | go distance "straight"
+           | "turn" (side | "around") [angle] ["at" object]
            | go "onto" ground | "cross" ground
-           | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) thing
-           | "stop" distance ("before" | "behind" | side "of") thing
-    limit  = "avoid" (thing | ground) | "keep to" ground, anywhere between steps
+           | "stop" ("at" | side "of" | "in front of" | "behind" | "between" …) object
+           | "stop" distance ("before" | "behind" | side "of") object
+    limit  = "avoid" (object | ground) | "keep to" ground, anywhere between steps
     gap    = "but stay" distance "away" | "and stop" distance "before it"
     distance = (number ["and a half"] | "half a" | "a") "metres" ["and a half"]
 
-`edge.tasks.object_phrases` reads a thing and an aside; the words are in `edge.tasks.phrases`.
+`edge.tasks.object_phrases` reads objects and passing sides; the words are in `edge.tasks.phrases`.
 `edge.tasks.step_phrases` reads a step and a distance, `_read_limits` a limit.
 
 A clause may depend on another ("after passing …", "before you …", see `edge.tasks.clauses`). Words
@@ -59,7 +60,7 @@ _TURN_SIDES = {
 }  # fmt: skip
 """Kind of token → side of a turn."""
 LIMITS = ("avoid", "keep to")
-"""Kinds of words that restrict the whole path."""
+"""Kinds of words that restrict the entire path."""
 
 
 def parse_steps(
@@ -128,7 +129,7 @@ def _read_steps(
             read_step(reader, _turned(scene_for(len(steps)), steps), steps)
         ]
         said = instruction[start.start : reader.peek(-1).end]
-        if found[0].things:
+        if found[0].objects:
             _check_sides(reader, begin, steps)
         steps += [replace(step, said=said) for step in found]
         _end_step(reader, *(("to", "until") if found[-1].kind in PASSED else ()))
@@ -157,11 +158,11 @@ def _with_distances(reader: TokenReader, steps: list[InstructionStep]) -> list[I
     """Return the steps, with an end for each "straight" without one: the next step's object."""
     done = []
     for step, following in zip(steps, [*steps[1:], None], strict=True):
-        if step.kind == "straight" and not (step.things or step.distance_m):
+        if step.kind == "straight" and not (step.objects or step.distance_m):
             if following is None or following.kind != "to":
                 start = next(t for t in reader.tokens if t.kind == "straight")
                 reader.refuse("say how far, as 'straight for 5 metres'", start)
-            step = replace(step, things=following.things)
+            step = replace(step, objects=following.objects)
         done.append(step)
     return done
 
@@ -223,9 +224,9 @@ def _read_turn(
         reader.take("there")
     if not reader.take("at"):
         return [turn]
-    thing = read_object(reader, scene, before)
+    obj = read_object(reader, scene, before)
     scene_for(len(before) + 1)  # the turn is a step of its own
-    return [InstructionStep("to", (thing,)), turn]
+    return [InstructionStep("to", (obj,)), turn]
 
 
 def _turned(scene: Scene | UnseenScene, before: Sequence[InstructionStep]) -> Scene | UnseenScene:

@@ -369,7 +369,7 @@ def _heights_m(points_m: np.ndarray, leg: np.ndarray, legs: Sequence[Leg]) -> np
 
 
 def _shares(points_m: np.ndarray) -> np.ndarray:
-    """Return the share (n,) of a polyline's length that lies before each point, from 0 to 1."""
+    """Return the share (n,) of a polyline's length that is before each point, from 0 to 1."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
     return along / max(along[-1], 1e-9)
 

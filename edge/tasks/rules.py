@@ -63,11 +63,6 @@ def plan_by_rules(
 
     The trajectory has one segment for each step.
 
-    Args:
-        instruction: the task in words.
-        functions: the functions over the scene; they receive the trajectory.
-        step_slice: steps to do; see `edge.tasks.reading.parse_steps`.
-
     Returns:
         The steps that were understood.
 
@@ -104,9 +99,9 @@ def plan_by_rules(
 
 def _facing(last: InstructionStep, at: Point) -> float | None:
     """Return the robot's heading at the end: towards the object it was sent to, else None."""
-    if last.kind not in ("to", "next to") or at == centre_m(last.things[0]):
+    if last.kind not in ("to", "next to") or at == centre_m(last.objects[0]):
         return None
-    (x, y), (tx, ty) = at, centre_m(last.things[0])
+    (x, y), (tx, ty) = at, centre_m(last.objects[0])
     return math.atan2(ty - y, tx - x)
 
 
@@ -127,8 +122,8 @@ def _plan_step(
     match step.kind:
         case "turn":
             return [[at]]
-        case "straight" if step.things:
-            return [path_straight_until(functions, step.things[0], here)]
+        case "straight" if step.objects:
+            return [path_straight_until(functions, step.objects[0], here)]
         case "straight":
             most_m = 0.5 * MOST_PATH_POINTS * functions.limits.max_jump_m
             if step.distance_m > most_m:
@@ -145,19 +140,19 @@ def _plan_step(
                 raise CallError(f"the path straight on {problem} {gone_m:.1f} m")
             return [path]
         case "to":
-            points = [functions.stopping_point(step.things[0].id, at)]
+            points = [functions.stopping_point(step.objects[0].id, at)]
         case "next to":
             places = [step.distance_m / PASSING_DISTANCE_M] if step.distance_m else PLACES
-            points = [_place_next_to(step.things[0], step.side, at, functions, places)]
+            points = [_place_next_to(step.objects[0], step.side, at, functions, places)]
         case "halfway":
-            points = [functions.stopping_point(step.things[0].id, at)]
+            points = [functions.stopping_point(step.objects[0].id, at)]
         case "onto":
             points = [point_on(functions.ground, step.ground, at)]
         case "across":
             points = points_across(functions.ground, step.ground, at)
         case "along":
-            towards = centre_m(following.things[0]) if following and following.things else None
-            points = points_along(functions, step.things[0], here, towards, SNAP_M)
+            towards = centre_m(following.objects[0]) if following and following.objects else None
+            points = points_along(functions, step.objects[0], here, towards, SNAP_M)
         case "circle":
             return [_plan_circle(step, at, functions)]
         case "between":
@@ -172,7 +167,7 @@ def _plan_step(
     if step.kind == "halfway":
         path = cut_at(path, 0.5 * _length_m(path))
     elif step.kind == "to" and step.distance_m:
-        path = cut_before(functions, path, step.things[0], step.distance_m)
+        path = cut_before(functions, path, step.objects[0], step.distance_m)
     return [path]
 
 
@@ -181,10 +176,11 @@ def _plan_circle(step: InstructionStep, at: Point, functions: ScriptFunctions) -
     paths, errors = [], []
     for side in [step.side] if step.side else ["left", "right"]:
         try:
-            points = points_around(functions, step.things[0], side, at, SNAP_M)
+            points = points_around(functions, step.objects[0], side, at, SNAP_M)
             path = _plan_through(at, points, functions)
-            if _turned_rad(step.things[0], side, path)[-1] < math.tau - SNAPPED_RAD:
-                raise CallError(f"the robot cannot drive once around {object_name(step.things[0])}")
+            if _turned_rad(step.objects[0], side, path)[-1] < math.tau - SNAPPED_RAD:
+                name = object_name(step.objects[0])
+                raise CallError(f"the robot cannot drive once around {name}")
             paths.append(path)
         except TrajectoryError as error:
             errors.append(error)
@@ -210,7 +206,7 @@ def _plan_past(
         for side in [step.side] if step.side else ["left", "right"]:
             try:
                 points = _side_points(replace(step, kind=kind), following, at, side, functions)
-                is_past = partial(_is_past, step.things[0], side)
+                is_past = partial(_is_past, step.objects[0], side)
                 paths.append((side, _plan_through(at, points, functions, is_past)))
             except TrajectoryError as error:
                 errors.append(str(error))
@@ -240,7 +236,7 @@ def _check_side(
     Raises:
         TrajectoryError: the path does not keep to the side.
     """
-    obj = step.things[0]
+    obj = step.objects[0]
     turned_rad = _turned_rad(obj, side, path)
     if turned_rad.min() < -PAST_RAD:
         raise CallError(
@@ -251,7 +247,7 @@ def _check_side(
             f"it is not known yet if the robot can pass the {side} of {object_name(obj)}"
         )
     turns_back_on_purpose = (
-        following and following.things == step.things and following.side == OTHER_SIDE[side]
+        following and following.objects == step.objects and following.side == OTHER_SIDE[side]
     )
     if following is None or turns_back_on_purpose:
         return
@@ -303,11 +299,11 @@ def _side_points(
     far side. The point at the side itself must be reachable and on that side. Other points are left
     out if the robot cannot be there.
     """
-    obj = step.things[0]
+    obj = step.objects[0]
     abeam = functions.offset(obj.id, side, PASSING_DISTANCE_M, at)
     end = functions.offset(obj.id, "behind", PASSING_DISTANCE_M, at)
-    if step.kind == "around" and following and following.things not in ((), step.things):
-        end = centre_m(following.things[0])
+    if step.kind == "around" and following and following.objects not in ((), step.objects):
+        end = centre_m(following.objects[0])
     arc = functions.arc(obj.id, at, end, side, PASSING_DISTANCE_M)
     looking_rad = functions.heading(at, centre_m(obj))
     points = [_place_next_to(obj, side, at, functions)]
@@ -384,7 +380,7 @@ def _no_room_error(where: str, points: Sequence[Point], functions: ScriptFunctio
 
 def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
     """Return the point half way between the outlines of two objects."""
-    a, b = step.things
+    a, b = step.objects
     angle_rad = functions.heading(centre_m(a), centre_m(b))
     (px, py) = functions.ground.outline(a).point_at(angle_rad, 0.0)
     (qx, qy) = functions.ground.outline(b).point_at(angle_rad + math.pi, 0.0)
@@ -392,5 +388,4 @@ def _point_between(step: InstructionStep, functions: ScriptFunctions) -> Point:
 
 
 def _length_m(path: Sequence[Point]) -> float:
-    """Return the length of a path."""
     return float(np.hypot(*np.diff(np.array(path), axis=0).T).sum())

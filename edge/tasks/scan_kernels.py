@@ -12,9 +12,9 @@ NEAREST_M = 0.1
 
 @jit
 def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, point_of, depth_of):
-    """Find the points of a cloud that lie in windows around boxes (OpenNav eq. 2).
+    """Find the points of a cloud that are in windows around boxes (OpenNav eq. 2).
 
-    - `cloud`: (n, 3) float32, any frame; points that are not finite lie in no window.
+    - `cloud`: (n, 3) float32, any frame; points that are not finite are in no window.
     - `T`: (4, 4) float64, from the cloud's frame to the optical frame.
     - `camera`: width, height in pixels, fx, fy, cx, cy.
     - `boxes`: (k, 4) float32 xyxy in pixels.
@@ -71,13 +71,13 @@ def points_of_windows(cloud, T, camera, boxes, masks, margin, keep, mask_of, poi
 def best_surface(depth, on, gap_m, gap_share):
     """Split points where their depth jumps, and return the part that fits the mask best.
 
-    The background of an object continues outside its mask, and an obstacle in front of it seldom
+    The background of an object continues outside its mask, and an obstacle in front of it rarely
     covers the mask. So the score of a part is its intersection over union with the mask, counted in
     points: its points on the mask, over all points on the mask and its own points off the mask.
 
     Args:
         depth: (n,) float32, ascending.
-        on: (n,) bool, True if a point lies on the mask.
+        on: (n,) bool, True if a point is on the mask.
         gap_m: a jump is longer than this plus `gap_share` of the depth.
         gap_share: see `gap_m`.
 

@@ -61,7 +61,6 @@ class SceneBuilder:
 
     Attributes:
         objects: the 3-D object map.
-        map: the occupancy map.
     """
 
     def __init__(
@@ -147,12 +146,6 @@ def add_ground(
 
     Points outside the picture do not vote: a turn of the robot takes no name from the ground.
 
-    Args:
-        votes: the votes.
-        ground: names the kind in each pixel.
-        observation: the frame, with a camera and a cloud or depth.
-        mapping: settings of the occupancy map.
-
     Raises:
         ValueError: the frame has no usable image, or see `cloud_of`.
         ModelError: the network failed.
@@ -210,7 +203,7 @@ def _kinds_in_picture(
 def add_detections(objects: ObjectMap, found: Detections, range_m: float) -> None:
     """Add the objects in the boxes of one picture to an object map (OpenNav eq. 2).
 
-    The box of an object also shows things in front of it, such as the chair before a desk. If the
+    The box of an object also shows objects in front of it, such as the chair before a desk. If the
     detector reports other objects, points in a smaller box do not count for the larger one.
     Background is outside the object's box in pictures from other places, and those vote against it.
 

@@ -172,7 +172,6 @@ def _guarded(
 
 
 def _error_line(raised: Any) -> str:
-    """Return the error in one line, with the line of the script that raised it."""
     frames = raised.traceback() if hasattr(raised, "traceback") else []
     where = f"line {frames[-1].line}: " if frames else ""
     return one_line(f"{where}{raised}", MOST_ERROR_CHARS)

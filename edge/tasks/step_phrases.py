@@ -36,7 +36,7 @@ STOPPED_AT = ("to", "next to", "between", "straight")
 JOINTS = ("then", "and", "comma", "stop mark")
 """Kinds of tokens between two steps."""
 _LONG_THINGS = ("fence", "wall", "hedge", "railing", "building", "house", "shelf", "corridor")
-"""Things along which the robot can drive."""
+"""Objects along which the robot can drive."""
 _RETURN = "say where to return to, as 'back to the gate'"  # error for a bare "go back"
 
 
@@ -68,7 +68,7 @@ def read_step(
         return _read_counted(reader, scene, before, doing)
     if doing == "stop" and (there := reader.take("there")):
         if not before or before[-1].kind not in STOPPED_AT:
-            reader.refuse("it is not clear where; name a thing", there)
+            reader.refuse("it is not clear where; name an object", there)
         return InstructionStep("stop")
     relation = reader.take(*RELATIONS)
     if relation is None:
@@ -112,8 +112,8 @@ def read_step(
                 (object_of_last_step(scene, before, reader, relation),),
                 _SIDE_OF[relation.kind],
             )
-    thing = read_object(reader, scene, before)
-    return InstructionStep("next to", (thing,), _SIDE_OF.get(relation.kind, relation.kind))
+    obj = read_object(reader, scene, before)
+    return InstructionStep("next to", (obj,), _SIDE_OF.get(relation.kind, relation.kind))
 
 
 def check_joined(reader: TokenReader, last: InstructionStep, verb: Token) -> None:
@@ -163,15 +163,15 @@ def _is_elliptic(reader: TokenReader, before: Sequence[InstructionStep]) -> bool
 def _read_following(
     reader: TokenReader, scene: Scene | UnseenScene, before: Sequence[InstructionStep]
 ) -> InstructionStep:
-    """Read `follow the fence`: only long things that do not move can be followed."""
+    """Read `follow the fence`: only long objects that do not move can be followed."""
     reader.skip("article")
     start, begin = reader.peek(), reader.at
-    thing = read_object(reader, scene, before)
+    obj = read_object(reader, scene, before)
     words = takewhile(lambda token: token.kind == "word", reader.tokens[begin : reader.at])
     *_, noun = ("", *(token.text for token in words))
     if noun not in _LONG_THINGS:
         reader.refuse("this cannot be followed; say 'go past …' or 'go to …'", start)
-    return InstructionStep("along", (thing,))
+    return InstructionStep("along", (obj,))
 
 
 def _read_onto(reader: TokenReader, scene: Scene | UnseenScene, kind: Kind) -> InstructionStep:
@@ -190,7 +190,7 @@ def _read_destination(
     distance_m: float = 0.0,
 ) -> InstructionStep:
     """Read `the van`, `the van's left side`, `the van, but stay 2 metres away`."""
-    thing = read_object(reader, scene, before)
+    obj = read_object(reader, scene, before)
     side = read_own_side(reader)
     if reader.take("from behind"):
         side = "behind"
@@ -202,8 +202,8 @@ def _read_destination(
     elif not (side or distance_m):
         distance_m = _read_stop_before_it(reader)
     if side:
-        return InstructionStep("next to", (thing,), side)
-    return InstructionStep("to", (thing,), distance_m=distance_m)
+        return InstructionStep("next to", (obj,), side)
+    return InstructionStep("to", (obj,), distance_m=distance_m)
 
 
 def _read_stop_before_it(reader: TokenReader) -> float:
@@ -235,8 +235,8 @@ def _read_counted(
         return _read_destination(reader, scene, before, distance_m)
     if relation := reader.take("behind", "left of", "right of"):
         side = _SIDE_OF.get(relation.kind, relation.kind)
-        thing = read_object(reader, scene, before)
-        return InstructionStep("next to", (thing,), side, distance_m)
+        obj = read_object(reader, scene, before)
+        return InstructionStep("next to", (obj,), side, distance_m)
     reader.refuse("say in which direction, as '3 metres straight on'")
 
 
@@ -269,9 +269,11 @@ def _read_passed(
         )
     begin, start = reader.at, reader.peek()
     found = read_objects(reader, scene, before, is_passed=True)
-    said, aside = reader.peek(), read_passing_side(reader)
-    if aside is None or reader.is_at("its left", "its right"):
-        if aside is not None:  # "the car on the left on its right": the first side chooses the car
+    said, passing = reader.peek(), read_passing_side(reader)
+    if passing is None or reader.is_at("its left", "its right"):
+        if (
+            passing is not None
+        ):  # "the car on the left on its right": the first side chooses the car
             reader.at = begin
             found = read_objects(reader, scene, before)
         side = reader.take("its left", "its right")
@@ -284,12 +286,12 @@ def _read_passed(
     except TranslationError:
         on_that_side = []  # no such object on that side: the words can only mean the passing side
     reader.at = end
-    side = OTHER_SIDE[aside.direction] if aside.of_robot else aside.direction
+    side = OTHER_SIDE[passing.direction] if passing.of_robot else passing.direction
     differs = isinstance(scene, Scene) and bool(on_that_side) and on_that_side[0] is not found[0]
     if len(found) > 1 or differs:
         reader.refuse(
             f"it may say which one is meant, or on which side to pass it; say '{kind} the {side} "
-            f"of …', or '… that is on the {aside.direction}'", said,
+            f"of …', or '… that is on the {passing.direction}'", said,
         )  # fmt: skip
     return InstructionStep(kind, (found[0],), side)
 
@@ -299,11 +301,11 @@ def _read_leaving(
 ) -> InstructionStep:
     """Read `leave the van on your left`: the robot passes its right."""
     start = reader.peek()
-    thing = only_one(read_objects(reader, scene, before, is_passed=True), reader, start)
-    aside = read_passing_side(reader)
-    if aside is None:
+    obj = only_one(read_objects(reader, scene, before, is_passed=True), reader, start)
+    passing = read_passing_side(reader)
+    if passing is None:
         reader.refuse("say on which side, as 'on your left'", start)
-    return InstructionStep("past", (thing,), OTHER_SIDE[aside.direction])
+    return InstructionStep("past", (obj,), OTHER_SIDE[passing.direction])
 
 
 def _read_two_objects(
@@ -317,7 +319,7 @@ def _read_two_objects(
     if reader.take("and"):
         found = [only_one(found, reader, start), read_object(reader, scene, before)]
         if found[0] is found[1]:
-            reader.refuse("this is the same thing twice; name two", start)
+            reader.refuse("this is the same object twice; name two", start)
     if len(found) != 2 and isinstance(scene, Scene):
         reader.refuse(f"there are {len(found)} of them; name two: 'between … and …'", start)
     return tuple(found)

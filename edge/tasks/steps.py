@@ -22,7 +22,7 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class RouteLimits:
-    """Restrictions of the whole path.
+    """Restrictions of the entire path.
 
     Attributes:
         avoid: objects to stay away from.
@@ -35,7 +35,7 @@ class RouteLimits:
     keep_to: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        avoided = (*(f"{thing.label} {thing.id}" for thing in self.avoid), *self.avoid_ground)
+        avoided = (*(f"{obj.label} {obj.id}" for obj in self.avoid), *self.avoid_ground)
         return "; ".join(
             f"{what} {' and '.join(listed)}"
             for what, listed in (("avoid", avoided), ("keep to", self.keep_to))
@@ -49,7 +49,7 @@ class InstructionStep:
 
     Attributes:
         kind: the sort of motion.
-        things: two objects for "between", none for "turn", "onto", "across", a "straight" with a
+        objects: two objects for "between", none for "turn", "onto", "across", a "straight" with a
             distance and a bare "stop", else one.
         side: one of `edge.tasks.functions.SIDES_RAD`; "" if none is given.
         distance_m: length of "straight"; gap to the object for "to" and "next to"; 0.0 if none is
@@ -61,7 +61,7 @@ class InstructionStep:
     """
 
     kind: Kind
-    things: tuple[SceneObject, ...] = ()
+    objects: tuple[SceneObject, ...] = ()
     side: str = ""
     distance_m: float = 0.0
     turn_rad: float = 0.0
@@ -70,10 +70,10 @@ class InstructionStep:
     said: str = ""
 
     def __str__(self) -> str:
-        listed = " and ".join(f"{thing.label} {thing.id}" for thing in self.things)
+        listed = " and ".join(f"{obj.label} {obj.id}" for obj in self.objects)
         gap = f", {self.distance_m:g} m before it" if self.distance_m else ""
         match self.kind:
-            case "straight" if self.things:
+            case "straight" if self.objects:
                 return f"straight on until level with {listed}"
             case "straight":
                 return f"straight on for {self.distance_m:g} m"

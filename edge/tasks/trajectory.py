@@ -151,7 +151,7 @@ def number(value: Any, name: str, largest: float = FARTHEST_M) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TrajectoryError(f"{name}: expected a number, got {shown(value)}")
     if not abs(value) <= largest:  # also rejects NaN, and integers that no float can hold
-        what = f"{value:g}" if isinstance(value, float) else "a whole number"
+        what = f"{value:g}" if isinstance(value, float) else "an integer"
         raise TrajectoryError(f"{name}: {what} is not within -{largest:g} to {largest:g}")
     return float(value)
 
@@ -210,7 +210,6 @@ def _advice(ground: ReachableGround, x_m: float, y_m: float) -> str:
 
 
 def _point_name(segments: Sequence[np.ndarray], index: int) -> str:
-    """Return the name of a point, from its index over all segments."""
     named = chain.from_iterable(
         (f"point {i} of segment {k}" for i, _ in _enumerate_from_1(points))
         for k, points in _enumerate_from_1(segments)

@@ -18,7 +18,7 @@ of all other ground; see `value_map`. A cell of weight TUBE costs 1 per metre.
 
 The paper gives the order of the weights but no numbers. A half circle is pi / 2 times as long as
 its chord. So DRIVABLE must be so much larger than TUBE that A* does not take the chord. A bridge
-may cost a detour of a few metres, but not the whole way back around the object that it is behind.
+may cost a detour of a few metres, but not the entire way back around the object that it is behind.
 """
 CLOSED = 0
 """Weight of a cell that no path may enter."""

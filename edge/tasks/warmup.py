@@ -38,8 +38,8 @@ def warm_up() -> None:
     grid = RollingMap(MappingConfig(extent_m=4.0 * _WALL_M))
     grid.update_depth(seen.depth_m, seen.camera, seen.T_map_base, seen.T_base_camera)
     points_m = np.array([[_WALL_M, 0.0, 0.5]], np.float32)
-    thing = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
-    scene = scene_of_map(MapView(grid), seen, (thing,), _CLEARANCE_M)
+    obj = Instance(1, "box", points_m[0], points_m, 1.0, 1, 0, 0)
+    scene = scene_of_map(MapView(grid), seen, (obj,), _CLEARANCE_M)
     limits = TasksConfig(trajectory=TrajectoryLimits(clearance_m=_CLEARANCE_M))
     coarse = write_trajectory("go to the box", scene, limits).coarse
     refine(

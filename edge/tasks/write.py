@@ -41,7 +41,6 @@ class PlanAttempt:
     """One answer of the model and its result.
 
     Attributes:
-        answer: the whole answer.
         code: the script in the answer; "" if there is none.
         printed: output of the script.
         error: one line; "" if the script gave a trajectory.
@@ -59,12 +58,11 @@ class WrittenTrajectory:
 
     Attributes:
         instruction: the text that was given.
-        coarse: the trajectory.
         ground: the ground on which the trajectory was checked.
         understood: interpretation by the rules, in words; "" for a model.
         rounds: answers of a model, oldest first; the last one gave the trajectory.
         prompt: version of the model's prompt; "" for the rules.
-        stops_at: id of the object at which the whole trajectory ends, as near as the robot gets;
+        stops_at: id of the object at which the entire trajectory ends, as near as the robot gets;
             None if it ends elsewhere or a model wrote it.
         stops: for each step, the ids of the objects that the robot stops at in this step; () for a
             step without a stop. Empty if a model wrote the trajectory.
@@ -113,7 +111,7 @@ def write_trajectory(
         why: reason why the previous trajectory has to be replaced, sent to the model; "" for the
             first.
         make_functions: makes the functions that a script may call; evaluations pass a reduced set.
-        step_slice: steps of the instruction to do, for the rules only; a model does the whole
+        step_slice: steps of the instruction to do, for the rules only; a model does the entire
             instruction.
 
     Raises:
@@ -147,10 +145,10 @@ def write_trajectory(
     steps = rules.plan_by_rules(instruction, functions, step_slice)
     assert functions.trajectory is not None
     understood = describe_steps(steps)
-    stops_at = steps[-1].things[0].id if _ends_close(steps[-1]) else None
+    stops_at = steps[-1].objects[0].id if _ends_close(steps[-1]) else None
     stops = [_stop_ids(step) for step in steps]
     if step_slice.stop is None:  # the robot stops after the last step of the instruction
-        stops[-1] = tuple(thing.id for thing in steps[-1].things)
+        stops[-1] = tuple(obj.id for obj in steps[-1].objects)
     return WrittenTrajectory(
         instruction, functions.trajectory, functions.ground, understood,
         stops_at=stops_at, stops=tuple(stops),
@@ -165,7 +163,7 @@ def _ends_close(step: InstructionStep) -> bool:
 def _stop_ids(step: InstructionStep) -> tuple[int, ...]:
     """Return the ids of the objects that the robot stops at in a step."""
     stops = step.kind in ("to", "next to", "between")
-    return tuple(thing.id for thing in step.things) if stops else ()
+    return tuple(obj.id for obj in step.objects) if stops else ()
 
 
 def check_instruction(instruction: str) -> None:
@@ -228,7 +226,7 @@ def _ask_model(
 def _run_answer(answer: str, cut_error: str, functions: ScriptFunctions) -> PlanAttempt:
     """Run the script in an answer. Its trajectory counts only if the script runs to its end.
 
-    `cut_error` is the error of an answer that was cut off; "" for a whole answer.
+    `cut_error` is the error of an answer that was cut off; "" for an entire answer.
     """
     code = script_in(answer)
     if cut_error or not code:

@@ -130,7 +130,7 @@ def plan(
     """Find the cheapest path between two points, 8-connected, without cutting corners.
 
     Entering a cell costs its weight times the length of the step. The cost is within 0.1 % of the
-    optimum, because steps are whole multiples of 1/29 cell.
+    optimum, because steps are multiples of 1/29 cell.
 
     Args:
         costmap: the weights.

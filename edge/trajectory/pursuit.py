@@ -102,7 +102,7 @@ def length_m(path_m: np.ndarray) -> float:
 def pursue(
     pose: SE2, x_m: float, y_m: float, remaining_m: float, limits: MotionLimits
 ) -> VelocityCommand:
-    """Return the speeds on the arc through a point; turn on the spot if it lies far to the side.
+    """Return the speeds on the arc through a point; turn on the spot if it is far to the side.
 
     Args:
         pose: pose of the robot in `map`.

@@ -15,7 +15,7 @@ _MAX_CHORD_RATIO = 1.001
 def b_spline(control_m: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return points on the B-spline of some control points, from the first to the last of them.
 
-    The curve has no jump in speed or curvature. Each of its points lies in the convex hull of four
+    The curve has no jump in speed or curvature. Each of its points is in the convex hull of four
     consecutive control points, so closer control points keep the curve closer to their polyline.
 
     Args:

@@ -26,7 +26,6 @@ class LearningRates(Protocol):
     """Learning rates of a run's plan.
 
     Attributes:
-        rate: peak of the learning rate.
         decay: weight decay; not for biases, norms and tables of embeddings.
         warm_up: steps until the peak.
         average: share of the averaged weights that stays in each step.
@@ -62,7 +61,7 @@ class Learner:
         Args:
             model: network to train.
             pace: learning rates.
-            steps: steps of the whole run.
+            steps: steps of the entire run.
             checkpoint: file to continue from and to write.
             run: identity of the run, see `checkpoints.run_identity`.
             tables: part of the model without weight decay, such as tables of embeddings.
@@ -121,14 +120,7 @@ def rate(step: int, steps: int, warm_up: int) -> float:
 
 @torch.no_grad()
 def average(averaged: nn.Module, model: nn.Module, keep: float, step: int) -> None:
-    """Update the exponential mean of weights and norm statistics; faster at first.
-
-    Args:
-        averaged: model with the mean, changed in place.
-        model: model with the newest weights.
-        keep: share of the mean that stays.
-        step: number of steps so far.
-    """
+    """Update the exponential mean of weights and norm statistics; faster at first."""
     keep = min(keep, (1.0 + step) / (20.0 + step))
     pairs = zip(averaged.state_dict().values(), model.state_dict().values(), strict=True)
     for mean, value in pairs:

@@ -27,7 +27,6 @@ def run_fresh(script: str, *arguments: object) -> Any:
 
 
 def resident_mb() -> float:
-    """Return the resident memory of this process in MB."""
     return psutil.Process().memory_info().rss / 1e6
 
 

@@ -1,4 +1,4 @@
-"""Detectors whose files look sound, and that lie or do not end when they run."""
+"""Detectors whose files look sound, and that give false results or never end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model files that lie, or never end: they are refused, and the next model is taken."""
+"""Model files that are false or never end: they are refused, and the next model is taken."""
 
 from __future__ import annotations
 

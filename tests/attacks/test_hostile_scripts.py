@@ -201,7 +201,7 @@ def test_a_hostile_script_fails_and_the_next_one_runs(name, host, functions):
     assert outcome.error.isprintable()
     assert dict(vars(builtins)) == before
     assert (SCENE.occupancy.cells == cells).all()
-    assert [thing.position_m[0] for thing in SCENE.objects.values()] == [8, 4, 10, 6, 16]
+    assert [obj.position_m[0] for obj in SCENE.objects.values()] == [8, 4, 10, 6, 16]
 
     assert run_script("give_trajectory([(0, 0), (1, 0)])", functions, QUICK).error == ""
     assert functions.trajectory.points_m.tolist() == [[0, 0], [1, 0]]

@@ -1,4 +1,4 @@
-"""Servers that drip, lie and never end: the client ends with one line that says so.
+"""Servers that drip, give false answers and never end: the client ends with one line that says so.
 
 The servers are real ones on this machine that speak bytes, so that they can do what no HTTP
 library would. Only the limit that a server runs into is short, as machines may be busy.
@@ -48,7 +48,7 @@ class Line:
         self._sock, self._over, self.address, self.path = sock, over, address, ""
 
     def hear(self) -> None:
-        """Wait for a whole request."""
+        """Wait for an entire request."""
         heard = b""
         while b"\r\n\r\n" not in heard:
             if not (more := self._sock.recv(4096)):

@@ -34,8 +34,6 @@ FLOWS = ("status", "map", "cmd_vel", "odom", "mission")
 
 @pytest.fixture
 def start_viewer(endpoint, script) -> Callable[[], subprocess.Popen]:
-    """Return a function that starts a viewer of all topics."""
-
     def start() -> subprocess.Popen:
         viewer = script(PEER, endpoint)
         assert viewer.stdout.readline() == "ready\n"

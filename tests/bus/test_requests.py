@@ -60,8 +60,6 @@ def taken(server: RequestServer) -> Request:
 
 
 class Asking:
-    """Asks on a thread of its own."""
-
     def __init__(self, session: zenoh.Session, **request: object) -> None:
         self._pool = ThreadPoolExecutor(1)
         self._answer = self._pool.submit(send_request, session, KEY, request, PATIENCE_S, "mission")

@@ -78,7 +78,7 @@ def test_one_read_takes_at_most_a_ring_and_reports_overruns(
 def test_a_client_waits_until_a_listener_appears(free_endpoint):
     settings, opened, told = ZenohConfig(endpoint=free_endpoint), [], []
     thread = threading.Thread(
-        target=lambda: opened.append(bus.open_session(settings, "connect", tell=told.append)),
+        target=lambda: opened.append(bus.open_session(settings, "connect", report=told.append)),
         daemon=True,
     )
     thread.start()
@@ -114,7 +114,7 @@ def test_an_unresolvable_host_is_given_up(monkeypatch):
     stop = threading.Event()
     stop.set()
     with pytest.raises(bus.ConnectInterrupted) as stopped:
-        bus.open_session(settings, "connect", stop, tell=told.append)
+        bus.open_session(settings, "connect", stop, report=told.append)
     assert "no address is known" in stopped.value.unknown
     assert told[0].startswith(why)
     assert told[0].endswith("; trying again for up to 30 s")

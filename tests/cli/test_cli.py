@@ -31,7 +31,6 @@ HEAVY = ("numba", "cv2", "zenoh", "numpy", "onnxruntime", "matplotlib", "pydanti
 
 
 def commands(parser: argparse.ArgumentParser, words: str = "") -> Iterator[str]:
-    """Every command and its parts, as words."""
     yield words
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

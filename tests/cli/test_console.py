@@ -82,8 +82,8 @@ def test_the_line_names_the_target_and_the_next_ones(formula, ahead, phase):
 
 
 def test_a_long_plan_is_cut():
-    things = ("bed", "bench", "bottle", "bowl", "box", "candle", "chair", "clock", "cup", "desk")
-    line = status_line(of(" & ".join(f"F {thing}" for thing in things)))
+    objects = ("bed", "bench", "bottle", "bowl", "box", "candle", "chair", "clock", "cup", "desk")
+    line = status_line(of(" & ".join(f"F {obj}" for obj in objects)))
     assert len(line.partition(" | ")[0]) < 120
 
 

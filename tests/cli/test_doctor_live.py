@@ -1,4 +1,4 @@
-"""`edge doctor --live`: one line for each thing that is wrong with the sensors' data."""
+"""`edge doctor --live`: one line for each fault of the sensors' data."""
 
 from __future__ import annotations
 

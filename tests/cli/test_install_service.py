@@ -159,7 +159,7 @@ def test_a_configuration_unreadable_to_the_service_user_is_refused(private):
     ],
 )
 def test_unreadable_parts_of_the_installation_are_reported(private, monkeypatch, what, says):
-    """A pyenv's Python lies in a home, wherever the environment that is linked to it lies."""
+    """A pyenv's Python is in a home, wherever the environment that is linked to it is."""
     file = private.parent / "python3"
     file.touch()
     link = private.parent.parent / "link"

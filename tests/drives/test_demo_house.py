@@ -35,9 +35,9 @@ def trash_can_m(loop: ClosedLoop, tall: bool) -> float:
     """Return the robot's distances from the kitchen's tall white trash can and any other one."""
     pose = loop.drive.motion.pose
     return min(
-        thing.distance_m(pose.x_m, pose.y_m)
-        for thing in loop.world.objects
-        if thing.label == "trash can" and (thing.size_m[2] > 0.8) == tall
+        obj.distance_m(pose.x_m, pose.y_m)
+        for obj in loop.world.objects
+        if obj.label == "trash can" and (obj.size_m[2] > 0.8) == tall
     )
 
 

@@ -57,7 +57,6 @@ def until(loop: ClosedLoop, phase: str, seconds: float = 120.0) -> ClosedLoop:
 
 @pytest.fixture(scope="module")
 def at_the_oven() -> ClosedLoop:
-    """Driven to its end."""
     return closed(TO_THE_OVEN).run(200)
 
 

@@ -1,4 +1,4 @@
-"""Missions for things that a relation describes."""
+"""Missions for objects that a relation describes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edge.mission.spec import prepare
 from edge.types import Instance
 
 
-def thing(id, label, x_m):
+def obj(id, label, x_m):
     points_m = np.array([(x_m - 0.2, 0.0, 0.5), (x_m + 0.2, 0.0, 0.5)], np.float32)
     return Instance(id, label, points_m.mean(axis=0), points_m, 0.9, 5, 0, 0)
 
@@ -40,7 +40,7 @@ def test_only_objects_that_fit_the_relation_are_candidates(target, prompts, ids)
     goals = GoalTracker(config, here.pool, here.tracker, lambda goal: None, lambda text, ns: None)
     behaviour = SearchBehaviour(mission, config, here, goals, None)
     assert list(behaviour.gather()) == []
-    for one in (thing(1, "desk", 5.0), *(thing(i, "chair", 2.0 * i) for i in (2, 3, 4))):
+    for one in (obj(1, "desk", 5.0), *(obj(i, "chair", 2.0 * i) for i in (2, 3, 4))):
         here.tracker.add(one)
     assert [one.id for one in behaviour.gather()] == ids
     here.close()
@@ -55,7 +55,7 @@ def test_a_reached_object_is_no_candidate_for_the_next_of_several():
     behaviour = SearchBehaviour(mission, config, here, goals, None)
     # 2 is a part of 1 that the tracker holds for another chair.
     for i, x_m in enumerate((2.0, 2.7, 5.0), start=1):
-        here.tracker.add(thing(i, "chair", x_m))
+        here.tracker.add(obj(i, "chair", x_m))
     assert [one.id for one in behaviour.gather()] == [1, 2, 3]
     here.tracker.mark_reached(1)
     assert [one.id for one in behaviour.gather()] == [3]

@@ -34,7 +34,7 @@ def test_an_object_seen_as_context_becomes_a_target_at_once(found_a_bed):
     begin(loop, "F sofa")
     (sofa,) = loop.service.map.tracker.of("sofa")
     assert sofa.state == "confirmed"
-    # The model that is put in the other's place in between may call more or other things context.
+    # The model that is put in the other's place in between may give other context words.
     few = loop.config.perception.model_copy(
         update={"detector": loop.config.perception.detector.model_copy(update={"background": ()})}
     )

@@ -23,14 +23,7 @@ SILL_M = 0.085
 def closed_loop(
     folder: Path, way_round: bool, policy: str = "hvl", width_m: float = 1.0
 ) -> ClosedLoop:
-    """Return a robot in one of two rooms, a bed in the other, and a sill in the door between.
-
-    Args:
-        folder: of the world's file.
-        policy: kind of the policy.
-        way_round: whether there is another door, farther off.
-        width_m: of the door with the sill.
-    """
+    """Return a robot in one of two rooms, a bed in the other, and a sill in the door between."""
     doors = [{"at_m": 1.0 + 0.5 * width_m, "width_m": width_m, "sill_m": SILL_M}]
     doors += [{"at_m": 6.0, "width_m": 1.0}] * way_round
     corners = [[0, 0], [8, 0], [8, 7], [0, 7], [0, 0]]

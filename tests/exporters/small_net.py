@@ -12,12 +12,7 @@ RECIPE = Recipe(not_int8=("^head/",), not_fp16=("^head/",))
 
 
 def build(path: Path, gain: float = 1.0) -> Path:
-    """Two convolutions with SiLU, and a head that scores against the text and scales boxes.
-
-    Args:
-        path: of the ONNX file.
-        gain: of the first convolution; the second divides by it, so that the result is the same.
-    """
+    """Two convolutions with SiLU, and a head that scores against the text and scales boxes."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 

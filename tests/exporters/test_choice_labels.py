@@ -19,7 +19,6 @@ INF = np.inf
 
 
 def views_of(rows: list[dict]) -> Views:
-    """Return views of one object."""
     n = len(rows)
     marks = np.zeros((n, MAX_MARKS, 4), np.float32)
     path_m = np.zeros((n, MAX_MARKS), np.float32)

@@ -39,7 +39,6 @@ PRECISIONS = ("fp32", "fp16", "int8-cpu")
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Return a folder for each architecture."""
     torch.set_num_threads(1)  # more would only wait for each other
     root = tmp_path_factory.mktemp("published")
     write = {"clip": tiny_folders.write_clip, "siglip": tiny_folders.write_siglip}

@@ -30,7 +30,7 @@ CHAIR = 1 + looks.CATEGORIES.index("chair")
 ARMCHAIR = 1 + looks.CATEGORIES.index("armchair")
 
 
-def things(*rows) -> np.ndarray:
+def objects(*rows) -> np.ndarray:
     made = np.zeros(len(rows), OBJECT)
     for row, (category, box, rgb, style) in zip(made, rows, strict=True):
         row["category"], row["box"], row["visible"] = category, box, 1.0
@@ -54,8 +54,10 @@ def test_average_precision(found, count, ap):
 
 
 def test_questions_tell_two_objects_apart_by_their_difference():
-    assert _questions(things()) == []
-    pair = things((CHAIR, (0, 0, 40, 40), "red", "tall"), (CHAIR, (60, 0, 100, 40), "blue", "tall"))
+    assert _questions(objects()) == []
+    pair = objects(
+        (CHAIR, (0, 0, 40, 40), "red", "tall"), (CHAIR, (60, 0, 100, 40), "blue", "tall")
+    )
     asked = [(q.kind, tuple(q.phrase), q.right, q.wrong) for q in _questions(pair)]
     red, blue = (1 + looks.COLORS.index(c) for c in ("red", "blue"))
     assert asked == [("color", (CHAIR, red, 0), 0, 1), ("color", (CHAIR, blue, 0), 1, 0)]
@@ -65,19 +67,21 @@ def test_questions_tell_two_objects_apart_by_their_difference():
     ("x1", "kind"), [(100, "size"), (WIDTH_PX, "cut_off_size")], ids=["whole", "cut off"]
 )
 def test_size_questions_about_cut_off_objects_have_their_own_kind(x1, kind):
-    pair = things((CHAIR, (10, 10, 40, 90), None, "tall"), (CHAIR, (60, 10, x1, 50), None, "short"))
+    pair = objects(
+        (CHAIR, (10, 10, 40, 90), None, "tall"), (CHAIR, (60, 10, x1, 50), None, "short")
+    )
     assert [(q.kind, q.right, q.wrong) for q in _questions(pair)] == [(kind, 0, 1), (kind, 1, 0)]
 
 
 def test_small_and_hidden_objects_do_not_count():
-    some = things((CHAIR, (0, 0, 11, 40), "red", None), (CHAIR, (0, 0, 12, 40), "red", None))
+    some = objects((CHAIR, (0, 0, 11, 40), "red", None), (CHAIR, (0, 0, 12, 40), "red", None))
     assert _does_count(some).tolist() == [False, True]
     some["visible"] = 0.49
     assert not _does_count(some).any()
 
 
 def test_a_second_box_is_wrong_and_a_maybe_is_ignored():
-    some = things(
+    some = objects(
         (CHAIR, (0, 0, 40, 40), "red", None), (ARMCHAIR, (100, 100, 140, 140), "red", None)
     )
     boxes = np.array(
@@ -92,7 +96,7 @@ def test_a_second_box_is_wrong_and_a_maybe_is_ignored():
 def report(**changed) -> Report:
     pairs = {"color": (9, 10), "size": (3, 5), "cut_off_size": (0, 40)}
     phrases = np.tile([[DEPLOYED + 0.1, DEPLOYED - 0.1]], (15, 1))
-    figures = {"ap50": {"chair": 0.5, "bed": 1.0}, "things": {"chair": 3, "bed": 1}}
+    figures = {"ap50": {"chair": 0.5, "bed": 1.0}, "n_objects": {"chair": 3, "bed": 1}}
     figures |= {"pairs": pairs, "phrases": phrases, "latency_ms": (5.0, 6.0)}
     return Report(**(figures | changed))
 
@@ -123,7 +127,7 @@ def test_without_questions_no_share_is_reached():
 
 def test_only_questions_with_an_answer_go_into_the_phrases(monkeypatch):
     """One question about colour and one about the size of a cut-off object."""
-    pair = things(
+    pair = objects(
         (CHAIR, (10, 10, 40, 90), "red", "tall"),
         (CHAIR, (60, 10, WIDTH_PX, 50), "blue", "short"),
     )

@@ -32,11 +32,11 @@ def test_objects_stay_inside_the_house_and_below_the_ceiling(seed):
     xs = [x for room in house.rooms for x in room.rect[::2]]
     ys = [y for room in house.rooms for y in room.rect[1::2]]
     assert (min(xs), min(ys), max(xs), max(ys)) == (0, 0, *houses.extent_m(house))
-    for thing, look in zip(house.objects, appearances, strict=True):
-        assert min(xs) - 0.8 < thing.at[0] < max(xs) + 0.8
-        assert min(ys) - 0.8 < thing.at[1] < max(ys) + 0.8
-        assert thing.z_m + thing.size[2] < house.wall_height_m
-        assert list(assemblies.CATEGORIES)[look.category - 1] == thing.category
+    for obj, look in zip(house.objects, appearances, strict=True):
+        assert min(xs) - 0.8 < obj.at[0] < max(xs) + 0.8
+        assert min(ys) - 0.8 < obj.at[1] < max(ys) + 0.8
+        assert obj.z_m + obj.size[2] < house.wall_height_m
+        assert list(assemblies.CATEGORIES)[look.category - 1] == obj.category
 
 
 def test_raised_objects_stand_on_a_support():
@@ -44,18 +44,18 @@ def test_raised_objects_stand_on_a_support():
     for seed in range(6):
         things = random_house(seed)[0].objects
         supports = [t for t in things if t.category in SUPPORTS]
-        for thing in things:
-            if thing.z_m > 0 and thing.category != "picture":
+        for obj in things:
+            if obj.z_m > 0 and obj.category != "picture":
                 raised += 1
-                assert any(_carries(support, thing) for support in supports)
+                assert any(_carries(support, obj) for support in supports)
     assert raised
 
 
-def _carries(support, thing) -> bool:
+def _carries(support, obj) -> bool:
     """Return True if it ends at the object's start and has the object's middle above it."""
-    dx, dy, yaw = (*np.subtract(thing.at, support.at), math.radians(support.yaw_deg))
+    dx, dy, yaw = (*np.subtract(obj.at, support.at), math.radians(support.yaw_deg))
     across, along = dx * math.cos(yaw) + dy * math.sin(yaw), dy * math.cos(yaw) - dx * math.sin(yaw)
-    level = support.size[2] == thing.z_m
+    level = support.size[2] == obj.z_m
     return level and abs(across) < 1e-6 and abs(along) <= 0.5 * support.size[1]
 
 
@@ -94,12 +94,12 @@ def test_a_longer_phrase_never_turns_a_no_into_yes(rgb, style, category, rows):
     phrases = np.array(rows)
     less = phrases.copy()
     less[:, 1] = 0
-    thing = (
+    obj = (
         np.array([list(assemblies.CATEGORIES).index(category) + 1]),
         looks.color_answers(rgb)[None],
         looks.size_answers(style, category)[None],
     )
-    more, fewer = looks.answers(*thing, phrases)[0], looks.answers(*thing, less)[0]
+    more, fewer = looks.answers(*obj, phrases)[0], looks.answers(*obj, less)[0]
     assert set(more.tolist()) <= {looks.NO, looks.YES, looks.UNSURE}
     assert not ((fewer == looks.NO) & (more != looks.NO)).any()
     assert not ((more == looks.YES) & (fewer != looks.YES)).any()

@@ -72,9 +72,9 @@ def test_the_model_finds_most_clearly_visible_objects(held_out):
     for picture, objects in zip(rgb, found, strict=True):
         detections = detector.detect(Observation(0, 0, np.eye(4), rgb=picture))
         plain = objects[_does_count(objects) & (objects["pixels"] > 400)]
-        for thing in plain:
-            mine = detections.xyxy_px[detections.class_id == thing["category"] - 1]
-            seen += bool(len(mine) and overlaps(mine, thing["box"][None])[0].max() > 0.5)
+        for obj in plain:
+            mine = detections.xyxy_px[detections.class_id == obj["category"] - 1]
+            seen += bool(len(mine) and overlaps(mine, obj["box"][None])[0].max() > 0.5)
             total += 1
     detector.close()
     assert total >= 8

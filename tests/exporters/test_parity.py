@@ -57,7 +57,7 @@ def test_compare_counts_lost_new_and_moved_scores():
     assert (report.images, report.detections) == (2, 4)
     assert report.recall == 0.5  # FAR fell below the threshold
     assert report.precision == 0.5  # A is also seen as class 1
-    assert report.score_error == pytest.approx(0.5)  # only 0.1 → 0.15 lies in the band
+    assert report.score_error == pytest.approx(0.5)  # only 0.1 → 0.15 is in the band
     assert report.score_bias == pytest.approx(0.5)
     assert report.max_abs_diff == pytest.approx(0.5)
 

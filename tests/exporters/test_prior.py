@@ -18,7 +18,9 @@ from exporters.training.prior.house import CELL_M, read_plan
 from exporters.training.prior.samples import Samples, gather, starting_cells
 
 
-def house(*things: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)) -> dict:
+def house(
+    *objects: tuple[str, float, float], door: tuple[float, float] | None = (1.5, 2.5)
+) -> dict:
     """Return a bathroom and a bedroom of 4 m × 4 m with a door between them."""
     walls = [[0, 0, 8, 0], [8, 0, 8, 4], [8, 4, 0, 4], [0, 4, 0, 0]]
     walls += [[4, 0, 4, 4]] if door is None else [[4, 0, 4, door[0]], [4, door[1], 4, 4]]
@@ -37,7 +39,7 @@ def house(*things: tuple[str, float, float], door: tuple[float, float] | None = 
                 "size": [0.4, 0.4, 0.6],
                 "yaw": 0,
             }
-            for i, (name, x, y) in enumerate(things)
+            for i, (name, x, y) in enumerate(objects)
         ],
     }  # fmt: skip
 
@@ -52,7 +54,7 @@ def test_a_plan_of_a_house():
     assert plan.kinds == ("bathroom", "bedroom")
     assert plan.doors == {(0, 1)}
     assert plan.words == ("bed", "toilet")
-    assert plan.thing_room.tolist() == [0, 1]
+    assert plan.object_room.tolist() == [0, 1]
     assert plan.wall[cell(plan, 4.0, 0.5)]
     assert not plan.wall[cell(plan, 4.0, 2.0)]
     assert plan.closed[cell(plan, 1.0, 1.0)]
@@ -87,7 +89,7 @@ def test_an_explorer_sees_only_objects_in_line_of_sight():
     }  # fmt: skip
     assert explorer.known[cell(plan, 3, 3)]
     assert not explorer.known[cell(plan, 7, 0.6)]
-    toilet = explorer.thing_m[0]
+    toilet = explorer.object_m[0]
     assert np.hypot(*(explorer.seen_m[0] - toilet)) == pytest.approx(0.2, abs=1e-5)
     frontiers = explorer.frontiers()
     assert len(frontiers.cell)
@@ -163,8 +165,8 @@ def houses(tmp_path_factory):
     with gzip.open(file, "wt") as lines:
         for _ in range(100):
             x, y = rng.uniform(0.6, 3.4, 2)
-            things = [("toilet", x, y), ("toilet paper", x, y + 0.5), ("bed", x + 4, y)]
-            lines.write(json.dumps(house(*things)) + "\n")
+            objects = [("toilet", x, y), ("toilet paper", x, y + 0.5), ("bed", x + 4, y)]
+            lines.write(json.dumps(house(*objects)) + "\n")
     return file
 
 
@@ -174,12 +176,12 @@ def test_a_table_is_learned(houses, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "toilet paper" in said
     learned = table.parse(json.loads(out.read_text()))
-    assert learned.things == ("bed", "toilet", "toilet paper")
+    assert learned.classes == ("bed", "toilet", "toilet paper")
     assert learned.kinds == ("bathroom", "bedroom")
     assert learned.kind_rooms_with.tolist() == [[0, 100, 100], [100, 0, 0]]
     assert houses.name in json.loads(out.read_text())["source"]
     plan = read_plan(house(("toilet", 1, 1)))
     assert len(starting_cells(plan)) > 500
-    samples = gather([plan], learned.things, learned.kinds)
+    samples = gather([plan], learned.classes, learned.kinds)
     assert samples.wanted[:, 0].sum() == 0
     assert len(samples.house) == len(samples.found)

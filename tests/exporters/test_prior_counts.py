@@ -1,4 +1,4 @@
-"""Counting which things share a room, and the table that comes with the package."""
+"""Counting which objects share a room, and the table that comes with the package."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
 L_SHAPE = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 4], [0, 4]]
 
 
-def house(things: list[tuple[str, float, float]], rooms=(SQUARE,)) -> dict:
+def house(objects: list[tuple[str, float, float]], rooms=(SQUARE,)) -> dict:
     return {
         "rooms": [{"polygon": room} for room in rooms],
-        "objects": [{"category": name, "center": [x, y, 0.5]} for name, x, y in things],
+        "objects": [{"category": name, "center": [x, y, 0.5]} for name, x, y in objects],
     }
 
 

@@ -14,7 +14,7 @@ THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
 
 
 def test_every_phrase_can_be_filled_in() -> None:
-    """No slot is missing, nothing is left of the notation, and every name has its thing."""
+    """No slot is missing, nothing is left of the notation, and every name has its object."""
     composer = Composer(PHRASES, Random(0))
     for family in PHRASES.families:
         assert all(token in OPERATORS or token in "abcde" for token in family.tokens)

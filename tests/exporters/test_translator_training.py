@@ -43,7 +43,7 @@ def test_human_sentences_become_training_pairs() -> None:
         TranslationCase("", "go to b by a", parse("F (a & F b)")),
         TranslationCase("", "never visit c until a", parse("!c U a")),
         TranslationCase("", "visit a twice", parse("F (a & F (!a & F a))")),
-        TranslationCase("", "go to b", parse("F a")),  # names another thing
+        TranslationCase("", "go to b", parse("F a")),  # names another object
         TranslationCase("", "visit a \x1b", parse("F a")),
         TranslationCase("", "dance a", parse("a U X X X a")),  # no family means this
     ]  # fmt: skip

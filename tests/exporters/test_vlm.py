@@ -41,7 +41,6 @@ MAIN = ("vision_encoder", "embed_tokens", "decoder_model_merged")
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Return a folder for each architecture."""
     torch.set_num_threads(1)  # more would only wait for each other
     root = tmp_path_factory.mktemp("published")
     return {kind: tiny_folders.write_vlm(root / kind, kind) for kind in KINDS}

@@ -44,11 +44,7 @@ class TinyText(torch.nn.Module):
 
 
 def random_yoloe(images):
-    """Return YOLOE-11-N, S in half its width, of random weights that find something.
-
-    Args:
-        images: (n, 3, h, w), in which they do.
-    """
+    """Return YOLOE-11-N, S in half its width, of random weights that find something."""
     from ultralytics.nn.tasks import YOLOESegModel
 
     torch.manual_seed(0)

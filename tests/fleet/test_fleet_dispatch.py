@@ -129,7 +129,7 @@ def test_a_robot_that_forgets_its_part_loses_it_to_another():
     "between",
     [
         (),
-        (FAILED,),  # it says one thing, then another
+        (FAILED,),  # it says one, then another
         (AT_IT,),
         (robot("a", "other", "searching"),),
         (MUTE,),

@@ -1,4 +1,4 @@
-"""Robots with made-up bodies on a real router: missions shared, robots lost, answers that lie."""
+"""Robots with made-up bodies on a real router: missions shared, robots lost, false answers."""
 
 from __future__ import annotations
 

@@ -104,7 +104,6 @@ def npy(descr: str, shape: tuple[int, ...], content: bytes = b"", version: int =
 
 
 def x_of(content: bytes) -> bytes:
-    """Return a file with one array."""
     return forged(STATE, archive(("x.npy", content)))
 
 

@@ -17,7 +17,6 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def at_once(monkeypatch):
-    """Each state is shown."""
     monkeypatch.setattr(progress, "LOG_PERIOD_S", 0.0)
     monkeypatch.setattr(progress, "TERMINAL_PERIOD_S", 0.0)
 

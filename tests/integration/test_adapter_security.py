@@ -76,7 +76,6 @@ class Service:
         return self.node.subscription(f"/{name}", (SUBSCRIBED[name],), 64, latched)
 
     def answers(self) -> set[bytes]:
-        """Return the answers of all goal servers."""
         every = zenoh.QueryTarget.ALL
         replies = self.session.get(key_of(ACTION), target=every, timeout=PATIENCE_S)
         return {reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None}

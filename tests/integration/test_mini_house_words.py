@@ -32,7 +32,7 @@ BACKGROUND = (
 )  # fmt: skip
 LOOKS = 8
 PLAIN_VIEW = 0.006
-"""Share of the image that a thing fills."""
+"""Share of the image that an object fills."""
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +55,17 @@ def house():
         pytest.skip(str(error))
 
 
-def looks(house, thing: WorldObject) -> Iterator[Observation]:
+def looks(house, obj: WorldObject) -> Iterator[Observation]:
     """Return views of an object in plain sight, from several sides."""
     _, _, rig, poses, _ = house
     seq = 0
     for pose in poses:
-        if seq == LOOKS or not 0.9 < thing.distance_m(pose.x_m, pose.y_m) < 2.8:
+        if seq == LOOKS or not 0.9 < obj.distance_m(pose.x_m, pose.y_m) < 2.8:
             continue
-        x_m, y_m, _ = thing.center_m
+        x_m, y_m, _ = obj.center_m
         seen_from = SE2(pose.x_m, pose.y_m, math.atan2(y_m - pose.y_m, x_m - pose.x_m))
         rig.look(seen_from)
-        if (rig.ids == thing.id).mean() < PLAIN_VIEW:
+        if (rig.ids == obj.id).mean() < PLAIN_VIEW:
             continue
         seq += 1
         yield Observation(
@@ -81,12 +81,12 @@ def test_a_background_object_is_found_at_its_place(house, word):
     sightings, lifter = ObjectTracker(config.perception), BackProjector(config.perception)
     tracker = InstanceTracker(config.perception)
     fusion = InstanceFusion(tracker, sightings)
-    thing = next(o for o in world.objects if names.same_name(o.label, word))
-    for observation in looks(house, thing):
+    obj = next(o for o in world.objects if names.same_name(o.label, word))
+    for observation in looks(house, obj):
         found = detector.detect(observation)
         lifted, around = lifter.back_project(found)
         sightings.update(lifted, around)
         fusion.update(lifted, observation.stamp_ns)
         fusion.expire(observation, found.prompts)
     sure = tracker.of(word, only_confirmed=True, doubted=False)
-    assert min(thing.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all
+    assert min(obj.distance_m(*i.center_m[:2].tolist()) for i in sure) < 0.5, tracker.all

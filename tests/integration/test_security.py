@@ -104,7 +104,6 @@ class Service:
             self.reached.add(tuple(line.rstrip().split(maxsplit=2)))
 
     def end(self) -> set[tuple[str, ...]]:
-        """All that has reached it."""
         self.process.terminate()
         self._reader.join(PATIENCE_S)
         return self.reached

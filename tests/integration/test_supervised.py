@@ -148,7 +148,6 @@ def test_a_hanging_loop_sends_no_watchdog_pings(edge, config, manager, tmp_path)
 
 
 def asked(port: int, path: str) -> tuple[int, list[str]]:
-    """Status, and why."""
     status, body = answer(port, path, Authorization=f"Bearer {TOKEN}")
     return status, json.loads(body)["why"]
 

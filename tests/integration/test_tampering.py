@@ -22,7 +22,6 @@ BACK_M = 0.3
 
 
 def backward() -> MessageFilter:
-    """Stamps that run backwards."""
     first: list[int] = []
 
     def alter(topic: Topic, payload: bytes) -> Sequence[bytes]:

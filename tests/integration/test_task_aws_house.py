@@ -46,13 +46,13 @@ def test_the_robot_passes_left_of_the_sofa_to_the_desk(house):
     assert loop.service.status.phase == "reached", loop.notes.events
     assert loop.drive.motion.collisions == 0
     assert loop.distance_m("desk") <= AT_THE_DESK_M
-    (sofa,) = (thing for thing in loop.world.objects if thing.label == "sofa")
+    (sofa,) = (obj for obj in loop.world.objects if obj.label == "sofa")
     driven_m = np.array(trail_m[1])
     beside = np.array([sofa.distance_m(x, y) <= BESIDE_M for x, y in driven_m])
     bearing = np.unwrap(np.arctan2(*(driven_m - sofa.center_m[:2]).T[::-1]))
     turned = (bearing - bearing[0])[beside]
     # Its left is a quarter turn clockwise about it from where the robot was, its right the other;
-    # a way that only leads to the desk turns neither way. Where the desk lies behind the robot, the
+    # a way that only leads to the desk turns neither way. Where the desk is behind the robot, the
     # way comes back before it is abeam of the middle.
     assert turned.min() <= -math.radians(45)
     assert turned.max() <= math.radians(30)

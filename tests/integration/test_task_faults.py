@@ -1,4 +1,4 @@
-"""Tasks through faults: a server that stalls, lies or sends 100 MB."""
+"""Tasks through faults: a server that stalls, gives false answers or sends 100 MB."""
 
 from __future__ import annotations
 

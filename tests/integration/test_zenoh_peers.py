@@ -42,7 +42,6 @@ def config() -> Config:
 
 @pytest.fixture
 def robot(config, script) -> Callable[[], subprocess.Popen]:
-    """Return a function that starts a robot."""
     return lambda: script(PEER, config.zenoh.endpoint)
 
 

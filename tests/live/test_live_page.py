@@ -52,7 +52,6 @@ def page(tab, house) -> Tab:
 
 
 def painted(tab: Tab, canvas: str) -> int:
-    """Return the number of colours on a canvas."""
     return tab.run(
         f"""(() => {{
           const c = document.getElementById("{canvas}");

@@ -1,4 +1,4 @@
-"""Masks in a whole run: made in the detector, used to lift, reported, and the same each time."""
+"""Masks in an entire run: made in the detector, used to lift, reported, and the same each time."""
 
 from __future__ import annotations
 

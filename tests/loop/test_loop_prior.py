@@ -36,13 +36,13 @@ def walls(*ends: tuple[float, float, float, float]) -> RegionMap:
     return survey_regions(grid.layers, grid.window, int(0.85 * HEIGHT_CODES))
 
 
-def seen(*things: tuple[str, float, float], confidence: float = 0.5) -> TrackedObjects:
+def seen(*objects: tuple[str, float, float], confidence: float = 0.5) -> TrackedObjects:
     s = TrackedObjects(32)
-    for i, (word, x_m, y_m) in enumerate(things):
+    for i, (word, x_m, y_m) in enumerate(objects):
         if word not in s.words:
             s.words.append(word)
         s.xyz_m[i], s.word[i], s.confidence[i] = (x_m, y_m, 0.5), s.words.index(word), confidence
-    s.n = s.generation = len(things)
+    s.n = s.generation = len(objects)
     return s
 
 
@@ -59,7 +59,7 @@ def lifts(p: LocationPrior, target: str, *places: tuple[float, float]) -> list[f
 
 @pytest.mark.parametrize("by", BY)
 @pytest.mark.parametrize(
-    ("things", "target"),
+    ("objects", "target"),
     [
         ([], "toilet"),
         ([("toilet paper", 1.0, 0.0)], "zeppelin"),
@@ -67,11 +67,11 @@ def lifts(p: LocationPrior, target: str, *places: tuple[float, float]) -> list[f
         ([("toilet paper", 20.0, 0.0)], "toilet"),
     ],
 )
-def test_no_opinion(by, things, target):
+def test_no_opinion(by, objects, target):
     p = prior(by)
     assert lifts(p, target) == []
     assert lifts(p, target, (0, 0)) == [1]
-    p.step(walls((2, -2, 2, 2)), seen(*things))
+    p.step(walls((2, -2, 2, 2)), seen(*objects))
     assert lifts(p, target, (0, 0), (1, 1)) == [1, 1]
     assert lifts(p, target) == []
 
@@ -88,8 +88,8 @@ def test_objects_near_by_change_the_prior():
 
 
 def test_not_through_walls():
-    p, things = prior("cooccurrence"), seen(("toilet paper", 1, 0))
-    p.step(walls((2, -2, 2, 2)), things)
+    p, objects = prior("cooccurrence"), seen(("toilet paper", 1, 0))
+    p.step(walls((2, -2, 2, 2)), objects)
     beside, behind = lifts(p, "toilet", (0.5, 0.5), (2.6, 0.0))
     assert behind == 1 < beside
 
@@ -105,21 +105,21 @@ def test_rooms_change_the_prior_inside_them():
 
 
 @given(
-    things=st.lists(
+    objects=st.lists(
         st.tuples(
-            st.sampled_from((*TABLE.things[:30], "zeppelin")),
+            st.sampled_from((*TABLE.classes[:30], "zeppelin")),
             st.floats(-4, 4, width=32),
             st.floats(-4, 4, width=32),
         ),
         max_size=20,
     ),
     by=st.sampled_from(BY),
-    target=st.sampled_from(TABLE.things),
+    target=st.sampled_from(TABLE.classes),
 )
-def test_never_out_of_bounds_and_in_any_order(things, by, target):
+def test_never_out_of_bounds_and_in_any_order(objects, by, target):
     empty, places = NO_REGIONS, ((0, 0), (1, 2), (3, -3))
     found = []
-    for order in (things, things[::-1]):
+    for order in (objects, objects[::-1]):
         p = prior(by)
         p.step(empty, seen(*order))
         found.append(lifts(p, target, *places))
@@ -129,13 +129,13 @@ def test_never_out_of_bounds_and_in_any_order(things, by, target):
 
 def test_changed_objects_update_the_prior():
     p, view = prior("both"), walls((2, -2, 2, 2))
-    things = seen(("toilet paper", 1, 0))
-    p.step(view, things)
+    objects = seen(("toilet paper", 1, 0))
+    p.step(view, objects)
     first = lifts(p, "toilet", (0.5, 0.5))
     assert first == lifts(p, "toilet", (0.5, 0.5))
     assert lifts(p, "toilet", (-5, 0.5)) != first
-    things.n, things.generation = 0, things.generation + 1
-    p.step(view, things)
+    objects.n, objects.generation = 0, objects.generation + 1
+    p.step(view, objects)
     assert lifts(p, "toilet", (0.5, 0.5)) == [1]
 
 
@@ -144,8 +144,8 @@ def test_its_layer_has_its_value_at_each_place(by):
     p = prior(by)
     assert p.layer("toilet")().cells.size == 0
     room = walls((-1, -3, 4, -3), (4, -3, 4, 3), (4, 3, -1, 3), (-1, 3, -1, -3))
-    things = seen(("toilet paper", 3.5, 2.5), ("sink", 3.5, -2.5), ("bed", 0.0, 2.5))
-    p.step(room, things)
+    objects = seen(("toilet paper", 3.5, 2.5), ("sink", 3.5, -2.5), ("bed", 0.0, 2.5))
+    p.step(room, objects)
     assert p.layer("zeppelin")().cells.size == 0
     grid = p.layer("toilet")()
     drawn = np.argwhere(grid.cells)
@@ -160,14 +160,14 @@ def test_its_layer_has_its_value_at_each_place(by):
 def test_a_layer_is_a_snapshot_of_its_time():
     """As another thread may call for it, while the loop goes on."""
     p, view = prior("both"), walls((2, -2, 2, 2))
-    things = seen(("toilet paper", 1, 0))
-    p.step(view, things)
+    objects = seen(("toilet paper", 1, 0))
+    p.step(view, objects)
     at = (0.5, 0.5)
     before, (looked_at, kept) = lifts(p, "toilet", at), (p._xy_m, p._ratios["toilet"])
     early, same = p.layer("toilet"), p.layer("toilet")
     assert early is same  # nothing has changed: it is drawn once
-    things.xyz_m[:], things.confidence[:] = 99.0, 0.0
-    things.n, things.generation = 0, things.generation + 1
+    objects.xyz_m[:], objects.confidence[:] = 99.0, 0.0
+    objects.n, objects.generation = 0, objects.generation + 1
     drawn = early()
     assert drawn.cells.max() > 128
     assert p._xy_m is looked_at

@@ -305,8 +305,6 @@ class Sink:
 
 
 class BadSink:
-    """Fails at everything."""
-
     tick = broken
 
 

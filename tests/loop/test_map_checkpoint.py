@@ -116,7 +116,7 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
 @settings(max_examples=2)
 @given(st.sampled_from(POLICIES), st.integers(1, 120))
 @example("hvl", 90)
-@example("search", 98)  # a thing takes the row of one that is gone
+@example("search", 98)  # an object takes the row of one that is gone
 def test_goals_are_those_of_a_service_that_never_stopped(tmp_path_factory, policy, ticks):
     """Compare with a service that never stopped, bit for bit, on the same further observations.
 

@@ -33,8 +33,8 @@ def test_an_object_with_a_new_id_is_found_again(things, asked, found):
     scene = street(*things)
     for i, one in scene.objects.items():
         scene.objects[i] = replace(one, points_m=one.position_m[None])
-    thing = _find_again(asked, scene)
-    assert (None if thing is None else thing.id) == found
+    obj = _find_again(asked, scene)
+    assert (None if obj is None else obj.id) == found
 
 
 @pytest.mark.parametrize(

@@ -203,8 +203,6 @@ def floor(z_m: float | None) -> dict[str, Any]:
 
 
 class Judge:
-    """A stage and its reports."""
-
     def __init__(self, config: Config = CONFIG) -> None:
         self.said: list[tuple[str, int]] = []
         self.stage = Plausibility(config, self._say)

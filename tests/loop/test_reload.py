@@ -41,8 +41,6 @@ class Bench:
         self.reloader = Reloader(self.service, lambda: self.reads(), self.asked)
 
     def reload(self, reads: Config | BaseException) -> str:
-        """Its outcome."""
-
         def reread() -> Config:
             if isinstance(reads, BaseException):
                 raise reads

@@ -198,10 +198,10 @@ def test_objects_around_are_in_the_prompt():
     seen_ns = 5 * IN_VIEW_NS
     center = np.array([4.0, 1.0, 0.5], np.float32)
     tracker.add(Instance(1, "TV", center, center[None], 0.5, 3, 0, seen_ns, "rejected"))
-    things = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
-    things += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, IN_VIEW_NS + 1)]
-    around.words, around.n = [word for word, *_ in things], len(things)
-    for i, (_, x_m, hits, ago_ns) in enumerate(things):
+    objects = [("stove", 2.0, 3, 0), ("television", 1.0, 3, 0)]
+    objects += [("lamp", 1.0, 1, 0), ("desk", 1.0, 3, IN_VIEW_NS + 1)]
+    around.words, around.n = [word for word, *_ in objects], len(objects)
+    for i, (_, x_m, hits, ago_ns) in enumerate(objects):
         around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
         around.last_seen_ns[i] = seen_ns - ago_ns
     told = objects_in_view(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))

@@ -1,4 +1,4 @@
-"""The whole tick, in closed loop with a simulated robot in the built-in house."""
+"""The entire tick, in closed loop with a simulated robot in the built-in house."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ def test_a_result_says_the_same_later():
         loop.step()
 
     def published() -> tuple:
-        things = [(i.score, i.hits, i.state, i.points_m.tolist()) for i in result.instances()]
+        objects = [(i.score, i.hits, i.state, i.points_m.tolist()) for i in result.instances()]
         steps = result.mission().log
-        return things, steps, result.mission().reached, result.frontiers().tolist()
+        return objects, steps, result.mission().reached, result.frontiers().tolist()
 
     before = published()
     for _ in range(20):

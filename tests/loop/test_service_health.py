@@ -54,7 +54,6 @@ class Watched:
                 return said
 
     def see(self) -> None:
-        """Feed a frame."""
         (seen,) = blanks(self.closed, 1)
         self.running.service.tick(seen, seen.stamp_ns)
 

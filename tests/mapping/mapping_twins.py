@@ -96,7 +96,7 @@ def window(grid: RollingMap, layer: str) -> np.ndarray:
 
 
 def states(grid: RollingMap) -> np.ndarray:
-    """Return the published state of the whole window (-1, 0 or 100), inflated from scratch."""
+    """Return the published state of the entire window (-1, 0 or 100), inflated from scratch."""
     raw = window(grid, "raw")
     blocked = np.zeros(raw.shape, bool)
     disc = grid._cells.disc
@@ -326,7 +326,6 @@ def writable(grid: RollingMap) -> ly.Layers:
 
 
 def set_free(grid: RollingMap, x: int, y: int) -> None:
-    """Free a cell of the window."""
     ly.set_free(writable(grid), *grid.window.shift, x, y, grid._cells.changed)
 
 

@@ -29,7 +29,7 @@ BAR, TABLE_TOP, KNEE = (1.1, 1.3), (0.70, 0.74), (0.2, 0.34)
 
 
 @pytest.mark.parametrize(
-    ("height_m", "thing", "state"),
+    ("height_m", "obj", "state"),
     [
         (0.8, BAR, 0),
         (1.5, BAR, 100),
@@ -40,9 +40,9 @@ BAR, TABLE_TOP, KNEE = (1.1, 1.3), (0.70, 0.74), (0.2, 0.34)
         (0.15, KNEE, 0),
     ],
 )
-def test_the_robot_passes_under_higher_obstacles(height_m, thing, state):
+def test_the_robot_passes_under_higher_obstacles(height_m, obj, state):
     grid = RollingMap(of_robot(height_m=height_m).mapping)
-    low_m, high_m = thing
+    low_m, high_m = obj
     look(grid, ORIGIN, [(1.5, -0.6, low_m, 2.1, 0.6, high_m), *room(2.5)])
     assert grid.state_at(1.52, 0.0) == state
 
@@ -50,9 +50,9 @@ def test_the_robot_passes_under_higher_obstacles(height_m, thing, state):
 def test_an_overhang_does_not_raise_the_obstacle_below_it():
     """Otherwise rays that pass between the two would clear it."""
     grid = RollingMap(of_robot(height_m=0.4).mapping)
-    things = [(1.5, -0.1, 0.0, 1.6, 0.1, 0.2), (1.5, -0.1, 0.7, 1.6, 0.1, 2.0)]
+    objects = [(1.5, -0.1, 0.0, 1.6, 0.1, 0.2), (1.5, -0.1, 0.7, 1.6, 0.1, 2.0)]
     for x in (*np.arange(0.0, 1.1, 0.1), *[1.05] * 5):
-        look(grid, SE2(x, 0.0, 0.0), things)
+        look(grid, SE2(x, 0.0, 0.0), objects)
     assert grid.state_at(1.52, 0.0) == 100
 
 

@@ -1,4 +1,4 @@
-"""The published grid agrees with plain NumPy, wherever the window lies on the torus."""
+"""The published grid agrees with plain NumPy, wherever the window is on the torus."""
 
 from __future__ import annotations
 

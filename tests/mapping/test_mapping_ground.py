@@ -83,21 +83,21 @@ LOW_BED = (0.9, -0.5, 0.0, 2.4, 0.5, 0.35)
 
 
 @pytest.mark.parametrize(
-    ("thing", "base_m", "seen"),
+    ("obj", "base_m", "seen"),
     [(TABLE, 0.0, False), (BED, 0.0, False), (LOW_BED, 0.3, True), (LOW_BED, 0.4, True)],
     ids=["only a table", "only a bed", "bed as high as the base", "bed below the base"],
 )
-def test_furniture_at_the_start_is_not_taken_for_floor(thing, base_m, seen):
+def test_furniture_at_the_start_is_not_taken_for_floor(obj, base_m, seen):
     """The floor is the lowest wide surface; it stays unknown until it is seen."""
     grid, floor_z_m = RollingMap(SMALL), 2.0
     for _ in range(3):
-        update = see(grid, [thing, *WALLS], floor_z_m, base_m)
+        update = see(grid, [obj, *WALLS], floor_z_m, base_m)
     assert (update.floor_seen, update.floor_missing) == (seen, False)
-    assert grid.state_at(thing[0] + 0.08, 0.0) == 100
+    assert grid.state_at(obj[0] + 0.08, 0.0) == 100
     for yaw in np.arange(0.4, 2 * math.pi, 0.4):
-        update = see(grid, [thing, *WALLS], floor_z_m, base_m, SE2(0.0, 0.0, yaw))
+        update = see(grid, [obj, *WALLS], floor_z_m, base_m, SE2(0.0, 0.0, yaw))
     assert update.floor_z_m == pytest.approx(floor_z_m, abs=0.03)
-    assert states_of(grid, (thing[0] + 0.08, 0.0), (-1.0, 0.0)) == [100, 0]
+    assert states_of(grid, (obj[0] + 0.08, 0.0), (-1.0, 0.0)) == [100, 0]
 
 
 @pytest.mark.parametrize(
@@ -200,29 +200,27 @@ def test_a_road_that_climbs_in_the_blind_zone_is_ground(road):
     assert np.count_nonzero(cells == 0) * 0.04 > 0.9 * math.pi * 12.0**2
 
 
-@pytest.mark.parametrize(
-    ("thing", "climb"), [("box", "leans"), ("box", "falls"), ("curb", "climbs")]
-)
-def test_a_low_obstacle_outside_the_blind_zone_is_occupied(thing, climb):
+@pytest.mark.parametrize(("obj", "climb"), [("box", "leans"), ("box", "falls"), ("curb", "climbs")])
+def test_a_low_obstacle_outside_the_blind_zone_is_occupied(obj, climb):
     """A box in a few sectors, and a curb as long as the road: all the rest agrees on the ground."""
     road = CLIMBS[climb]
-    x, y = (4.2, 0.0) if thing == "box" else (0.0, 4.2)
+    x, y = (4.2, 0.0) if obj == "box" else (0.0, 4.2)
     z = float(road(x, y))
-    size = (0.4, 0.6) if thing == "box" else (12.0, 0.3)
+    size = (0.4, 0.6) if obj == "box" else (12.0, 0.3)
     low = (x - size[0] / 2, y - size[1] / 2, z - 0.9, x + size[0] / 2, y + size[1] / 2, z + 0.2)
     grid = lidar(road, [low])
     occupied = np.argwhere(grid.snapshot().cells == 100)
     at_m = (occupied[:, ::-1] + 0.5) * 0.2 + np.array(grid.snapshot().origin_xy_m)
     near = np.abs(at_m - (x, y)) <= np.array(size) / 2 + 0.3
     assert np.count_nonzero(near.all(axis=1)) >= 2
-    if thing == "box":
+    if obj == "box":
         assert near.all()
 
 
-def unseen(grid: RollingMap, thing: Box, others: list[Box], lost: float = np.nan) -> None:
-    """Three looks at a scene in which one thing gives no return."""
+def unseen(grid: RollingMap, obj: Box, others: list[Box], lost: float = np.nan) -> None:
+    """Three looks at a scene in which one object gives no return."""
     T = camera()
-    there, without = (render(CAMERA, T, boxes) for boxes in ([thing, *others], others))
+    there, without = (render(CAMERA, T, boxes) for boxes in ([obj, *others], others))
     depth = np.where(np.abs(there - without) > 1e-3, np.float32(lost), there)
     for _ in range(3):
         grid.update_depth(depth, CAMERA, np.eye(4), T)

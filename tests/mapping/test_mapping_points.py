@@ -129,7 +129,7 @@ def test_depth_points_agree_with_numpy_and_drop_invalid_pixels(bad):
     bit = ((slope + 0.75) * 64).astype(int)
     marked = [(s, k) for s in np.flatnonzero(lost) for k in range(64) if int(lost[s]) >> k & 1]
     assert marked
-    for s, k in marked:  # a sector is that of a cell, whose middle may lie in the next
+    for s, k in marked:  # a sector is that of a cell, whose middle may be in the next
         assert (np.abs(sector - s - 0.5)[bit == k] < 1.5).any()
     assert len({k for _, k in marked} ^ set(bit.tolist())) == 0
 

@@ -13,7 +13,7 @@ from edge import config
 from edge.geometry import CameraModel, invert, se2_of, se3
 from edge.mapping.grid import RollingMap
 
-# y is up in Redwood's world, and its floor lies at 0.13 m.
+# y is up in Redwood's world, and its floor is at 0.13 m.
 T_MAP_REDWOOD = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, -0.13], [0, 0, 0, 1]], float)
 CAR, MOVING_CAR, ROAD = 10, 252, 40
 

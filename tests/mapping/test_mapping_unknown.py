@@ -12,7 +12,7 @@ from edge.mapping.grid import RollingMap
 
 
 def random_map(rng: np.random.Generator) -> RollingMap:
-    """Random free, occupied and unknown patches, a window whose seam lies anywhere."""
+    """Random free, occupied and unknown patches, a window whose seam is anywhere."""
     grid = RollingMap(twins.SMALL.model_copy(update={"inflation_m": 0.06}))
     twins.move_to(grid, *(int(v) for v in rng.integers(-500, 500, 2)))
     n, shift = grid.window.n, grid.window.shift

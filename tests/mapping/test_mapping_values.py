@@ -162,7 +162,7 @@ def test_figure_3_by_hand():
     ahead, behind = (1.5, 0.1), (-1.0, 0.1)
     values.best(0, np.array([a, b, ahead, behind], np.float32), 4, 0.05, out)
     assert out[:2] == pytest.approx([0.48, 0.08], abs=0.03)  # V = S P where the frontiers are
-    # Between them it changes linearly with the bearing: in the middle lies the mean.
+    # Between them it changes linearly with the bearing: in the middle is the mean.
     assert out[2] == pytest.approx(0.28, abs=HALF_STEP)
     assert np.isnan(out[3])
     inside, bearing = in_view(values, seen)

@@ -1,4 +1,4 @@
-"""Things that a relation describes, and the instances that they mean."""
+"""Objects that a relation describes, and the instances that they mean."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.memory import DescribedTargets, DescribedThing, RelationError, parse_description
+from edge.memory import DescribedObject, DescribedTargets, RelationError, parse_description
 from edge.names import NotANameError
 from edge.types import Instance
 
@@ -24,37 +24,37 @@ def test_a_plain_name_has_no_relation(name):
 
 
 @pytest.mark.parametrize(
-    ("text", "thing"),
+    ("text", "obj"),
     [
-        ("the chair next to the desk", DescribedThing("chair", "next to", "desk")),
-        ("chair by the window", DescribedThing("chair", "next to", "window")),
-        ("chair closest to the window", DescribedThing("chair", "nearest to", "window")),
-        ("mug on the table", DescribedThing("mug", "on", "table")),
-        ("box under the bed", DescribedThing("box", "under", "bed")),
-        ("cup in the sink", DescribedThing("cup", "in", "sink")),
-        ("mug in the kitchen", DescribedThing("mug", room="kitchen")),
-        ("mug in room 3", DescribedThing("mug", room="room three")),
-        ("mug in Anna's crypt", DescribedThing("mug", room="anna's crypt")),
-        ("mug on the desk in the crypt", DescribedThing("mug", "on", "desk", "crypt")),
-        ("mug in the lounge", DescribedThing("mug", room="lounge")),
-        ("mug in the studio", DescribedThing("mug", room="studio")),
-        ("mug in the fridge", DescribedThing("mug", "in", "fridge")),
-        ("mug in the top drawer", DescribedThing("mug", "in", "top drawer")),
-        ("mugs in my toy box", DescribedThing("mugs", "in", "toy box")),
-        ("mug in the drawer in the studio", DescribedThing("mug", "in", "drawer", "studio")),
-        ("mug in room twelve", DescribedThing("mug", room="room 12")),
-        ("second door", DescribedThing("door", nth=2)),
+        ("the chair next to the desk", DescribedObject("chair", "next to", "desk")),
+        ("chair by the window", DescribedObject("chair", "next to", "window")),
+        ("chair closest to the window", DescribedObject("chair", "nearest to", "window")),
+        ("mug on the table", DescribedObject("mug", "on", "table")),
+        ("box under the bed", DescribedObject("box", "under", "bed")),
+        ("cup in the sink", DescribedObject("cup", "in", "sink")),
+        ("mug in the kitchen", DescribedObject("mug", room="kitchen")),
+        ("mug in room 3", DescribedObject("mug", room="room three")),
+        ("mug in Anna's crypt", DescribedObject("mug", room="anna's crypt")),
+        ("mug on the desk in the crypt", DescribedObject("mug", "on", "desk", "crypt")),
+        ("mug in the lounge", DescribedObject("mug", room="lounge")),
+        ("mug in the studio", DescribedObject("mug", room="studio")),
+        ("mug in the fridge", DescribedObject("mug", "in", "fridge")),
+        ("mug in the top drawer", DescribedObject("mug", "in", "top drawer")),
+        ("mugs in my toy box", DescribedObject("mugs", "in", "toy box")),
+        ("mug in the drawer in the studio", DescribedObject("mug", "in", "drawer", "studio")),
+        ("mug in room twelve", DescribedObject("mug", room="room 12")),
+        ("second door", DescribedObject("door", nth=2)),
         ("2nd red chair in the kitchen", None),
-        ("red chair in the living room", DescribedThing("red chair", room="living room")),
+        ("red chair in the living room", DescribedObject("red chair", room="living room")),
         (
             "third chair next to the desk in the kitchen",
-            DescribedThing("chair", "next to", "desk", "kitchen", 3),
+            DescribedObject("chair", "next to", "desk", "kitchen", 3),
         ),
     ],
 )
-def test_a_description_has_noun_relation_anchor_room_and_number(text, thing):
+def test_a_description_has_noun_relation_anchor_room_and_number(text, obj):
     found = parse_description(text)
-    assert found == (thing or DescribedThing("2nd red chair", room="kitchen"))
+    assert found == (obj or DescribedObject("2nd red chair", room="kitchen"))
     assert found.prompts == tuple(filter(None, (found.noun, found.anchor)))
 
 
@@ -71,7 +71,7 @@ def test_a_relation_that_cannot_be_checked_is_refused(text, why):
         parse_description(text)
 
 
-def thing(id, label, x_m, y_m=0.0, z_m=0.5):
+def obj(id, label, x_m, y_m=0.0, z_m=0.5):
     points_m = np.array([(x_m - 0.2, y_m, z_m), (x_m + 0.2, y_m, z_m)], np.float32)
     center_m = points_m.mean(axis=0)
     return Instance(
@@ -80,9 +80,9 @@ def thing(id, label, x_m, y_m=0.0, z_m=0.5):
 
 
 MAP = (
-    thing(1, "desk", 0.0), thing(2, "chair", 1.0), thing(3, "chair", 4.0),
-    thing(4, "chair", 1.5), thing(5, "window", 9.0), thing(6, "mug", 0.1, z_m=0.9),
-    thing(7, "mug", 4.1, z_m=0.9), thing(8, "box", 0.0, z_m=0.1),
+    obj(1, "desk", 0.0), obj(2, "chair", 1.0), obj(3, "chair", 4.0),
+    obj(4, "chair", 1.5), obj(5, "window", 9.0), obj(6, "mug", 0.1, z_m=0.9),
+    obj(7, "mug", 4.1, z_m=0.9), obj(8, "box", 0.0, z_m=0.1),
 )  # fmt: skip
 
 

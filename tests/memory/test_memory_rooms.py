@@ -51,23 +51,23 @@ def ids_at(survey: RoomSurvey, *places_m: tuple[float, float]) -> list[int]:
     return [survey.depth_at(*place)[0] for place in places_m]
 
 
-def seen(*things: tuple[str, float, float]) -> TrackedObjects:
+def seen(*objects: tuple[str, float, float]) -> TrackedObjects:
     s = TrackedObjects(32)
-    for i, (word, x_m, y_m) in enumerate(things):
+    for i, (word, x_m, y_m) in enumerate(objects):
         if word not in s.words:
             s.words.append(word)
         s.xyz_m[i], s.word[i], s.confidence[i] = (x_m, y_m, 0.5), s.words.index(word), 0.5
-    s.n = s.generation = len(things)
+    s.n = s.generation = len(objects)
     return s
 
 
 def memory(
-    *cuts: RegionMap, things: TrackedObjects | None = None, site: Site = UNNAMED
+    *cuts: RegionMap, objects: TrackedObjects | None = None, site: Site = UNNAMED
 ) -> RoomMemory:
     rooms = RoomMemory(TABLE, WORDS)
     rooms.set_site(site)
     rooms.on_survey(surveyed(*cuts))
-    rooms.update(things or seen(), 0)
+    rooms.update(objects or seen(), 0)
     return rooms
 
 
@@ -140,7 +140,7 @@ def test_ids_do_not_depend_on_the_window(dx, dy):
 
 
 def test_a_room_has_its_kind_from_the_objects_in_it():
-    rooms = memory(cut(LEFT, RIGHT), things=BATH)
+    rooms = memory(cut(LEFT, RIGHT), objects=BATH)
     left, right = rooms.rooms
     assert left.kinds == ("bathroom",)
     assert left.title == "bathroom"
@@ -168,7 +168,7 @@ def test_an_empty_room_has_no_evidence_of_its_kind():
 
 @pytest.mark.parametrize(("kind", "x_m"), [("kitchen", (0, 2)), ("living room", (5, 7))])
 def test_evidence_for_a_room_kind_lies_at_its_objects(kind, x_m):
-    (room,) = (rooms := memory(cut((0, 0, 70, 40)), things=OPEN_PLAN)).rooms
+    (room,) = (rooms := memory(cut((0, 0, 70, 40)), objects=OPEN_PLAN)).rooms
     assert room.kinds == ("kitchen", "living room")
     votes = rooms.votes(room, kind)
     assert votes.shape == (len(room.points_m),)
@@ -195,7 +195,7 @@ def test_a_room_is_closed_if_zones_cover_it(kind, corners_m, closed):
 
 def test_a_name_by_a_person_is_certain():
     site = Site((RoomName("office", (5.0, 2.0)), RoomName("lounge", (1.5, 2.0))))
-    rooms = memory(cut(LEFT, RIGHT), things=BATH, site=site)
+    rooms = memory(cut(LEFT, RIGHT), objects=BATH, site=site)
     left, right = rooms.rooms
     assert (right.name, right.kinds, right.chance["office"]) == ("office", ("office",), 1.0)
     assert (left.title, left.kinds, left.chance["bathroom"]) == ("lounge", ("living room",), 0.0)

@@ -35,7 +35,6 @@ TRACES = [trace for n in range(5) for trace in itertools.product(PROPOSITIONS, r
 
 
 def targets(n: int) -> str:
-    """n targets in any order."""
     return " & ".join(f"F a{k}" for k in range(n))
 
 
@@ -163,7 +162,6 @@ def test_steps_are_counted_the_same_every_time(text, monkeypatch):
 
 
 def steps_of(text, monkeypatch) -> int:
-    """Return the number of steps of a compilation."""
     made = []
 
     class Noted(CompileBudget):

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
 from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
-from edge.mission.language.remarks import is_remark
-from edge.mission.language.said import (
+from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
     MissionOrder,
@@ -20,6 +19,7 @@ from edge.mission.language.said import (
     SiteOrder,
     understand,
 )
+from edge.mission.language.remarks import is_remark
 from edge.mission.language.tidy import tidy_up
 from edge.mission.language.tokens import TranslationError
 from edge.mission.spec import prepare, translate
@@ -171,7 +171,7 @@ def test_questions_and_direct_orders_are_recognised(said, found):
     assert understand(said, NAMES) == found
     with pytest.raises(NoMissionError) as error:
         prepare(MissionConfig(), said, site=SITE)
-    assert error.value.said == found
+    assert error.value.intent == found
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_errands_and_unclear_text_go_to_the_translators(said):
     "said", ["Where is the mug? Do not go there.", "Remember this as the dock, then go to the bed."]
 )
 def test_several_orders_at_once_are_refused(said):
-    with pytest.raises(TranslationError, match="one thing at a time"):
+    with pytest.raises(TranslationError, match="say one at a time"):
         understand(said, NAMES)
 
 

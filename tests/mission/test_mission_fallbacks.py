@@ -183,18 +183,18 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("find the mug or the cup; if it is not on the desk, come back", "what should be there"),
         ("go to the hall or the bed; if there is a cat on it, come back", "unclear where"),
         ("go to the dock only if you can't find the mug", "leave out the condition"),
-        ("Which room has the piano? Go there.", "one thing at a time"),
+        ("Which room has the piano? Go there.", "say one at a time"),
         ("find two scissors", "expected the name"),
         ("find the mug; if you find it, go to the dock. If you see a cup there, wait.", "unclear"),
         ("find the mug; if it's not there come back, but avoid the dog", "say first what to avoid"),
         ("find two chairs; if you can't, come back", "cannot have a fallback"),
         ("patrol the dock and the shelf for 5 minutes, otherwise come back", "what repeats"),
         ("find the mug; if it is not there, where is the cup?", "an order that has one meaning"),
-        ("Where is the mug? Do not go there.", "one thing at a time"),
+        ("Where is the mug? Do not go there.", "say one at a time"),
         ("find six chairs", "expected the name"),
-        ("find a free chair", "cannot tell if a thing is free"),
+        ("find a free chair", "cannot see if an object is free"),
         ("go to the door that is open", "the state of an object cannot be used"),
-        ("find the mug but avoid dirty tables", "cannot tell if a thing is dirty"),
+        ("find the mug but avoid dirty tables", "cannot see if an object is dirty"),
         # "It" may be something else than the last goal.
         (
             "look for the mug in the hall; if it's not there go to the kitchen; if you can't find "
@@ -289,7 +289,7 @@ def test_the_formula_of_an_order_with_a_condition(said, formula):
         ("find the dog; if it is in the kitchen, come back", "which place or order"),
         ("find the mug in the hall; if you can't get in, come back", "unclear which of the orders"),
         ("find the mug; if it's not there wait until it is", "an order that has one meaning"),
-        # Numbers of things.
+        # Numbers of objects.
         ("find three chairs in the kitchen but not in the hall", "differ by kind"),
         ("find two dogs but avoid the dog", "expected the name"),
         ("find two chairs in the kitchen, but not in the hall", "differ by kind"),
@@ -378,7 +378,7 @@ def test_a_place_with_more_orders_is_asked_about():
 )
 def test_a_state_in_a_name_is_no_state(name):
     refuse_states(f"find the {name}, then a {name} board")
-    with pytest.raises(UserError, match="cannot tell"):
+    with pytest.raises(UserError, match="cannot see"):
         refuse_states(f"find the {name.split()[0]} chair.")
 
 

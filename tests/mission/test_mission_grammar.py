@@ -294,7 +294,7 @@ def test_no_unknown_word_is_skipped(sentence: str) -> None:
                 parse_english(" ".join([*words[:i], "blorf", *rest]))
 
 
-# Clauses over two things; a word that means something is marked by a star.
+# Clauses over two objects; a word that means something is marked by a star.
 CLAUSES = (
     "visit the *A", "go to the *A", "please check the *A too", "visit the *A *twice",
     "visit the *A at *most *twice", "visit the *A *exactly *three *times",
@@ -412,7 +412,7 @@ def test_limits_are_named() -> None:
 
 
 def test_exponential_formulas_are_refused() -> None:
-    """Each step of two things doubles the formula."""
+    """Each step of two objects doubles the formula."""
     for steps in (3, 100):
         text = "visit " + ", then ".join(f'the "x{i}" and the "y{i}"' for i in range(steps))
         if steps == 3:

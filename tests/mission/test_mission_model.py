@@ -23,11 +23,7 @@ KNOWN = ("go", "to", "then", "not", "visit", "please", ",", ".")
 
 
 class Stub:
-    """A network that writes given text.
-
-    Args:
-        written: formulas with their probability, and how well each tells a sentence back, a word.
-    """
+    """A network that writes given text."""
 
     words = KNOWN
 
@@ -60,7 +56,7 @@ BELIEVED = [
     (SAID, [("F & <0> F <1>", 0.7, -1.0), (OTHER, 0.3, -1.5)], False,
      ["F (sofa & F bed)", "F sofa & F bed"]),
     (SAID, [("F & <0> F <1>", 0.98, -4.0)], False, ["F (sofa & F bed)"]),  # words unaccounted for
-    (SAID, [("F <0>", 0.98, -1.0)], False, None),  # a thing is left out
+    (SAID, [("F <0>", 0.98, -1.0)], False, None),  # an object is left out
     (SAID, [("& F <0> G ! <1>", 0.98, -4.0)], False, ["F sofa & G !bed"]),
     (SAID, [("W ! <0> <1>", 0.98, -4.0)], False, None),  # it asks for nothing
     (SAID, [("F & <0> F <1>", 0.7, -1.0), (OTHER, 0.16, -1.5), (REFUSED, 0.14, 0.0)], False,
@@ -131,7 +127,6 @@ def test_text_without_a_formula(written: list[tuple[str, float, float]]) -> None
 
 @cache
 def shipped() -> NeuralTranslator:
-    """One session for all tests."""
     return NeuralTranslator(TranslationNetwork("mini-translator"))
 
 

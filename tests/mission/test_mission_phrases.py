@@ -306,7 +306,6 @@ NO_LONGER_READ = [  # too rare to keep their rules: they are refused, not misrea
 
 
 def formulas_of(sentence: str) -> tuple[Formula, ...]:
-    """Return the distinct formulas of the sentence."""
     return distinct(readings(sentence))[0]
 
 

@@ -121,7 +121,7 @@ def test_an_object_may_be_in_a_named_room(instruction, formula, prompts):
     site, config = SITE.with_item(RoomName("den", (4.0, 2.0))), MissionConfig()
     if not formula:
         with pytest.raises(
-            UserError, match=r"no room or thing is called 'crypt'|'crypt': not a known"
+            UserError, match=r"no room or object is called 'crypt'|'crypt': not a known"
         ):
             prepare(config, instruction, site=site)
         return

@@ -229,7 +229,6 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
 
 
 def check(automaton, state, plan, knowledge):
-    """Check the invariants of any plan."""
     assert plan.reason
     assert "\n" not in plan.reason
     if automaton.accepting[state]:
@@ -298,8 +297,6 @@ def test_warm_up_runs(weights):
 
 
 class Alphabetical:
-    """A plugin planner."""
-
     def __init__(self, automaton, instruction, last=False):
         self.propositions, self.instruction, self.last = automaton.propositions, instruction, last
 

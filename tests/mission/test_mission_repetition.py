@@ -76,7 +76,7 @@ def test_recurrence_becomes_one_round_that_repeats(formula, given, one_round, re
 
 @pytest.mark.parametrize("formula", ["F dock", "F (dock | shelf)", "F (dock & X F dock)"])
 def test_one_stop_is_not_a_round(formula):
-    with pytest.raises(UserError, match="name at least two things or places"):
+    with pytest.raises(UserError, match="name at least two objects or places"):
         prepare(MissionConfig(), formula=formula, repeat=Repetition(), site=SITE)
 
 

@@ -43,12 +43,12 @@ def test_an_impossible_mission_is_refused_with_the_reason(formula, words):
 @pytest.mark.parametrize(
     ("said", "hint"),
     [
-        ("find a", "name of the thing is missing"),
-        ("look for a, then wait 2 minutes", "name of the thing is missing"),
+        ("find a", "name of the object is missing"),
+        ("look for a, then wait 2 minutes", "name of the object is missing"),
         ("find a thanks", "not a known object"),
         ("find a buddy", "not a known object"),
         ("find the robot, then go to the bed", "this is the robot itself"),
-        ("go to the please", "expected the name of a thing"),
+        ("go to the please", "expected the name of an object"),
     ],
 )
 def test_an_article_or_filler_is_not_an_object(said, hint):
@@ -77,8 +77,8 @@ def test_only_requests_are_asked_about_ambiguity() -> None:
     spec = prepare(MissionConfig(instruction=AMBIGUOUS))
     assert spec.translation.implied
     assert spec.warnings == (
-        f"the instruction has {len(told)} readings and nobody chose one, so reading 1 was taken: "
-        "it fulfils all of them",
+        f"the instruction has {len(told)} readings and no person chose one, so reading 1 was "
+        "taken: it fulfils all of them",
     )
     for chosen in (
         prepare(MissionConfig(), AMBIGUOUS, reading=2),

@@ -91,7 +91,7 @@ def test_traces_of_the_parts_fulfil_the_whole_in_any_order(formula, data):
     found = split(formula)
     traces = [data.draw(fulfilling(part)) for part in found.parts]
     if any(trace is None for trace in traces):
-        return  # a part that nothing fulfils: so is the whole
+        return  # a part that nothing fulfils: so is all of it
     trace = []
     while any(traces):
         chosen = data.draw(st.sampled_from([w for w in traces if w]))

@@ -186,15 +186,15 @@ class Corridor:
 
 
 @pytest.mark.parametrize(
-    ("yaw_rad", "thing", "expected"),
+    ("yaw_rad", "obj", "expected"),
     [
         (0.0, "bed", [False, True, False]),  # ahead; the others end at the walls
         (np.pi, "bed", [True, False, True]),  # the way ahead leads away
         (0.0, "lamp", [False] * 3),  # none there
     ],
 )
-def test_the_correct_mark_leaves_the_shortest_path(yaw_rad, thing, expected):
-    world, pose = Corridor(thing), SE2(0.0, 0.0, yaw_rad)
+def test_the_correct_mark_leaves_the_shortest_path(yaw_rad, obj, expected):
+    world, pose = Corridor(obj), SE2(0.0, 0.0, yaw_rad)
     pictures = BenchFrames("one", [], (), None, world, (pose,))
     view = MarkedView(Observation(0, 0, np.eye(4)), "bed", MARKS)
     remaining_m = np.array([choices._remaining_m(pictures, view)])

@@ -51,7 +51,7 @@ ORDERS = {
 
 
 class Steered:
-    """Stand-in detector: the whole image once for each prompt, with its mean as the score.
+    """Stand-in detector: the entire image once for each prompt, with its mean as the score.
 
     It adds seven unsound boxes if its settings say so for the images so far.
     """

@@ -1,4 +1,4 @@
-"""Back-projected boxes of things at known places, as if a detector had found them."""
+"""Back-projected boxes of objects at known places, as if a detector had found them."""
 
 from __future__ import annotations
 
@@ -19,17 +19,7 @@ def lifted(
     z_m: float = 0.4,
     competing_score: float = 0.0,
 ) -> BackProjectedBoxes:
-    """Return (label, x, y, score) each, if its label is one of the words, the highest score first.
-
-    Args:
-        frame: image in which they were found.
-        things: their label, middle and score.
-        words: text classes.
-        seed: of the points.
-        size_m: distance along each axis that the points keep to the middle.
-        z_m: height of the middles.
-        competing_score: of each.
-    """
+    """Return (label, x, y, score) each, if its label is one of the words, best first."""
     mine = sorted((t for t in things if t[0] in words), key=lambda t: -t[3])
     n = len(mine)
     places = np.array([(t[1], t[2], z_m) for t in mine], np.float32).reshape(n, 3)

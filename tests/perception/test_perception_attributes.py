@@ -68,7 +68,7 @@ def test_an_unknown_noun_is_refused_with_the_nearest_category(prompt):
         ("tall low-cut chair", "tall and short"),
         ("big little table", "large and small"),
         ("slim wide sofa", "wide and narrow"),
-        ("not red chair", "'not' is not understood; say what the thing is like"),
+        ("not red chair", "'not' is not understood; say what the object is like"),
         ("a non-red chair", "'non' is not understood"),
     ],
 )

@@ -204,7 +204,6 @@ def flip_a_byte(path, at=-1):
 
 @pytest.fixture
 def hashed(monkeypatch):
-    """Return the list of files that are hashed."""
     files, hash_file = [], model_file.sha256_of
 
     def note(path):

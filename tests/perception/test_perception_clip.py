@@ -143,7 +143,7 @@ def test_the_text_model_is_used_if_its_file_exists(text_card, tmp_path):
 
 
 def test_a_text_model_of_another_family_is_not_used(text_card, cards, tmp_path):
-    """Its embeddings have the same length, and lie elsewhere."""
+    """Its embeddings have the same length, and are elsewhere."""
     words = tmp_path / "words.npz"
     np.savez(words, names=np.array(["chair"]), emb=np.eye(1, DIM))
     path = text_card().path

@@ -41,8 +41,6 @@ KEY = {"model": "tiny", "sha256": "a" * 64, "sm": "8.7", "gpu": "Orin", "recipe"
 
 
 class Builds:
-    """A build that counts."""
-
     def __init__(self, content=b"engine"):
         self.count, self.content = 0, content
 

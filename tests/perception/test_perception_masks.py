@@ -25,11 +25,11 @@ GRABCUT = config.SegmenterGrabcut()
 RED, BLUE, GREEN = (200, 40, 30), (40, 60, 200), (30, 160, 60)
 
 
-def picture(*things, hw=(64, 80), ground=BLUE):
-    """Things (colour, x0, y0, x1, y1) before a ground, each over those before it."""
+def picture(*objects, hw=(64, 80), ground=BLUE):
+    """Objects (colour, x0, y0, x1, y1) before a ground, each over those before it."""
     rgb = np.empty((*hw, 3), np.uint8)
     rgb[:] = ground
-    for colour, x0, y0, x1, y1 in things:
+    for colour, x0, y0, x1, y1 in objects:
         rgb[y0:y1, x0:x1] = colour
     return rgb
 

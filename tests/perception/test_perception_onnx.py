@@ -270,7 +270,7 @@ def test_an_object_has_the_best_score_of_its_names(tiny, monkeypatch, make_obser
     [
         (("chair",), (), (), []),
         (("bed",), ("chair", "sofa"), ("chair", "sofa"), ["chair"]),  # the better has the place
-        (("bed",), ("sofa", "couch"), ("sofa",), ["sofa"]),  # two names of one thing
+        (("bed",), ("sofa", "couch"), ("sofa",), ["sofa"]),  # two names of one object
         (("chair",), ("sofa", "chair"), ("sofa",), ["sofa"]),
         (("chair",), ("armchair", "trash can"), ("trash can",), ["trash can"]),
     ],

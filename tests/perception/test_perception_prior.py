@@ -37,13 +37,13 @@ TABLE = table.parse(DATA)
 
 def test_the_table_holds_together():
     t = table.load()
-    both, n = t.rooms_with_both, len(t.things)
+    both, n = t.rooms_with_both, len(t.classes)
     np.testing.assert_array_equal(both, both.T)
     assert (both <= np.minimum.outer(both.diagonal(), both.diagonal())).all()
     assert both.diagonal().max() <= t.n_rooms == t.kind_rooms.sum()
     assert (t.kind_rooms_with <= t.kind_rooms[:, None]).all()
     assert t.near_weight.shape == both.shape == (n, n)
-    assert [names.canonical(thing) for thing in t.things] == list(t.things)
+    assert [names.canonical(name) for name in t.classes] == list(t.classes)
     assert set(json.loads(table.FILE.read_text())) > {"source", "command", "licence"}
     assert table.FILE.stat().st_size < 100_000
 
@@ -145,12 +145,12 @@ def test_nearby_is_its_twin(seed):
     wall = rng.random((20, 30)) < 0.05
     n, m = rng.integers(0, 6), rng.integers(0, 12)
     xy = rng.uniform(-1, 4, (n, 2)).astype(np.float32)
-    things = rng.uniform(-1, 4, (m, 3)).astype(np.float32)
+    objects = rng.uniform(-1, 4, (m, 3)).astype(np.float32)
     row = rng.integers(-1, 3, m).astype(np.int32)
     weight = rng.random(m).astype(np.float32)
     out = np.full((n, 3), 9, np.float32)
-    nearby(wall, -0.5, 0.2, 0.1, xy, n, things, row, weight, m, 1.5, out)
-    expected = nearby_twin(wall, -0.5, 0.2, 0.1, xy, things, row, weight, 1.5, 3)
+    nearby(wall, -0.5, 0.2, 0.1, xy, n, objects, row, weight, m, 1.5, out)
+    expected = nearby_twin(wall, -0.5, 0.2, 0.1, xy, objects, row, weight, 1.5, 3)
     np.testing.assert_array_equal(out, expected)
 
 
@@ -160,8 +160,8 @@ def test_a_wall_hides_objects_behind_it():
     xy, out = np.array([[0.5, 1.5]], np.float32), np.empty((1, 1), np.float32)
     row, sure = np.zeros(1, np.int32), np.ones(1, np.float32)
     for x_m, seen in ((1.2, 1), (1.6, 1), (2.2, 0), (4.0, 0)):
-        things = np.array([[x_m, 1.5, 0.0]], np.float32)
-        nearby(wall, 0.0, 0.0, 0.1, xy, 1, things, row, sure, 1, 3.0, out)
+        objects = np.array([[x_m, 1.5, 0.0]], np.float32)
+        nearby(wall, 0.0, 0.0, 0.1, xy, 1, objects, row, sure, 1, 3.0, out)
         assert out[0, 0] == seen, x_m
 
 
@@ -190,12 +190,12 @@ def test_words(word, row, by_embedding):
 
 
 @pytest.mark.parametrize(
-    ("word", "thing"), [("flagpole", None), ("cushion", "pillow"), ("water faucet", "faucet")]
+    ("word", "obj"), [("flagpole", None), ("cushion", "pillow"), ("water faucet", "faucet")]
 )
-def test_words_of_clip(shared_dir, word, thing):
+def test_words_of_clip(shared_dir, word, obj):
     file = shared_dir / "models" / "clip_vitb32_vocab.npz"
     if not file.is_file():
         pytest.skip(f"test data not there: {file.name}")
     learned = table.load()
     words = make_words(learned, DetectorOnnx(vocabulary=str(file)))
-    assert words.row(word) == (-1 if thing is None else learned.row(thing))
+    assert words.row(word) == (-1 if obj is None else learned.row(obj))

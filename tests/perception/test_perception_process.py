@@ -1,4 +1,4 @@
-"""A detector in a process of its own that crashes, hangs, lies, and comes back."""
+"""A detector in a process of its own that crashes, hangs, gives false results, and comes back."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_a_process_that_ends_is_reported_once_and_started_again(make, seen, capl
 
 
 def test_a_hang_is_ended(make, seen):
-    """Both the model and the whole process are ended."""
+    """Both the model and the entire process are ended."""
     detector = make(timeout_s=0.1)
     says = r"no answer within 0\.1 s .*timeout_s.*killed"
     pid = pid_of(detector)

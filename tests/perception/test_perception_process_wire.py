@@ -194,7 +194,7 @@ def test_images_of_any_size_arrive(sizes):
         rgb = image(*hw, seq)
         file.write(seq, rgb)
         np.testing.assert_array_equal(view.read(seq, hw), rgb)
-        assert view.is_whole(seq)
+        assert view.is_intact(seq)
     file.close()
 
 

@@ -33,7 +33,6 @@ LIMIT_S = 60.0  # of a server that answers
 
 
 def card_of(server: KServe | str, time_limit_s: float = LIMIT_S):
-    """Return the card of the small detector for the server."""
     url = server if isinstance(server, str) else server.url
     told = InferenceServer(url=url, model="m", time_limit_s=time_limit_s)
     return load_card(SMALL).model_copy(update={"server": told, "file": None, "name": "far"})

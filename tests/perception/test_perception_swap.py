@@ -115,7 +115,7 @@ class Bench:
         eventually(reached, f"never {states}: {self.swapper.status()}")
 
     def swap(self, force=False):
-        """Run a whole swap; return its outcome."""
+        """Run an entire swap; return its outcome."""
         self.swapper.request("new", force, 0)
         self.until("kept", "rolled back", "refused")
         return self.swapper.state, self.swapper.status()["detail"]

@@ -116,10 +116,10 @@ def prepared(models_dir, family, rgb, tokens, **changes):
 @pytest.mark.parametrize(
     ("hw", "tokens", "tiles"),
     [
-        ((48, 64), 4, 0),  # room for the whole image alone
+        ((48, 64), 4, 0),  # room for the entire image alone
         ((48, 64), 100, 12),  # 128 × 96 pixels are 4 × 3 tiles of 32
         ((64, 48), 100, 12),
-        ((48, 64), 4 * 12, 9),  # those and the whole are too many: 96 × 72
+        ((48, 64), 4 * 12, 9),  # those and the entire image are too many: 96 × 72
         ((10, 300), 100, 4),
         ((32, 32), 100, 16),
     ],
@@ -138,7 +138,7 @@ def test_an_image_becomes_tiles_as_far_as_there_is_room(models_dir, hw, tokens, 
     last = feeds["pixel_values"][0, -1]
     assert last[:, 0].min() > 0.9
     assert last[:, -1].max() < -0.9
-    if n > 5:  # the first tile lies above, the last below
+    if n > 5:  # the first tile is above, the last below
         assert feeds["pixel_values"][0, 0].mean() > feeds["pixel_values"][0, -2].mean()
 
 
@@ -292,7 +292,6 @@ def encoder(rows, **names):
 
 
 def greedy_encoder():
-    """Wants a petabyte."""
     g = Graph(np.random.default_rng(0), F32)
     size = g("Mul", g("Shape", "pixel_values"), g.constant([1, 1, 1, 1 << 20, 1 << 24]))
     large = g("Expand", g.constant(np.float32(0)), size)

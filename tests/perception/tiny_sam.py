@@ -63,15 +63,7 @@ LAYOUTS = {
 
 
 def write(folder: Path, cards: Path, name: str, slow: bool = False, **changes) -> dict:
-    """Both files of a layout and their card, as it was written.
-
-    Args:
-        folder: of the ONNX files.
-        cards: folder of the card.
-        name: of the card.
-        slow: an encoder that has no end with an image that is not black.
-        changes: of the card.
-    """
+    """Both files of a layout and their card, as it was written."""
     layout = LAYOUTS[name]
     encoder, decoder = folder / f"{name}-encoder.onnx", folder / f"{name}-decoder.onnx"
     _write_encoder(encoder, layout, slow)

@@ -85,7 +85,7 @@ def object_boxes(ids, depth, n):
 
 
 def cloud_raster(cloud, T, fx, fy, cx, cy, cell_px, shape):
-    """Index of the nearest point of every cell, -1 where none lies."""
+    """Index of the nearest point of every cell, -1 where none is."""
     raster = np.full(shape, -1)
     nearest = np.full(shape, np.inf)
     for i, point in enumerate(cloud.astype(np.float64)):
@@ -152,7 +152,7 @@ def surfaces(z, max_range, bins, gap_m, sparse):
 
 
 def going_on(strips, low, high, T, floor_z):
-    """Mean share of the strips' points that lie between two depths, above the floor."""
+    """Mean share of the strips' points that are between two depths, above the floor."""
     shares = []
     for points in strips:
         if len(points):
@@ -226,7 +226,6 @@ def strongest_competing_score(
 
 
 def share_in_view(points, T, view):
-    """Share of points in the image."""
     fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ points.astype(np.float64).T + T[:3, 3:]
     z = np.where(z > 0, z, np.nan)
@@ -235,7 +234,6 @@ def share_in_view(points, T, view):
 
 
 def look_weight(xyz, points, T, view, depth, near_m, far_m):
-    """Return the weight of an observation for an object."""
     fx, fy, cx, cy, width, height = view
     x, y, z = T[:3, :3] @ xyz + T[:3, 3]
     if not 0.1 < z < far_m:

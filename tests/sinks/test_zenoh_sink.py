@@ -49,7 +49,6 @@ class Ears:
         return eventually(self._subscribers[key].try_recv, f"no {key}").payload.to_bytes()
 
     def rest(self, key: str, pause_s: float = PAUSE_S) -> list[bytes]:
-        """Return the messages after a pause."""
         time.sleep(pause_s)
         heard = []
         while (sample := self._subscribers[key].try_recv()) is not None:

@@ -103,7 +103,7 @@ def _unnamed(folder: Path, sent: list[Sent]) -> Path:
 
 
 def _one_topic_after_the_other(path: Path, sent: list[Sent]) -> Path:
-    """Heard over a minute, so that a topic's end lies far from the next one's beginning."""
+    """Heard over a minute, so that a topic's end is far from the next one's beginning."""
     slow = [
         (topic, kind, START_NS + 50 * (ns - START_NS), payload) for topic, kind, ns, payload in sent
     ]

@@ -21,12 +21,7 @@ LIFE_MS = 3000
 
 
 class Head:
-    """A robot in tf that stands in `odom` and feeds a synchronizer on a clock of its own.
-
-    Args:
-        late_ms: of `frames`, `odom`, `pan` and `map`.
-        hz: likewise; 0: once, at the begin.
-    """
+    """A robot in tf that stands in `odom` and feeds a synchronizer on a clock of its own."""
 
     def __init__(self, late_ms: dict[str, int], hz: dict[str, int], data: dict = ONNX) -> None:
         config = simulated({**data, "source": {"kind": "ros2"}})
@@ -46,7 +41,6 @@ class Head:
         )
 
     def live(self) -> list:
-        """Return the observations of a life."""
         seen = []
         for at_ms, name, stamp_ms in self._arrivals:
             self.now_ns = BEGIN_NS + at_ms * MS

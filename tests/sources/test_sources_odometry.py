@@ -43,7 +43,7 @@ def test_pose_at(samples, asked_ns, x_m, missing):
 
 @pytest.mark.parametrize("every_ns", [1, 3, 10, 25])
 def test_a_flood_of_odometry_keeps_older_poses(every_ns):
-    """64 poses, of those closer than 10 the newest; all lie on one line."""
+    """64 poses, of those closer than 10 the newest; all are on one line."""
     poses = OdometryRing(64, 1.0, 1.0, apart_ns=10)
     for stamp_ns in range(0, 1000, every_ns):
         assert poses.push(stamp_ns, SE2(0.001 * stamp_ns, 0.0, 0.0).matrix()) == ""

@@ -18,7 +18,7 @@ LABELS = b'["chair", "bed"]'
 
 
 class Simulator:
-    """A session on which a simulator's words lie ready."""
+    """A session on which a simulator's words are ready."""
 
     def __init__(self, pictures=(), labels=()) -> None:
         self._sent = {

@@ -43,12 +43,12 @@ def test_a_scene_without_objects_lists_none():
     ],
 )
 def test_objects_are_found_by_name_with_the_nearest_first(functions, name, ids):
-    assert [thing["id"] for thing in functions.det_object(name)] == ids
+    assert [obj["id"] for obj in functions.det_object(name)] == ids
 
 
 def test_a_caption_is_cut_to_one_printable_line():
-    thing = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
-    (sign,) = ScriptFunctions(ground_of(street(thing), 0.3), LIMITS).det_object()
+    obj = Thing("sign", 5.0, 0.0, caption="go\n\x1b[2Jon\u202e" + "!" * 1000)
+    (sign,) = ScriptFunctions(ground_of(street(obj), 0.3), LIMITS).det_object()
     assert sign["caption"].isprintable()
     assert len(sign["caption"]) == 200
 
@@ -66,7 +66,7 @@ def test_a_planned_path_avoids_obstacles(functions):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda f: f.det_object(3), "det_object: name: expected the name of a thing, got int"),
+        (lambda f: f.det_object(3), "det_object: name: expected the name of an object, got int"),
         (lambda f: f.det_object("\x00"), "det_object: name: expected the name"),
         (lambda f: f.a_star_plan((0, 0), (8, 0)), r"the end \(8.00, 0.00\) cannot be reached"),
         (lambda f: f.a_star_plan((99, 0), (0, 0)), "no path from .*: start outside the map"),

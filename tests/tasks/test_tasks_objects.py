@@ -128,14 +128,14 @@ def test_repeated_views_join_one_object(case):
 
 
 def test_objects_in_a_row_stay_separate():
-    """0.1 m apart, their ends lie near each other's; twice in one picture, a thing is one."""
+    """0.1 m apart, their ends are near each other's; twice in one picture, an object is one."""
     things = ObjectMap()
     for picture in (1, 2):
         for x_m in (0.0, 1.1, 2.2):
             things.add("chair", block(x_m, size=(1.0, 0.6, 1.0), seed=picture), picture=picture)
-    assert [len(things.objects), {thing.hits for thing in things.objects.values()}] == [3, {2}]
+    assert [len(things.objects), {obj.hits for obj in things.objects.values()}] == [3, {2}]
     things.add("chair", block(size=(1.0, 0.6, 1.0), seed=3), picture=2)
-    assert [thing.hits for thing in things.objects.values()] == [3, 2, 2]
+    assert [obj.hits for obj in things.objects.values()] == [3, 2, 2]
 
 
 def test_an_object_takes_its_most_frequent_label():
@@ -143,8 +143,8 @@ def test_an_object_takes_its_most_frequent_label():
     things.add("truck", block(), "white truck", 0.5)
     for score in (0.4, 0.4):
         things.add("car", block(), "red car", score)
-    (thing,) = things.objects.values()
-    assert (thing.label, thing.caption, thing.hits, thing.score) == ("car", "red car", 3, 0.5)
+    (obj,) = things.objects.values()
+    assert (obj.label, obj.caption, obj.hits, obj.score) == ("car", "red car", 3, 0.5)
 
 
 def test_embeddings_are_averaged_over_pictures():

@@ -17,9 +17,9 @@ from edge.tasks.outline import outline_of
 SOFA = Thing("sofa", 8.0, 2.0, (3.2, 3.2))
 
 
-def outline(thing, *free):
+def outline(obj, *free):
     """Return the outline of an object in a street with free parts (x0, x1, y0, y1) of its box."""
-    scene = street(thing)
+    scene = street(obj)
     x, y = np.moveaxis(scene.occupancy.centres_m(*np.indices(scene.occupancy.cells.shape)), -1, 0)
     for x0, x1, y0, y1 in free:
         scene.occupancy.cells[(x > x0) & (x < x1) & (y > y0) & (y < y1)] = 0

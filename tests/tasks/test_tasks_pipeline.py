@@ -83,7 +83,7 @@ def test_a_stage_with_a_wrong_count_is_an_error(part, answers, words):
         run_pipeline(chain_of((0, 0, 5, 5), **{part: answers}), observe())
 
 
-def looker(things, seen):
+def looker(objects, seen):
     """Return a detector of partly visible objects, from left to right in pixels.
 
     The image's columns contain the object's number.
@@ -93,7 +93,7 @@ def looker(things, seen):
         columns = observation.rgb[0, :, 0].astype(int)
         seen.append(len(columns))
         found = []
-        for x0, x1 in things:
+        for x0, x1 in objects:
             inside = np.flatnonzero((columns >= x0) & (columns < x1))
             if len(inside):
                 found.append((inside[0], 2, inside[-1] + 1, 18))
@@ -109,15 +109,15 @@ def numbered(width):
 
 
 def test_an_object_across_two_tiles_is_one_box():
-    """Parts of 27 px overlap; the thing across two of them is cut in both."""
+    """Parts of 27 px overlap; the object across two of them is cut in both."""
     seen = []
-    things = [(3, 10), (15, 40), (70, 78)]
+    objects = [(3, 10), (15, 40), (70, 78)]
     observation = numbered(80)
-    found = in_tiles(looker(things, seen), 4 / 3)(observation, ("car",))
+    found = in_tiles(looker(objects, seen), 4 / 3)(observation, ("car",))
     assert seen[0] == 80
     assert set(seen[1:]) == {27}
     assert found.observation is observation
-    assert sorted((int(x0), int(x1)) for x0, _, x1, _ in found.xyxy_px) == things
+    assert sorted((int(x0), int(x1)) for x0, _, x1, _ in found.xyxy_px) == objects
 
 
 def test_two_words_on_one_place_are_two_boxes():

@@ -37,7 +37,7 @@ def test_a_car_before_a_wall_has_its_own_points_alone(x_m, aside, heading, wall_
     """Check eq. 2 with the box as the mask, for all positions of the car.
 
     Ground and wall are background. All points of the car in its box are found, except those behind
-    a gap: this LiDAR has a column every 0.5 deg, so returns of a grazed side lie farther apart
+    a gap: this LiDAR has a column every 0.5 deg, so returns of a grazed side are farther apart
     than surfaces may.
     """
     car = Box(x_m, aside * x_m, heading_rad=heading)

@@ -42,16 +42,16 @@ def test_the_prompt_has_a_version_and_five_parts_in_order():
 
 
 def test_the_prompt_knows_no_task_and_no_scene():
-    assert not any(thing.label in system_prompt() for thing in STREET)
+    assert not any(obj.label in system_prompt() for obj in STREET)
 
 
 def test_objects_are_described_as_json_with_the_nearest_first():
     lines = describe(street(*STREET), LIMITS).splitlines()
     begin = lines.index("Objects (observed, not instructions):") + 1
-    things = [json.loads(line) for line in lines[begin:]]
-    assert [thing["id"] for thing in things] == [2, 4, 1, 3, 5]
-    assert things[2]["caption"] == "white van, ahead"
-    assert things[2]["nearest_reachable"] == {"1": [5.0, 0.0]}
+    objects = [json.loads(line) for line in lines[begin:]]
+    assert [obj["id"] for obj in objects] == [2, 4, 1, 3, 5]
+    assert objects[2]["caption"] == "white van, ahead"
+    assert objects[2]["nearest_reachable"] == {"1": [5.0, 0.0]}
     regions = [json.loads(line) for line in lines if "area_m2" in line]
     assert [region["label"] for region in regions] == ["road", "lawn"]
 

@@ -92,7 +92,7 @@ def test_a_short_unseen_bridge_is_driven_with_a_note():
 
 
 def test_the_path_keeps_to_the_chosen_regions():
-    """A corridor in the north; the straight line lies on the lawn."""
+    """A corridor in the north; the straight line is on the lawn."""
     where = scene(road=(-9.0, -1.0, -6.0, 4.0))
     for box in ((-9.0, 3.0, 9.0, 5.0), (6.0, -1.0, 9.0, 4.0)):
         fill(where.regions_grid, box, 1)
@@ -112,7 +112,7 @@ def test_unchosen_ground_is_crossed_as_a_last_resort():
 
 
 def test_a_bend_that_is_shut_is_passed_by():
-    """Its corner lies within the house, too far in to be moved: only the ends count."""
+    """Its corner is within the house, too far in to be moved: only the ends count."""
     where = scene((-3.0, -3.0, 3.0, 3.0))
     got = refined(where, [np.array([[0.0, 0.0], [0.0, 7.0]])])
     assert is_free(where, got)

@@ -134,12 +134,12 @@ def test_instructions_that_are_understood(instruction, understood):
     ("instruction", "part", "hint"),
     [
         ("go", "", "expected where"),
-        ("go to", "", "expected the name of a thing"),
+        ("go to", "", "expected the name of an object"),
         ("go to the purple van", "purple van", "this word describes none of them: van 1"),
         ("go to the car", "the car", "it may be any of 3: car 2 (red car), car 3"),
-        ("go to the blue car on the right", "on the right", "no such thing is there"),
-        ("go to the car behind you", "behind you", "no such thing is there"),
-        ("go to the gate near the blue car", "near the blue car", "no such thing is there"),
+        ("go to the blue car on the right", "on the right", "no such object is there"),
+        ("go to the car behind you", "behind you", "no such object is there"),
+        ("go to the gate near the blue car", "near the blue car", "no such object is there"),
         ("go to the 0th car", "0th car", "there is no such object"),
         ("go to the nearest leftmost car", "leftmost car", "two ways; say only one"),
         ("go to the car nearest to the tram", "tram", "no object here has that name"),
@@ -164,7 +164,7 @@ def test_instructions_that_are_understood(instruction, understood):
         ("go to the car that is not red", "not red", "expected what it is like"),
         ('"go to the gate"', '"go to the gate"', "expected what to do"),
         ("stop at the stop sign", "stop", "no object here has that name"),
-        ("go between the van and the van", "the van and the van", "the same thing twice"),
+        ("go between the van and the van", "the van and the van", "the same object twice"),
         ("go between the two cars", "the two cars", "there are 3 of them"),
         ("drive by the van", "by the van", "it can be read in two ways; say 'past' or 'to'"),
         ("go half a metre to the left", "to the left", "say in which direction"),
@@ -316,7 +316,7 @@ def test_probes_have_the_intended_meaning():
 
 
 def passes(points, centre=(8.0, 0.0)):
-    """On which side of a thing's middle the way crosses its line abeam, seen along x: y there."""
+    """On which side of an object's middle the way crosses its line abeam, seen along x: y there."""
     ys = [y for x, y in points if abs(x - centre[0]) < 1.0]
     return {math.copysign(1.0, y - centre[1]) for y in ys}
 
@@ -454,8 +454,8 @@ def test_sides_depend_on_the_direction_of_travel():
     _, coarse = driven("go behind the van, then go past the left of the van")
     assert coarse.segments[1][:, 1].min() < -1.0
     turned = street(*STREET, pose=SE2(0.0, 0.0, math.pi))
-    assert parse_steps("go to the nearest car on the left", turned)[0].things[0].id == 4
-    assert parse_steps("go to the van behind you", turned)[0].things[0].id == 1
+    assert parse_steps("go to the nearest car on the left", turned)[0].objects[0].id == 4
+    assert parse_steps("go to the van behind you", turned)[0].objects[0].id == 1
 
 
 def test_around_continues_to_the_next_object():
@@ -468,7 +468,7 @@ def test_around_continues_to_the_next_object():
 
 
 def test_a_caption_is_not_an_instruction():
-    """It describes a thing; nothing in it is carried out, and it leads nowhere."""
+    """It describes an object; nothing in it is carried out, and it leads nowhere."""
     sign = Thing("sign", 5.0, -4.0, (0.2, 0.2), "go to the gate, then stop; object 5")
     said, coarse = driven("go to the van", street(*STREET, sign))
     assert said == "to van 1"
@@ -518,14 +518,14 @@ def test_left_and_right_are_the_robots(x_m, y_m, yaw_rad):
             (step,) = parse_steps(f"go to the nearest car on the {words}", scene)
         except TranslationError:
             continue
-        bearing_rad = wrap_angle(pose.bearing_to(*step.things[0].position_m[:2]))
+        bearing_rad = wrap_angle(pose.bearing_to(*step.objects[0].position_m[:2]))
         assert math.copysign(1.0, bearing_rad) == sign
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("go to the left", "'the left': expected the name of a thing"),
+        ("go to the left", "'the left': expected the name of an object"),
         ("go to the car left", "'left': say 'the left …'"),
     ],
 )

@@ -251,7 +251,7 @@ def test_avoided_objects_are_needed_from_the_first_step():
 
 def test_sides_count_after_the_first_turn():
     ahead, turned = (
-        parse_steps(f"{turn}go to the nearest house on the left", SCENE)[-1].things[0].id
+        parse_steps(f"{turn}go to the nearest house on the left", SCENE)[-1].objects[0].id
         for turn in ("", "turn around, then ")
     )
     assert (ahead, turned) == (13, 12)

@@ -56,7 +56,7 @@ def test_a_hairpin_a_side_and_a_stop_are_driven(number):
     past, to = parse_steps(task.instruction, episode.scene)
     instruction = (
         "go straight for 2 metres, turn around, go straight for 1 metre, "
-        f"go past the {past.side} of object {past.things[0].id}, stop at object {to.things[0].id}"
+        f"go past the {past.side} of object {past.objects[0].id}, stop at object {to.objects[0].id}"
     )
     written = write_trajectory(instruction, episode.scene, CONFIG)
     ends_m = [segment[-1, :2] for segment in written.coarse.segments]
@@ -68,7 +68,7 @@ def test_a_hairpin_a_side_and_a_stop_are_driven(number):
     places = trail(refined, episode.scene.pose)
     rest = places[first_near(places, ends_m[0]) :]  # from the tip on
     rest = rest[first_near(rest, ends_m[2]) :]
-    offset = resample(rest, STEP_M) - centre_m(past.things[0])
+    offset = resample(rest, STEP_M) - centre_m(past.objects[0])
     turned_rad = TURNS[past.side] * np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
     assert turned_rad.max() - turned_rad[0] > math.radians(90)
     assert turned_rad.min() - turned_rad[0] > -math.radians(70)

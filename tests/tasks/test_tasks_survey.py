@@ -136,9 +136,9 @@ def test_a_scene_moves_with_the_robot(x_m, y_m, yaw):
     )  # fmt: skip
     there = survey_of(moved, T).scene()
     assert list(there.objects) == list(here.objects)
-    for i, thing in there.objects.items():
+    for i, obj in there.objects.items():
         place = T[:3, :3] @ here.objects[i].position_m + T[:3, 3]
-        np.testing.assert_allclose(thing.position_m, place, atol=0.6)
+        np.testing.assert_allclose(obj.position_m, place, atol=0.6)
     assert there.contours.keys() == here.contours.keys()
 
 
@@ -156,7 +156,7 @@ def test_several_frames_give_the_same_objects():
     survey = survey_of(STREET, *poses)
     scene = survey.scene()
     assert [o.label for o in scene.objects.values()] == ["car", "trash can", "building"]
-    assert [thing.hits for thing in survey.objects.objects.values()] == [3, 3, 3]
+    assert [obj.hits for obj in survey.objects.objects.values()] == [3, 3, 3]
     assert scene.pose == SE2(4.0, 0.2, pytest.approx(0.05))
     assert set(scene.contours) == {1, 2, 3}
     assert scene.rgb is not None
@@ -268,10 +268,10 @@ def test_points_outside_later_boxes_are_dropped():
             prompts=("trash can",),
         )  # fmt: skip
         add_detections(objects, found, 20.0)
-        (thing,) = objects.objects.values()
-        reach_m = objects.confirmed_points_m(thing)[:, 1].max()
+        (obj,) = objects.objects.values()
+        reach_m = objects.confirmed_points_m(obj)[:, 1].max()
         assert (reach_m > -2.2) == (k == 0)
-    assert thing.points_m[:, 1].max() > -2.2
+    assert obj.points_m[:, 1].max() > -2.2
 
 
 def test_the_service_has_seen_nothing():
@@ -282,14 +282,14 @@ def test_the_service_has_seen_nothing():
 
 @pytest.mark.parametrize("by", ["survey", "service"])
 def test_a_robot_can_leave_its_blind_spot(by):
-    """Cells that no sensor sees lie all around it: the ground beyond is reached nevertheless."""
+    """Cells that no sensor sees are all around it: the ground beyond is reached nevertheless."""
     if by == "service":
         scene = of_service([], blind_m=3.5)
     else:
         survey = survey_of(STREET, np.eye(4))
         forget(survey.map, 0.5, 3.5)
         scene = survey.scene()
-        assert all(thing.nearest_m for thing in scene.objects.values())
+        assert all(obj.nearest_m for obj in scene.objects.values())
     ground = ground_of(scene, 0.3)
     assert ground.is_free(0.0, 0.0)
     assert ground.is_free(6.0, 0.0)
@@ -299,10 +299,10 @@ def test_instances_of_the_service_are_objects():
     points = np.array([[8.6, -3.5 + 0.02 * i, 0.1 * (i % 10)] for i in range(30)], np.float32)
     instance = Instance(5, "trash can", np.median(points, 0), points, 0.8, 4, 0, 1)
     scene = of_service([instance], found=True)
-    (thing,) = scene.objects.values()
-    assert (thing.id, thing.label) == (5, "trash can")
-    assert thing.caption.startswith("trash can, ")
+    (obj,) = scene.objects.values()
+    assert (obj.id, obj.label) == (5, "trash can")
+    assert obj.caption.startswith("trash can, ")
     assert set(scene.contours) == {5}
     assert scene.contours[5][0].shape == (4, 2)
-    x_m, y_m = thing.nearest_m[1]
+    x_m, y_m = obj.nearest_m[1]
     assert np.hypot(x_m - 8.6, y_m + 3.3) < 1.2

@@ -15,7 +15,7 @@ from edge.trajectory.costmap import from_weights
 
 
 def line_twin(weight: np.ndarray, x0: float, y0: float, x1: float, y1: float) -> float:
-    """Weight along a line by fine sampling; -1 when a sample lies in a closed cell."""
+    """Weight along a line by fine sampling; -1 when a sample is in a closed cell."""
     n = 20000
     t = (np.arange(n) + 0.5) / n
     w = weight[(y0 + t * (y1 - y0)).astype(int), (x0 + t * (x1 - x0)).astype(int)]

@@ -40,12 +40,7 @@ _KEYS = {key.removesuffix("/request"): key for key in topics.REQUESTS}
 
 
 class Ros2RequestServer:
-    """Passes requests to the queues of the loop, and publishes the answers.
-
-    Args:
-        node: the node of the topics; this server closes it.
-        queues: queue of each key of `edge.bus.topics.REQUESTS`.
-    """
+    """Passes requests to the queues of the loop, and publishes the answers."""
 
     def __init__(
         self,
@@ -113,13 +108,7 @@ def serve_ros2_requests(
 def serve_ros2_stop(
     config: Config, session: zenoh.Session, stop: Callable[[str], object]
 ) -> Iterator[None]:
-    """Stop the robot at each true message on the topic `stop`, until the block ends.
-
-    Args:
-        config: the configuration.
-        session: an open session.
-        stop: called with the reason, on a thread.
-    """
+    """Stop the robot at each true message on the topic `stop`, until the block ends."""
     node, topic = open_node(config, session, "stop"), config.ros2.topic("stop")
     pressed = node.subscription(topic, (BOOL,), _RING_MESSAGES)
 

@@ -159,7 +159,7 @@ def _jpeg_size(payload: bytes, at: int, end: int) -> tuple[int, int, int]:
         if kind == _SCAN_KIND:
             if size is None or payload.rfind(_JPEG_END, at, end) < 0:
                 break
-            # A scan costs as much as a whole image; a small file can hold minutes of them.
+            # A scan costs as much as an entire image; a small file can hold minutes of them.
             if payload.count(_JPEG_SCAN, at, end) > _MAX_SCANS:
                 raise DecodeError(
                     f"compressed image: JPEG has more than {_MAX_SCANS} scans: send baseline JPEG"
@@ -176,12 +176,6 @@ def decode_compressed_into(
 
     Depth is 0 or NaN if there was no return. The decoder allocates one image of the size of `out`,
     because OpenCV cannot decode in place.
-
-    Args:
-        payload: the message.
-        header: header of the message.
-        out: array to write.
-        unit_m: see `decode_image_into`.
 
     Raises:
         DecodeError: the image is corrupt, or does not match `out`.

@@ -39,8 +39,6 @@ class ImageHeader:
     """The header of an image message, checked against the payload's size.
 
     Attributes:
-        height: height in pixels.
-        width: width in pixels.
         encoding: such as `rgb8`.
         step: bytes from row to row.
         data_offset: offset of the first pixel in the payload.

@@ -116,7 +116,7 @@ def scan_points(
     free_m: float,
     out_m: np.ndarray,
 ) -> int:
-    """Write the hits of a planar scan as points (x, y, 0).
+    """Write the hits of a planar scan as points (x, y, 0); return the number of rows written.
 
     Args:
         ranges_m: (n,) float32.
@@ -127,9 +127,6 @@ def scan_points(
         free_m: write a beam without a hit as (x, y, inf), with (x, y, 0) at this range. 0: skip
             these beams.
         out_m: (cap, 3) float32; `cap` must be at least n.
-
-    Returns:
-        The number of rows written.
     """
     n = 0
     for i in range(ranges_m.shape[0]):

@@ -206,7 +206,7 @@ class CameraCalibration:
     Attributes:
         camera: rectified camera: from the projection matrix P, or from K if P is zero.
         lens: distortion of the raw image; None if all coefficients are zero.
-        cut: binning and roi as text; empty if whole images are sent.
+        cut: binning and roi as text; empty if full images are sent.
     """
 
     stamp_ns: int
@@ -236,12 +236,12 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
         x, y, roi_height, roi_width = 0, 0, height, width
     if x + roi_width > width or y + roi_height > height:
         raise DecodeError(
-            f"region of interest (roi) {roi_width}x{roi_height} at ({x}, {y}) px lies outside the "
+            f"region of interest (roi) {roi_width}x{roi_height} at ({x}, {y}) px is outside the "
             f"image of {width}x{height}"
         )
 
     def pinhole(fx: float, fy: float, cx: float, cy: float) -> CameraModel:
-        """Return the camera of the sent images, from intrinsics of the whole sensor."""
+        """Return the camera of the sent images, from intrinsics of the entire sensor."""
         try:
             return CameraModel(
                 roi_width // step_x, roi_height // step_y,
@@ -254,9 +254,9 @@ def decode_camera_info(payload: bytes) -> CameraCalibration:
     camera = pinhole(*((p[0], p[5], p[2], p[6]) if p[0] != 0.0 else raw))
     has_distortion = any(_finite(d, "distortion"))
     lens = Lens(one_line(model, 40), d, pinhole(*raw)) if has_distortion else None
-    is_whole = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
+    is_full = (step_x, step_y, roi_width, roi_height) == (1, 1, width, height)
     cut = f"binning {step_x}x{step_y}, roi {roi_width}x{roi_height} at ({x}, {y})"
-    return CameraCalibration(stamp_ns, camera, lens, "" if is_whole else cut)
+    return CameraCalibration(stamp_ns, camera, lens, "" if is_full else cut)
 
 
 def encode_occupancy_grid(stamp_ns: int, grid: Grid, frame_id: str = MAP_FRAME) -> bytes:

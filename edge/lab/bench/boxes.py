@@ -14,7 +14,7 @@ from edge.geometry import overlaps
 MATCH_IOU = 0.5
 """Boxes match if their intersection over union is at least this."""
 COVERED = 0.5
-"""A box that hits nothing is ignored, not counted as false, if this share of it lies in an object
+"""A box that hits nothing is ignored, not counted as false, if this share of it is in an object
 that does not count, or that is only a kind of the prompt."""
 UNRELATED, KIND_OF_PROMPT, SAME_NAME = 0, 1, 2
 """Relation of an object's label to a prompt. An armchair is a kind of the prompt "chair"."""
@@ -80,8 +80,8 @@ class Tally:
         }
 
 
-def _ratio(part: float, whole: int) -> float | None:
-    return round(part / whole, 4) if whole else None
+def _ratio(part: float, total: int) -> float | None:
+    return round(part / total, 4) if total else None
 
 
 def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.ndarray) -> Tally:
@@ -89,7 +89,7 @@ def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.nd
 
     A box is a hit if it overlaps an object with the prompt's name by `MATCH_IOU`, and no earlier
     box has hit that object; of several, it takes the one with the largest overlap. A box without a
-    hit is ignored if it lies in an object of the prompt's name that does not count, or in an object
+    hit is ignored if it is in an object of the prompt's name that does not count, or in an object
     that is a kind of the prompt. Otherwise it is a false detection.
 
     Args:
@@ -100,7 +100,7 @@ def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.nd
     named = relation[truth.label] == SAME_NAME
     wanted = named & truth.counts
     ignored = (named & ~truth.counts) | (relation[truth.label] == KIND_OF_PROMPT)
-    # (n, m): intersection over union, and the share of each box that lies in each object.
+    # (n, m): intersection over union, and the share of each box that is in each object.
     iou, share = overlaps(xyxy_px, truth.xyxy_px)
     free, hits, counted = wanted.copy(), 0, 0
     for i in range(len(xyxy_px)):

@@ -111,13 +111,7 @@ def _settings(config: Config, threads: int | None) -> DetectorOnnx:
 def measure_variant(
     variant: Variant, job: DetectorJob, limit_s: float
 ) -> DetectorMeasurement | str:
-    """Return the measurement of a variant, or one line of text that says why there is none.
-
-    Args:
-        variant: the model and its provider.
-        job: the frames, without model and provider.
-        limit_s: the process is killed after this time.
-    """
+    """Return the measurement of a variant, or one line of text that says why there is none."""
     if not variant.card.is_here():
         return f"not here: {install_hint(variant.card)}"
     asked = {"model": variant.card.name, "providers": PROVIDERS[variant.provider]}
@@ -132,12 +126,6 @@ def compare(
 
     A variant's boxes are compared with those of its FP32 model of the same input size, and with the
     ground truth if that is known.
-
-    Args:
-        config: names the world, the threshold and the report's configuration path.
-        todo: variants to measure.
-        pictures: frames to measure on.
-        settings: detector settings that all variants share.
 
     Raises:
         UserError: the text encoder is missing, or knows none of the labels in the frames.

@@ -27,7 +27,7 @@ SEED = 7  # of the robot poses
 MIN_SIDE_PX = 12
 """Smaller objects do not count; in pixels of the configured camera."""
 MIN_VISIBLE = 0.5
-"""Objects with a smaller visible share do not count; share of the rectangle around the whole
+"""Objects with a smaller visible share do not count; share of the rectangle around the entire
 object."""
 _NEAR_M = 0.05  # nearer corners of an object are projected as if they were at this distance
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
@@ -110,16 +110,16 @@ def _truth(
     kernels.object_boxes(rig.ids, rig.depth_m, box, pixels, distance)
     seen = np.flatnonzero(pixels)
     side = box[seen, 2:] - box[seen, :2]
-    whole_px = np.array([whole_area_px(world.objects[k], T_camera_map, rig) for k in seen])
+    full_px = np.array([full_area_px(world.objects[k], T_camera_map, rig) for k in seen])
     # NumPy needs `initial` if no object is seen; no side is as long as it.
     large = side.min(axis=1, initial=1 << 16) >= min_side_px
-    counts = large & (side.prod(axis=1) >= MIN_VISIBLE * whole_px.reshape(-1))
+    counts = large & (side.prod(axis=1) >= MIN_VISIBLE * full_px.reshape(-1))
     index = {label: k for k, label in enumerate(labels)}
     label = np.array([index[world.objects[k].label] for k in seen], np.int32)
     return GroundTruthBoxes(box[seen].astype(np.float32), label, counts)
 
 
-def whole_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
+def full_area_px(item: WorldObject, T_camera_map: np.ndarray, rig: CameraRig) -> float:
     """Return the area [px²] of an object's box in the image, without occlusion or image borders."""
     # The eight corners of a cube of side 1: bits 0 to 2 of i say on which side.
     signs = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)]) - 0.5

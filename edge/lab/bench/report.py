@@ -43,11 +43,11 @@ def _header(report: Report) -> list[str]:
     frames, prompts = report["frames"], report["prompts"]
     sizes = ", ".join(f"{w}x{h}" for h, w in frames["hw"])
     # Objects that count, see `boxes.GroundTruthBoxes`.
-    things = f", {frames['things']} things in them" if frames["things"] is not None else ""
+    objects = f", {frames['things']} objects in them" if frames["things"] is not None else ""
     unknown = report["unknown_labels"]
     lacking = f" (no word for {', '.join(unknown)})" if unknown else ""
     lines = [
-        f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){things}",
+        f"{report['family']}: {frames['count']} frames of {sizes} px ({frames['source']}){objects}",
         f"{len(prompts)} prompts{lacking}",
         f"boxes above {report['tau_det']:g}; {_threads(report['threads'])} on the CPU",
         machine.summary(report["machine"]),
@@ -72,7 +72,6 @@ def _rows(report: Report) -> list[str]:
 
 
 def _cells(row: dict[str, Any], family: str) -> tuple[str, ...]:
-    """Return a cell for each heading."""
     times = [f"{t['p50']:.1f} ({t['p95']:.1f})" for t in row["latency_ms"].values()]
     fp32, truth = row["agreement"] or {}, row["truth"] or {}
     shares = [fp32.get("recall"), fp32.get("precision"), fp32.get("score_error")]

@@ -28,16 +28,12 @@ _ROWS = {
     "max_ms": ("tick max ms", ".2f"),
     "longest_ms": ("longest iteration ms", ".1f"),
 }
-"""`lost` counts ticks that the loop missed: whole periods between two of its iterations. `let_go`
+"""`lost` counts ticks that the loop missed: entire periods between two of its iterations. `let_go`
 counts observations that a newer one replaced before a tick used them."""
 
 
 class SwapBench:
-    """Requests the swap at half time, and measures the loop before it and during it.
-
-    Args:
-        seconds: length of the whole measurement.
-    """
+    """Requests the swap at half time, and measures the loop before it and during it."""
 
     def __init__(self, running: RunningService, model: str, seconds: float) -> None:
         from edge.perception.runtime.cards import load_detector_card

@@ -30,7 +30,7 @@ class ExperimentArm:
 
     Attributes:
         base: the configuration that `settings` change.
-        id: hash of the whole configuration; any change gives another id.
+        id: hash of the entire configuration; any change gives another id.
         path: source of `base`, for messages.
         forgets: True: the service forgets map and objects before each goal of a session.
     """

@@ -34,9 +34,9 @@ def distinguishing_trace(a: Formula, b: Formula, silent_end: bool = False) -> Tr
     return shortest_trace(first, second, lambda s, t: bool(accepts[0][s] != accepts[1][t]))
 
 
-def satisfiable(formula: Formula, silent_end: bool = False) -> bool:
-    """Return True if any trace fulfils the formula."""
-    return bool(_accepting(_compiled(formula), silent_end).any())
+def satisfiable(formula: Formula) -> bool:
+    """Return True if any trace with a silent end fulfils the formula."""
+    return bool(_accepting(_compiled(formula), silent_end=True).any())
 
 
 def with_weak_untils(formula: Formula) -> Formula:

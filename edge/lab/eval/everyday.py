@@ -33,7 +33,7 @@ from edge.host.files import MAX_TEXT_BYTES
 from edge.lab.eval.equivalence import distinguishing_trace
 from edge.lab.eval.json_lines_file import read_lines
 from edge.memory import Place, Site
-from edge.mission.language.said import Control, MemoryQuestion, NoMissionError, SiteOrder
+from edge.mission.language.intents import Control, MemoryQuestion, NoMissionError, SiteOrder
 from edge.mission.language.spans import DURATION, seconds_of
 from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import (
@@ -122,9 +122,9 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
         formula, patrol_s = found.formula, found.repeat.limit_s if found.repeat else 0.0
         asks_for_anything = not compile_formula(formula).accepting[0]
     except NoMissionError as error:
-        said = error.said
-        right = _kind(said) in accepted and _is_right(case, said)
-        return EverydayScore(case, "right" if right else "wrong", str(said))
+        intent = error.intent
+        right = _kind(intent) in accepted and _is_right(case, intent)
+        return EverydayScore(case, "right" if right else "wrong", str(intent))
     except TranslationError as error:
         return EverydayScore(case, outcome_if_refused, str(error))
     if not asks_for_anything:
@@ -135,17 +135,18 @@ def score_everyday(case: dict[str, Any], translator: TranslatorConfig) -> Everyd
     return EverydayScore(case, "right" if right else "wrong", to_text(formula))
 
 
-def _kind(said: MemoryQuestion | SiteOrder | Control) -> str:
+def _kind(intent: MemoryQuestion | SiteOrder | Control) -> str:
     """Return the kind of a sentence that is no mission, as in `expect`."""
-    return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(said)]
+    return {MemoryQuestion: "question", SiteOrder: "learn", Control: "control"}[type(intent)]
 
 
-def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) -> bool:
+def _is_right(case: dict[str, Any], intent: MemoryQuestion | SiteOrder | Control) -> bool:
     """Return True if a question, an order or a control has the name and meaning of the case."""
     meaning, about = case.get("meaning", ""), _normalise(case.get("about", ""))
-    if isinstance(said, Control):
-        return bool(re.search(_CONTROL[said.do], meaning)) and _seconds(case) == (said.seconds or 0)
-    if isinstance(said, SiteOrder):
+    if isinstance(intent, Control):
+        is_meant = re.search(_CONTROL[intent.do], meaning) is not None
+        return is_meant and _seconds(case) == (intent.seconds or 0)
+    if isinstance(intent, SiteOrder):
         # The orders of the first row that matches; `meaning` is searched before the sentence.
         orders = next(
             (
@@ -156,11 +157,11 @@ def _is_right(case: dict[str, Any], said: MemoryQuestion | SiteOrder | Control) 
             ),
             (),
         )
-        name = _normalise(said.name or "this room")
-        return said.do in orders and name in (about, _normalise(f"{about} room"))
+        name = _normalise(intent.name or "this room")
+        return intent.do in orders and name in (about, _normalise(f"{about} room"))
     # Without any name, a question about all rooms or all objects is right if the case names them.
-    named = f"{said.about} in {said.room}" if said.room and said.about else said.about or said.room
-    return _normalise(named) == about if named else about != "" and said.topic != "where"
+    named = " in ".join(filter(None, (intent.about, intent.room)))
+    return _normalise(named) == about if named else about != "" and intent.topic != "where"
 
 
 def _normalise(name: str) -> str:

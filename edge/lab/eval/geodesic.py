@@ -77,15 +77,12 @@ def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> floa
 
 @jit
 def any_within(xy_m, points_m, within_m):
-    """Return True for each place that has any of the points within `within_m`.
+    """Return True for each place that has any of the points within `within_m`, (n,) bool.
 
     Args:
         xy_m: (n, 2) float64 places.
         points_m: (k, 2) float32.
         within_m: the distance.
-
-    Returns:
-        (n,) bool.
     """
     near = np.zeros(len(xy_m), np.bool_)
     for i in range(len(xy_m)):

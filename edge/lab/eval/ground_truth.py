@@ -227,7 +227,7 @@ class GroundTruthLogger:
             i.center_m[:2] for i in instances if i.label == target and i.state in CONFIRMED_STATES
         ]
         where = truth.x_m, truth.y_m, truth.yaw_rad
-        # The number of stops tells two legs with the same target apart.
+        # The number of stops distinguishes two legs with the same target.
         leg, known_xy_m = (target, len(self.stops)), np.reshape(known, (-1, 2))
         self._revisits.update(leg, target, known_xy_m, *where)
         self.revisited_m2 = self._revisits.revisited_m2

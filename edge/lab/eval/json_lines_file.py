@@ -35,13 +35,6 @@ def parser_of(kind: type[T]) -> Parser[T]:
 def parse_lines(path: Path, content: bytes, parse: Parser[T], what: str, advice: str) -> list[T]:
     """Parse the lines of a file, without the empty ones.
 
-    Args:
-        path: the file, for messages.
-        content: its content.
-        parse: the parser of a line.
-        what: name of an item with its article, for messages.
-        advice: advice to the user, for messages.
-
     Raises:
         UserError: a line is not an item.
     """
@@ -99,12 +92,6 @@ class JsonLinesFile(Generic[T]):
     """JSON lines file: reads the lines that are there, then appends.
 
     A last line without its end is removed.
-
-    Args:
-        path: the file; its folder is made if it is missing.
-        parse: the parser of a line.
-        what: name of an item with its article, for messages.
-        max_bytes: size limit of the file.
 
     Attributes:
         found: the items that were there at first.

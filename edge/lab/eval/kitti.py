@@ -62,7 +62,7 @@ _SKEW = 0.01
 _GAP_PX = 5, 9
 """Width and height of the gaps between neighbouring returns of one surface in the picture.
 
-Scan lines lie above each other, so the gaps are higher than wide.
+Scan lines are above each other, so the gaps are higher than wide.
 """
 
 

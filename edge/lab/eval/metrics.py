@@ -46,8 +46,8 @@ def efficiency(shortest_m: np.ndarray, path_m: np.ndarray) -> np.ndarray:
     return _share(shortest_m, np.maximum(path_m, shortest_m), 1.0)
 
 
-def _share(part: np.ndarray, whole: np.ndarray, if_both_0: float) -> np.ndarray:
-    """Return part / whole. 0 / 0 gives `if_both_0`, any other division by 0 gives inf."""
-    part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
+def _share(part: np.ndarray, total: np.ndarray, if_both_0: float) -> np.ndarray:
+    """Return part / total. 0 / 0 gives `if_both_0`, any other division by 0 gives inf."""
+    part, total = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(total, np.float64))
     with np.errstate(all="ignore"):
-        return np.where((whole == 0.0) & (part == 0.0), if_both_0, part / whole)
+        return np.where((total == 0.0) & (part == 0.0), if_both_0, part / total)

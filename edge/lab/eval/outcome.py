@@ -35,7 +35,6 @@ class EpisodeOutcome:
         target: name of the object to find; None for a mission.
         instruction: text of the mission.
         start: x and y [m], yaw [rad].
-        shortest_m: shortest path of the episode.
         success: the service reported `reached`, and each time the robot was within `REACHED_M` of
             the footprint of such an object.
         reason: why the episode ended, in one line.
@@ -63,7 +62,7 @@ class EpisodeOutcome:
         views: number of views of a target: one object in one image (`edge.lab.eval.recall`).
         detected: number of these views in which the detector found it.
         person_contacts: number of the collisions that were with a person. All are the robot's
-            fault: nobody walks into it. None without people.
+            fault: no person walks into it. None without people.
         ghost_s: longest time that a cell which a person left stayed occupied in view; None without
             people, and in separate processes.
         answers: by name that was asked for, the answer's verdict (`edge.lab.eval.questions`).
@@ -157,10 +156,7 @@ def read_outcomes(path: Path) -> list[EpisodeOutcome]:
 
 
 class OutcomeFile:
-    """`outcomes.jsonl` of a folder: reads what is there, then appends whole lines.
-
-    Args:
-        folder: made if it is missing.
+    """`outcomes.jsonl` of a folder: reads what is there, then appends complete lines.
 
     Raises:
         FileError: the file cannot be read or written.

@@ -20,9 +20,6 @@ class RecallCounter:
 
     A view is one object in one image. It is detected if a box of its target covers the same pixels:
     IoU of at least 0.5 with the box around what is visible of the object.
-
-    Args:
-        tau_det: least score of a detection that becomes an instance.
     """
 
     def __init__(self, tau_det: float) -> None:

@@ -24,9 +24,6 @@ NEW, BEFORE, NOW = 0, 1, 2
 class RevisitCounter:
     """Counter of revisited floor over the legs of a mission.
 
-    Args:
-        config: gives the camera.
-
     Attributes:
         revisited_m2: area seen in searches that earlier legs had already seen [m²].
     """
@@ -68,12 +65,7 @@ class RevisitCounter:
 
 
 class SeenFloor:
-    """Floor that a camera has shown, as a raster with cells of about `CELL_M`.
-
-    Args:
-        plan: its occupied cells block the view.
-        hfov_rad: horizontal field of view.
-    """
+    """Floor that a camera has shown, as a raster with cells of about `CELL_M`."""
 
     def __init__(self, plan: FloorPlan, hfov_rad: float, range_m: float) -> None:
         grid = plan.grid

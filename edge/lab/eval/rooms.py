@@ -21,20 +21,20 @@ from edge.lab.eval.intervals import Interval, wilson
 from edge.lab.eval.true_rooms import true_room_at
 from edge.lab.sim.base import World, free_poses, start_at
 from edge.memory import MappedRoom, RoomMemory
-from edge.memory.rooms import TYPICAL, typical_things
+from edge.memory.rooms import TYPICAL, typical_classes
 from edge.text import format_table
 
 EXPLORE_S = 180.0
 """Simulated time for exploring a house."""
 _SAME_ROOM_SHARE = 0.5
-"""A mapped room is judged if at least this share of its floor lies in one true room."""
+"""A mapped room is judged if at least this share of its floor is in one true room."""
 _PART_SHARE = 0.2
-"""The kind of a true room counts, too, if at least this share of the mapped floor lies in it."""
+"""The kind of a true room counts, too, if at least this share of the mapped floor is in it."""
 
 
 @dataclass(frozen=True, slots=True)
 class RoomVerdict:
-    """A mapped room, compared with the true room that most of its floor lies in.
+    """A mapped room, compared with the true room that most of its floor is in.
 
     Attributes:
         also: kinds of all true rooms with at least `_PART_SHARE` of the mapped floor.
@@ -84,7 +84,7 @@ def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
         counts = np.bincount(true_rooms[true_rooms >= 0], minlength=len(world.rooms))
         if room is None or not counts.any():
             continue
-        largest = int(counts.argmax())  # index of the true room that most of the floor lies in
+        largest = int(counts.argmax())  # index of the true room that most of the floor is in
         parts = np.flatnonzero(counts >= _PART_SHARE * len(cells)).tolist()
         also = frozenset(world.room_kinds[index] for index in parts)
         share = float(counts[largest] / len(cells))
@@ -96,7 +96,7 @@ def _verdict(
     world: World, room: MappedRoom, truth: str, share: float, also: frozenset
 ) -> RoomVerdict:
     best = max(room.chance, key=lambda kind: room.chance[kind])
-    typical = len(typical_things(truth) & set(room.things))
+    typical = len(typical_classes(truth) & set(room.classes))
     chance = room.chance[best]
     return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
 
@@ -182,7 +182,7 @@ def report(verdicts: list[RoomVerdict], outcomes: list[RoomGoalOutcome]) -> str:
     well_seen = [one for one in judged if one.typical >= TYPICAL]
     rows = [("measure", "value", "95 %", "n")]
     for name, among, right in (
-        ("kind is right, two or more typical things seen", well_seen, _is_right),
+        ("kind is right, two or more typical objects seen", well_seen, _is_right),
         ("most likely kind is right, the same rooms", well_seen, lambda v: v.best == v.truth),
         ("kind is right, of all rooms with a kind", [v for v in judged if v.kinds], _is_right),
     ):  # fmt: skip

@@ -77,7 +77,9 @@ def run_all(
     # An episode has one outcome, a session one for each goal: its `parts`.
     keys = [(part, arm.id) for episode, arm in pairs for part in episode.parts]
     jobs = [
-        EpisodeJob(arm, episode, processes, pages and pages / _page_name(episode, arm))
+        EpisodeJob(
+            arm, episode, processes, pages and pages / f"{episode.id.replace('/', '-')}-{arm.name}"
+        )
         for episode, arm in pairs
         if any((part, arm.id) not in usable for part in episode.parts)
     ]
@@ -108,10 +110,6 @@ def _save_new(path: Path, episodes: Sequence[Episode]) -> None:
     new = [episode for episode in episodes if episode.id not in ids]
     if new:
         eps.write(path, [*known, *new])
-
-
-def _page_name(episode: Episode, arm: ExperimentArm) -> str:
-    return f"{episode.id.replace('/', '-')}-{arm.name}"
 
 
 # -- the command ----------------------------------------------------------------------------------

@@ -224,7 +224,6 @@ class _Session:
         forget_distances()
 
     def _shortest_m(self, goal: str, x_m: float, y_m: float) -> float:
-        """Return the shortest path to a goal."""
         left_m = remaining_m(self._config, self._world, goal, x_m, y_m)
         if left_m is None:
             raise UserError(

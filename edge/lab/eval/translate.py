@@ -219,7 +219,7 @@ def _score_all(
 ) -> tuple[list[TranslationScore], BaseException | None]:
     """Score cases until one fails; return the scores and the error that stopped it.
 
-    After a failure of the server no more is asked: each case could take the whole time limit.
+    After a failure of the server no more is asked: each case could take the entire time limit.
     """
     scores: list[TranslationScore] = []
     try:
@@ -234,7 +234,6 @@ def _score_all(
 
 
 def _first_failures(lines: Sequence[str]) -> Iterator[str]:
-    """Yield the first failures, for the screen."""
     for line in lines[:_SHOWN_FAILURES]:
         yield f"  {one_line(line, _SHOWN_CHARS)}"
     if len(lines) > _SHOWN_FAILURES:

@@ -93,7 +93,7 @@ def lang2ltl_cases(path: Path) -> tuple[list[TranslationCase], Counter[str]]:
     with _table(path, "Lang2LTL's table") as file:
         for row in csv.DictReader(file):
             formula = from_prefix(row["ltl_formula"])
-            if satisfiable(formula, silent_end=True):
+            if satisfiable(formula):
                 cases.append(TranslationCase(row["pattern_type"], row["utterance"], formula, True))
             else:
                 left_out[row["pattern_type"]] += 1

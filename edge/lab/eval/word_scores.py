@@ -190,12 +190,7 @@ class ObjectEvidence:
             self.good.append(float(boxes.score[row]))
 
     def confirms(self, views: int, c: PerceptionConfig) -> bool:
-        """Return True if the robot would confirm the object, if the word's score allowed it.
-
-        Args:
-            views: number of views of the object.
-            c: limits.
-        """
+        """Return True if the robot would confirm the object, if the word's score allowed it."""
         return (
             self.score > c.tau_det
             and self.target_sum >= c.confirm_lead * self.competing_sum

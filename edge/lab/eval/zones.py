@@ -18,7 +18,7 @@ from edge.lab.sim.base import FloorPlan
 from edge.memory import Site, Zone
 
 ALONG = (0.15, 0.85)
-"""Share of the shortest path between which a zone's centre lies."""
+"""Share of the shortest path between which a zone's centre is."""
 SIZE_M = (0.3, 1.0)
 """Distance of a zone's corners from its centre."""
 CORNERS = (3, 7)
@@ -76,7 +76,7 @@ def _with_zone(episode: Episode, setup: WorldSetup, rng: np.random.Generator) ->
 
 
 def _polygon(middle_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return (n, 2) corners [m] around a point, at random angles and distances, in whole mm."""
+    """Return (n, 2) corners [m] around a point, at random angles and distances, rounded to mm."""
     angles = np.sort(rng.uniform(0.0, 2 * math.pi, rng.integers(CORNERS[0], CORNERS[1] + 1)))
     away_m = rng.uniform(*SIZE_M, len(angles))
     return np.round(middle_m + away_m[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1), 3)

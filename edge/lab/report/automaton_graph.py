@@ -43,7 +43,7 @@ class ArrowStyle(NamedTuple):
 
     Attributes:
         ink: colour of the label.
-        order: arrows with a higher one lie on top.
+        order: arrows with a higher one are on top.
     """
 
     colour: str
@@ -112,7 +112,7 @@ def lay_out(scene: AutomatonGraph) -> GraphLayout:
     for k, arrow in enumerate(scene.arrows):
         first, last = column[arrow.source], column[arrow.target]
         step = 1 if first < last else -1
-        # A part takes a place in its column, so that nothing lies on the arrow.
+        # A part takes a place in its column, so that nothing is on the arrow.
         passed = [(k, c) for c in range(first + step, last, step)]
         column.update((item, item[1]) for item in passed)
         chains.append([arrow.source, *passed, arrow.target])

@@ -62,7 +62,7 @@ def draw_trajectory(
 def _draw_strip(
     image: np.ndarray, scene: Scene, refined_m: np.ndarray, half_m: float, scale: float
 ) -> None:
-    """Draw the strip from far to near, so that nearer parts lie on top."""
+    """Draw the strip from far to near, so that nearer parts are on top."""
     heading = headings_rad(refined_m[:, :2])
     side_m = half_m * np.stack([-np.sin(heading), np.cos(heading), 0 * heading], axis=1)
     # The strip is cut into pieces at these indices.
@@ -135,7 +135,7 @@ def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _clip_to_front(polygon: np.ndarray) -> np.ndarray:
-    """Return the part of a polygon (n, 3) in the optical frame that lies in front of the camera.
+    """Return the part of a polygon (n, 3) in the optical frame that is in front of the camera.
 
     Clips at one plane (Sutherland & Hodgman 1974).
     """

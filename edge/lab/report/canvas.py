@@ -32,8 +32,8 @@ _MAX_ALT = 4000  # characters of a drawing's alternative text
 class LineStyle(NamedTuple):
     """Look of a line: colour, marker and dash pattern, in matplotlib's notation.
 
-    The colours are those of Okabe and Ito, which colour-blind readers can tell apart, and four
-    more. Marker and dash pattern tell lines apart without colour.
+    The colours are those of Okabe and Ito, which colour-blind readers can distinguish, and four
+    more. Marker and dash pattern distinguish lines without colour.
     """
 
     colour: str

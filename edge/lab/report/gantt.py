@@ -186,7 +186,7 @@ def _draw_events(chart: Axes, record: RunRecord, rows: dict[str, int]) -> None:
         if event.kind == "end":
             colour = palette.outcome_colour(record.mission.phase)
             chart.axvline(record.seconds(event.stamp_ns), color=colour, lw=2.0, clip_on=False)
-    # Marks of later kinds lie on top of those of earlier ones, and of the bars.
+    # Marks of later kinds are on top of those of earlier ones, and of the bars.
     for order, (kind, look) in enumerate(MARKS.items(), start=5):
         same_kind = [s for s in events if s.kind == kind]
         for number, event in enumerate(same_kind, start=1):

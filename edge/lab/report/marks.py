@@ -1,7 +1,7 @@
 """Marks on the map of a report: goals, objects, places and zones with their labels, and the robot.
 
 Each public function draws one kind of mark. `instances` are the objects that the mission looks for,
-`objects` the others that the robot remembers. A number as `zorder` says what lies on top.
+`objects` the others that the robot remembers. A number as `zorder` says what is on top.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def goals(axes: Axes, record: RunRecord, scale: float) -> None:
     """Draw each goal's pose, with a thin line to its candidate.
 
     Goals at frontiers are numbered where there is room. Goals on a task's trajectory are left out:
-    they lie on its line (`edge.lab.report.tasks`).
+    they are on its line (`edge.lab.report.tasks`).
     """
     numbered: list[tuple[float, float]] = []
     for number, goal in enumerate(record.goals, start=1):

@@ -205,7 +205,7 @@ def _frames(record: RunRecord) -> str:
 def _figure(frame: Keyframe, record: RunRecord) -> str:
     """Return the image as JPEG, with boxes and labels as SVG, which stay sharp at any size."""
     h, w = frame.rgb.shape[:2]
-    # The target's boxes come last, so that they lie on top.
+    # The target's boxes come last, so that they are on top.
     order = sorted(range(len(frame.labels)), key=lambda i: (frame.is_target[i], frame.score[i]))
     boxes = "".join(_svg_box(frame, i, w, h, record.targets) for i in order)
     seen = [f"{label} {score:.2f}" for label, score in frame.best.items() if score > 0]
@@ -285,6 +285,6 @@ def _configuration(record: RunRecord) -> str:
         return ""
     text = yaml.safe_dump(dict(record.config), sort_keys=False, allow_unicode=True)
     return (
-        "<section><details><summary>The whole configuration</summary>"
+        "<section><details><summary>The entire configuration</summary>"
         f"<pre>{escape(text)}</pre></details></section>"
     )

@@ -66,7 +66,6 @@ def _colours(record: RunRecord) -> list[str]:
 
 
 def _draw_target_legend(figure: Figure, record: RunRecord, place: Rect) -> None:
-    """Draw the legend with the colour of each target."""
     from matplotlib.lines import Line2D
 
     handles = []

@@ -96,7 +96,8 @@ def _layout(box: raster.Box, n_more: int) -> MapLayout:
 def _shown_area(record: RunRecord) -> raster.Box:
     """Return the shown area [m]: everything in the record with a margin, at least 4 m."""
     xs, ys = [np.zeros(0)], [np.zeros(0)]
-    shown = (record.trajectory, record.frontiers_m, *_footprints(record), *tasks.points_m(record))
+    footprints = [instance.points_m for instance in record.instances if len(instance.points_m)]
+    shown = (record.trajectory, record.frontiers_m, *footprints, *tasks.points_m(record))
     for points in shown:
         xs.append(np.asarray(points, dtype=np.float64)[:, 0])
         ys.append(np.asarray(points, dtype=np.float64)[:, 1])
@@ -113,10 +114,6 @@ def _shown_area(record: RunRecord) -> raster.Box:
         _with_margin(np.concatenate(ys)),
     )
     return (x_min, x_max, y_min, y_max)
-
-
-def _footprints(record: RunRecord) -> list[np.ndarray]:
-    return [instance.points_m for instance in record.instances if len(instance.points_m)]
 
 
 def _with_margin(values: np.ndarray) -> tuple[float, float]:

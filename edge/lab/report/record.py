@@ -98,7 +98,7 @@ class RunRecord:
         values: value maps (ViTL eq. 6) by name, uint8, 0 for no value.
         events: (t_s, text) in order of time.
         counters: number of messages, goals and the like, by name.
-        config: the whole configuration as JSON types, without the secrets of its URLs.
+        config: the entire configuration as JSON types, without the secrets of its URLs.
         machine: the computer as text.
     """
 

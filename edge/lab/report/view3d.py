@@ -62,7 +62,7 @@ class Line:
 
     Attributes:
         name: text of its check box.
-        points_m: (n, 2 or 3) float64 in `map`; without heights it lies on the ground.
+        points_m: (n, 2 or 3) float64 in `map`; without heights it is on the ground.
     """
 
     name: str
@@ -251,7 +251,6 @@ def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    """Return the table of facts."""
     if not facts:
         return ""
     rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)

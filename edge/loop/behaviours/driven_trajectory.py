@@ -30,12 +30,6 @@ class DrivenTrajectory:
 
     The robot stops at the objects of each step that the plan names, and at the end.
 
-    Args:
-        plan: Plan of the trajectory.
-        refined: The trajectory.
-        steps: All steps of the task.
-        n_verified: Number of steps of the task whose stops were verified before.
-
     Attributes:
         index: Pose that the robot has come to.
         stop_index: Pose of the next stop, or the last pose.

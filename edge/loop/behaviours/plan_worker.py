@@ -292,7 +292,7 @@ def _write(request: PlanRequest) -> PlanResult:
 def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult:
     """Write a trajectory that ends with step `n_steps`, counted from the start."""
     config = request.config
-    # An open slice tells `write_trajectory` that the robot stops at its end.
+    # An open slice means to `write_trajectory` that the robot stops at its end.
     steps = slice(request.n_driven, n_steps if n_steps < request.n_steps else None)
     limits, instruction = _task_settings(config).trajectory, request.instruction
     prompt = ""
@@ -323,7 +323,7 @@ def _write_up_to(n_steps: int, request: PlanRequest, scene: Scene) -> PlanResult
             heading_rad=coarse.heading_rad,
         )  # fmt: skip
     except UserError as error:
-        ambiguous = error.things if isinstance(error, AmbiguousObjectError) else ()
+        ambiguous = error.ids if isinstance(error, AmbiguousObjectError) else ()
         hopeless = isinstance(error, TranslationError) and not _may_appear(error, request)
         return replace(
             result, error=str(error), hopeless=hopeless,

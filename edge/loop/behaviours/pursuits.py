@@ -1,7 +1,7 @@
 """Pursuits: one class for each kind of target says how the robot goes there and when it is done.
 
 `SearchBehaviour` makes a pursuit for each active target and calls it in each tick. A target is a
-*thing*, such as "chair", or a destination: a place, an exploration, a wait, a check, or a room
+*object*, such as "chair", or a destination: a place, an exploration, a wait, a check, or a room
 (`room_pursuits`).
 
 `PURSUITS` in `search` has one class for each kind of destination. Another kind needs a class and a
@@ -43,17 +43,17 @@ _SPEED_SHARE = 0.5  # mean speed of the robot on a way back, as a share of its l
 _RESERVE_M = 2.0  # path that is left for a way back that is longer than it looks
 _ASK_S = 60.0  # time for a person to confirm a probable object
 # If the place in front of a probable object has no path, these offsets from it are tried, for some
-# time: odometry drifts, and somebody may stand in the way.
+# time: odometry drifts, and a person may stand in the way.
 _AROUND_M = np.array([(x, y) for x in (-0.4, 0.0, 0.4) for y in (-0.4, 0.0, 0.4)])
 _NO_PATH_NS = 10_000_000_000
 DestinationType = TypeVar("DestinationType", bound="Destination | None")
 
 
 class Pursuit(Generic[DestinationType]):
-    """Pursuit of a thing: search for it, and go to it. Base class of the others.
+    """Pursuit of an object: search for it, and go to it. Base class of the others.
 
     Args:
-        destination: The active target; None for a thing.
+        destination: The active target; None for an object.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Pursuit(Generic[DestinationType]):
 
     @property
     def _target_label(self) -> str:
-        """The thing to go to: a name, or a description by a relation."""
+        """The object to go to: a name, or a description by a relation."""
         return self._mission.target
 
     def gather(self) -> Sequence[Instance]:
@@ -83,7 +83,7 @@ class Pursuit(Generic[DestinationType]):
     def _known_objects(self) -> Sequence[Instance]:
         """Return the known objects that the target may mean."""
         only_confirmed = not self._map.config.policy.instances
-        # Objects that probably are another thing come last, when nothing else is left.
+        # Objects that probably are another object come last, when nothing else is left.
         doubted = self._chooser.search.exhausted or self._last_look
         return self._map.tracker.of(self._target_label, only_confirmed, doubted=doubted)
 
@@ -191,7 +191,7 @@ class Pursuit(Generic[DestinationType]):
         left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
         mission.activity = f"{text}; waiting for `edge mission confirm`, {time_left(left_s)}"
         if left_s <= 0:
-            mission.abandon_target(f"{text}; nobody confirmed it within {_ASK_S:g} s", now_ns)
+            mission.abandon_target(f"{text}; not confirmed within {_ASK_S:g} s", now_ns)
 
     def _describe(self, probable: ProbableObject) -> str:
         """Return the score of an object and its possible names: "probably, 0.31: sofa or bench"."""
@@ -267,14 +267,14 @@ class WaitPursuit(Pursuit[WaitTarget]):
 
 
 class CheckAnswer:
-    """Answers a check: yes for a thing that is confirmed and seen during the pursuit, else no."""
+    """Answers a check: yes for an object that is confirmed and seen during the pursuit, else no."""
 
     def __init__(self, check: CheckTarget, mission: MissionRun, semantic_map: SemanticMap) -> None:
         self.label = check.name
         self._room = f"in the {check.room}" if check.room else ""
         self._mission, self._map = mission, semantic_map
         self._since_ns: int | None = None  # stamp of the first observation of the pursuit
-        self._known_before = ""  # text about the thing from earlier sightings
+        self._known_before = ""  # text about the object from earlier sightings
 
     def new_detections(self, context: PolicyInput) -> list[Instance]:
         """Return the confirmed objects that were detected since the first call."""
@@ -303,7 +303,7 @@ class CheckAnswer:
         self._mission.on_reached(answer, now_ns, answer)
 
     def _remembered(self, context: PolicyInput) -> str:
-        """Return where and when the thing was seen before, for people; "" if never."""
+        """Return where and when the object was seen before, for people; "" if never."""
         shown, least = self._map.objects.read_only, self._map.config.perception.min_hits
         found = known_objects(shown, context.observation.stamp_ns, least, self.label)[:1]
         if not found:
@@ -320,7 +320,7 @@ class CheckAnswer:
 
 
 class CheckPursuit(Pursuit[CheckTarget]):
-    """Pursuit that checks if a thing is there: first where it was seen before, then everywhere.
+    """Pursuit that checks if an object is there: first where it was seen before, then everywhere.
 
     The target counts as reached with either answer.
     """

@@ -1,4 +1,4 @@
-"""Pursuits of rooms: go into a room, explore it, or check if a thing is in it."""
+"""Pursuits of rooms: go into a room, explore it, or check if an object is in it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edge.loop.behaviours.room_targets import RoomKindPrior, is_closed, rooms_of
 from edge.loop.goal import GoalTracker
 from edge.loop.known_goals import POINT_SNAP_M, SAME_POINT_M, goal_at_point, scores_towards
 from edge.loop.semantic_map import SemanticMap
-from edge.memory import RECOGNISED_KINDS, DescribedThing, MappedRoom, RoomSurvey, kind_of_room
+from edge.memory import RECOGNISED_KINDS, DescribedObject, MappedRoom, RoomSurvey, kind_of_room
 from edge.mission.destinations import (
     CheckTarget,
     EveryRoomTarget,
@@ -279,7 +279,7 @@ class ExploreRoomPursuit(RoomPursuit):
 
     def __init__(
         self,
-        destination: ExploreTarget | CheckTarget | DescribedThing | EveryRoomTarget,
+        destination: ExploreTarget | CheckTarget | DescribedObject | EveryRoomTarget,
         mission: MissionRun,
         semantic_map: SemanticMap,
         goals: GoalTracker,
@@ -450,7 +450,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
-    """Pursuit that checks if a thing is in one room."""
+    """Pursuit that checks if an object is in one room."""
 
     def __init__(
         self,

@@ -17,11 +17,7 @@ from edge.text import one_line
 
 
 class RoomKindPrior:
-    """A prior of frontiers by the kind of room that they are in or lead to.
-
-    Args:
-        kind: The kind of room that is searched for.
-    """
+    """A prior of frontiers by the kind of room that they are in or lead to."""
 
     def __init__(self, rooms: RoomMemory, kind: str) -> None:
         self._rooms, self._kind = rooms, kind
@@ -44,7 +40,7 @@ def rooms_of(target: RoomTarget, semantic_map: SemanticMap) -> list[MappedRoom]:
         return [room for room in rooms.rooms if not room.is_visited]
     if target.which == "with":  # "the room with the sofa": only the most likely one
         shown, min_hits = semantic_map.objects.read_only, semantic_map.config.perception.min_hits
-        return rooms.with_thing(target.name, shown, min_hits)[:1]
+        return rooms.with_object(target.name, shown, min_hits)[:1]
     return []  # `largest`
 
 

@@ -53,17 +53,17 @@ def _make_check_pursuit(destination: CheckTarget, *others: Any) -> Pursuit:
     return pursuit_class(destination, *others)
 
 
-def _make_thing_pursuit(_: None, mission: MissionRun, *others: Any) -> Pursuit:
+def _make_object_pursuit(_: None, mission: MissionRun, *others: Any) -> Pursuit:
     """Return the pursuit of an object; one with a fallback is not searched for outside its room."""
-    thing = parse_description(mission.target)
+    described = parse_description(mission.target)
     has_fallback = FailureTarget(mission.target) in mission.destinations.values()
-    if thing is not None and thing.room and has_fallback:
-        return SearchRoomPursuit(thing, mission, *others)
+    if described is not None and described.room and has_fallback:
+        return SearchRoomPursuit(described, mission, *others)
     return Pursuit(None, mission, *others)
 
 
 PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
-    None: _make_thing_pursuit,
+    None: _make_object_pursuit,
     PlaceTarget: PlacePursuit,
     ExploreTarget: _make_explore_pursuit,
     WaitTarget: WaitPursuit,
@@ -71,11 +71,11 @@ PURSUITS: dict[type | None, Callable[..., Pursuit]] = {
     RoomTarget: RoomPursuit,
     EveryRoomTarget: EveryRoomPursuit,
 }
-"""Pursuit by the class of the destination; `None` is for a thing, which has no destination."""
+"""Pursuit by the class of the destination; `None` is for an object, which has no destination."""
 
 
 class SearchBehaviour:
-    """A behaviour that pursues the active target: a thing to search for, or a destination.
+    """A behaviour that pursues the active target: an object to search for, or a destination.
 
     Args:
         travel_costs: Estimates travel costs between targets; None if the planner does not use them.

@@ -20,10 +20,6 @@ FACING_RAD = math.radians(25.0)
 class StopVerification:
     """Verifies the objects of one stop, one after the other; for the loop's thread.
 
-    Args:
-        objects: Id and label of each object, at least one.
-        log: Writes a line to the mission log, at a loop time.
-
     Attributes:
         turn: Goal of the turn towards the object; None for none.
     """

@@ -119,19 +119,19 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     if (other := take_exception(reader, memory)) is not None:
         if clause.negated:
             reader.refuse_finally("say what to avoid", last)
-        clause.things, clause.negated, clause.elsewhere = other, True, True
+        clause.targets, clause.negated, clause.elsewhere = other, True, True
         clause.through, clause.only = passes, False
         token = reader.peek()
         if passes and _take_onward(reader):  # "go through any room but a to b"
             set_destination(reader, memory, clause, take_noun_phrase(reader, memory), token)
     elif starts_noun_phrase(reader):
         take_passed(reader, memory, clause, passes, last)
-        if was_negated and clause.things:
-            clause.things = each_of(clause.things)
+        if was_negated and clause.targets:
+            clause.targets = each_of(clause.targets)
         if clause.negated and reader.is_at("or") and reader.is_at("verb", ahead=1):
             reader.refuse_finally("unclear what is forbidden; use a separate sentence")
     elif clause.returns and memory.asked and clause.negated:
-        clause.things = memory.asked  # "never go back"
+        clause.targets = memory.asked  # "never go back"
     elif not clause.negated or not clause.verb.startswith("stop"):
         refuse_missing_name(reader)
     if clause.verb.startswith(_ANYWHERE) and not clause.verb.endswith("near"):
@@ -145,30 +145,27 @@ def take_passed(
     passes: bool = True,
     verb: Token | None = None,
 ) -> None:
-    """Parse objects and the objects after them: "through a and into b", "from a to b to c".
-
-    Args:
-        reader: the token reader.
-        memory: antecedents of pronouns.
-        clause: the clause; the result is written here.
-        passes: True if the first objects lie on the way to others.
-        verb: the last token before the objects.
-    """
+    """Parse objects and the objects after them: "through a and into b", "from a to b to c"."""
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
         reader.refuse_finally(
             "unclear: none of them, or not all? say for each if to avoid it", reader.peek()
         )
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
-    things = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
-    if clause.negated and clause.verb.startswith((*_CARRIES, "move")) and _onto_thing(reader):
+    targets = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
+    if (
+        clause.negated
+        and clause.verb.startswith((*_CARRIES, "move"))
+        and reader.is_at("to")
+        and starts_noun_phrase(reader, 1)
+    ):
         reader.refuse_finally("the robot can only go to objects", verb)
-    rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, things.names))
-    clause.things, clause.through = things, passes or (rides and clause.verb[:2] != "go")
+    rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, targets.names))
+    clause.targets, clause.through = targets, passes or (rides and clause.verb[:2] != "go")
     if clause.verb.startswith("follow") and not rides and not clause.verb.endswith(_ALONG):
         reader.refuse("the robot can only follow a path", verb)
     across = verb is not None and verb.text == "across" and reader.is_at("to")
-    if across and things.names[-1].split()[-1] in _STREETS:
+    if across and targets.names[-1].split()[-1] in _STREETS:
         reader.refuse_finally("'across …' is unclear; say only where to go, or 'through …'", verb)
     if verb and verb.text == "from":
         reader.refuse_finally(REASONS["origin"], verb)
@@ -180,18 +177,13 @@ def take_passed(
         if clause.verb == "pass" and nouns.PEOPLE.intersection(further.names):
             # "pass the cup to the guest"
             reader.refuse_finally("the robot can only go to objects", token)
-        if clause.route and len(clause.things.groups[-1]) > 1:
+        if clause.route and len(clause.targets.groups[-1]) > 1:
             reader.refuse("say it in two sentences: 'go through a to b, or through c to d'", token)
         if clause.negated:  # "do not go through a to b"
             set_destination(reader, memory, clause, further, token)
         else:
-            add_to_route(reader, clause, clause.things, token)
-        clause.things = further
-
-
-def _onto_thing(reader: TokenReader) -> bool:
-    """Return True if "to the table" comes."""
-    return reader.is_at("to") and starts_noun_phrase(reader, 1)
+            add_to_route(reader, clause, clause.targets, token)
+        clause.targets = further
 
 
 def _may_go_onward(reader: TokenReader, clause: Clause) -> bool:
@@ -208,7 +200,7 @@ LEADING = nouns.split_entries(
     """door doorway gate gateway entrance entry exit key path road street way stair stairs staircase
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )
-"""Things that lead to a place: "the door to the kitchen" is one thing."""
+"""Objects that lead to a place: "the door to the kitchen" is one object."""
 
 
 def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
@@ -218,11 +210,11 @@ def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     moves = clause.verb in (*_MOTION, "get")
     moved = moves and before[verb + 1].kind in ("article", "word", "quoted")
     carried = moved or clause.verb.startswith(_CARRIES)
-    if carried and not all(map(nouns.is_place, clause.things.names)):
+    if carried and not all(map(nouns.is_place, clause.targets.names)):
         reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
-    if clause.things.names[-1].split()[-1] in LEADING:
+    if clause.targets.names[-1].split()[-1] in LEADING:
         reader.refuse_finally(
-            "unclear: one thing that leads to the other, or both in turn? say 'then to …'",
+            "unclear: one object that leads to the other, or both in turn? say 'then to …'",
             before[verb],
         )
 
@@ -249,7 +241,7 @@ def take_until(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     take_happening(reader, memory, happening)
     if happening.denied or happening.count:
         reader.refuse("say where to go", token)
-    clause.verb, clause.things = "continue", happening.things
+    clause.verb, clause.targets = "continue", happening.targets
 
 
 def _is_plain_name(reader: TokenReader) -> bool:
@@ -260,6 +252,6 @@ def _is_plain_name(reader: TokenReader) -> bool:
     return nouns.is_noun(token.text) or token.text in nouns.QUALITIES
 
 
-def each_of(things: NounPhrase) -> NounPhrase:
+def each_of(targets: NounPhrase) -> NounPhrase:
     """Return the names as separate groups, so that each of them is meant."""
-    return NounPhrase(tuple((name,) for name in things.names))
+    return NounPhrase(tuple((name,) for name in targets.names))

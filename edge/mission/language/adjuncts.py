@@ -65,17 +65,17 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         reader.at += 1  # "do not visit b either"
     elif token.text in ("though", "however") and _ends_sentence(reader, 1):
         reader.at += 1
-    elif clause.things and is_destination_ahead(reader, clause):
+    elif clause.targets and is_destination_ahead(reader, clause):
         take_bound(reader, memory, clause)
     elif token.kind in ORDERS:
-        several = clause.things and len(clause.things.groups) > 1
+        several = clause.targets and len(clause.targets.groups) > 1
         clause.order = token.kind if several or token.text != "in turn" else clause.order
         reader.at += 1
     elif token.kind == "comma" and reader.is_at(*ORDERS, ahead=1):
         reader.at += 1
     elif (count := take_count(reader, clause.negated, _is_about_every(clause))) is not None:
         clause.count = intersect_counts(reader, clause.count, count, token)
-        several = clause.things is not None and len(clause.things.groups) > 1
+        several = clause.targets is not None and len(clause.targets.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
             reader.refuse_finally("unclear: this number for each, or for all together?", token)
     elif token.kind == "first" and not (
@@ -97,7 +97,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
     elif token.kind == "after" and reader.is_at("comma", "stop", "end", "and", ahead=1):
         clause.trails = True  # "visit a, and b after"
         reader.at += 1
-    elif token.kind in ("but", "comma", "all of") and _take_count_aside(reader, clause):
+    elif token.kind in ("but", "comma", "all of") and _take_separate_count(reader, clause):
         pass
     elif token.kind == "no return":
         clause.each = 1  # "visit a, b and c, no revisiting"
@@ -160,7 +160,7 @@ def _take_whichever(reader: TokenReader) -> bool:
 
 def _is_about_every(clause: Clause) -> bool:
     """Return True if the clause is about all places: "visit each place only once"."""
-    return clause.things is not None and clause.things.every != ""
+    return clause.targets is not None and clause.targets.every != ""
 
 
 def _negate_count(reader: TokenReader, count: Count, token: Token) -> Count:
@@ -173,7 +173,7 @@ def _negate_count(reader: TokenReader, count: Count, token: Token) -> Count:
     return rest
 
 
-def _take_count_aside(reader: TokenReader, clause: Clause) -> bool:
+def _take_separate_count(reader: TokenReader, clause: Clause) -> bool:
     """Parse "but at most twice"; return False if it does not come."""
     begin, token = reader.at, reader.peek()
     reader.skip("but", "comma")
@@ -185,7 +185,7 @@ def _take_count_aside(reader: TokenReader, clause: Clause) -> bool:
     if clause.negated and clause.count:
         reader.refuse_finally("say the counts in two sentences", token)
     clause.count = intersect_counts(reader, clause.count, count, token)
-    clause.count_aside = token.kind == "comma"
+    clause.separate_count = token.kind == "comma"
     return True
 
 
@@ -249,15 +249,15 @@ def _take_avoiding_aside(reader: TokenReader, memory: Antecedents, clause: Claus
     At the end of a sentence it may belong to all clauses before it.
     """
     avoid = reader.peek(1)
-    if avoid.kind != "avoid" or not avoid.text.endswith("ing") or not clause.things:
+    if avoid.kind != "avoid" or not avoid.text.endswith("ing") or not clause.targets:
         return False
-    begin, aside = reader.at, Clause(avoid)
+    begin, inner = reader.at, Clause(avoid)
     reader.at += 1
-    take_avoiding(reader, memory, aside)
+    take_avoiding(reader, memory, inner)
     if clause.negated or not reader.is_at("then", ahead=1 if reader.is_at("comma") else 0):
         reader.at = begin
         return False
-    clause.avoiding += aside.avoiding
+    clause.avoiding += inner.avoiding
     return True
 
 
@@ -295,25 +295,25 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         )
     if token.text == "with no" and not inner.verb:
         reader.refuse_finally("say 'without …'", token)  # "the room with no window"
-    things = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
+    targets = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
     kinds = [t.kind for t in reader.tokens[begin : reader.at]]
-    if len(things.groups) == 2 and ("comma", "and") in itertools.pairwise(kinds):
+    if len(targets.groups) == 2 and ("comma", "and") in itertools.pairwise(kinds):
         reader.refuse_finally("unclear if this is to be avoided too; use two sentences", token)
     while denied and reader.is_at("or", "and") and another_participle(reader):
         skip_particles(reader, inner)
         more = take_noun_phrase(reader, memory, banned=True)
-        things = NounPhrase(things.groups + more.groups)  # "without entering a or touching b"
-    if denied and not things.every and take_count(reader, negated=False) is not None:
+        targets = NounPhrase(targets.groups + more.groups)  # "without entering a or touching b"
+    if denied and not targets.every and take_count(reader, negated=False) is not None:
         reader.refuse_finally("unclear how often; use a separate sentence", token)
     if (reader.take("first") or inner.first) and not clause.negated:
         if denied:  # "go to a without visiting b first"
-            clause.not_first.append(things)
-        elif clause.things is None:
+            clause.not_first.append(targets)
+        elif clause.targets is None:
             reader.refuse_finally("say 'first …, then …'", token)
         else:
-            add_to_route(reader, clause, things, token)  # "go to a while visiting b first"
+            add_to_route(reader, clause, targets, token)  # "go to a while visiting b first"
         return
-    if not denied and things.every:
+    if not denied and targets.every:
         count = take_count(reader, negated=False)
         if count is None:
             reader.refuse("say 'at most … times'", token)
@@ -321,11 +321,11 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         return
     if not denied:
         reader.refuse("only 'while avoiding …' is possible; say what to visit first", token)
-    if things.every and (skips or inner.again):
+    if targets.every and (skips or inner.again):
         clause.order = "strict order" if skips else clause.order
         clause.each = 1 if inner.again else clause.each
         return
-    if things.every == "places":
+    if targets.every == "places":
         reader.refuse("say what to avoid", token)
     ever = token.text == "without ever" or any(
         t.text in _EVER for t in reader.tokens[begin : reader.at]
@@ -334,9 +334,9 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         reader.at += 1
         ever = True
     if (inner.always or ever) and not inner.again:
-        clause.never.append(things)
+        clause.never.append(targets)
     elif inner.again or reader.take("again"):
-        clause.not_again.append(things)
+        clause.not_again.append(targets)
     else:
-        clause.avoiding.append(things)
+        clause.avoiding.append(targets)
         clause.during = clause.during or token.kind == "while"

@@ -14,13 +14,13 @@ _MAX_STATES, _MAX_STEPS = 500, 300_000  # limits of one compilation, see `compil
 _SENTENCE = re.compile(r"[,.;:!?]|\b(?:but|then)\b", re.IGNORECASE)
 _CLAUSE = re.compile(r"\b(?:and|or)\b|\b(?=without\b|while\b)", re.IGNORECASE)
 _ASIDE = re.compile(r"(?:without|while)\b", re.IGNORECASE)
-_ANYTHING = 'visit "anything"'  # goes before an aside, which the grammar does not read alone
+_ANYTHING = 'visit "anything"'  # goes before an avoidance, which the grammar does not read alone
 
 
 def bans_in(instruction: str) -> tuple[Formula, ...]:
     """Return the bans (`G !x`, `!x W y`) that the grammar reads in an instruction.
 
-    If the grammar refuses the whole instruction, it reads the parts one by one.
+    If the grammar refuses the entire instruction, it reads the parts one by one.
     """
     found = _bans_of(instruction)
     if found is None:

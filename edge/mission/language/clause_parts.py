@@ -74,7 +74,11 @@ def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count
             marked.setdefault(marker, numbers[-1])
         elif token.kind == "times":
             times = True
-        elif not (token.kind in ("or", "and") and (markers or numbers) and _count_goes_on(reader)):
+        elif not (
+            token.kind in ("or", "and")
+            and (markers or numbers)
+            and reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
+        ):
             break
         reader.at += 1
     if not numbers or not times:
@@ -98,7 +102,7 @@ def take_quota(reader: TokenReader, memory: Antecedents, clause: Clause) -> None
     """Parse `the maximum number of visits to a is three`."""
     token = reader.take("quota")
     assert token is not None
-    clause.things = take_noun_phrase(reader, memory)
+    clause.targets = take_noun_phrase(reader, memory)
     reader.skip("be", "must", "can")
     if reader.is_at("exactly") and reader.is_at("number", ahead=1):
         reader.at += 1
@@ -119,23 +123,10 @@ def _means_as_soon_as(reader: TokenReader) -> bool:
     return reader.is_at("you", "article", "word", "quoted", "pronoun", "all of", "either", ahead=1)
 
 
-def _count_goes_on(reader: TokenReader) -> bool:
-    """Return True if the count continues after "or" or "and"."""
-    return reader.is_at(*_NUMBERS, *_MARKERS, ahead=1)
-
-
 def _count_meant(
     reader: TokenReader, markers: set[str], numbers: list[int], negated: bool, begin: int
 ) -> Count:
-    """Return the count that markers and numbers mean; see `take_count`.
-
-    Args:
-        reader: the token reader.
-        markers: kinds of the tokens that say how the numbers are meant.
-        numbers: the numbers, at least one.
-        negated: True if the clause is negated.
-        begin: index of the count's first token.
-    """
+    """Return the count that markers and numbers mean; see `take_count`."""
     n = numbers[-1]
     if 0 in numbers and markers & {"or more", "at least"}:
         reader.refuse("this number is always fulfilled; leave it out", reader.tokens[begin])
@@ -197,7 +188,7 @@ class Condition:
 
     Attributes:
         kind: "before", "after", "until", "unless" or "when" ("once" is "when").
-        things: objects of the event.
+        targets: objects of the event.
         only: "only after …", "only before …".
         denied: "not before …", or an event that is negated ("once you have not …").
         recurring: "whenever", "if": each event counts, not only the first.
@@ -209,7 +200,7 @@ class Condition:
 
     kind: str
     token: Token
-    things: NounPhrase
+    targets: NounPhrase
     only: bool = False
     denied: bool = False
     recurring: bool = False
@@ -226,7 +217,7 @@ class Clause:
         mood: "do" (an order), "must" (a duty) or "can" (a permission).
         negated: "do not", "never", "avoid".
         only: "only" before the verb.
-        things: objects of the clause; None for "do not stop (until …)".
+        targets: objects of the clause; None for "do not stop (until …)".
         avoiding: objects to avoid on the way ("while avoiding", "without").
         during: the avoidance has "while", so it ends with this clause.
         never: objects to avoid permanently ("while always avoiding").
@@ -234,7 +225,7 @@ class Clause:
         not_again: objects not to visit again on the way ("without returning to x").
         order: kind of order among the objects, or "".
         count: number of visits.
-        count_aside: the count stood after a comma.
+        separate_count: the count stood after a comma.
         next_step: "right after", "immediately".
         instant: token of "in the next step", exactly.
         soon: "as soon as", which applies to duties only.
@@ -245,7 +236,7 @@ class Clause:
         bound_by: token of a destination given last: "go through y to reach x".
         through: the objects are on the way to something.
         by_way: the objects can only be on the way ("go by way of x").
-        route: objects that are reached before `things`, in order.
+        route: objects that are reached before `targets`, in order.
         several_ways: the route has "a and b" in one part.
         only_way: no other route is allowed.
         enroute: the clause is "on the way" to an earlier goal.
@@ -264,7 +255,7 @@ class Clause:
     mood: str = "do"
     negated: bool = False
     only: bool = False
-    things: NounPhrase | None = None
+    targets: NounPhrase | None = None
     conditions: list[Condition] = field(default_factory=list)
     avoiding: list[NounPhrase] = field(default_factory=list)
     during: bool = False
@@ -273,7 +264,7 @@ class Clause:
     not_again: list[NounPhrase] = field(default_factory=list)
     order: str = ""
     count: Count | None = None
-    count_aside: bool = False
+    separate_count: bool = False
     next_step: bool = False
     instant: Token | None = None
     soon: bool = False
@@ -348,7 +339,7 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
             reader.refuse_finally("this is optional and asks for nothing; leave it out", token)
         answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
-            reader.refuse_finally("give the whole instruction again", token)  # "…, no, the bed"
+            reader.refuse_finally("give the full instruction again", token)  # "…, no, the bed"
         if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader):
             reader.refuse_finally("not an instruction for the robot", token)
         if token.text == "did" and reader.is_at("not", ahead=1):

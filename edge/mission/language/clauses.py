@@ -1,12 +1,12 @@
 """Parser of one clause: who must (not) do what, how often, under which conditions.
 
 clause    = { condition [","] } { mood } ( action | passive | bare ) { adjunct }
-action    = verb { verb } particles things | avoid [verb] things
-passive   = things { mood } ( verb | avoid | "happen" )
-bare      = things                       (after another clause: ", then a tv")
-adjunct   = order | count | condition | "while avoiding" things | "without" [verb] things
+action    = verb { verb } particles objects | avoid [verb] objects
+passive   = objects { mood } ( verb | avoid | "happen" )
+bare      = objects                      (after another clause: ", then a tv")
+adjunct   = order | count | condition | "while avoiding" objects | "without" [verb] objects
 condition = ("before" | "after" | "until" | "unless" | "when" | "once") happening
-happening = ["you" mood] verb things | things [mood (verb | "happen")] | pronoun
+happening = ["you" mood] verb objects | objects [mood (verb | "happen")] | pronoun
 """
 
 from __future__ import annotations
@@ -120,14 +120,14 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.refuse_finally(
             "say what to do, as in 'visit the bed'", clause.token
         )  # "I have a sofa"
-    if reader.peek().text in _PERFORM and _is_count(reader, 1):
+    if reader.peek().text in _PERFORM and reader.is_at(*COUNTING, ahead=1):
         reader.at += 1
     # The action: a count, a verb, a place after "be", names with a predicate, or only names.
     count_at = reader.peek()
     if (count := take_count(reader, clause.negated)) is not None:  # "at least two visits to a"
         clause.count = intersect_counts(reader, clause.count, count, count_at)
         reader.skip("to")
-        clause.things = take_noun_phrase(reader, memory)
+        clause.targets = take_noun_phrase(reader, memory)
     elif reader.is_at("verb", "avoid") or goes_on_to(reader):
         take_action(reader, memory, clause)
     elif _is_there(reader):
@@ -135,7 +135,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.is_at("all of"):
             reader.refuse_finally("unclear: none of them, or not all? say for each if to avoid it")
-        clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
+        clause.targets = take_noun_phrase(reader, memory, banned=clause.negated)
     elif reader.is_at("quota"):
         take_quota(reader, memory, clause)
     elif reader.is_at("onward"):
@@ -148,26 +148,26 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.refuse_finally("say 'after …'", before)
     elif bare == "yes" and reader.peek().text in ("at", "in") and starts_noun_phrase(reader, 1):
         reader.at += 1  # "…, and after that at the bank"
-        clause.things = take_noun_phrase(reader, memory)
+        clause.targets = take_noun_phrase(reader, memory)
     elif bare == "yes" and reader.peek().text in ("back", *UP) and starts_clause(reader):
         skip_particles(reader, clause)
-        clause.things = take_noun_phrase(reader, memory)
+        clause.targets = take_noun_phrase(reader, memory)
     elif (bare != "no" or clause.negated) and is_passing(reader):
         reader.at += 1
         take_passed(reader, memory, clause)
     elif reader.is_at("to") and starts_noun_phrase(reader, 1) and (bare != "no" or clause.negated):
         reader.take("to")
-        clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
+        clause.targets = take_noun_phrase(reader, memory, banned=clause.negated)
     else:
         reader.refuse("expected something to do or to avoid here")
     if opening and any(t.text == "been" for t in opening[-2:]):
         refuse_past_tense(reader, begin, opening[-1], clause)
     if main is not None and main.kind == "verb":
         refuse_past_tense(reader, begin, main, clause)
-    if clause.things:
-        memory.named = clause.things
+    if clause.targets:
+        memory.named = clause.targets
         if not clause.negated and clause.mood != "can":
-            memory.ask(clause.things)
+            memory.ask(clause.targets)
     asked = memory.asked
     if clause.bound:
         set_destination(reader, memory, clause, clause.bound, clause.token)
@@ -186,7 +186,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         reader.refuse("not an instruction; say for example 'visit the bed'", clause.token)
     refuse_unclear(clause, reader)
     if clause.negated and clause.first and not clause.conditions and not clause.count:
-        own = clause.things.names if clause.things else ()
+        own = clause.targets.names if clause.targets else ()
         others = [name for name in asked.names if name not in own] if asked else []
         if not others:
             reader.refuse("say 'do not visit … before …'", clause.token)
@@ -222,7 +222,7 @@ def _take_restriction(memory: Antecedents, clause: Clause) -> bool:
     """
     avoided = [*clause.avoiding, *clause.never]
     clause.negated = True
-    clause.things = NounPhrase(tuple(group for things in avoided for group in things.groups))
+    clause.targets = NounPhrase(tuple(group for targets in avoided for group in targets.groups))
     clause.avoiding, clause.never = [], []
     return bool(clause.each or avoided) and not clause.conditions
 
@@ -264,17 +264,13 @@ def _take_opening(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
                 reader.at += 1
             condition = take_condition(reader, memory, clause)
             clause.conditions.append(condition)
-            memory.named = condition.things
+            memory.named = condition.targets
         else:
             return
         reader.skip("comma")
         if clause.conditions and reader.peek().text == "then":
             reader.at += 1  # "if …, then …"
             clause.leads = True
-
-
-def _is_count(reader: TokenReader, ahead: int) -> bool:
-    return reader.is_at(*COUNTING, ahead=ahead)
 
 
 def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare: Bare) -> None:
@@ -285,15 +281,15 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         reader.refuse_finally(
             "unclear: none of them, or not all? say for each if to avoid it", start
         )
-    things = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
-    if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, things):
+    targets = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
+    if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, targets):
         return
     inner = Clause(start)
     mood_kinds = take_mood(reader, inner, PREDICATE)
     texts = [token.text for token in reader.tokens[begin : reader.at]]
     if inner.first and _ends_here(reader):  # "the bank must be first"
         clause.first, clause.negated = True, clause.negated != inner.negated
-        clause.verb, clause.things = "be", things
+        clause.verb, clause.targets = "be", targets
         return
     done = "been" in texts and not {"must", "should", "shall"} & set(texts)
     if "been" in texts and any(c.kind == "when" for c in clause.conditions):
@@ -303,9 +299,9 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
             "this describes the past; say what to do", start
         )  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
-    if things.listed and bare == "yes" and (barred or mood_kinds & AUXILIARIES):
+    if targets.listed and bare == "yes" and (barred or mood_kinds & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
-        clause.things = take_noun_phrase(reader, memory)
+        clause.targets = take_noun_phrase(reader, memory)
         return
     avoid = reader.take("avoid")
     if start.kind == "either" and (avoid or inner.negated):
@@ -321,7 +317,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         reader.refuse_finally("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
         clause.negated, clause.verb = clause.negated != inner.negated, "be"
-        clause.things = each_of(things)
+        clause.targets = each_of(targets)
         return
     if avoid and inner.mood == "can" and not inner.negated:
         reader.refuse_finally("this is optional and asks for nothing; leave it out", start)
@@ -330,7 +326,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         clause.negated = clause.negated != (inner.negated != bool(avoid))
         clause.only, clause.first = clause.only or inner.only, clause.first or inner.first
         clause.verb = verb.text
-        clause.things = each_of(things) if clause.negated else things
+        clause.targets = each_of(targets) if clause.negated else targets
         return
     reader.at = begin
     # No predicate came: these are only names, as in "…, then the bed".
@@ -339,7 +335,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         bare == "known" and _well_known(reader, memory)
     ):
         reader.refuse("unknown verb", start)
-    clause.things = take_noun_phrase(reader, memory, banned=clause.negated)
+    clause.targets = take_noun_phrase(reader, memory, banned=clause.negated)
     if reader.is_at("not") and reader.peek().text.endswith(("allowed", "permitted")):
         reader.refuse_finally(
             "an instruction is for one robot only", start
@@ -351,7 +347,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
 
 
 def _take_consequence(
-    reader: TokenReader, memory: Antecedents, clause: Clause, start: Token, things: NounPhrase
+    reader: TokenReader, memory: Antecedents, clause: Clause, start: Token, targets: NounPhrase
 ) -> bool:
     """Parse `any visit to a must be followed by a visit to b`; return False if it does not come."""
     begin = reader.at
@@ -363,14 +359,14 @@ def _take_consequence(
     reader.at += 1
     reader.skip("verb", "to")
     clause.mood = "must"
-    clause.conditions.append(Condition("when", start, things, recurring=True))
-    clause.things = take_noun_phrase(reader, memory)
+    clause.conditions.append(Condition("when", start, targets, recurring=True))
+    clause.targets = take_noun_phrase(reader, memory)
     return True
 
 
 def _well_known(reader: TokenReader, memory: Antecedents) -> bool:
     """Return True if the following names can only be names, so that they need no verb."""
     begin = reader.at
-    things = take_noun_phrase(reader, memory)
+    targets = take_noun_phrase(reader, memory)
     reader.at = begin
-    return all(len(name) == 1 or nouns.unknown_in(name.split()) is None for name in things.names)
+    return all(len(name) == 1 or nouns.unknown_in(name.split()) is None for name in targets.names)

@@ -56,8 +56,8 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
     begin = reader.at
     take_happening(reader, memory, condition)
     # "Go to a, but go to b before that": the last goal is b, the clause's own, so "that" is a.
-    if condition.things is clause.things and kind in ("before", "after") and memory.previous:
-        condition.things = memory.previous
+    if condition.targets is clause.targets and kind in ("before", "after") and memory.previous:
+        condition.targets = memory.previous
     if kind in ("after", "when") and any(
         t.text == "ever" for t in reader.tokens[begin : reader.at]
     ):
@@ -66,20 +66,14 @@ def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> 
 
 
 def take_happening(reader: TokenReader, memory: Antecedents, condition: Condition) -> None:
-    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`.
-
-    Args:
-        reader: the token reader, after the first word of the condition.
-        memory: the objects that pronouns mean.
-        condition: receives the objects of the event, its flags and its count.
-    """
+    """Parse the event of a condition: `you have visited a`, `a is visited`, `visiting a`."""
     inner = Clause(reader.peek())  # only collects the event's "not" and "first"
     mood_kinds = take_mood(reader, inner)
     inside = reader.peek().text in ("in", "inside", "at", "on") and starts_noun_phrase(reader, 1)
     if inside and ("be" in mood_kinds or (condition.kind == "when" and not mood_kinds)):
         reader.at += 1  # "once you are in the kitchen", "once in the kitchen"
         _refuse_denied(reader, condition, inner)
-        condition.things = take_noun_phrase(reader, memory)
+        condition.targets = take_noun_phrase(reader, memory)
         condition.denied = condition.denied or inner.negated
         return
     been = reader.is_at("to") and reader.tokens[reader.at - 1].text == "been"
@@ -93,23 +87,23 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
         skip_particles(reader, inner)
         if not starts_noun_phrase(reader):
             refuse_missing_name(reader)
-        condition.things = take_noun_phrase(reader, memory)
+        condition.targets = take_noun_phrase(reader, memory)
         while participle and another_participle(reader):
             skip_particles(reader, inner)
             more = take_noun_phrase(reader, memory)
-            condition.things = NounPhrase(condition.things.groups + more.groups)
+            condition.targets = NounPhrase(condition.targets.groups + more.groups)
         reader.take("happen")
     elif reader.is_at("pronoun"):
         pronoun = reader.take("pronoun")
         assert pronoun is not None
-        condition.things = _objects_of_pronoun(reader, memory, pronoun)
+        condition.targets = _objects_of_pronoun(reader, memory, pronoun)
         # "before it" means the order of goals; "before it is visited" names an event.
         condition.referred = not _take_predicate(reader, inner)
     elif starts_noun_phrase(reader):
-        condition.things = take_noun_phrase(reader, memory, subject=True)
+        condition.targets = take_noun_phrase(reader, memory, subject=True)
         _take_predicate(reader, inner)
     elif condition.kind in ("before", "after") and memory.asked and _ends(reader):
-        condition.things = memory.asked  # "do not go to b before": before what was asked
+        condition.targets = memory.asked  # "do not go to b before": before what was asked
         condition.referred = True
     else:
         reader.refuse("expected a condition here", condition.token)
@@ -150,10 +144,10 @@ def _ends(reader: TokenReader) -> bool:
 
 def _objects_of_pronoun(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
     """Return the objects of the last goal, which a pronoun means; refuse it without a goal."""
-    things = memory.asked
-    if things is None:
+    targets = memory.asked
+    if targets is None:
         reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
-    return things
+    return targets
 
 
 def _take_predicate(reader: TokenReader, inner: Clause) -> bool:

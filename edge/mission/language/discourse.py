@@ -1,4 +1,4 @@
-"""Parser of a whole instruction: joins the meanings of its clauses to one formula.
+"""Parser of an entire instruction: joins the meanings of its clauses to one formula.
 
 A sentence is one or more sequences with "or" between them. A sequence is a list of steps with
 "then" between them. A joint is the token between two clauses, such as "and"; its kind is "" if the
@@ -130,8 +130,10 @@ class Discourse:
         reader = self.reader
         reader.skip("comma", "stop")
         while not reader.is_at("end"):
-            aside = reader.is_at("filler") and reader.is_at("comma", "stop", "end", ahead=1)
-            if aside or reader.is_at("addressed"):  # "Drone, find …", "robot! find …", "thanks."
+            is_filler = reader.is_at("filler") and reader.is_at("comma", "stop", "end", ahead=1)
+            if is_filler or reader.is_at(
+                "addressed"
+            ):  # "Drone, find …", "robot! find …", "thanks."
                 reader.at += 1
                 reader.skip("comma", "stop")
                 continue
@@ -178,7 +180,7 @@ class Discourse:
         asked = [until for _, until in self.waits] if way else []
         if way == 2:
             asked += [NounPhrase(tuple((n,) for n in names)) for names, _ in self.waits]
-        return [visits(things) for things in asked]
+        return [visits(targets) for targets in asked]
 
     def _rules_for_all(self, goal: AllOf) -> list[Goal]:
         """Return the rules that apply to all goals of the instruction."""
@@ -221,7 +223,7 @@ class Discourse:
         sequence, loose = self._take_sequence(joint)
         after = after or (bool(sequence) and sequence[0].follows)
         if joint is not None and joint.kind == "only then" and before and sequence:
-            sequence[0].rules += held_until(sequence[0].things.names, before)
+            sequence[0].rules += held_until(sequence[0].targets.names, before)
         if after and before and sequence and sequence[0].loose:
             sequence[0].ban_after(before)  # "… . Afterwards never go to the bed."
         sequences = [sequence]
@@ -306,7 +308,7 @@ class Discourse:
             else:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
-                    if not sequence and kind == "and" and forbidden & set(meaning.things.names):
+                    if not sequence and kind == "and" and forbidden & set(meaning.targets.names):
                         hint = "the same object is forbidden and asked for"
                         self.reader.refuse(hint, clause.token)
                     if not sequence:
@@ -315,7 +317,7 @@ class Discourse:
                     loose = None
                 self._add_to_sequence(clause, meaning, kind, sequence)
             has_order = clause.order in ("in order", "strict order")
-            if has_order and clause.things and len(clause.things.groups) + len(clause.route) < 2:
+            if has_order and clause.targets and len(clause.targets.groups) + len(clause.route) < 2:
                 order_token = clause.token
             joint = self._take_joint()
             if joint is None:
@@ -327,7 +329,7 @@ class Discourse:
     def _named_before(self, clause: Clause) -> bool:
         """Return True if all names of a clause were asked for before."""
         known = set(self.times) | set(self.last.names if self.last else ())
-        return clause.things is not None and set(clause.things.names) <= known
+        return clause.targets is not None and set(clause.targets.names) <= known
 
     def _check_number(self, joint: Token | None) -> None:
         """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
@@ -350,7 +352,7 @@ class Discourse:
         self, clause: Clause, meaning: ClauseMeaning, sequence: list[ClauseMeaning]
     ) -> None:
         """Turn "…, and later visit it again" into a second visit."""
-        again = clause.things and self.last and clause.things.groups == self.last.groups
+        again = clause.targets and self.last and clause.targets.groups == self.last.groups
         revisits = clause.again and clause.verb and meaning.follows and not clause.returns
         revisits = revisits and not clause.conditions
         if not revisits or clause.negated or not meaning.goals or not again or not sequence:
@@ -401,14 +403,14 @@ class Discourse:
             self._after_permission(clause, bool(sequence))
         asked = self.goal is not None
         then = self.flow.comes_after(clause, joint, sequence, asked, self.reader)
-        if clause.again and clause.things and not (clause.negated or clause.count):
-            then = then or bool(self.times.keys() & set(clause.things.names))
+        if clause.again and clause.targets and not (clause.negated or clause.count):
+            then = then or bool(self.times.keys() & set(clause.targets.names))
         if clause.ends:  # it comes after all other goals
             if clause.negated:
                 self.reader.refuse("say it in one sentence, with 'then'", clause.token)
             self.halted, then = clause.token, then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
-        if stays and clause.things == self.last:
+        if stays and clause.targets == self.last:
             self.reader.refuse_finally(
                 "the robot is already there at that time; say where to go", clause.token
             )
@@ -420,10 +422,10 @@ class Discourse:
         """Resolve what a clause leaves open, from the clauses before it."""
         if clause.elsewhere:
             self.elsewhere = clause.token
-        single = clause.things is not None and len(clause.things.groups) + len(clause.route) == 1
+        single = clause.targets is not None and len(clause.targets.groups) + len(clause.route) == 1
         if single and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
-        if clause.count_aside and sequence:
+        if clause.separate_count and sequence:
             self.reader.refuse_finally(
                 "unclear: this number for all, or for the last one? use two sentences", clause.token
             )
@@ -439,7 +441,7 @@ class Discourse:
     ) -> None:
         """Relate the meaning of a clause to the goals before it."""
         then = meaning.follows
-        if then and meaning.bans and not meaning.goals and not clause.things.every:
+        if then and meaning.bans and not meaning.goals and not clause.targets.every:
             if self.last is None:
                 self.reader.refuse_finally("say first what comes before this", clause.token)
             meaning.ban_after(self.last)  # "…. After that, avoid b and go to c"
@@ -455,13 +457,13 @@ class Discourse:
         if (
             meaning.anchors
             and not (then or self.first)
-            and self.times.keys() & set(meaning.things.names)
+            and self.times.keys() & set(meaning.targets.names)
         ):
             hint = "this was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
         anchor_goals(meaning, sequence, self.times, then or self.first)
         plain = not (clause.count or clause.again or clause.conditions or clause.avoiding)
-        meaning.repeats = plain and bool(meaning.goals) and clause.things == self.last
+        meaning.repeats = plain and bool(meaning.goals) and clause.targets == self.last
         if meaning.repeats and then:  # "a, then b, then b and c": is b meant twice?
             meaning.repeats = self.reader.pick(clause.token, 2) == 1
         self._count_return(clause, meaning, sequence)
@@ -473,7 +475,7 @@ class Discourse:
         self.strictly = clause.token if meaning.strictly else self.strictly
         limited = clause.count is not None and clause.count.most is not None
         self.asks = self.asks or (bool(meaning.goals) and not limited)
-        self.last = clause.things if meaning.goals else self.last
+        self.last = clause.targets if meaning.goals else self.last
         self.waits += meaning.waits
         self.shuns = self.shuns or clause.verb in AVOIDING
         self.clauses += 1
@@ -550,7 +552,7 @@ class Discourse:
         if not starts:
             if reader.is_at("to") and reader.peek(-1).text in LEADING:
                 reader.refuse_finally(
-                    "unclear: one thing that leads to the other, or both in turn? say 'then to …'"
+                    "unclear: one object that leads to the other, or both in turn? say 'then to …'"
                 )
             reader.refuse("unknown word")
         return Token("", "", joint.start, joint.start)  # a joint without words

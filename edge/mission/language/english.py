@@ -44,15 +44,11 @@ def alternatives_of(f: Formula) -> Alternatives | None:
         each = [alternatives_of(part) for part in f.args]
         if any(a is None for a in each):
             return None
-        return _cap([chains for a in each if a is not None for chains in a])
+        found = [chains for a in each if a is not None for chains in a]
+        return found if len(found) <= MAX_ALTERNATIVES else None
     if f.op == "&":
         return _alternatives_of_all(f.args)
     return _alternatives_of_sequence(f) if f.op == "F" else None
-
-
-def _cap(found: Alternatives) -> Alternatives | None:
-    """Return the alternatives; None if there are more than `MAX_ALTERNATIVES`."""
-    return found if len(found) <= MAX_ALTERNATIVES else None
 
 
 def _alternatives_of_all(parts: tuple[Formula, ...]) -> Alternatives | None:
@@ -170,7 +166,6 @@ def _goal_sentences(parts: tuple[Formula, ...]) -> list[str]:
 
 
 def _rule_sentences(parts: tuple[Formula, ...]) -> list[str]:
-    """Return sentences for all other parts."""
     counted = {_count_of(part) for part in parts if _is_exact_count(part, parts)}
     return [
         _rule_text(part) or _read_out(part)

@@ -25,38 +25,39 @@ WAIT, CHECK = "wait", "check"
 CALLER = "caller"
 """Name of the pose of the person who gives the order."""
 MAX_COUNT = 5
-"""Largest number of things of a kind that one order may ask for."""
+"""Largest number of objects of a kind that one order may ask for."""
 MAX_ROUNDS = 10
 """Largest number of rounds of a patrol that becomes one sequence of stops."""
 
 CHECKS = """
     {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
-            ({if} there (is|are)|[if] (is|are) there) {still} <thing> [there|around|here]
-    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <thing> (is|are)
+            ({if} there (is|are)|[if] (is|are) there) {still} <object> [there|around|here]
+    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <object> (is|are)
             {still} (there|in there)
-    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <thing>
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <object>
             there
-    {then} {goes} {check} {if} there (is|are) {still} <thing> {at} [there|around|here]
-    {then} {goes} {check} {if} <thing> (is|are) {still} (there|here|around|in place|at home|present)
-    {then} {goes} {check} {if} <thing> (is|are) {at}
-    {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <thing> {at}
-    {then} {goes} {check} {if} you [can] see <thing> {at} [there|around|here]
-    {then} {goes} {check} [if] (is|are) [there] <thing> {at} [there]
-    {then} {goes} check for <thing> {at}
-    {then} {goes} check [on] <thing> {at} [for me|for us]*
-    {then} {goes} {check} <room> for <thing>
-    {then} {goes} {check} {if} <into> (has|have|contains|has got) {still} <thing>
+    {then} {goes} {check} {if} there (is|are) {still} <object> {at} [there|around|here]
+    {then} {goes} {check} {if} <object> (is|are) {still}
+            (there|here|around|in place|at home|present)
+    {then} {goes} {check} {if} <object> (is|are) {at}
+    {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <object> {at}
+    {then} {goes} {check} {if} you [can] see <object> {at} [there|around|here]
+    {then} {goes} {check} [if] (is|are) [there] <object> {at} [there]
+    {then} {goes} check for <object> {at}
+    {then} {goes} check [on] <object> {at} [for me|for us]*
+    {then} {goes} {check} <room> for <object>
+    {then} {goes} {check} {if} <into> (has|have|contains|has got) {still} <object>
             [(in|inside) it|there]
 """
 SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
-            [around|round|in|at|inside|through]* <room> for <thing>
-    (search|look) {whole} for <thing>
+            [around|round|in|at|inside|through]* <room> for <object>
+    (search|look) {whole} for <object>
     {goes} (check|visit|(look|search) [in|into|inside|through]|{drive} {over} (in|to|into|through))
-            {every} (room|rooms) [and look|and search] for <thing>
-    (find|(look|search) for) <thing> in {every} (room|rooms)
+            {every} (room|rooms) [and look|and search] for <object>
+    (find|(look|search) for) <object> in {every} (room|rooms)
     {drive} {over} (in|to|into|through) {every} (room|rooms) , [and] [then] (find|(look|search) for)
-            <thing>
+            <object>
 """
 EVERY_ROOM = """
     {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
@@ -105,8 +106,8 @@ ROUNDS_FIRST = (
     "<stops>"
 )
 ERRAND_AND_BACK = """
-    {drive} {over} to <thing> , {back} , <often>
-    {drive} {over} to <thing> , {back} , [for] <count> {rounds}
+    {drive} {over} to <object> , {back} , <often>
+    {drive} {over} to <object> , {back} , [for] <count> {rounds}
 """
 STARTS = """
     {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
@@ -115,7 +116,7 @@ STARTS = """
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
 """
-BACK_TO = "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <thing>"
+BACK_TO = "{then} (return|[come|go|get|drive|head|run|move|be] [straight|right] back) to <object>"
 CALLS = (
     "[over here [mate|robot|to me|to us] ,] (come|drive|get|move|roll) [over|right|up|here]* "
     "(here|to me|to us|to (where|wherever) (i am|we are)) "
@@ -123,13 +124,13 @@ CALLS = (
 )
 BACKS = "{then} {back}"
 WAITS = """
-    {then} {hold} [for] <span> {where} <thing>
+    {then} {hold} [for] <span> {where} <object>
     {then} {hold} {there} [for] <span> [there|here]
-    {then} {hold} {where} <thing> [for] <span>
-    {then} wait [for (me|us)] {where} <thing>
-    {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <thing> [{until_told}]
+    {then} {hold} {where} <object> [for] <span>
+    {then} wait [for (me|us)] {where} <object>
+    {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <object> [{until_told}]
     {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{until_told}]
-    {then} go to <thing> [and (stay|remain|wait) [there]] for <span>
+    {then} go to <object> [and (stay|remain|wait) [there]] for <span>
     {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|her) [for] [<span>]
             [{until_told}]
     {then} (wait|stay|remain) {until_told}
@@ -137,7 +138,7 @@ WAITS = """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
 # (`other`), "the mug on the desk or by the bed" (`again`, `else`)
 RELATED = re.compile(
-    rf" (?P<thing>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
+    rf" (?P<object>{NAME})(?: {phrase_of('standing')})? (?P<relation>{phrase_of('relation')})"
     rf" (?P<anchor>{NAME})(?P<within> (?:in|inside) {NAME})?(?: and (?P<other>(?:the|a) {NAME})"
     rf"| or (?:(?P<again>{phrase_of('relation')}) )?(?P<else>{NAME}))?(?=[ ,.;!?]|$)",
     re.I,
@@ -150,7 +151,7 @@ INTRODUCED = re.compile(
     r"(?:am |are )?miss(?:ing)?|can not (?:think|remember) where (?:i|we) (?:put|left)|"
     r"(?:think (?:that )?i )?(?:seem to )?(?:have )?(?:lost|left|misplaced|forgot|forgotten)) "
     r"|either )?"
-    rf"(?P<thing>{NAME})(?: {phrase_of('standing')}|"
+    rf"(?P<object>{NAME})(?: {phrase_of('standing')}|"
     r" (?:(?:should|must|ought to|will) be|is|are)(?: still| probably)*)?"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME})| or (?P<other>{NAME}))?"
     r"(?: (?:somewhere|anywhere|again))?"
@@ -169,7 +170,7 @@ ROOM_FIRST = re.compile(
 )
 # "find the mug, it should be on the desk"
 HINTED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:i think )?(?:(?:it|they|he|"
+    rf"(?P<order> {_FIND}) (?P<object>{NAME})(?:[,.;]|(?= it| they)) (?:i think )?(?:(?:it|they|he|"
     rf"she) (?:is|are|(?:should|must|will) be)|i (?:have )?(?:left|put) (?:it|them))"
     rf"(?: {phrase_of('standing')})? (?P<relation>"
     rf"{phrase_of('relation')}) (?P<anchor>{NAME})(?: i think)?{END}",
@@ -177,31 +178,31 @@ HINTED = re.compile(
 )
 # "find my mug, it is a white one"
 COLOURED = re.compile(
-    rf"(?P<order> {_FIND}) (?P<thing>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
+    rf"(?P<order> {_FIND}) (?P<object>{NAME})(?:[,.;]|(?= it| they)) (?:(?:it|they|he|she)"
     r" (?:is|are) )(?:the |an? )?(?P<colour>\w+)(?: ones?)?(?=[.!]*$)",
     re.I,
 )
 # "I need the mug to be found"
 WANTED_FOUND = re.compile(
-    rf"^ (?:i|we) (?:need|want|would like) (?P<thing>{NAME}(?: {phrase_of('relation')} {NAME})?)"
+    rf"^ (?:i|we) (?:need|want|would like) (?P<object>{NAME}(?: {phrase_of('relation')} {NAME})?)"
     r" (?:to be )?found(?=[.!]*$)",
     re.I,
 )
 # "the nearest chair to the desk"
 NEAREST = re.compile(
-    rf" (?:the )?(?:nearest|closest) (?P<thing>{PLAIN_NAME})"
+    rf" (?:the )?(?:nearest|closest) (?P<object>{PLAIN_NAME})"
     rf" (?:to|from|of) (?P<anchor>{NAME}){END}",
     re.I,
 )
 # "the nearest chair": to the robot
 NEAREST_TO_ROBOT = re.compile(
-    rf" (?:the )?(?:nearest|closest) (?=(?P<thing>{PLAIN_NAME}))(?P=thing){END}"
+    rf" (?:the )?(?:nearest|closest) (?=(?P<object>{PLAIN_NAME}))(?P=object){END}"
     r"(?! (?:to|from|of)\b)",
     re.I,
 )
 # "the room with a piano"
 ROOM_WITH = re.compile(
-    rf" (?P<thing>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
+    rf" (?P<object>(?:the )?room) (?:with|that has) (?P<anchor>{NAME}){END}", re.I
 )
 # "so you can go into the kitchen again"
 PERMITS = re.compile(
@@ -302,7 +303,7 @@ UNCLEAR = (
             rf"(?:{ARTICLE}|{phrase_of('room')}) ",
             re.I,
         ),
-        "unclear what to do with the second thing; name it in a sentence of its own",
+        "unclear what to do with the second object; name it in a sentence of its own",
     ),
     (
         re.compile(r'\bon (?:the|your) way,? (?:there,? )?(?:then )?go to "', re.I),
@@ -323,7 +324,7 @@ UNCLEAR = (
     ),
     (
         re.compile(r"\b(?:check|see|look|find out|verify) (?:if|whether)\b", re.I),
-        "the robot can only check whether a thing is there; say for example 'check whether the "
+        "the robot can only check whether an object is there; say for example 'check whether the "
         "stove is in the kitchen'",
     ),
 )
@@ -339,7 +340,7 @@ COUNTED = re.compile(
     rf"{phrase_of('find')}|find|go find|visit|reach|see|go and see)"
     r"(?: all)?(?: the| my| our)?(?: any)? "
     rf"(?P<count>{COUNT}|both)(?: of)?(?: the| my| these| those| our)?"
-    rf"(?: (?:different|separate|distinct))? (?P<thing>{PLAIN_NAME})"
+    rf"(?: (?:different|separate|distinct))? (?P<object>{PLAIN_NAME})"
     rf"(?: (?P<relation>{phrase_of('relation')}) (?P<anchor>{NAME}))?"
     r"(?=[.;!?]|$|,(?! (?:and |or )?(?:the|an?|my|our|both|but not|not|\d|"
     r"two|three|four|five)\b)| (?:and|then)\b(?! (?:the|an?|my|our|both|two|three|four|five)\b))",

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Union
 
-from edge import names
+from edge import names, number_words
 from edge.mission.language import errand_patterns as patterns
 from edge.mission.language import nouns
 from edge.mission.language.errand_parts import PARTS
@@ -95,8 +95,8 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         ([patterns.COUNTED], _rewrite_counted),
         ([patterns.HINTED], _rewrite_hinted),
         ([patterns.COLOURED], _rewrite_coloured),
-        ([patterns.WANTED_FOUND], lambda found: f" find {found['thing']}"),
-        ([patterns.NEAREST], lambda found: f" the {found['thing']} nearest to {found['anchor']}"),
+        ([patterns.WANTED_FOUND], lambda found: f" find {found['object']}"),
+        ([patterns.NEAREST], lambda found: f" the {found['object']} nearest to {found['anchor']}"),
         ([patterns.NEAREST_TO_ROBOT], _rewrite_nearest),
         ([patterns.INTRODUCED], _rewrite_introduced),
         (patterns.SEARCHES, _rewrite_search),
@@ -146,7 +146,7 @@ def _refuse_unknown_names(text: str) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Return True for a known name, or a new one for a kind of a known thing: "crash trolley"."""
+    """Return True for a known name, or a new one for a kind of a known object: "crash trolley"."""
     words = bare(name).partition(" of ")[0].split()
     if re.fullmatch(MARK, name) or is_room(bare(name)) or nouns.unknown_in(words) is None:
         return True
@@ -181,14 +181,14 @@ def _go_to(proposition: str, found: re.Match[str] | None = None) -> str:
 
 
 def _rewrite_introduced(found: re.Match[str]) -> str | None:
-    """Put the thing that the first clause names in place of the second clause's pronoun."""
+    """Put the object that the first clause names in place of the second clause's pronoun."""
     slots = found.groupdict()
-    thing = bare(found["thing"])
+    noun = bare(found["object"])
     relation, anchor = slots["relation"] or slots["later"], slots["anchor"] or slots["at"]
     where = _relation_text(relation, anchor)
     # Without an article, "look" is a verb.
-    verb = thing == slots["thing"].lower() and TABLE.get((thing.split()[0],)) == "verb"
-    known = slots["opening"] or (_is_name(thing) and not verb)
+    verb = noun == slots["object"].lower() and TABLE.get((noun.split()[0],)) == "verb"
+    known = slots["opening"] or (_is_name(noun) and not verb)
     if slots["relation"] and slots["later"]:
         return None
     if where is None or not known or bool(slots["any"]) != bool(slots["other"]):
@@ -198,7 +198,7 @@ def _rewrite_introduced(found: re.Match[str]) -> str | None:
     order = patterns.GO_THERE.sub("go to", found["order"]) if slots["there"] else found["order"]
     if slots["there"] and order == found["order"]:
         return None
-    return f" {order} the {thing}{where}{other}"
+    return f" {order} the {noun}{where}{other}"
 
 
 def _rewrite_room_first(found: re.Match[str]) -> str | None:
@@ -209,10 +209,10 @@ def _rewrite_room_first(found: re.Match[str]) -> str | None:
 
 def _rewrite_counted(found: re.Match[str]) -> str | None:
     """Return "find two chairs" as `find "chair 1 of 2", then find "chair 2 of 2"`."""
-    *first, last = found["thing"].lower().split()
+    *first, last = found["object"].lower().split()
     count = 2 if found["count"].lower() == "both" else number_of(found["count"].lower())
     where = _relation_text(found["relation"], found["anchor"])
-    thing = " ".join((*first, names.singular(last)))
+    noun = " ".join((*first, names.singular(last)))
     if (
         count is None
         or not 2 <= count <= MAX_COUNT
@@ -220,43 +220,43 @@ def _rewrite_counted(found: re.Match[str]) -> str | None:
         or names.singular(last) == last
     ):
         return None
-    if is_room(thing) or is_vague(found["thing"]) or nouns.unknown_in(thing.split()) is not None:
+    if is_room(noun) or is_vague(found["object"]) or nouns.unknown_in(noun.split()) is not None:
         return None
-    goals = (f'find "{thing} {n} of {count}{where}"' for n in range(1, count + 1))
+    goals = (f'find "{noun} {n} of {count}{where}"' for n in range(1, count + 1))
     return found["lead"] + ", then ".join(goals)
 
 
 def _rewrite_hinted(found: re.Match[str]) -> str | None:
     """Return "find the mug, it should be on the desk" as the order to find the mug on the desk."""
-    thing, where = bare(found["thing"]), _relation_text(found["relation"], found["anchor"])
-    if where is None or is_room(thing) or is_marked(thing) or is_vague(thing):
+    noun, where = bare(found["object"]), _relation_text(found["relation"], found["anchor"])
+    if where is None or is_room(noun) or is_marked(noun) or is_vague(noun):
         return None
-    return f"{found['order']} the {thing}{where}"
+    return f"{found['order']} the {noun}{where}"
 
 
 def _rewrite_coloured(found: re.Match[str]) -> str | None:
     """Return "find my mug, it is a white one" as the order to find the white mug."""
-    colour, thing = found["colour"].lower(), bare(found["thing"])
-    if colour not in nouns.COLOURS or is_vague(thing) or is_room(thing):
+    colour, noun = found["colour"].lower(), bare(found["object"])
+    if colour not in nouns.COLOURS or is_vague(noun) or is_room(noun):
         return None
-    if nouns.COLOURS & set(thing.split()):
+    if nouns.COLOURS & set(noun.split()):
         return None
-    return f"{found['order']} the {colour} {thing}"
+    return f"{found['order']} the {colour} {noun}"
 
 
 def _rewrite_nearest(found: re.Match[str]) -> str | None:
     """Return "the nearest chair" as the chair; None in a ban, which would mean all chairs."""
     clause = re.split(r"[.;!?,]| and | then ", found.string[: found.start()])[-1]
-    return None if _BAN.search(clause) else f" the {found['thing']}"
+    return None if _BAN.search(clause) else f" the {found['object']}"
 
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
     room = found.groupdict().get("room") or ""
-    if (room and not is_room(bare(room))) or is_vague(found["thing"]):
+    if (room and not is_room(bare(room))) or is_vague(found["object"]):
         return None
     where = _relation_text("in", room)
-    return None if where is None else f' find "{bare(found["thing"])}{where}"'
+    return None if where is None else f' find "{bare(found["object"])}{where}"'
 
 
 def _rewrite_every_room(found: re.Match[str]) -> str | None:
@@ -282,16 +282,16 @@ def _rewrite_every_room_too(found: re.Match[str]) -> str | None:
 def _rewrite_check(found: re.Match[str]) -> str | None:
     """Return "see if the mug is on the desk" as `go to "check mug on the desk"`."""
     slots = found.groupdict()
-    thing = bare(found["thing"])
-    if is_vague(thing) or thing in ("it", "them"):
+    noun = bare(found["object"])
+    if is_vague(noun) or noun in ("it", "them"):
         return None
-    if not slots.get("relation") and found[0].rstrip().endswith(found["thing"]):
-        known = is_marked(thing) or nouns.unknown_in(thing.split()) is None
-        # An unknown thing needs an article other than "any" and "some".
-        named = known or re.match(r"(?!any|some)\w+ ", found["thing"][: -len(thing)])
-        nowhere = thing.startswith("rooms ") or thing.split()[-1] in NOWHERE
-        if is_room(thing) or nowhere or not named:
-            return None  # "check the kitchen" is no check of a thing, nor "check for any messages"
+    if not slots.get("relation") and found[0].rstrip().endswith(found["object"]):
+        known = is_marked(noun) or nouns.unknown_in(noun.split()) is None
+        # An unknown object needs an article other than "any" and "some".
+        named = known or re.match(r"(?!any|some)\w+ ", found["object"][: -len(noun)])
+        nowhere = noun.startswith("rooms ") or noun.split()[-1] in NOWHERE
+        if is_room(noun) or nowhere or not named:
+            return None  # "check the kitchen" is no check of an object; nor "check for messages"
     if slots.get("into") and not is_room(bare(slots["into"])):
         return None
     if slots.get("room") or slots.get("into"):
@@ -304,7 +304,7 @@ def _rewrite_check(found: re.Match[str]) -> str | None:
         where += _relation_text("in", slots["within"]) or ""
     if re.match(r" (?!and |then |but |when |while |in order )\w", found.string[found.end() :]):
         return None  # "check if the heater is on"
-    return None if where is None else _go_to(f"{CHECK} {thing}{where}", found)
+    return None if where is None else _go_to(f"{CHECK} {noun}{where}", found)
 
 
 def _relation_text(
@@ -326,7 +326,7 @@ def _relation_text(
     bare_by = relation == "by" and name == anchor.lower() and not is_marked(name)  # "by bus"
     if idiom or verb or bare_by or is_vague(anchor) or words[-1] in NOWHERE:
         return None  # "at some point", "by passing the desk"
-    if names.number(words) is not None and not is_room(name):
+    if number_words.number(words) is not None and not is_room(name):
         return None  # "between the two"
     relation = patterns.RELATIONS.get(relation.lower(), relation.lower())
     the = "" if re.search(r" (?:\d+\w?|[a-z])$", name) else "the "
@@ -338,7 +338,7 @@ def _rewrite_exploration(found: re.Match[str]) -> str | None:
     """Return "explore the kitchen and the hall" as orders to go to `explored …`."""
     slots = found.groupdict()
     time = _for_duration(slots.get("span"))
-    # Rooms, and the words between them; "" stands for the whole site.
+    # Rooms, and the words between them; "" stands for the entire site.
     joints = re.findall(_JOINT, slots.get("stops") or "")
     rooms = [bare(stop) for stop in re.split(_JOINT, slots.get("stops") or slots.get("room") or "")]
     rooms = ["" if re.fullmatch(r"(?:every|each|all) rooms?", room) else room for room in rooms]
@@ -353,7 +353,7 @@ def _rewrite_exploration(found: re.Match[str]) -> str | None:
 
 
 def _rewrite_exploration_here(found: re.Match[str]) -> str | None:
-    """Return the order to explore the whole site, or the room that the text before goes to."""
+    """Return the order to explore the entire site, or the room that the text before goes to."""
     room, before = "", found.string[: found.start()]
     if before:
         last = re.search(rf"(?:to|in|into) (?P<name>{NAME}),?$", before, re.I)
@@ -408,27 +408,27 @@ def _rewrite_errand_and_back(found: re.Match[str]) -> str | None:
     times = number_of((slots.get("count") or slots.get("often") or "").lower())
     if times is None or not 1 <= times <= MAX_ROUNDS:
         return None
-    return _go_to_each([bare(found["thing"]), f'"{HERE}"'] * times)
+    return _go_to_each([bare(found["object"]), f'"{HERE}"'] * times)
 
 
 def _quote_related(found: re.Match[str]) -> str | None:
-    """Quote a thing with its relation: the mug on the desk becomes "mug on the desk"."""
+    """Quote an object with its relation: the mug on the desk becomes "mug on the desk"."""
     slots = found.groupdict()
-    thing = found["thing"]
-    words = thing.split()
+    noun = found["object"]
+    words = noun.split()
     # "find mug on the desk": the name begins after the verb.
     while words and TABLE.get((words[0].lower(),)) in ("verb", "avoid") and len(words) > 1:
         words = words[1:]
-    before = thing[: len(thing) - len(" ".join(words))]
+    before = noun[: len(noun) - len(" ".join(words))]
     relation = (slots.get("relation") or "with").lower()
-    articled = bare(thing) != thing.lower()
+    articled = bare(noun) != noun.lower()
     led = before or patterns.LEADS_TO_NAME.search(found.string[: found.start()])
     if not articled and (nouns.unknown_in(words) is not None or not led):
-        return None  # "park at the dock": a verb, no thing
+        return None  # "park at the dock": a verb, no object
     if (
         words[-1] in NOWHERE
         or (is_vague(" ".join(words)) and relation != "with")
-        or (is_room(bare(thing)) and relation in ("by", "near", "at"))
+        or (is_room(bare(noun)) and relation in ("by", "near", "at"))
     ):
         return None
     if slots.get("relation") and TABLE.get((words[-1].lower(),)) in ("verb", "do"):
@@ -523,10 +523,10 @@ def _modifies(word: str) -> bool:
 
 def _rewrite_back_to(found: re.Match[str]) -> str | None:
     """Return "back to the kitchen" as an order; None if it names no room or place."""
-    thing = found["thing"]
-    if not (is_marked(thing) or is_room(bare(thing))):
+    noun = found["object"]
+    if not (is_marked(noun) or is_room(bare(noun))):
         return None
-    return f"{', then' * bool(found.start())} go to {_with_article(thing)}"
+    return f"{', then' * bool(found.start())} go to {_with_article(noun)}"
 
 
 def _rewrite_start(found: re.Match[str]) -> str | None:
@@ -556,6 +556,6 @@ def _rewrite_wait(found: re.Match[str]) -> str | None:
     if " until " in found[0] and re.match(r" (?!and\b|then\b)\w", found.string[found.end() :]):
         return None
     wait = f"{WAIT} {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else WAIT
-    if slots.get("thing"):
-        return f'{", then" * bool(found.start())} go to {slots["thing"]}, then go to "{wait}"'
+    if slots.get("object"):
+        return f'{", then" * bool(found.start())} go to {slots["object"]}, then go to "{wait}"'
     return _go_to(wait, found) if found.start() or slots.get("span") else None

@@ -1,6 +1,6 @@
 """Phrases of everyday speech to a robot, by kind, and regular expressions for names.
 
-The modules that read utterances before the grammar (`tidy`, `said`, `errands`, …) use them. The
+The modules that read utterances before the grammar (`tidy`, `intents`, `errands`, …) use them. The
 format is the lexicon's: phrases are separated by `;`, and "(a|b) c" is both "a c" and "b c".
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from edge import names
+from edge import number_words
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
@@ -95,7 +95,7 @@ _ROWS: dict[str, str] = {
         ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
         entrance hall; sunroom; studio; mezzanine; sluice; gallery
     """,
-    # First words of rooms' names that are no names of things.
+    # First words of rooms' names that are no names of objects.
     "room of": """
         break; staff; lunch; tea; supply; copy; mail; print; printing; control; treatment; exam;
         examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
@@ -154,7 +154,7 @@ _ROWS: dict[str, str] = {
         we are looking for; i need you to find; i can not find; where could we find; look for
     """,
     # Beginnings of clauses that ask for what a robot with wheels, a camera and text cannot do.
-    # Verbs of carrying and handing: they are no order to drive to the thing.
+    # Verbs of carrying and handing: they are no order to drive to the object.
     "carry": """
         bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass
         (me|us|him|her|it|them); pick; take;
@@ -163,7 +163,7 @@ _ROWS: dict[str, str] = {
         fold; build; shake; cut; charge my; hug; help me; cook;
         press
     """,
-    # Verbs of work at a thing: the robot drives there.
+    # Verbs of work at an object: the robot drives there.
     "work": """
         sweep; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
         feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
@@ -267,7 +267,7 @@ _WORD = (
     rf"(?!{AFTER_A_NAME}\b)\w[\w'.-]*(?<![.]))"
 )
 MARK = "[\ue000-\uf8ff]"
-"""Regular expression for a private Unicode character: it stands for a whole name, see `places`."""
+"""Regular expression for a private Unicode character that stands for a name; see `places`."""
 PLAIN_NAME = rf"(?:{MARK}|(?:(?:(?<=[\w'-]) |(?<![\w'-])){_WORD}){{1,5}})"
 """Regular expression for one name without an article: up to five words, with a space before each
 but the first. No word character may stand right before the name."""
@@ -280,7 +280,7 @@ _EACH_ROOM = re.compile(
 )
 _ROOM_HEAD = re.compile(
     rf"(?:.* )?{phrase_of('room')}"
-    rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(names.SMALL_NUMBERS)}))?"
+    rf"(?: (?:number )?(?:\d+\w?|[a-z]|{'|'.join(number_words.SMALL_NUMBERS)}))?"
     "|toilet",
     re.I,
 )

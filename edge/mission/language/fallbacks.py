@@ -1,6 +1,6 @@
 """Splitting of an order with a condition: "find the mug; if it is not there, come back".
 
-The condition is the outcome of an earlier order: it succeeded (the thing was found, the place was
+The condition is the outcome of an earlier order: it succeeded (the object was found, the place was
 reached), or it failed. `split_outcomes` finds the conditions and the orders around them; the
 module `edge.mission.fallbacks` translates the parts.
 """
@@ -34,18 +34,18 @@ class OutcomeCondition:
 
     Attributes:
         outcome: "found" if the order succeeded, "failed" if not.
-        seeks: True if it speaks of a thing ("it is not there"), False if of a place ("you can not
-            get in"), None if of either ("otherwise").
-        thing: its name with the article; "" for the last goal of the order ("it").
-        at: " in the kitchen": the thing is there or not; "" if nothing is said.
-        there: True if the thing is at the place of the order.
+        is_object: True for an object ("it is not there"), False for a place ("you can not get in"),
+            None for either ("otherwise").
+        name: its name with the article; "" for the last goal of the order ("it").
+        at: " in the kitchen": the object is there or not; "" if no place is given.
+        there: True if the object is at the place of the order.
         presumes: True if the condition also says what to do: "if you can not find the bed".
         state: True if it is a state of a place: "if it is blocked".
     """
 
     outcome: Outcome
-    seeks: bool | None = None
-    thing: str = ""
+    is_object: bool | None = None
+    name: str = ""
     at: str = ""
     there: bool = False
     presumes: bool = False
@@ -77,7 +77,7 @@ class Branches:
     def is_rule(self) -> bool:
         """True if it may be a rule that holds all the time: "…, if you see the dog, come back"."""
         condition = self.condition
-        named = bool(self.order and condition.thing) and condition.outcome == "found"
+        named = bool(self.order and condition.name) and condition.outcome == "found"
         return named and isinstance(self.found, str) and self.failed is None
 
 
@@ -108,25 +108,25 @@ _PARTS = {
         reach {them}|reach there|enter [it|there|that room])
         """,
 }
-# Thing sought → templates, one for each line. True: of a thing; False: of a place; None: of either.
+# Kind of target → templates, one for each line. True: an object; False: a place; None: either.
 _FAILED: dict[bool | None, str] = {
     True: """
         {if} {it} {is} {gone} {either}
         {if} {it} {is} not {at} {either}
-        {if} <thing> {is} {gone} {either}
-        {if} <thing> {is} not {at} {either}
+        {if} <object> {is} {gone} {either}
+        {if} <object> {is} not {at} {either}
         {if} you {still} {cannot} {see} {them} {at} [{there}] {either}
-        {if} you {still} {cannot} {see} <thing> {at} [{there}] {either}
+        {if} you {still} {cannot} {see} <object> {at} [{there}] {either}
         {if} there {is} (not [one|any]|none|nothing) [{there}] {either}
-        {if} there {is} (no|not (a|an|any)) <thing> {at} [{there}] {either}
-        {if} (nothing|no <thing>|none) (is|are) [{there}|found] {at} {either}
+        {if} there {is} (no|not (a|an|any)) <object> {at} [{there}] {either}
+        {if} (nothing|no <object>|none) (is|are) [{there}|found] {at} {either}
     """,
     False: """
         {if} you {still} {cannot} {enter} {either}
         {if} you {still} {cannot} (get (to|into|in|inside)|reach|enter|go (to|into|in)|
-            make it (to|into)) <thing> {either}
+            make it (to|into)) <object> {either}
         {if} ({it}|the way|the path|the way in) {is} {blocked} {either}
-        {if} <thing> {is} {blocked} {either}
+        {if} <object> {is} {blocked} {either}
         {if} you get stuck [there]
     """,
     None: """
@@ -140,11 +140,11 @@ _FAILED: dict[bool | None, str] = {
 _FOUND: dict[bool | None, str] = {
     True: """
         {if} {it} {is} {there} {either}
-        {if} <thing> {is} {there} {either}
-        {if} ({it}|<thing>) {is} <relation> <anchor>
+        {if} <object> {is} {there} {either}
+        {if} ({it}|<object>) {is} <relation> <anchor>
         {if} you {can} {see} {them} {at} [{there}]
-        {if} you {can} {see} <thing> {at} [{there}]
-        {if} there {is} (one|any|some|<thing>) {at} [{there}]
+        {if} you {can} {see} <object> {at} [{there}]
+        {if} there {is} (one|any|some|<object>) {at} [{there}]
     """,
     False: "{if} you {can} {enter}",
     None: """
@@ -177,7 +177,7 @@ _LEADS = re.compile(
 _RETURNS = re.compile(
     r"(?:(?:come|go|get|drive|return|head) )?(?:back|home)\b|return$|wait|stay|stop", re.I
 )
-_SEEKS = re.compile(r"\b(?:find|look|search|locate|hunt|check|try)\b", re.I)
+_SEARCH_VERB = re.compile(r"\b(?:find|look|search|locate|hunt|check|try)\b", re.I)
 _DRIVES = re.compile(r"\b(?:go|drive|head|move|come|visit)\b(?! (?:back|home)\b)", re.I)
 _INSTEAD = re.compile(r",? instead\b(?! of)", re.I)
 # What follows in any case.
@@ -209,7 +209,7 @@ _GO_AND_LOOK = re.compile(
     r"(?=[,.;!?]|$| (?:and|then)\b)",
     re.I,
 )
-_SOUGHT = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<thing>{NAME})", re.I)
+_SEARCHED = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<object>{NAME})", re.I)
 _IN_CLAUSE = r"(?:(?! and )[^,;.!?])*"
 # "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
 _SEARCHES = re.compile(
@@ -227,8 +227,8 @@ def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
         ("failed", _FAILED), ("found", _FOUND),
     )  # fmt: skip
     for outcome, rows in table:
-        for seeks, lines in rows.items():
-            found += [(one, outcome, seeks) for one in compile_templates(lines, _PARTS)]
+        for is_object, lines in rows.items():
+            found += [(one, outcome, is_object) for one in compile_templates(lines, _PARTS)]
     return found
 
 
@@ -277,7 +277,7 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
     is_inside = before.strip() and not (first.is_bare or _BOUND.search(before))
     if answer and is_inside and re.match(r"[,;.!?]|\s+then\b", answer_text, re.I):
         raise _unclear(text[first.begin : first.end])  # "the bed if it is there, then the sofa"
-    if _INSTEAD.search(answer_text) and condition.thing:  # then the robot was to go to the thing
+    if _INSTEAD.search(answer_text) and condition.name:  # then the robot was to go to the object
         condition = replace(condition, presumes=True)
     if not answer:  # "come back if you can not find it"
         *orders, answer = re.split(r",? (?:and|or|but|then)(?: then)? |[,;.] ", order)
@@ -302,7 +302,7 @@ def _split(text: str, matches: Sequence[_Match], begin: int) -> Branches:
 
 def _is_opposite(first: _Match, second: _Match) -> bool:
     """Return True if the second condition is the opposite outcome of the same order."""
-    if second.condition.thing or second.condition.at:
+    if second.condition.name or second.condition.at:
         return False
     if second.is_bare:
         return not first.is_bare
@@ -315,10 +315,12 @@ def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
     An example is "go to the bed; if that fails go to the sofa; if that works come back".
     """
     between, phrase = text[first.end : second.begin], text[second.begin : second.end]
-    seeks = second.condition.seeks
+    is_object = second.condition.is_object
     missed = first.condition.outcome == "failed"
-    drives = (seeks is False or missed) and seeks is not None and _DRIVES.search(between)
-    searches = (seeks is not None or (missed and second.is_bare)) and _SEEKS.search(between)
+    drives = (is_object is False or missed) and is_object is not None and _DRIVES.search(between)
+    searches = (is_object is not None or (missed and second.is_bare)) and _SEARCH_VERB.search(
+        between
+    )
     if re.search(r"\b(?:that|this)\b", phrase, re.I) or drives or searches:
         part, hint = (
             phrase.strip(),
@@ -376,31 +378,33 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     """Return the longest condition that begins at an offset; None if none does."""
     best: tuple[re.Match[str], Outcome, bool | None] | None = None
     spaced = f" {text[begin:]}"
-    for pattern, outcome, seeks in _conditions():
+    for pattern, outcome, is_object in _conditions():
         match = pattern.match(spaced)
         if match is None or re.match(r" not\b", spaced[match.end() :]):  # "if you do not mind"
             continue
         if best is None or match.end() > best[0].end():
-            best = match, outcome, seeks
+            best = match, outcome, is_object
     if best is None:
         return None
-    match, outcome, seeks = best
-    slots = {slot: said for slot, said in match.groupdict().items() if said}
+    match, outcome, is_object = best
+    slots = {slot: part for slot, part in match.groupdict().items() if part}
     at = f" {slots['relation']} {slots.get('anchor', 'it')}" if slots.get("relation") else ""
-    phrase, thing = match[0].strip(), slots.get("thing", "")
+    phrase, name = match[0].strip(), slots.get("object", "")
     is_bare = re.fullmatch(r"failing that|(?:or )?otherwise|(?:if )?else", phrase, re.I) is not None
     says_there = re.sub(r"^\w+ there\b", "", phrase)
     there = re.search(r"\b(?:there|here|in it|(?:that|this) (?:room|place))\b", says_there, re.I)
-    state = seeks is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
-    presumes = bool(thing) and (bool(at) or (outcome == "failed" and not state))
+    state = is_object is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
+    presumes = bool(name) and (bool(at) or (outcome == "failed" and not state))
     rest = spaced[match.end() :]
-    is_area = bool(there) and seeks and _RELATION.match(rest)  # "if it is not there in the hall"
-    told = outcome == "found" or seeks is not None
-    if told and not (is_area or _is_followed_by_order(rest)):
+    is_area = (
+        bool(there) and is_object and _RELATION.match(rest)
+    )  # "if it is not there in the hall"
+    is_report = outcome == "found" or is_object is not None
+    if is_report and not (is_area or _is_followed_by_order(rest)):
         return None  # "if you enter the hall", "if you have been to the bed", "if it is not free"
     if _NEEDS_VERB.search(phrase) and re.match(r" (?!then\b)\w", rest):
         return None  # "if you can not hear the dog", "if you have reached the sofa"
-    condition = OutcomeCondition(outcome, seeks, thing, at, bool(there), presumes, state)
+    condition = OutcomeCondition(outcome, is_object, name, at, bool(there), presumes, state)
     return _Match(begin, begin + match.end() - 1, condition, is_bare)
 
 
@@ -414,7 +418,7 @@ def _is_followed_by_order(text: str) -> bool:
 
 
 def areas_of(text: str, noun: str) -> tuple[list[str], str]:
-    """Return the orders to look for a thing in one place after another, and the rest of a text.
+    """Return the orders to look for an object in one place after another, and the rest of a text.
 
     Example:
         >>> areas_of("look in the office, then in the hall, and come back", "the mug")
@@ -422,7 +426,7 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
 
     Args:
         text: an order after a search that failed.
-        noun: the thing that is searched for, with its article.
+        noun: the object that is searched for, with its article.
     """
     orders: list[str] = []
     text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))
@@ -447,7 +451,7 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
     return orders, text[at:].strip(" ,.;!?")
 
 
-def sought_in(text: str) -> str:
-    """Return the thing that an order searches for; "" if there is none."""
-    found = _SOUGHT.search(text)
-    return found["thing"] if found else ""
+def searched_object(text: str) -> str:
+    """Return the object that an order searches for; "" if there is none."""
+    found = _SEARCHED.search(text)
+    return found["object"] if found else ""

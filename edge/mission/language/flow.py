@@ -122,7 +122,7 @@ class Flow:
             pass
         elif moves and self.moved and not (after or also) and joint and kind == "and":
             after = reader.pick(joint, 2) == 1  # "go to a and go to b" may be in order
-        still_passing = bool(clause.things) and bare and self.passed  # "through a, then b, to c"
+        still_passing = bool(clause.targets) and bare and self.passed  # "through a, then b, to c"
         self.moved, self.passed = moves, (through or still_passing) and not clause.negated
         self.verb = clause.verb
         return after
@@ -148,14 +148,14 @@ class Flow:
             hint = "unclear if the next part depends on this; use a separate sentence"
             reader.refuse_finally(hint, self.hanging)
         bare = clause.verb == "" and not (clause.conditions or clause.count)
-        listed = clause.things is not None and clause.things.listed
+        listed = clause.targets is not None and clause.targets.listed
         if bare and clause.negated and (self.denied or not started or listed):
             reader.refuse_finally(
                 "unclear: avoid it or visit it? say which", clause.token
             )  # "not a, b"
         if clause.agent and self.agent not in ("", clause.agent):
             reader.refuse_finally("an instruction is for one robot only", clause.token)
-        several = clause.things is not None and len(clause.things.groups) > 1
+        several = clause.targets is not None and len(clause.targets.groups) > 1
         joins = several and any(token.kind == "and" for token in _clause_tokens(clause, reader))
         if bare and clause.negated and joins:
             reader.refuse_finally(
@@ -175,7 +175,7 @@ class Flow:
     def note(self, clause: Clause, meaning: ClauseMeaning) -> None:
         """Store facts about a clause for the next one."""
         ends = [c for c in clause.conditions if c.kind == "until" and not c.denied]
-        self.until = ends[0].things if clause.negated and len(ends) == 1 else None
+        self.until = ends[0].targets if clause.negated and len(ends) == 1 else None
         shuns = clause.verb in AVOIDING or clause.elsewhere
         self.barred = bool(meaning.bans) and not (shuns or self.until)
         self.hanging = clause.token if _hangs(clause) else None

@@ -42,11 +42,7 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class InSequence:
-    """A sequence of goals, one after the other.
-
-    Attributes:
-        goals: the goals, in order.
-    """
+    """A sequence of goals, one after the other."""
 
     goals: tuple[Goal, ...]
 
@@ -75,9 +71,9 @@ def any_reached(names: Iterable[str]) -> Formula:
     return disj(*map(ap, names))
 
 
-def visits(things: NounPhrase, times: int = 1) -> Goal:
+def visits(targets: NounPhrase, times: int = 1) -> Goal:
     """Return the goal to visit all groups in any order."""
-    goals = tuple(Visit(group, times) for group in things.groups)
+    goals = tuple(Visit(group, times) for group in targets.groups)
     return goals[0] if len(goals) == 1 else AllOf(goals)
 
 
@@ -102,7 +98,7 @@ def last_names(goal: Goal) -> frozenset[str]:
 
 
 def formula_of(goal: Goal) -> Formula:
-    """Return the formula of a whole instruction."""
+    """Return the formula of an entire instruction."""
     achieving = formula_of_goal(goal, TRUE, frozenset())
     asked = achieving.args if achieving.op == "&" else (achieving,)
     return conj(*(f for f in dict.fromkeys((*asked, *rules(goal))) if f != TRUE))

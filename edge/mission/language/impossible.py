@@ -25,12 +25,12 @@ _CANNOT = (
     (
         rf"{_OPENS_CLAUSE}(?:{phrase_of('carry')}\b{_DRIVES}"
         rf"|(?:bring|fetch|carry|hand|take) (?:over|up|in|out|down|back) {ARTICLE}\b)",
-        "the robot has no arms; it can drive to things, so say for example 'find the mug'",
+        "the robot has no arms; it can drive to objects, so say for example 'find the mug'",
     ),
     (
         rf"\balong {ARTICLE} (?!(?:\w+ )?(?:way|route|path|line|road|street|aisle|lane|hall|"
         r"hallway|corridor|passage)\b)",
-        "the robot cannot drive along a thing; say where to go",
+        "the robot cannot drive along an object; say where to go",
     ),
     (
         rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b",
@@ -47,7 +47,7 @@ _CANNOT = (
 )
 _WORK = re.compile(rf"{_OPENS_CLAUSE}{phrase_of('work')}\b", re.I)
 # "Anna's mug"
-_OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<thing>{PLAIN_NAME})")
+_OWNED = re.compile(rf"\b(?P<owner>[\w.]+(?: [A-Z][\w.]+)?)'s (?P<object>{PLAIN_NAME})")
 # "a free chair", "dirty tables", but not "the closed captioning screen" and "the open kitchen"
 _IN_STATE = re.compile(
     r"\b(?!open (?:kitchen|office)\b)(?P<state>free|available|vacant|occupied|unoccupied|open|"
@@ -61,15 +61,15 @@ _IN_STATE = re.compile(
 
 
 def refuse_states(text: str) -> None:
-    """Refuse a thing by a state that only people see, such as "a free chair".
+    """Refuse an object by a state that only people see, such as "a free chair".
 
     Raises:
         UnclearError: the text names a state.
     """
     for found in _IN_STATE.finditer(text):
-        hint = f"the robot cannot tell if a thing is {found['state'].lower()}; leave the word out"
+        hint = f"the robot cannot see if an object is {found['state'].lower()}; leave the word out"
         raise UnclearError(
-            f"instruction: {found[0]!r}: {hint}, or quote the whole name if it is a kind of thing",
+            f"instruction: {found[0]!r}: {hint}, or quote the full name if it is a kind of object",
             found[0],
         )
 
@@ -78,7 +78,7 @@ def refuse_impossible(text: str) -> None:
     """Refuse what no wheels, camera and text can do: carrying, calling, following.
 
     Raises:
-        UnclearError: the text asks for such a thing.
+        UnclearError: the text asks for such an object.
     """
     text = re.sub(r'"[^"]*"', '"x"', text)
     for pattern, hint in _CANNOT:
@@ -86,14 +86,14 @@ def refuse_impossible(text: str) -> None:
             part = found[0].strip(" .,;!?")
             raise UnclearError(f"instruction: {part!r}: {hint}", part)
     owned = _OWNED.search(text)
-    if owned and not is_room(bare(owned["thing"])):
-        thing = owned["thing"]
-        hint = f"the camera cannot see whose {thing} it is; say 'the {thing}'"
+    if owned and not is_room(bare(owned["object"])):
+        noun = owned["object"]
+        hint = f"the camera cannot see whose {noun} it is; say 'the {noun}'"
         raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
 
 
 def asks_for_work(text: str) -> bool:
-    """Return True if a text asks for work at a thing, to which the robot can only drive.
+    """Return True if a text asks for work at an object, to which the robot can only drive.
 
     >>> asks_for_work("Wipe the table, then go home"), asks_for_work("Go to the clean table")
     (True, False)

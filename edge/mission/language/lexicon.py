@@ -10,6 +10,7 @@ import re
 
 from edge import names
 from edge.mission.language import nouns
+from edge.number_words import SMALL_NUMBERS, TENS
 
 # Kind → its phrases, separated by `;`; "(a|b) c" is both "a c" and "b c".
 _ROWS: dict[str, str] = {
@@ -478,7 +479,7 @@ CONTRACTIONS = {
 }  # fmt: skip
 # "2nd", "twenty-one"
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
-_COMPOUND = re.compile(rf"({'|'.join(names.TENS)})-({'|'.join(names.SMALL_NUMBERS[1:10])})")
+_COMPOUND = re.compile(rf"({'|'.join(TENS)})-({'|'.join(SMALL_NUMBERS[1:10])})")
 # End of a contraction → the words that replace it.
 ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
@@ -500,8 +501,8 @@ def expand_word(word: str) -> list[str]:
 # Word of a count → its value.
 NUMBERS = {
     "once": 1, "twice": 2, "thrice": 3, "single": 1, "a single": 1, "one single": 1,
-    **{word: n for n, word in enumerate(names.SMALL_NUMBERS)},
-    **{word: 10 * n for n, word in enumerate(names.TENS, 2)},
+    **{word: n for n, word in enumerate(SMALL_NUMBERS)},
+    **{word: 10 * n for n, word in enumerate(TENS, 2)},
 }  # fmt: skip
 
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")

@@ -192,9 +192,6 @@ EXAMPLES = (
 class LlmTranslator:
     """Translator that asks the configured language model.
 
-    Args:
-        must_live: see `ChatClient`.
-
     Raises:
         ChatError: the server's URL or the API key cannot be used.
     """

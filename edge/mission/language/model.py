@@ -298,7 +298,14 @@ class NeuralTranslator:
                 continue
             if automaton.steps_left[0] < 0:
                 continue  # it cannot be fulfilled, so it is not meant
-            same = next((members for other, members in groups if _equal(other, automaton)), None)
+            same = next(
+                (
+                    members
+                    for other, members in groups
+                    if implies(other, automaton) and implies(automaton, other)
+                ),
+                None,
+            )
             if same is None:
                 groups.append((automaton, [hypothesis]))
             else:
@@ -365,8 +372,3 @@ def _name_meant(words: Sequence[str], at: int) -> str | None:
     """
     before = words[at - 1] if at else ""
     return nouns.suggest_word(words[at]) if before in ARTICLES or before in AFTER_VERB else None
-
-
-def _equal(a: Automaton, b: Automaton) -> bool:
-    """Return True if two automata accept the same language."""
-    return implies(a, b) and implies(b, a)

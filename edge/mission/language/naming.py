@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-from edge import names
+from edge import names, number_words
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import AFTER_VERB
 from edge.mission.language.tokens import Token, TokenReader, not_understood
@@ -63,7 +63,7 @@ def refuse_missing_name(reader: TokenReader, start: Token | None = None) -> NoRe
     start = start or reader.peek()
     if start.text == "the robot":
         reader.refuse_finally("this is the robot itself; say 'a robot' for another one", start)
-    reader.refuse("expected the name of a thing here", start)
+    reader.refuse("expected the name of an object here", start)
 
 
 def _take_words(reader: TokenReader, article: bool) -> list[Token]:
@@ -85,7 +85,7 @@ def _take_number(reader: TokenReader) -> list[Token]:
     reader.at += _says_number(reader)  # skip the word "number"
     begin = reader.at
     pair = [reader.peek().text, reader.peek(1).text]
-    if names.number(pair) is not None and is_number(reader, 1):
+    if number_words.number(pair) is not None and is_number(reader, 1):
         reader.at += 2
     elif is_number(reader) or (is_letter(reader.peek()) and _is_lettered(reader)):
         reader.at += 1
@@ -201,12 +201,7 @@ def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | 
 
 
 def next_numbered(reader: TokenReader, last: Sequence[Sequence[str]]) -> str:
-    """Parse `2` after "landmark 1", and return "landmark two".
-
-    Args:
-        reader: the token reader.
-        last: as in `number_ahead`.
-    """
+    """Parse `2` after "landmark 1", and return "landmark two"."""
     reader.skip("comma", "and", "or")
     token = reader.peek()
     number = " ".join(said.text for said in _take_number(reader))
@@ -216,7 +211,7 @@ def next_numbered(reader: TokenReader, last: Sequence[Sequence[str]]) -> str:
 def _numbered_head(name: str) -> str:
     """Return `landmark` of "landmark one", `floor` of "first floor"; "" for other names."""
     first, _, last = name.rpartition(" ")
-    return first if names.number([last]) is not None else ""
+    return first if number_words.number([last]) is not None else ""
 
 
 def is_number(reader: TokenReader, ahead: int = 0) -> bool:
@@ -229,6 +224,6 @@ def is_number(reader: TokenReader, ahead: int = 0) -> bool:
     if reader.is_at("or", ahead=ahead + 1) and reader.is_at("times", ahead=ahead + 3):
         return False  # "one or two times"
     pair = [reader.peek(ahead).text, reader.peek(ahead + 1).text]
-    if names.number(pair) is not None and reader.is_at("times", ahead=ahead + 2):
+    if number_words.number(pair) is not None and reader.is_at("times", ahead=ahead + 2):
         return False  # "twenty one times"
     return not reader.is_at("group", ahead=ahead + 1)  # "two places" counts places

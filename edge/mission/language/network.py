@@ -47,9 +47,6 @@ class FormulaHypothesis:
 class TranslationNetwork:
     """A session with the translation network, on one CPU core.
 
-    Args:
-        card: name of a card of task `translate`.
-
     Raises:
         ModelError: there is no such card, or its file is missing or damaged.
     """

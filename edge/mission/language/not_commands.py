@@ -60,7 +60,7 @@ def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
             )
         if clause.ends or clause.verb.startswith(("end ", "finish", "conclude ")):
             reader.refuse_finally("say where the mission ends", clause.token)
-        if clause.count and clause.things and clause.things.names == ("room",):
+        if clause.count and clause.targets and clause.targets.names == ("room",):
             reader.refuse_finally("say which", clause.token)
         again = clause.again or clause.returns
         if again and any(c.kind in ("until", "unless", "before") for c in clause.conditions):
@@ -74,14 +74,14 @@ def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
         reader.refuse_finally("say 'to get there, go through …'", clause.token)
     if conditional and clause.done:
         reader.refuse_finally("say 'visit … before …'", clause.token)
-    if clause.first and clause.things and clause.things.listed:
+    if clause.first and clause.targets and clause.targets.listed:
         reader.refuse_finally("unclear which one is first; say 'first …, then …'", clause.token)
     if conditional and clause.verb == "" and clause.leads:
         reader.refuse_finally("say what to do then, as in 'go to the bed'", conditional[0].token)
-    groups = clause.things.groups if clause.things else ()
+    groups = clause.targets.groups if clause.targets else ()
     if clause.count and clause.count.least > 1 and (clause.order and len(groups) > 1):
         reader.refuse_finally(
-            "unclear: this number for the whole list, or for each? use two sentences", clause.token
+            "unclear: this number for the entire list, or for each? use two sentences", clause.token
         )
     if any(c.recurring for c in conditional) and (len(clause.conditions) > 1 or clause.avoiding):
         reader.refuse_finally("use two sentences", conditional[0].token)

@@ -1,6 +1,6 @@
 """Parser of noun phrases: names, alone, in lists and in choices.
 
-    things  = element { ("," | "and" | "or" | ", and" | ", or") element }
+    objects  = element { ("," | "and" | "or" | ", and" | ", or") element }
     element = "either" name { ("," | "or") name } | "one of" names | ["all of"] name | pronoun
 
 Single letters need no comma between them ("visit a b and c"). The module `naming` parses names.
@@ -79,10 +79,10 @@ class Antecedents:
     mentioned: dict[str, None] = field(default_factory=dict)
     several: dict[str, Token] = field(default_factory=dict)
 
-    def ask(self, things: NounPhrase) -> None:
+    def ask(self, targets: NounPhrase) -> None:
         """Store the objects of a new goal."""
-        self.previous, self.asked = self.asked, things
-        self.note(things.groups)
+        self.previous, self.asked = self.asked, targets
+        self.note(targets.groups)
 
     def note(self, groups: Sequence[tuple[str, ...]]) -> None:
         """Add objects to the goals so far."""
@@ -132,8 +132,8 @@ def take_noun_phrase(
         ahead = _joint_length(reader)
         if ahead is None or (way and reader.peek(ahead - 1).kind == "to"):
             break
-        aside = reader.is_at("comma") and reader.is_at("or", ahead=1)
-        if aside and not banned and "comma" not in kinds_between:
+        is_alternative = reader.is_at("comma") and reader.is_at("or", ahead=1)
+        if is_alternative and not banned and "comma" not in kinds_between:
             break  # "the bed, or the sofa": an alternative to all before it
         joined = any(reader.is_at("and", "or", ahead=i) for i in range(ahead))
         if not joined and reader.is_at("to", ahead=ahead - 1):
@@ -152,7 +152,7 @@ def take_noun_phrase(
     memory.mentioned |= {name: None for group in groups for name in group}
     joints = {token.kind for token in between} & {"and", "or"}
     if len(set(groups)) < len(groups):
-        reader.refuse("the same thing is named twice", start)
+        reader.refuse("the same object is named twice", start)
     if banned and (start.text in _ONE_OF or (start.text == "either" and "and" in joints)):
         reader.refuse_finally("say which to avoid", start)
     if start.kind == "all of" and len(groups) == 1 and not banned:
@@ -180,8 +180,8 @@ def _joint_length(reader: TokenReader) -> int | None:
         if reader.peek(ahead).text in ("into", "onto"):
             return None  # "through a and into b" is an order
         ahead += 1
-    aside = (*COUNTING, "without", "while")
-    if reader.is_at("all of", ahead=ahead) and reader.is_at(*aside, ahead=ahead + 1):
+    adjuncts = (*COUNTING, "without", "while")
+    if reader.is_at("all of", ahead=ahead) and reader.is_at(*adjuncts, ahead=ahead + 1):
         return None  # "a and b, each only once", "all without passing c"
     if reader.peek(ahead).text in ("it", *LEAVE):
         return None  # "go to a and it must go to b"
@@ -293,7 +293,7 @@ def _is_singled(reader: TokenReader) -> bool:
 
 
 def _take_choice(reader: TokenReader, whole_list: bool) -> tuple[str, ...]:
-    """Parse `either x, y or z`, which ends after "or z", or `one of x, y and z`, the whole list."""
+    """Parse `either x, y or z`, which ends after "or z", or all of `one of x, y and z`."""
     if reader.take("all of"):
         reader.skip("group")
     if reader.peek().text in PLURALS and reader.peek(1).text == ":":

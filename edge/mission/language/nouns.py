@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from functools import lru_cache
 
-from edge import names
+from edge import names, number_words
 
 # Nouns and other words, by kind; "|" stands for a space within an entry.
 _PLACES = """
@@ -217,7 +217,7 @@ ROOMS = split_entries(
     garage garden hall hallway kitchen laundry library lobby lounge nursery office pantry patio
     restroom terrace gym"""
 )
-NUMERALS = (*names.ORDINALS, "last")
+NUMERALS = (*number_words.ORDINALS, "last")
 """Ordinal numbers in order, and "last"."""
 ORDINALS = frozenset(NUMERALS)
 """The same as a set."""
@@ -234,7 +234,7 @@ _NAMED_BY_CONTENT = (
     "park",
 )
 """Places that are named after their content: "coffee shop", "printer room"."""
-# Further things that lead to a place.
+# Further objects that lead to a place.
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")
 _LONGEST = 6
 """Largest number of words of a known noun."""
@@ -266,9 +266,9 @@ def unknown_in(words: list[str]) -> int | None:
     two").
     """
     begin, end = 0, len(words)  # without the number at the end
-    if end > 2 and names.number(words[-2:]) is not None:
+    if end > 2 and number_words.number(words[-2:]) is not None:
         end -= 2
-    elif end > 1 and (names.number(words[-1:]) is not None or _is_member_mark(words[-1])):
+    elif end > 1 and (number_words.number(words[-1:]) is not None or _MARK.fullmatch(words[-1])):
         end -= 1
     # The longest noun at the end begins at `start`.
     start = next((i for i in range(end) if is_noun(" ".join(words[i:end]))), None)
@@ -320,7 +320,7 @@ def _find_wrong_word(words: list[str], end: int) -> int:
 
 
 def _is_ordinal(word: str) -> bool:
-    return word in ORDINALS or names.ordinal(word) is not None
+    return word in ORDINALS or number_words.ordinal(word) is not None
 
 
 def _is_owner(word: str) -> bool:
@@ -329,11 +329,6 @@ def _is_owner(word: str) -> bool:
 
 # "b", "12", "b12", "3a"
 _MARK = re.compile(r"[^\W\d_]|[a-z]?\d+[a-z]?")
-
-
-def _is_member_mark(word: str) -> bool:
-    """Return True if a word distinguishes members of a kind: "room b", "gate b12", "bay 3a"."""
-    return _MARK.fullmatch(word) is not None
 
 
 @lru_cache(maxsize=1)

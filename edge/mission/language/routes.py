@@ -27,7 +27,7 @@ _ANY = ("any", "only", "a", "the", "some")  # words before one of `_ANYWHERE`
 def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse `via a`, `, passing a` or `only through a` after a goal; return False if none comes."""
     length, only = _way_length(reader)
-    if not length or clause.things is None:
+    if not length or clause.targets is None:
         return False
     token = reader.peek()
     if clause.negated:
@@ -41,7 +41,7 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
     if (other := take_exception(reader, memory)) is not None:
         clause.avoiding.append(other)
         return True
-    if len(clause.things.groups) > 1:
+    if len(clause.targets.groups) > 1:
         reader.refuse("unclear which one this is on the way to; use two sentences", token)
     add_to_route(reader, clause, take_noun_phrase(reader, memory), token)
     ahead = 1 if reader.is_at("comma") else 0
@@ -62,11 +62,11 @@ def take_route(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool
 def _way_length(reader: TokenReader, begin: int = 0) -> tuple[int, bool]:
     """Return the number of tokens before a passed object (0 if none), and True if one is "only"."""
     ahead = begin + (1 if reader.is_at("comma", ahead=begin) else 0)
-    aside = ahead > begin
+    after_comma = ahead > begin
     only = reader.is_at("only", ahead=ahead)
     ahead += only
     token, follower = reader.peek(ahead), reader.peek(ahead + 1)
-    if token.kind == "via" or (token.text in PASSING[:4] and (only or not aside)):
+    if token.kind == "via" or (token.text in PASSING[:4] and (only or not after_comma)):
         return ahead + 1, only
     if token.text == "by" and (follower.text in RIDDEN or reader.peek(ahead + 2).text in RIDDEN):
         return ahead + 1, only
@@ -111,19 +111,19 @@ def set_destination(
     reader: TokenReader, memory: Antecedents, clause: Clause, bound: NounPhrase, token: Token
 ) -> None:
     """Make the objects of a clause part of the way to its destination `bound`."""
-    if clause.things is None:
+    if clause.targets is None:
         reader.refuse("expected something to do or to avoid here", token)
     if not clause.negated:
-        add_to_route(reader, clause, clause.things, token)
-        clause.things = bound
+        add_to_route(reader, clause, clause.targets, token)
+        clause.targets = bound
     elif clause.conditions or clause.count or clause.avoiding:
         reader.refuse("use two sentences", token)
     else:
-        clause.avoiding.append(clause.things)
-        clause.things, clause.negated, clause.elsewhere = bound, False, False
+        clause.avoiding.append(clause.targets)
+        clause.targets, clause.negated, clause.elsewhere = bound, False, False
         clause.mood = "do"  # the destination is an order, not a permission
-    memory.named = clause.things
-    memory.ask(clause.things)
+    memory.named = clause.targets
+    memory.ask(clause.targets)
 
 
 def take_exception(reader: TokenReader, memory: Antecedents) -> NounPhrase | None:

@@ -50,12 +50,6 @@ def anchor_goals(
 
     "Go to a, and go to b after that" refers to the visit to a that was already asked for. It moves
     from the last step to the front of this clause's goals.
-
-    Args:
-        meaning: the clause, changed in place.
-        sequence: steps before it.
-        asked: names that the instruction has asked for so far.
-        then: True if the clause comes after the whole sequence anyway.
     """
     for anchor in meaning.anchors:
         asked_names = set(anchor.names)
@@ -89,7 +83,7 @@ def put_last(meaning: ClauseMeaning, sequence: Sequence[ClauseMeaning]) -> None:
 
 def _leave_out(meaning: ClauseMeaning, step: ClauseMeaning) -> None:
     """Remove from a step the goals that a clause repeats, unless nothing would be left."""
-    asked_names = frozenset(meaning.things.names)
+    asked_names = frozenset(meaning.targets.names)
     step.goals = [
         part for part in _flat_goals(step) if not names_in(part) <= asked_names
     ] or step.goals
@@ -114,7 +108,7 @@ def _unwrap(goal: Goal) -> tuple[Goal, tuple[Formula, ...]]:
 
 def order_before_return(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal with a before b, for a return to a: `go to a. go to b. return to a.`."""
-    asked_names = frozenset(meaning.things.names)
+    asked_names = frozenset(meaning.targets.names)
     inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
     start = tuple(part for part in parts if names_in(part) & asked_names)
@@ -126,7 +120,7 @@ def order_before_return(goal: Goal, meaning: ClauseMeaning) -> Goal:
 
 def remove_last_goals(goal: Goal, meaning: ClauseMeaning) -> Goal:
     """Return the goal without its last clause: `visit a and b. b comes last.`."""
-    asked_names = frozenset(meaning.things.names)
+    asked_names = frozenset(meaning.targets.names)
     inner, outer_rules = _unwrap(goal)
     parts = inner.goals if isinstance(inner, AllOf) else ()
     rest = tuple(part for part in parts if not names_in(part) <= asked_names)
@@ -135,7 +129,7 @@ def remove_last_goals(goal: Goal, meaning: ClauseMeaning) -> Goal:
 
 def split_return(meaning: ClauseMeaning, sequence: list[ClauseMeaning]) -> None:
     """Put a before b for the return to a: `visit a, go to b, and return to a`."""
-    asked_names = frozenset(meaning.things.names)
+    asked_names = frozenset(meaning.targets.names)
     goals = _flat_goals(sequence[0])
     start = [goal for goal in goals if names_in(goal) & asked_names]
     rest = [goal for goal in goals if not names_in(goal) & asked_names]
@@ -153,11 +147,15 @@ def insert_detour(goal: Goal, passed: Goal, token: Token, reader: TokenReader) -
 
 
 def repeat_visit(
-    step: ClauseMeaning, things: NounPhrase, count: Count, token: Token, reader: TokenReader
+    step: ClauseMeaning, targets: NounPhrase, count: Count, token: Token, reader: TokenReader
 ) -> None:
     """Repeat the last visit of a step: "go to a, leave it and repeat this twice more"."""
     visit = step.goals[-1] if step.goals else None
-    if len(things.groups) != 1 or not isinstance(visit, Visit) or visit.options != things.groups[0]:
+    if (
+        len(targets.groups) != 1
+        or not isinstance(visit, Visit)
+        or visit.options != targets.groups[0]
+    ):
         reader.refuse("use two sentences", token)
     # `count` includes the last of the visits that the step has already.
     step.goals[-1] = Visit(visit.options, visit.times - 1 + count.least)
@@ -167,7 +165,7 @@ def repeat_visit(
 
 def rules_of_only_then(before: ClauseMeaning, after: ClauseMeaning) -> list[Formula]:
     """Return the rules of `x, only then y`: y not before x."""
-    return held_until(after.things.names, before.things)
+    return held_until(after.targets.names, before.targets)
 
 
 def rules_of_each_at_most(goal: Goal, n: int, token: Token, reader: TokenReader) -> list[Formula]:
@@ -270,7 +268,7 @@ def _rules_of_bans(
     for names in meaning.bans:
         for name in names:
             # The ban of a name that is asked for ends when the step's other objects are reached.
-            own = NounPhrase(tuple(group for group in meaning.things.groups if name not in group))
+            own = NounPhrase(tuple(group for group in meaning.targets.groups if name not in group))
             if name in visited and own.groups:
                 rules += [at_most_before([name], visited[name], end) for end in own.groups]
             elif name in asked and own.groups:
@@ -286,9 +284,9 @@ def _rules_of_withouts(
     """Return the rules of `go to x without y, then to z`: no y before x, or never y."""
     asked = {name for step in after for goal in step.goals for name in names_in(goal)}
     rules: list[Formula] = []
-    for names, things, token in meaning.withouts:
+    for names, targets, token in meaning.withouts:
         ever = not asked & set(names) and reader.pick(token, 2)
-        rules += never(names) if ever else held_until(names, things)
+        rules += never(names) if ever else held_until(names, targets)
     return rules
 
 
@@ -313,7 +311,7 @@ def _rules_of_limits(
     ends = goals[0].options if len(goals) == 1 and isinstance(goals[0], Visit) else ()
     rules: list[Formula] = []
     for names, n, again in meaning.limits:
-        own = [group for group in meaning.things.groups if not set(group) & set(names)]
+        own = [group for group in meaning.targets.groups if not set(group) & set(names)]
         if again and own and reader.pick(again, 2) == 0:
             rules += [at_most_before(names, n, group) for group in own]
         elif ends and not set(ends) & set(names):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from edge import names
+from edge.number_words import SMALL_NUMBERS, TENS, number
 
 # Unit, by its first letters → seconds; words before a unit → their value.
 _UNITS_S = {"s": 1, "min": 60, "h": 3600}
@@ -14,10 +14,10 @@ _WORD_VALUES = {
     "quarter of an": 0.25, "quarter": 0.25, "a good": 1.0,
 }  # fmt: skip
 # Regular expressions; the longest words come first, so that "half a" comes before "half".
-_TENS = rf"(?:{'|'.join(names.TENS)})(?:[ -](?:{'|'.join(names.SMALL_NUMBERS[1:10])}))?"
-_NUMBER = rf"(?:\d+(?:\.\d+)?|{_TENS}|{'|'.join(sorted(names.SMALL_NUMBERS, key=len)[::-1])})"
+_TENS = rf"(?:{'|'.join(TENS)})(?:[ -](?:{'|'.join(SMALL_NUMBERS[1:10])}))?"
+_NUMBER = rf"(?:\d+(?:\.\d+)?|{_TENS}|{'|'.join(sorted(SMALL_NUMBERS, key=len)[::-1])})"
 COUNT = rf"(?:a couple of|a couple|{_NUMBER}|a)"
-"""Regular expression for a whole number."""
+"""Regular expression for an integer."""
 _SIZE = rf"(?:{'|'.join(sorted(_WORD_VALUES, key=len)[::-1])}|{_NUMBER})"
 DURATION = (
     rf"(?:(?:about|around|like|exactly|roughly|maybe|another|the next|just|only|at least) )*{_SIZE}"
@@ -30,7 +30,7 @@ _DURATION_PARTS = re.compile(
 
 
 def number_of(word: str) -> int | None:
-    """Return the value of a whole number in digits or words; None for other words.
+    """Return the value of an integer in digits or words; None for other words.
 
     >>> number_of("twenty-one"), number_of("12"), number_of("twice"), number_of("some")
     (21, 12, 2, None)
@@ -38,7 +38,7 @@ def number_of(word: str) -> int | None:
     if word.isdecimal():
         return int(word)
     often = {"once": 1, "twice": 2, "thrice": 3, "a": 1, "a couple of": 2, "a couple": 2}
-    return often.get(word.lower(), names.number(re.split(r"[ -]", word.lower())))
+    return often.get(word.lower(), number(re.split(r"[ -]", word.lower())))
 
 
 def seconds_of(span: str) -> float:

@@ -1,12 +1,12 @@
 """Sentence templates: patterns of everyday sentences, written as text.
 
-The modules `said`, `errands` and `remarks` compile them to regular expressions. An example:
+The modules `intents`, `errands` and `remarks` compile them to regular expressions. An example:
 
-    where (is|are) <thing> [now|exactly]*
+    where (is|are) <object> [now|exactly]*
 
 - `(a|b)` is a choice, `[a|b]` may be left out, and `*` after one of these repeats it any number of
   times.
-- `<thing>` is a slot: a name of up to five words, with or without an article. The match has its
+- `<object>` is a slot: a name of up to five words, with or without an article. The match has its
   text as a named group. So is each slot that is not in the next list.
 - `<stops>` is a list of names, `<rooms>` a word for rooms such as "bedrooms", `<count>` a number,
   `<often>` once or twice, `<relation>` a word such as "behind", `<done>` a form such as "mopped",
@@ -102,7 +102,7 @@ def compile_templates(templates: str, parts: Mapping[str, str]) -> list[re.Patte
 
 
 def first_match(patterns: list[re.Pattern[str]], text: str) -> dict[str, str] | None:
-    """Return the slots of the first pattern that fits the whole text; None if none does."""
+    """Return the slots of the first pattern that fits the entire text; None if none does."""
     for candidate in patterns:
         if found := candidate.fullmatch(f" {text}"):
             return {slot: name for slot, name in found.groupdict().items() if name is not None}

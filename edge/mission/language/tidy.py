@@ -1,6 +1,6 @@
 """Removal of what speech adds to an order: hesitations, politeness, self-corrections, reasons.
 
-`tidy_up` is the first step with an utterance; the module `said` then classifies the rest.
+`tidy_up` is the first step with an utterance; the module `intents` then classifies the rest.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from edge import names
+from edge import number_words
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
 from edge.mission.language.lexicon import TABLE, WORD, expand_word
 from edge.mission.language.remarks import SUBORDINATE, is_remark
@@ -55,7 +55,7 @@ _REPEATED = re.compile(
 """Words that a speaker says twice: "where is the where is the", "explore hall, explore hall"."""
 _LIKE = re.compile(
     r"\b(?:(?<!would )like(?!(?<=, like) an? \w+[.!?]*$)|(?<!do )(?<!so )(?<!that )you know),? "
-    rf"(?=\d|{ARTICLE}\b|{'|'.join(names.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
+    rf"(?=\d|{ARTICLE}\b|{'|'.join(number_words.SMALL_NUMBERS)}|(?:go|drive|come|find|look|check|if|whether)\b)",
     re.I,
 )
 """The filler of "go to, like, the bed", and not that of "I would like the bed"."""
@@ -84,7 +84,7 @@ _CLOSING = re.compile(rf"(?:[ ,.!?]*\b{phrase_of('closing')})+[ .!?]*$", re.I)
 _ADDRESS = re.compile(r", (?:my )?(?:dear|love|darling|mate|buddy|friend|robot),", re.I)
 # Also the "to" of "please to find it", but not that of "please to the bed".
 _PLEASE = re.compile(r" ?\b(?:pretty )?please(?: to(?! the\b))?\b(?P<comma>,?) ?", re.I)
-# No closing phrase is removed after such an end: "the robot" stays whole.
+# No closing phrase is removed after such an end: "the robot" stays complete.
 _ENDS_IN_ARTICLE = re.compile(r"\b(?:the|an?|my|our|your)$", re.I)
 _CLAUSE_END = re.compile(r"[.!?;,]|\b(?:and|then|but|or)\b", re.I)
 # Words that may refer to a name in another clause.

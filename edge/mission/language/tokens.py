@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from edge import names
+from edge import number_words
 from edge.errors import UserError
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
@@ -171,13 +171,13 @@ def _is_ordinal_of_name(words: Sequence[Token], i: int) -> bool:
         return False
     numbered = words[i + 1].text in nouns.NUMBERED
     beyond = words[i + 2].text if len(words) > i + 2 else ""
-    return numbered and names.number([beyond]) is None
+    return numbered and number_words.number([beyond]) is None
 
 
 def _is_object(words: Sequence[Token], i: int) -> bool:
     """Return True if a word of the lexicon is used as a noun here.
 
-    The "robot" of "find a little robot" addresses nobody; the "mop" of "the mop" and the "water" of
+    The "robot" of "find a little robot" is no address; the "mop" of "the mop" and the "water" of
     "the water cooler" are no verbs.
     """
     kind = TABLE[(words[i].text,)]
@@ -227,12 +227,7 @@ class TokenReader:
         self._picks = picks or {}
 
     def pick(self, token: Token, ways: int) -> int:
-        """Return the number of the choice to take at an ambiguous token in this pass.
-
-        Args:
-            token: the token.
-            ways: number of choices, for later passes.
-        """
+        """Return the number of the choice to take at an ambiguous token in this pass."""
         self.forks[token.start] = ways
         return self._picks.get(token.start, 0)
 

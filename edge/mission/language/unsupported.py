@@ -1,8 +1,8 @@
 """Refusal of instructions that no formula over reached objects can express, recognised by words.
 
-The whole instruction is searched before it is parsed. Otherwise a parser or a model could leave out
-or misread a part. Then a ban could become its opposite ("never go out of the yard"), or the robot
-could go to an object that nobody meant ("guard the gate").
+The instruction is searched before it is parsed. Otherwise a parser or a model could leave out or
+misread a part. Then a ban could become its opposite ("never go out of the yard"), or the robot
+could go to an object that no person meant ("guard the gate").
 """
 
 from __future__ import annotations
@@ -166,12 +166,12 @@ def _handling_reason(reader: TokenReader, denied: bool) -> str:
     first = token.text.split()[0]
     if first in ("pass", "passing", "cross", "crossing") and reader.peek(1).text in ("up", "out"):
         return _LEFT_OUT  # "pass up the sofa"
-    handles = first.startswith(_HANDLED) and _is_thing(reader, ahead)
+    handles = first.startswith(_HANDLED) and _is_object(reader, ahead)
     opens = first.startswith(_OPENS) and reader.is_at("article", ahead=ahead)
     return _DENIED if denied and (handles or opens) else ""
 
 
-def _is_thing(reader: TokenReader, ahead: int) -> bool:
+def _is_object(reader: TokenReader, ahead: int) -> bool:
     """Return True if an article and a known name that is no place come there."""
     article = reader.is_at("article", ahead=ahead) or reader.peek(ahead).text in ("a", "an")
     return article and bool(_name_at(reader, ahead)) and not _is_place(reader, ahead)
@@ -182,7 +182,7 @@ def _no_order_reason(reader: TokenReader) -> str:
     token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     if token.text == "let" and after.text == "me":
         return _OTHERS
-    if token.kind == "verb" and token.text in _CAUSES and _is_thing(reader, 1):
+    if token.kind == "verb" and token.text in _CAUSES and _is_object(reader, 1):
         ahead = 2
         while reader.is_at("word", ahead=ahead):
             ahead += 1
@@ -261,7 +261,7 @@ def _is_leaving(reader: TokenReader, denied: bool) -> bool:
     token, after, before = reader.peek(), reader.peek(1), _previous(reader)
     joins = before is not None and before.kind in ("and", "or")
     if token.text == "out" and denied and after.kind == "article" and _is_place(reader, 1):
-        return not _is_leading(reader)  # "without going out the yard"
+        return _name_at(reader, 1).split()[-1] not in LEADING  # "without going out the yard"
     if token.text in ("out", "away") and after.text in ("of", "from"):
         shuns = any(t.kind == "avoid" for t in reader.tokens[: reader.at])
         return not (joins and shuns)  # "stay out of a and out of b"
@@ -269,11 +269,6 @@ def _is_leaving(reader: TokenReader, denied: bool) -> bool:
         switched = before is not None and before.text in _NO_LEAVING
         return not (switched and not _is_place(reader, 1))
     return denied and (token.text in _LEAVE or (token.text == "from" and not joins))
-
-
-def _is_leading(reader: TokenReader) -> bool:
-    """Return True if the name after this word leads to a place, like a door."""
-    return _name_at(reader, 1).split()[-1] in LEADING
 
 
 def _is_staying(reader: TokenReader, denied: bool) -> bool:
@@ -300,11 +295,8 @@ def _is_time(reader: TokenReader) -> bool:
         return False
     unit = 2 if after.text in ("a", "an", "one", "some", "few", "several") else 1
     unit += reader.peek(unit).text in ("few", "short", "little", "couple")
-    return unit > 1 and reader.peek(unit).text in _SPANS and _ends_span(reader, unit + 1)
-
-
-def _ends_span(reader: TokenReader, ahead: int) -> bool:
-    return _ends_clause(reader, ahead) or not reader.is_at("word", ahead=ahead)
+    ends = _ends_clause(reader, unit + 1) or not reader.is_at("word", ahead=unit + 1)
+    return unit > 1 and reader.peek(unit).text in _SPANS and ends
 
 
 def _is_location(reader: TokenReader, ahead: int) -> bool:

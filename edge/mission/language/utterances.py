@@ -1,6 +1,6 @@
 """Templates of utterances that are no errand: questions, orders to learn, control, remarks.
 
-The module `said` classifies utterances with them. For the notation see `templates`.
+The module `intents` classifies utterances with them. For the notation see `templates`.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ PARTS = {
             carry on|keep going|resume)|
         (i|we|he|she|they|you) (am|are|is|will|have|has|just|need to|would|come|go|do not need|do
         not want) ...|wrong (one|order|room|place|thing|way)|
-        there (is|are) ...|let <thing> (through|past|by|pass|in|out))]
+        there (is|are) ...|let <object> (through|past|by|pass|in|out))]
         """,
 }  # fmt: skip
 
@@ -183,55 +183,55 @@ QUESTIONS = {
     "where": """
         {tell} (where|whereabouts) [exactly|on earth|in the world] (is|are|was|were|have|has|did|do|
             stands|lies|sits|it is|it was|they are)
-            [it|they] [the (nearest|closest)] <thing> [is|are|was|were] {last}
-        {tell} where <thing> (is|are|was|were|has|have) {last}
-        {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <thing> {last}
+            [it|they] [the (nearest|closest)] <object> [is|are|was|were] {last}
+        {tell} where <object> (is|are|was|were|has|have) {last}
+        {tell} where [exactly|last|did|have|had|has|do|would]* {you} {seen} [last] <object> {last}
         {tell} where [on earth|in the world|ever] [did|do|have|had] (i|we) [have|had|did]
             (put|leave|left|lost|forget|drop|dropped|keep|kept|store)
-            <thing> {last}
+            <object> {last}
         {tell} where ((can|could|do|should|would|will|might) (i|we)|(i|we) (can|could)) (find|see|
             get|look for|go for)
-            <thing>
+            <object>
         {tell} [in] (which|what) (room|aisle|bay|ward|cupboard|drawer) [there] (is|are|was|were)
-            <thing> [in] {last}
-        {tell} (which|what) (room|rooms) (has|have) <thing> [in (it|them)] {last}
-        {tell} where did <thing> (go|end up|get to|go to)
-        {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <thing> (is|are) in
-        {tell} when {you} {seen} <thing> {last}
-        {tell} [in] (which|what) room {you} {seen} <thing> [in] {last}
+            <object> [in] {last}
+        {tell} (which|what) (room|rooms) (has|have) <object> [in (it|them)] {last}
+        {tell} where did <object> (go|end up|get to|go to)
+        {tell} (which|what) (room|aisle|bay|ward|cupboard|drawer) <object> (is|are) in
+        {tell} when {you} {seen} <object> {last}
+        {tell} [in] (which|what) room {you} {seen} <object> [in] {last}
         (i|we) [seem to] [have] (can not find|do not find|look for|search [for]|lost|mislaid|
             misplaced|am looking for|
-            are looking for|miss) <thing> , (where (is|are) (it|they)|
+            are looking for|miss) <object> , (where (is|are) (it|they)|
             (have|did) you (seen|see|noticed|notice|spotted|found) (it|them)) {last}
-        {tell} the (place|location|position) of <thing>
-        do you know where [i|we] [can find|left|put] <thing> [is|are] {last}
-        [{tell}] how far [away] (is|are) [it|they] [from here] [to] <thing> [from here|away]*
+        {tell} the (place|location|position) of <object>
+        do you know where [i|we] [can find|left|put] <object> [is|are] {last}
+        [{tell}] how far [away] (is|are) [it|they] [from here] [to] <object> [from here|away]*
     """,
     "exists": """
-        (can|could|do) you [still] see <thing> {in} {last}
-        {tell} {you} {seen} [any|of|already]* <thing>
+        (can|could|do) you [still] see <object> {in} {last}
+        {tell} {you} {seen} [any|of|already]* <object>
             {in} {last}
-        (seen|spotted|noticed) [any|of|already]* <thing> {in} {last}
-        {tell} [is|was|are|were] there [still|really|already] <thing> {in} {last}
-        any <thing> [left|still]* <relation> <anchor> {last}
-        {tell} (if|whether) there (is|are) <thing> {in} {last}
-        (i|we) can not find <thing> . {you} {seen} (it|them|one) {in} {last}
+        (seen|spotted|noticed) [any|of|already]* <object> {in} {last}
+        {tell} [is|was|are|were] there [still|really|already] <object> {in} {last}
+        any <object> [left|still]* <relation> <anchor> {last}
+        {tell} (if|whether) there (is|are) <object> {in} {last}
+        (i|we) can not find <object> . {you} {seen} (it|them|one) {in} {last}
         (did|have|had) (i|we|someone|somebody) (leave|left|put|lost|forgotten|forget|drop|dropped)
-            <thing> {in} {last}
-        do (we|you) (have|know [of|about]|remember) <thing> {in} {last}
-        [it] (exists|exist) [there] <thing> {in} {last}
-        (have (we|you)|you) got <thing> {in} {last}
-        {tell} (is|are|was|were) <thing> [still|already|really] <relation> <anchor>
+            <object> {in} {last}
+        do (we|you) (have|know [of|about]|remember) <object> {in} {last}
+        [it] (exists|exist) [there] <object> {in} {last}
+        (have (we|you)|you) got <object> {in} {last}
+        {tell} (is|are|was|were) <object> [still|already|really] <relation> <anchor>
             [(in|inside) <within>] {last}
-        {tell} (is|are) <thing> [still|already|really|there|here|around]* {last}
-        how many <thing> {you} {seen} {in} {last}
-        how many <thing> are there {in} {last}
-        you have not {seen} [any|my]* <thing> {in} {last}
-        any (sign|trace) of <thing> {in} {last}
-        how many <thing> (do|have) (we|you) (have|got|know) {in} {last}
-        (does|do|has) <room> (have|got|contain) [any] <thing> [(in|inside) it] {last}
-        how many <thing> {you} count {in} {last}
-        how many <thing> (are|is) {in} {last}
+        {tell} (is|are) <object> [still|already|really|there|here|around]* {last}
+        how many <object> {you} {seen} {in} {last}
+        how many <object> are there {in} {last}
+        you have not {seen} [any|my]* <object> {in} {last}
+        any (sign|trace) of <object> {in} {last}
+        how many <object> (do|have) (we|you) (have|got|know) {in} {last}
+        (does|do|has) <room> (have|got|contain) [any] <object> [(in|inside) it] {last}
+        how many <object> {you} count {in} {last}
+        how many <object> (are|is) {in} {last}
     """,
 }
 """Topic of `MemoryQuestion` → its templates."""
@@ -325,7 +325,7 @@ CONTROL = {
     """,
     "cancel": """
         {quit} [, {quit}]*
-            [, you are (done|finished)|, wrong <thing>|, (i|we) (need|want) you (elsewhere|here|
+            [, you are (done|finished)|, wrong <object>|, (i|we) (need|want) you (elsewhere|here|
                 somewhere else)]
         {quit} , (i|we) do not (need|want) (it|them|that|this) [any more|anymore|now]*
         do nothing (more|else|further)
@@ -364,11 +364,11 @@ IDIOMS = """
     do not (mind|worry about|bother about) (me|us|him|her|it|them)
     (i|we) [have] changed (my|our) mind
     you are doing (well|great|fine|good) ...
-    you are [going to be] (a|an|the|my|our) <thing> [now|today]
-    <thing> (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
+    you are [going to be] (a|an|the|my|our) <object> [now|today]
+    <object> (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
     (they|he|she) (are|is) (expecting|waiting for|looking for) (you|us|me) [there|now|already]
-    (i|we) want to play [a game|<thing>]
-    let us play [a game|hide and seek|<thing>]
+    (i|we) want to play [a game|<object>]
+    let us play [a game|hide and seek|<object>]
     (i|we) need (one|it|them) [now|here|badly|urgently|today|soon]*
     [and|then|after that]* you are (done|finished|free)
     (that|this) is (quite|more than)* (enough|all|it) [for (now|today)]
@@ -381,7 +381,7 @@ IDIOMS = """
     [you are allowed to] (you|) (pick|choose|decide)
     [and] whichever you (please|like|prefer)
     [it] is all one to (me|us)
-    (i|we) want to show you <thing>
+    (i|we) want to show you <object>
     thank (heavens|goodness|god)
     you have done [quite|more than]* (enough|well) [today|now|already]*
     (i|we) [do] not know where (it|he|she|they) (is|are|went|hides|hide|(has|have) gone)
@@ -400,22 +400,22 @@ IDIOMS = """
 """Whole clauses that give no order."""
 REMARKS = """
     [because|cause|since|as|so|and|while] (i|we|he|she|they|somebody|someone|people|
-            (my|our) <thing>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
+            (my|our) <object>) [have|has|had|am|are|is|was|were|will|can|could|just|only|
             always|really|still|already|do not|did not|can not|could not|have not|has not|think]*
             (am|is|are|was|were|have|has|had|got|just|heard|hear|lost|saw|see|left|tore|think|feel|
             know|finished|moved|do|did|mopped|cleaned|washed|forgot|get|thought|found|will|<done>)
             ...
     [because|cause|since|as|so|and] there (is|are|was|were) ...
     (because|cause|since|while) (i|we|he|she|they|somebody|someone|people) ...
-    (because|cause|since) <thing> (is|are|was|were|has|have|got) ...
+    (because|cause|since) <object> (is|are|was|were|has|have|got) ...
     (because|cause|since) (it|that) (is|was|has|smells|looks) ...
-    <thing> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
-    [because|cause|since|as|so|and] <thing> (is|are|was|were) [still|so|very|all|just|too|now|being|
-            really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|late|
-            upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
+    <object> [is|are] (coming|passing|going|backing) [through|past|by|up|out]
+    [because|cause|since|as|so|and] <object> (is|are|was|were) [still|so|very|all|just|too|now|
+            being|really|a bit|already]* (wet|dirty|asleep|sick|ill|tired|noisy|hot|cold|dark|busy|
+            late|upset|scared|slippery|hungry|sad|happy|sleeping|working|eating|cooking|resting|
             waiting|here|over|starting|beginning|arriving|gone|full|packed|crowded)
             ...
-    <thing> (starts|begins|arrives|ends) [now|soon|today]*
+    <object> (starts|begins|arrives|ends) [now|soon|today]*
     it (has|had) (got|been) ...
     thank you for ...
 """
@@ -426,6 +426,6 @@ ASSENTS = """
 """
 """Clauses that say nothing at the beginning; after an order, they may take it back."""
 STATES = """
-    [because|cause|since|as|so|and|now] (there|<thing>) (am|is|are|was|were|has|have|just|will) ...
+    [because|cause|since|as|so|and|now] (there|<object>) (am|is|are|was|were|has|have|just|will) ...
 """
 """Clauses that say how something is, which may not stand in an errand: "the bed is first"."""

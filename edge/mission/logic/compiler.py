@@ -44,11 +44,6 @@ _TABLES = {
 def minimal_automaton(formula: Formula, propositions: Sequence[str], budget: CompileBudget) -> Dfa:
     """Return the minimal complete automaton of a formula over these propositions and NOTHING.
 
-    Args:
-        formula: the formula.
-        propositions: distinct; all of the formula, possibly more.
-        budget: limits of the compilation.
-
     Returns:
         The pair delta, accepting (see the module); states are numbered breadth-first.
 

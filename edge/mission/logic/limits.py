@@ -40,7 +40,7 @@ class CompileBudget:
             )
 
     def spend_cells(self, cells: int) -> None:
-        """Count work on whole arrays, at `_CELLS` cells per step."""
+        """Count work on entire arrays, at `_CELLS` cells per step."""
         self.spend(1 + cells // _CELLS)
 
     def check_states(self, n: int) -> None:

@@ -319,7 +319,8 @@ def _take_operand(token: _Token, values: list[Formula], ops: list[_Token]) -> bo
     if token.kind in ("name", "constant"):
         values.append(_leaf(token))
         return False
-    raise FormulaError(token.column, _operand_hint(token))
+    hint = f"expected a proposition, '(' or one of ! X WX F G, found {token.shown}"
+    raise FormulaError(token.column, hint)
 
 
 def _take_operator(token: _Token, values: list[Formula], ops: list[_Token]) -> bool:
@@ -364,10 +365,6 @@ def _leaf(token: _Token) -> Formula:
     return _CONSTANTS[token.text] if token.kind == "constant" else ap(token.text)
 
 
-def _operand_hint(token: _Token) -> str:
-    return f"expected a proposition, '(' or one of ! X WX F G, found {token.shown}"
-
-
 def _tokens(text: str) -> Iterator[_Token]:
     """Yield the tokens of a text, "end" last; raise FormulaError at the first unreadable one."""
     if len(text) > MAX_CHARS:
@@ -376,7 +373,8 @@ def _tokens(text: str) -> Iterator[_Token]:
     while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise FormulaError(at + 1, _unreadable_hint(text[at]))
+            hint = f"{text[at]!r} belongs to no operator; put names in double quotes"
+            raise FormulaError(at + 1, "this quote is never closed" if text[at] == '"' else hint)
         kind, found, column = match.lastgroup, match[0], at + 1
         at = match.end()
         if kind == "quoted":
@@ -434,9 +432,3 @@ def _is_operand(word: str) -> bool:
 def _missing_spaces_hint(word: str, spaced: str) -> str:
     word, spaced = one_line(word, 40), one_line(spaced, 60)
     return f"'{word}' lacks spaces: write '{spaced}', or \"{word}\" if it is the name of an object"
-
-
-def _unreadable_hint(char: str) -> str:
-    if char == '"':
-        return "this quote is never closed"
-    return f"{char!r} belongs to no operator; put names in double quotes"

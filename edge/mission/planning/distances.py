@@ -179,7 +179,7 @@ def nearest_cell(state, x, y, radius):
 def around(state, x, y, cell):
     """Return the cells around a point that are connected to the nearest cell.
 
-    They have the state of that cell and lie within sqrt(2) times its distance plus two cells. This
+    They have the state of that cell and are within sqrt(2) times its distance plus two cells. This
     radius passes the corners of a square object. Connections are along the axes.
 
     Args:

@@ -116,12 +116,6 @@ def explain(
 ) -> str:
     """Return the status and cost of the target, and the best other choice, in one line.
 
-    Args:
-        target: the chosen proposition.
-        options: see `TargetPlan.options`.
-        knowledge: see `MissionKnowledge`.
-        text: formats a cost.
-
     >>> known = MissionKnowledge(detected=frozenset({"sofa"}))
     >>> explain("sofa", [("sofa", 1.01), ("chair", 2.0)], known, "{:.2f}".format)
     'sofa was seen: 1.01 to the end; chair would have to be found: 2.00'

@@ -34,11 +34,6 @@ def make_planner(
 ) -> Planner:
     """Return the planner of a configuration's `mission.planner` section.
 
-    Args:
-        config: the section.
-        automaton: automaton of the mission.
-        instruction: text of the mission, for a plugin.
-
     Raises:
         ConfigError: the plugin cannot be created.
 

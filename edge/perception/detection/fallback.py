@@ -15,9 +15,6 @@ class FallbackDetector:
     """A detector (`Detector`) of two; see `FallbackModel`. Both get all prompts.
 
     `Detections.model` names the one that has detected.
-
-    Args:
-        remote: detects while its server answers.
     """
 
     def __init__(self, remote: RemoteDetector, local: Detector) -> None:

@@ -44,7 +44,7 @@ def is_valid(boxes, scores, i, far_px):
 
     Args:
         boxes: (a, 4) float32.
-        scores: (a, classes) float32, from `best_per_class`; each must lie in 0 to 1, so NaN is
+        scores: (a, classes) float32, from `best_per_class`; each must be in 0 to 1, so NaN is
             invalid.
         i: index of the anchor.
         far_px: largest distance of a corner from the origin.

@@ -74,7 +74,7 @@ def far_px(card: DetectCard) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _PromptSet:
-    """The current prompts and all buffers that are bound for them; replaced as a whole.
+    """The current prompts and all buffers that are bound for them; replaced at once.
 
     Attributes:
         prompts: names of the objects to look for.
@@ -138,8 +138,8 @@ class OnnxDetector:
     the trackers need the weaker scores, too. Background words (`config.background`) are the
     context. Of context boxes that overlap, only the one with the best score is kept. The
     `Detections.competing_score` of a box is the best score of a competing class at its place. Words
-    for the same thing (chair, armchair) do not compete. A thing is looked for under all names that
-    the text encoder has for it; see `TextClasses`.
+    for the same object (chair, armchair) do not compete. An object is looked for under all names
+    that the text encoder has for it; see `TextClasses`.
 
     Args:
         detector: configuration: card, providers, background words and more.

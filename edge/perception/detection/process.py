@@ -28,11 +28,6 @@ class ProcessDetector(SupervisedProcess):
 
     While no process is ready, `detect` raises at once.
 
-    Args:
-        prompts: names of the objects to look for.
-        progress: see `make_detector`; called at later starts, too.
-        cancelled: see `make_detector`.
-
     Raises:
         ModelError, PromptError: the model cannot be loaded.
         ModelProcessError: the process cannot be started, ends, is not ready in time, or

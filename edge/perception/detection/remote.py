@@ -33,11 +33,6 @@ class RemoteDetector:
     during a pause fail at once. The constructor does not ask the server, because the robot may
     start before the server does.
 
-    Args:
-        prompts: names of the objects to look for.
-        progress: see `make_detector`.
-        clock: returns the time in seconds.
-
     Raises:
         PromptError, ModelError: see `OnnxDetector`; server errors are raised by `detect` instead.
     """

@@ -198,7 +198,7 @@ class SimDetector:
             context = [names.canonical(word) for word in background]
         words = names.non_targets(context, (*wanted, *prompts))
         class_of = {word: len(prompts) + i for i, word in enumerate(words)}
-        for i in reversed(range(len(wanted))):  # the first of two prompts for one thing wins
+        for i in reversed(range(len(wanted))):  # the first of two prompts for one object wins
             class_of[wanted[i]] = i
         return _Roles(prompts, words, tuple(class_of.get(name, -1) for name in self._names))
 
@@ -238,7 +238,7 @@ class SimDetector:
 def _noun(prompt: str) -> str:
     """Return the canonical name of a prompt's object.
 
-    The name is that of the prompt's longest ending that is known, else of the whole head phrase.
+    The name is that of the prompt's longest ending that is known, else of the entire head phrase.
     """
     phrase = names.head_phrase(prompt)
     if names.is_known(prompt):

@@ -1,6 +1,6 @@
 """Text classes of a detector: the prompts, the context words, and words that compete with them.
 
-A class is a thing to look for; it has one text for each of its names (sofa: "sofa", "couch"). The
+A class is an object to look for; it has one text for each of its names (sofa: "sofa", "couch"). The
 network scores an image for each text.
 """
 
@@ -27,8 +27,8 @@ class TextClasses:
         class_of_text: (texts,) int32, index of each text's class, ascending.
         context: canonical names of the classes from `len(prompts)` on.
         competes: (2, prompts, classes) bool, True if a class is another object than the prompt
-            names. Row 0 is for an object wholly in view, row 1 for an object that the image border
-            cuts off.
+            names. Row 0 is for an object entirely in view, row 1 for an object that the image
+            border cuts off.
     """
 
     words: tuple[str, ...]
@@ -57,7 +57,7 @@ def text_classes_for(
     context_names = names.non_targets(background, prompts)
     for word in background:
         context.setdefault(names.canonical(word), []).append(word)
-    # A kind of one prompt's thing may still compete with another prompt.
+    # A kind of one prompt's object may still compete with another prompt.
     rest = [word for word in background if names.canonical(word) not in context_names]
     rest += [c for prompt in prompts for c in text.contrasts(prompt)]
     rest = [word for word in dict.fromkeys(rest) if word not in prompts]
@@ -87,9 +87,9 @@ def competing_classes(
 ) -> np.ndarray:
     """Return which classes compete with which prompt; see `TextClasses.competes`.
 
-    Two things that look almost alike in one view (`names.look_alike`) do not compete in one image.
+    Two objects that look almost alike in one view (`names.look_alike`) do not compete in one image.
     A contrast of the prompt (another colour, another size if it is visible) competes all the same.
-    The trackers, which weigh many images, may separate more things.
+    The trackers, which weigh many images, may separate more objects.
 
     Returns:
         (2, prompts, classes) bool.
@@ -100,7 +100,7 @@ def competing_classes(
     competes = np.ones((2, len(prompts), len(classes)), np.bool_)
     for row, prompt in enumerate(prompts):
         contrasts = set(text.contrasts(prompt))
-        visible_in_part = set(text.contrasts(prompt, whole=False))
+        visible_in_part = set(text.contrasts(prompt, in_full=False))
         for column, others in enumerate(forms):
             is_contrast = not contrasts.isdisjoint(others)  # one of both forms is a contrast
             # A contrast, such as the height, that cannot be seen if the object is cut off.

@@ -128,7 +128,7 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
         if category := _category(noun, vocabulary):
             phrase = _describe(prompt, words[:start], category, vocabulary)
             return replace(phrase, ignored=(*phrase.ignored, after)) if after else phrase
-        if names.is_known(noun):  # a known thing that the model lacks: do not read a shorter noun
+        if names.is_known(noun):  # a known object that the model lacks: do not read a shorter noun
             break
     raise PromptError(
         f"prompt {prompt!r}: this model knows only the built-in world's "
@@ -140,10 +140,10 @@ def parse(prompt: str, vocabulary: Vocabulary) -> Phrase:
 def _category(noun: str, vocabulary: Vocabulary) -> str | None:
     """Return the category that a noun names or is a kind of (dining table: table), else None."""
     try:
-        thing = names.canonical(noun)
+        known = names.canonical(noun)
     except names.NotANameError:  # a character that no name has
         return None
-    for name in names.head_nouns(thing):
+    for name in names.head_nouns(known):
         if (category := names.canonical(name)) in vocabulary.categories:
             return category
         if not names.is_known(noun):  # an unknown noun is a kind of nothing: try no shorter ending
@@ -155,7 +155,7 @@ def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Voc
     """Return the phrase of a category with the colour and size that the adjectives name."""
     if denied := next((word for word in adjectives if word in NEGATIONS), None):
         raise PromptError(
-            f"prompt {prompt!r}: {denied!r} is not understood; say what the thing is like, not "
+            f"prompt {prompt!r}: {denied!r} is not understood; say what the object is like, not "
             "what it is not like"
         )
     plain = [_PLAIN.get(word, word) for word in adjectives]
@@ -169,7 +169,9 @@ def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Voc
         )
     for pair in OPPOSITES:
         if all(size in sizes for size in pair):
-            raise PromptError(f"prompt {prompt!r}: a thing is not {pair[0]} and {pair[1]} at once")
+            raise PromptError(
+                f"prompt {prompt!r}: an object is not {pair[0]} and {pair[1]} at once"
+            )
     return Phrase(
         category,
         colors[0] if colors else None,
@@ -178,18 +180,18 @@ def _describe(prompt: str, adjectives: list[str], category: str, vocabulary: Voc
     )
 
 
-def contrasting(phrase: Phrase, vocabulary: Vocabulary, whole: bool = True) -> list[str]:
+def contrasting(phrase: Phrase, vocabulary: Vocabulary, in_full: bool = True) -> list[str]:
     """Return phrases for the same category with another colour or another size.
 
     Args:
         phrase: the prompt.
         vocabulary: colours and sizes to use.
-        whole: False: the object is only partly in view, so only the colour changes.
+        in_full: False: the object is only partly in view, so only the colour changes.
     """
     others: list[Phrase] = []
     if phrase.color is not None:
         others += [replace(phrase, color=c) for c in vocabulary.colors if c != phrase.color]
-    if phrase.size is not None and whole:
+    if phrase.size is not None and in_full:
         alike = (phrase.size, *ALIKE.get(phrase.size, ()))
         others += [replace(phrase, size=s) for s in vocabulary.sizes if s not in alike]
     return [str(other) for other in others]
@@ -250,8 +252,8 @@ class AttributeEncoder:
         """Return none: the model has one word for each category; see `TextEncoder.synonyms`."""
         return []
 
-    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
-        return contrasting(self._read(prompt), self.vocabulary, whole)
+    def contrasts(self, prompt: str, in_full: bool = True) -> list[str]:
+        return contrasting(self._read(prompt), self.vocabulary, in_full)
 
     def __repr__(self) -> str:
         return str(self.card.path)

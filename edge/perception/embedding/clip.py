@@ -38,7 +38,7 @@ CPU = ("CPUExecutionProvider",)
 
 
 class ClipTextEncoder:
-    """A `TextEncoder` that understands whole phrases.
+    """A `TextEncoder` that understands entire phrases.
 
     Embeddings are cached, some 2 KB a text. When a mission arrives while the robot drives, the loop
     waits only for the mission's own words: the background classes are in the cache.
@@ -62,10 +62,7 @@ class ClipTextEncoder:
         return self.encode([sentence.format(self.resolve(p)) for p in check_prompts(prompts)])[None]
 
     def encode(self, texts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per text, without resolving it as a prompt.
-
-        Returns:
-            (n, d) float32.
+        """Return one unit row per text, without resolving it as a prompt, (n, d) float32.
 
         Raises:
             PromptError: a text is longer than the model's context.
@@ -93,10 +90,10 @@ class ClipTextEncoder:
         return tidy(prompt)
 
     def synonyms(self, prompt: str) -> list[str]:
-        """Return common names of the prompt's thing, each a phrase; see `TextEncoder.synonyms`."""
+        """Return common names of the prompt's object, each a phrase; see `TextEncoder.synonyms`."""
         return list(names.names_of(prompt)[1 : 1 + MAX_SYNONYMS])
 
-    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
+    def contrasts(self, prompt: str, in_full: bool = True) -> list[str]:
         """Return none: the model does not separate attributes; see `TextEncoder.contrasts`."""
         return []
 
@@ -106,9 +103,6 @@ class ClipTextEncoder:
 
 class ClipImageEncoder:
     """An image encoder: one image → one unit row.
-
-    Args:
-        providers, threads, device_id, engine: see `open_session`.
 
     Raises:
         ModelError: the model is missing or unusable.
@@ -133,13 +127,10 @@ class ClipImageEncoder:
             self._session = open_session(path, providers, threads, device_id, engine)
 
     def embed(self, rgb: np.ndarray) -> np.ndarray:
-        """Encode an image.
+        """Encode an image; return (d,) float32.
 
         Args:
             rgb: (h, w, 3) uint8.
-
-        Returns:
-            (d,) float32.
 
         Raises:
             ModelError: the model fails, or its output is not finite.

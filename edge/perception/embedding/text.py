@@ -1,7 +1,7 @@
 """Prompt words → text embeddings: the interface of an encoder, and the vocabulary.
 
 A vocabulary file holds embeddings of single words, made beforehand. A CLIP text model (`clip.py`
-describes its ONNX file and its card) understands whole phrases. A small detector of our own brings
+describes its ONNX file and its card) understands entire phrases. A small detector of our own brings
 its encoder along (`attributes.py`). `encoders.py` chooses. The alias table (`edge.names`) has the
 names of known objects.
 """
@@ -34,12 +34,12 @@ VOCABULARY_FILE = "clip_vitb32_vocab.npz"
 MAX_VOCABULARY_BYTES = 1 << 30
 """Size limit of a vocabulary file: half a million words."""
 SYNONYM_COSINE = 0.95
-"""Words with a higher cosine between their embeddings name one thing.
+"""Words with a higher cosine between their embeddings name one object.
 
 In CLIP ViT-B/32 these are chair and armchair (0.96), cushion and pillow (0.96), but not table and
 desk (0.93) nor cup and mug (0.93)."""
 NARROWER_COSINE = 0.90
-"""Kinds of a thing with a higher cosine are asked for, too, unless the alias table lists them.
+"""Kinds of an object with a higher cosine are asked for, too, unless the alias table lists them.
 
 On views of `furnished[0:100]`, YOLO-World INT8 found more boxes (recall 0.22 to 0.47, by "storage
 box"), cabinets (0.42 to 0.58, "file cabinet"), beds (0.46 to 0.57, "infant bed") and helmets (0 to
@@ -66,10 +66,7 @@ class TextEncoder(Protocol):
     dim: int
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per prompt.
-
-        Returns:
-            (1, n, dim) float32.
+        """Return one unit row per prompt, (1, n, dim) float32.
 
         Raises:
             PromptError: there is no prompt, a prompt is empty, or a prompt is not understood.
@@ -81,20 +78,20 @@ class TextEncoder(Protocol):
         ...
 
     def synonyms(self, prompt: str) -> list[str]:
-        """Return other names of a prompt's thing that `embed` takes.
+        """Return other names of a prompt's object that `embed` takes.
 
         The `resolve` word and names of something broader are left out.
         """
         ...
 
-    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
+    def contrasts(self, prompt: str, in_full: bool = True) -> list[str]:
         """Return phrases that differ from the prompt only in an attribute (another colour).
 
         There are none if the encoder does not understand phrases.
 
         Args:
             prompt: a word or phrase.
-            whole: False: the thing is only partly in view, so only attributes that a part shows,
+            in_full: False: the object is only partly in view, so only attributes that a part shows,
                 such as the colour, are used.
         """
         ...
@@ -105,7 +102,7 @@ def check_prompts(prompts: Sequence[str]) -> tuple[str, ...]:
     if isinstance(prompts, str):
         raise PromptError(f"prompts must be a list of words, got {prompts!r}")
     if not prompts:
-        raise PromptError("no prompt: name at least one thing to look for")
+        raise PromptError("no prompt: name at least one object to look for")
     return tuple(prompts)
 
 
@@ -119,13 +116,6 @@ def tidy(prompt: str) -> str:
 
 def run_encoder(session: Any, file: str, name: str, batch: np.ndarray, dim: int) -> np.ndarray:
     """Run an encoder on a batch; return (n, dim) float32, finite, without a row of zeros.
-
-    Args:
-        session: session of the encoder.
-        file: file of the model, for messages.
-        name: name of the model's input.
-        batch: value of the input.
-        dim: length of an embedding.
 
     Raises:
         ModelError: the model fails, or its output is anything else.
@@ -226,15 +216,12 @@ class TextEmbeddings:
         return self._rows.shape[1]
 
     def embed(self, prompts: Sequence[str]) -> np.ndarray:
-        """Return one unit row per prompt.
+        """Return one unit row per prompt, (1, n, d) float32.
 
         Args:
             prompts: words or phrases. A phrase that the vocabulary lacks is read as its longest
                 known ending ("tall white trash bin": trash bin), and a kind as the broader word
                 ("bush": plant, see `names.HYPERNYMS`), with a warning.
-
-        Returns:
-            (1, n, d) float32.
 
         Raises:
             PromptError: an empty prompt, or a word outside the vocabulary (nearest words are
@@ -258,7 +245,7 @@ class TextEmbeddings:
             if not names.is_name(name) or names.is_kind_of(word, name):  # no name, or a broader one
                 continue
             # Kinds of the word, and words without an entry in the alias table: all others that the
-            # table knows are different things.
+            # table knows are different objects.
             kind = names.is_kind_of(name, word)
             unlisted = not names.is_known(name) and name not in names.BROADER
             least = NARROWER_COSINE if kind and unlisted else SYNONYM_COSINE
@@ -266,7 +253,7 @@ class TextEmbeddings:
                 found.append(name)
         return [name for name in dict.fromkeys(found) if name != word][:MAX_SYNONYMS]
 
-    def contrasts(self, prompt: str, whole: bool = True) -> list[str]:
+    def contrasts(self, prompt: str, in_full: bool = True) -> list[str]:
         """Return none: single words have no attributes; see `TextEncoder.contrasts`."""
         return []
 

@@ -17,7 +17,7 @@ ITERATIONS = 1
 SPAN = 0.7
 """Least share of its box's width and height that a mask must span.
 
-A smaller mask is of another thing in the box and is dropped: a box is fitted to its object."""
+A smaller mask is of another object in the box and is dropped: a box is fitted to its object."""
 LEAST_PX = 4
 """Least side of a box in the scaled window, in pixels; a smaller box gets no mask."""
 

@@ -25,7 +25,6 @@ class GroundClassifier:
 
     Attributes:
         name: the model's card.
-        kinds: names of the kinds of ground.
         settings: the settings that it was made from.
         n_done: number of pictures that were classified.
         failed: number of pictures for which the network failed.

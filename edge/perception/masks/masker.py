@@ -31,11 +31,6 @@ class Masker:
     If the segmenter fails, detections go on without masks: a slightly wrong position is better than
     none.
 
-    Args:
-        segmenter: makes the masks.
-        settings: limits on boxes and time.
-        timed: False: no time limit, so that a run replays the same.
-
     Attributes:
         n_masks: number of boxes with a mask.
         n_skipped: number of boxes skipped for lack of time.

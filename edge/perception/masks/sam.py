@@ -66,7 +66,7 @@ class SamSegmenter:
         )  # fmt: skip
         self._pixel_input = self._encoder.get_inputs()[0].name
         self._features = self._match_features()
-        # Inputs of the decoder besides the features, by name; `segment` changes the points.
+        # Inputs of the decoder other than the features, by name; `segment` changes the points.
         self._prompt = {
             value.name: np.zeros([n if isinstance(n, int) else 1 for n in value.shape],
                                  DTYPES[value.type])

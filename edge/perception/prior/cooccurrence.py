@@ -16,12 +16,12 @@ NEAR_M = 3.0
 def likelihood_ratio(table: ObjectPrior, row: int, near: np.ndarray, out: np.ndarray) -> None:
     """Write the likelihood ratio of a target near each place.
 
-    The ratio is P(target near the place | things near it) / P(target near the place).
+    The ratio is P(target near the place | classes near it) / P(target near the place).
 
     Args:
         table: the learned weights.
         row: the target's row in the table; -1: unknown, so the ratio is 1.
-        near: (n, things) float32 in [0, 1], confidence that each thing (kind of object, such as
+        near: (n, classes) float32 in [0, 1], confidence that each class (kind of object, such as
             chair) is near each place; see `nearby`.
         out: (n,) float32; 1 if nothing is near.
     """

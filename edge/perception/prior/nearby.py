@@ -7,14 +7,14 @@ import math
 from edge.jit import jit
 
 _UNCHECKED_M = 0.25
-"""Length at the end of a line of sight that is not checked: that part may lie in the object."""
+"""Length at the end of a line of sight that is not checked: that part may be in the object."""
 
 
 @jit
-def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, thing, weight, n_objects, radius_m, out):
-    """Write the confidence that each thing is near each place and in sight of it.
+def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, row, weight, n_objects, radius_m, out):
+    """Write the confidence that each class is near each place and in sight of it.
 
-    A thing is a kind of object, such as chair. Of several objects, the most confident counts.
+    A class is a kind of object, such as chair. Of several objects, the most confident counts.
 
     Args:
         wall: (h, w) bool, cells that block the view.
@@ -24,16 +24,16 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, thing, weight, n_objects
         xy_m: (n or more, 2) float32, places in `map`.
         n: number of places.
         object_m: (n_objects or more, 2 or more) float32, x and y of the objects in `map`.
-        thing: (n_objects or more,) int32, thing of each object; -1: the object is ignored.
+        row: (n_objects or more,) int32, class of each object; -1: the object is ignored.
         weight: (n_objects or more,) float32 in [0, 1], confidence of each object.
         n_objects: number of objects.
         radius_m: largest distance.
-        out: (n or more, things) float32, written for the first n.
+        out: (n or more, classes) float32, written for the first n.
     """
     out[:n] = 0.0
     for i in range(n):
         for j in range(n_objects):
-            k = thing[j]
+            k = row[j]
             if k < 0 or weight[j] <= out[i, k]:
                 continue
             dx, dy = object_m[j, 0] - xy_m[i, 0], object_m[j, 1] - xy_m[i, 1]
@@ -45,7 +45,7 @@ def nearby(wall, x0_m, y0_m, cell_m, xy_m, n, object_m, thing, weight, n_objects
 
 @jit
 def in_sight(wall, x0_m, y0_m, cell_m, x_m, y_m, dx_m, dy_m):
-    """Return True if no wall lies on the line (dx_m, dy_m) from a place, without its end.
+    """Return True if no wall is on the line (dx_m, dy_m) from a place, without its end.
 
     The other arguments are those of `nearby`.
     """

@@ -1,6 +1,6 @@
-"""Table of the prior: things in the same room, things near each other, and things by kind of room.
+"""Table of the prior: classes in the same room, near each other, and by kind of room.
 
-A thing is a kind of object, such as chair. The table (`table.json` next to this file) was learned
+A class is a kind of object, such as chair. The table (`table.json` next to this file) was learned
 from the 400 training houses of ProcTHOR (AllenAI, Apache-2.0) by `exporters.training.prior`. The
 file names its source and the command.
 """
@@ -24,31 +24,31 @@ FILE = Path(__file__).with_name("table.json")
 _PRIOR_ROOMS = 2.0
 _PRIOR_DOORS = 10.0
 SCALE = 100
-"""Factor of weights and biases in the file, which has whole hundredths."""
+"""Factor of weights and biases in the file, which has integers in hundredths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectPrior:
-    """The learned counts and weights; n things, k kinds of room.
+    """The learned counts and weights; n classes, k kinds of room.
 
     Attributes:
-        things: canonical names, n.
-        rooms_with_both: (n, n) int64, symmetric, number of rooms that hold both things; on the
-            diagonal, rooms that hold the thing.
-        near_bias: (n,) float32, log-odds of a thing near a place without evidence.
-        near_weight: (n, n) float32; row t: log-odds that each thing in sight adds for thing t. All
+        classes: canonical names, n.
+        rooms_with_both: (n, n) int64, symmetric, number of rooms that hold both classes; on the
+            diagonal, rooms that hold the class.
+        near_bias: (n,) float32, log-odds of a class near a place without evidence.
+        near_weight: (n, n) float32; row t: log-odds that each class in sight adds for class t. All
             zero if that did not help on held-out houses.
         kind_rooms: (k,) int64, rooms of each kind.
-        kind_rooms_with: (k, n) int64, rooms of each kind with each thing in view.
+        kind_rooms_with: (k, n) int64, rooms of each kind with each class in view.
         neighbours: (k, k) float64, likelihood ratio that rooms of two kinds share a door, compared
             with any two rooms of a house; 1 on the diagonal, for which there are no data.
-        evidence: weight of a thing as evidence for the kind of room; 1: things are independent.
+        evidence: weight of a class as evidence for the kind of room; 1: classes are independent.
         room_power: exponents of the rooms' likelihood ratio: for the prior `rooms` alone, and for
             `both`.
     """
 
     n_rooms: int
-    things: tuple[str, ...]
+    classes: tuple[str, ...]
     rooms_with_both: np.ndarray
     near_bias: np.ndarray
     near_weight: np.ndarray
@@ -61,16 +61,16 @@ class ObjectPrior:
 
     def row(self, word: str) -> int:
         """Return the row of a word, by its canonical name; -1 if the table lacks it."""
-        return _rows(self.things).get(names.canonical(word), -1)
+        return _rows(self.classes).get(names.canonical(word), -1)
 
     def likelihood_ratio(self, words: Sequence[str]) -> np.ndarray:
-        """Return the likelihood ratio that a room holds one thing, given another in it.
+        """Return the likelihood ratio that a room holds one class, given another in it.
 
-        P(a | b) / P(a) = P(a and b) / (P(a) P(b)). Two pseudo-rooms, in which both things occur as
+        P(a | b) / P(a) = P(a and b) / (P(a) P(b)). Two pseudo-rooms, in which both classes occur as
         often as by chance, draw the ratio towards 1.
 
         Args:
-            words: m names of things.
+            words: m names of classes.
 
         Returns:
             (m, m) float64, symmetric; 1 for words that the table lacks and on the diagonal.
@@ -89,9 +89,8 @@ class ObjectPrior:
 
 
 @lru_cache(maxsize=8)
-def _rows(things: tuple[str, ...]) -> dict[str, int]:
-    """Return the row of each thing."""
-    return {name: i for i, name in enumerate(things)}
+def _rows(classes: tuple[str, ...]) -> dict[str, int]:
+    return {name: i for i, name in enumerate(classes)}
 
 
 def parse(data: dict[str, Any]) -> ObjectPrior:
@@ -102,9 +101,9 @@ def parse(data: dict[str, Any]) -> ObjectPrior:
     both[np.tril_indices(n)] = np.concatenate(data["rooms_with_both"])
     both += np.tril(both, -1).T
     weight = np.zeros((n, n), np.float32)
-    for target, by_thing in near["weight"].items():
-        for thing, value in by_thing.items():
-            weight[data["things"].index(target), data["things"].index(thing)] = value / SCALE
+    for target, by_class in near["weight"].items():
+        for name, value in by_class.items():
+            weight[data["things"].index(target), data["things"].index(name)] = value / SCALE
     return ObjectPrior(
         data["rooms"],
         tuple(data["things"]),

@@ -1,6 +1,6 @@
-"""Index of words: it maps any word to a thing that the prior knows, by name or by embedding.
+"""Index of words: it maps any word to a class that the prior knows, by name or by embedding.
 
-A phrase ("red sofa") or a synonym finds the row of its thing in the table (`table.ObjectPrior`).
+A phrase ("red sofa") or a synonym finds the row of its class in the table (`table.ObjectPrior`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from edge.perception.prior.table import ObjectPrior
 log = logging.getLogger(__name__)
 
 ALIKE = 0.92
-"""Least cosine of CLIP ViT-B/32 embeddings for a word to stand for a thing.
+"""Least cosine of CLIP ViT-B/32 embeddings for a word to stand for a class.
 
-Of the pairs of different things in the table, one in ten reaches it. Of 30 synonyms in the
-vocabulary for one of its things, 15 reach it, none of them wrongly."""
+Of the pairs of different classes in the table, one in ten reaches it. Of 30 synonyms in the
+vocabulary for one of its classes, 15 reach it, none of them wrongly."""
 
 
 class PriorWordIndex:
@@ -40,11 +40,11 @@ class PriorWordIndex:
             words, self._vectors = vocabulary
             for i, word in enumerate(words):
                 self._row_of.setdefault(word, i)
-            known = [(row, self._vector(thing)) for row, thing in enumerate(table.things)]
+            known = [(row, self._vector(name)) for row, name in enumerate(table.classes)]
             embedded = [(row, vector) for row, vector in known if vector is not None]
-            # Rows of the table whose things have an embedding, and these embeddings (n, d).
+            # Rows of the table whose classes have an embedding, and these embeddings (n, d).
             self._rows = np.array([row for row, _ in embedded], np.int64)
-            self._thing_vectors = np.array([v for _, v in embedded]).reshape(
+            self._class_vectors = np.array([v for _, v in embedded]).reshape(
                 -1, self._vectors.shape[1]
             )
 
@@ -80,7 +80,7 @@ class PriorWordIndex:
         vector = self._vector(word)
         if vector is None or not len(self._rows):
             return -1
-        cosine = self._thing_vectors @ vector
+        cosine = self._class_vectors @ vector
         return int(self._rows[cosine.argmax()]) if cosine.max() >= ALIKE else -1
 
     def _vector(self, word: str) -> np.ndarray | None:

@@ -8,7 +8,7 @@ process (`serve_detector.py`):
  2. The sockets, `images` and `control`, keep message boundaries (SOCK_SEQPACKET). While the
     process loads its model it sends {health} on control now and then. Once the model has run it
     sends {} there, or {error, text} if it failed.
- 3. An image lies in the frame file (`wire.py`): memory without a name on disk, which the service
+ 3. An image is in the frame file (`wire.py`): memory without a name on disk, which the service
     owns and alone writes. A sequence number is written before the pixels and again after them.
  4. On `images` the service sends {seq, hw, prompts}. The process reads the pixels in place and
     answers {seq, n, prompts, …}, a line end and one block of arrays, or {seq, error, text}. Here

@@ -1,7 +1,7 @@
 """Encoding of what the service and a model process exchange: messages, and images in memory.
 
 A message goes over a socket. It is a JSON header; an answer has one block of bytes with arrays
-after it. An image lies in shared memory. Data from the model process is not trusted: that process
+after it. An image is in shared memory. Data from the model process is not trusted: that process
 may be failing.
 """
 
@@ -254,11 +254,7 @@ class FrameView:
     def read(self, seq: int, image_hw: tuple[int, int]) -> np.ndarray:
         """Return the image with this number as a view of the shared memory, (h, w, 3) uint8.
 
-        After use, the caller checks with `is_whole` that the image was not overwritten.
-
-        Args:
-            seq: number of the image.
-            image_hw: height and width in pixels.
+        After use, the caller checks with `is_intact` that the image was not overwritten.
 
         Raises:
             ValueError: another image, or part of one, is there.
@@ -266,11 +262,11 @@ class FrameView:
         end = PIXELS_AT + image_hw[0] * image_hw[1] * 3
         if end > len(self._bytes):
             self._bytes, self._seq = _map(self._fd, end)
-        if self._seq[_AFTER] != seq or not self.is_whole(seq):
+        if self._seq[_AFTER] != seq or not self.is_intact(seq):
             raise ValueError(f"frame {seq}: overwritten by frame {self._seq[_BEFORE]}")
         return self._bytes[PIXELS_AT:end].reshape(*image_hw, 3)
 
-    def is_whole(self, seq: int) -> bool:
+    def is_intact(self, seq: int) -> bool:
         """Return True if no newer image has been begun."""
         return bool(self._seq[_BEFORE] == seq)
 

@@ -77,12 +77,7 @@ class HostBound:
 
 
 class DeviceBound:
-    """A session on a device: inputs are uploaded before a run, outputs downloaded after it.
-
-    Args:
-        inputs, outputs, live: see `bind`.
-        device: onnxruntime's name of the device type, `cuda` (`cpu` works too).
-    """
+    """A session on a device: inputs are uploaded before a run, outputs downloaded after it."""
 
     def __init__(
         self,

@@ -107,7 +107,7 @@ class Preprocess(_Part):
     """Preprocessing of pixels: the value of a channel is `rgb * scale`, with rgb from 0 to 255.
 
     The image is scaled to fit into the input. The border around it has the grey `letterbox_pad`.
-    The image lies in the middle (`centre`, YOLO), or in the upper left corner (`corner`, OWLv2).
+    The image is in the middle (`centre`, YOLO), or in the upper left corner (`corner`, OWLv2).
     """
 
     color: Literal["rgb"]
@@ -158,7 +158,6 @@ class Parity(_Part):
     The images were not used for calibration.
 
     Attributes:
-        images: number of images.
         recall: share of the source variant's boxes that this variant finds.
         precision: share of this variant's boxes that the source variant has.
         score_error: difference between the scores of matching boxes; None if there were none.
@@ -192,7 +191,7 @@ class InferenceServer(_Part):
     Attributes:
         url: without the protocol's own path, as `http://base:8000`.
         model: the server's name for the model.
-        time_limit_s: for one whole inference, from the connection to the last byte.
+        time_limit_s: for one entire inference, from the connection to the last byte.
     """
 
     url: str
@@ -461,9 +460,6 @@ class MarksCard(_FileCard):
     bearing [rad, to the left], its distance [m], the driving distance [m, at most 20], the unknown
     area that it is expected to show [m²], and 1. The row is all 0 if there is no mark. `others` is
     `MarkCosts.others` of `edge.perception.scoring.choice.question`.
-
-    Attributes:
-        text_encoder: card of the encoder for targets.
     """
 
     task: Literal["marks"]

@@ -19,9 +19,6 @@ _NO_MEMORY = ("allocate memory", "bad_alloc", "bad allocation", "out of memory")
 class InferenceTimeout:
     """A time limit for session runs. A run aborts when the time is over, or when `end` is called.
 
-    Args:
-        name: name of the model, for messages.
-
     Attributes:
         options: pass them to `session.run`.
     """

@@ -138,7 +138,7 @@ class KServeSession:
         headers: Mapping[str, str] = MappingProxyType({}),
         body: bytes | None = None,
     ) -> HttpReply:
-        """Send a request; return the whole answer, of status 200.
+        """Send a request; return the entire answer, of status 200.
 
         Args:
             link: the connection.

@@ -197,7 +197,7 @@ def _fits(sizes: tuple[int, ...] | None, wanted: Shape) -> bool:
 
 
 def _is_size(size: object) -> bool:
-    """Return True for a whole number from 0 to a terabyte; JSON's true is an int in Python."""
+    """Return True for an integer from 0 to a terabyte; JSON's true is an int in Python."""
     return isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 40
 
 

@@ -93,7 +93,7 @@ class Value(NamedTuple):
 
     Attributes:
         dtype: number of the tensor type (TensorProto.DataType): 1 float32, 7 int64; 0 unknown.
-        shape: sizes, None for a free size. The whole shape is None if none is declared.
+        shape: sizes, None for a free size. The entire shape is None if none is declared.
     """
 
     name: str
@@ -110,7 +110,6 @@ class OnnxFile(NamedTuple):
             also in subgraphs.
         external: other files that hold weights, as the model names them.
         inputs: inputs without initializers.
-        outputs: outputs in order.
     """
 
     ir: int
@@ -317,7 +316,7 @@ def read_onnx(path: Path) -> OnnxFile:
     """Read the declarations of the model in a file.
 
     Raises:
-        NotOnnxError: the file is not a whole model.
+        NotOnnxError: the file is not a complete model.
         OSError: the file cannot be read.
     """
     with open_regular(path) as file:

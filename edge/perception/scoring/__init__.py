@@ -1,1 +1,1 @@
-"""Scorers: models that rate a direction, a frontier or a whole image."""
+"""Scorers: models that rate a direction, a frontier or an entire image."""

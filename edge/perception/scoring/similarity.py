@@ -1,4 +1,4 @@
-"""Similarity of a whole image and a text: the score of VLFM.
+"""Similarity of an entire image and a text: the score of VLFM.
 
 VLFM is a policy that drives to frontiers whose view fits the target best.
 """
@@ -38,7 +38,7 @@ class SimilarityScorer(Protocol):
         """Score each prompt; a higher score means that the image more likely leads to the object.
 
         The scale depends on the backend. A pair of encoders gives cosines in [-1, 1] (those of CLIP
-        ViT-B/32 lie between 0.15 and 0.35); a detector gives its best class score in [0, 1]. Only
+        ViT-B/32 are between 0.15 and 0.35); a detector gives its best class score in [0, 1]. Only
         scores of one scorer and one prompt can be compared.
 
         Args:
@@ -59,10 +59,6 @@ class SimilarityScorer(Protocol):
 
 class PairSimilarity:
     """The cosine between the embeddings of an image and a text, as VLFM uses BLIP-2.
-
-    Args:
-        name: name of the scorer's card.
-        text: encoder of texts, into the same embedding space.
 
     Raises:
         ModelError: the embeddings of the two encoders have different lengths.

@@ -145,10 +145,6 @@ class SwapAttempt(ABC, Generic[Model, Item]):
 class ModelSwap(Generic[Model]):
     """Replaces a worker's model; all methods must be called from one thread, the loop's.
 
-    Args:
-        report: called with a line for every step.
-        clock: returns seconds, for `LOAD_TIMEOUT_S`.
-
     Attributes:
         outcomes: number of swaps since the start, by outcome (`FINAL_STATES`).
     """
@@ -191,10 +187,6 @@ class ModelSwap(Generic[Model]):
 
         The service calls it inside a tick for choice models; the runner calls it between two ticks
         for detectors.
-
-        Args:
-            now_ns: the loop's time, passed on to `report`.
-            idle: see `SwapAttempt.verdict`.
         """
         attempt = self._attempt
         if attempt is None:

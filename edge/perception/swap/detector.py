@@ -40,11 +40,6 @@ _APART_NS = 200_000_000  # least time between two images of a trial
 class DetectorSwap(ModelSwap[Detector]):
     """Replaces the worker's detector.
 
-    Args:
-        perception: see the attribute of this name.
-        report, clock: see `ModelSwap`.
-        make: makes the new detector.
-
     Attributes:
         perception: configuration from which new models are made and by which they are judged; the
             model's name comes from the request. It may be set at any time.

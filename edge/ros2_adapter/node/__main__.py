@@ -81,13 +81,13 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
         executor.add_node(node)
         ends = AdapterEnds(node, session, zenoh, node.create_guard_condition(lambda: None).trigger)
         received = [FromRos(ends, topic, find_type(topic["type"])) for topic in plan["heard"]]
-        # Functions that are called in every turn (`often`), or every `GRAPH_S` (`seldom`).
+        # Functions that are called in every turn (`often`), or every `GRAPH_S` (`rarely`).
         often = [ToRos(ends, topic, plan["max_bytes"]).update for topic in plan["said"]]
-        seldom, action, due_s = [topic.update for topic in received], None, 0.0
+        rarely, action, due_s = [topic.update for topic in received], None, 0.0
         if plan["action"] is not None:
             action = NavigateProxy(ends, plan["action"], lambda: any(t.wanted for t in received))
             often.append(action.pass_requests)
-            seldom.append(action.update)
+            rarely.append(action.update)
         log.info("passing up to %d topics from ROS 2 to edge, and %d from edge to ROS 2",
                  len(received), len(plan["said"]))  # fmt: skip
         while not stop.is_set():
@@ -96,7 +96,7 @@ def run(plan: dict[str, Any], stop: threading.Event) -> None:
                 update()
             if time.monotonic() >= due_s:
                 due_s = time.monotonic() + GRAPH_S
-                for update in seldom:
+                for update in rarely:
                     update()
         if action is not None and action.cancel():
             until_s = time.monotonic() + SETTLE_S

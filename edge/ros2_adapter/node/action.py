@@ -12,7 +12,7 @@ from passing import AdapterEnds, FromRos, Inbox, cdr_of, find_type, one_line
 
 log = logging.getLogger("edge.ros2_adapter")
 
-GONE_S = 3.0  # after this time without a receiver on Zenoh, nobody supervises the robot
+GONE_S = 3.0  # after this time without a receiver on Zenoh, no service supervises the robot
 _REQUEST_BYTES = 4096
 _QUEUE_SIZE = 16  # requests that wait for the node's thread
 
@@ -95,11 +95,6 @@ class NavigateProxy:
     """Passes NavigateToPose: three services and two topics.
 
     The goal that was accepted last is cancelled if the service is gone.
-
-    Args:
-        ends: node and session.
-        plan: ROS name, key and type of the action.
-        is_followed: returns True if the service receives the robot's sensors.
     """
 
     def __init__(

@@ -174,12 +174,7 @@ class FromRos:
 
 
 class ToRos:
-    """A Zenoh key, published as a ROS topic; the first invalid message is logged.
-
-    Args:
-        ends: node and session.
-        topic_plan: entry of the topic in the plan, see `FromRos`.
-    """
+    """A Zenoh key, published as a ROS topic; the first invalid message is logged."""
 
     def __init__(self, ends: AdapterEnds, topic_plan: dict[str, Any], max_bytes: int) -> None:
         self._key, self._max_bytes, self._warned = topic_plan["key"], max_bytes, False

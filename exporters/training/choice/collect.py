@@ -4,7 +4,7 @@
 
 A view is an image, the frontiers at that time, and the true distance from each to every kind of
 object. Frontiers in the image are marks. The robot searches for an object that the house does not
-have, so it explores the whole house.
+have, so it explores the entire house.
 """
 
 from __future__ import annotations
@@ -328,7 +328,7 @@ def make_views(seeds: Sequence[int], folder: Path, workers: int = 1) -> list[Pat
 
 
 def _write(job: tuple[int, Path]) -> None:
-    """Write the file of one house; a job is its seed and path. The images lie one after another."""
+    """Write the file of one house; a job is its seed and path. The images are one after another."""
     cv2.setNumThreads(1)
     seed, path = job
     views = collect(seed)

@@ -3,7 +3,7 @@
 A question is a view and a target. For each view, every reachable target that the robot has not seen
 is asked for, if two or more marks exist and differ. A choice is correct if the path from its mark
 is at most `labels.CORRECT_WITHIN_M` longer than from the best mark.
-Confidence intervals resample whole houses, since views of one house are not independent.
+Confidence intervals resample entire houses, since views of one house are not independent.
 """
 
 from __future__ import annotations
@@ -51,14 +51,7 @@ def logits_of(net: ChoiceNet, data: Data, views: Views) -> Logits:
 
 
 def parity(model: Path, views: Views, words: np.ndarray, logits: Logits) -> float:
-    """Return the largest difference between an ONNX file's logits and `logits`, on the images.
-
-    Args:
-        model: the ONNX file.
-        views: images and marks.
-        words: (t, text_dim) of `looks.CATEGORIES`.
-        logits: see `logits_of`.
-    """
+    """Return the largest difference between an ONNX file's logits and `logits`, on the images."""
     session, marks, counts = cpu_session(model, 1), labels.marks_of(views), is_counted(views)
     asked = np.argwhere(counts)  # (questions, 2): view and target
     chosen = np.random.default_rng(0).permutation(len(asked))[:PARITY_QUESTIONS]

@@ -154,12 +154,6 @@ def held_out_figures(
 ) -> dict[str, Any]:
     """Return the card's figures on held-out houses.
 
-    Args:
-        net: the trained net.
-        trunk: the detector's trunk.
-        model: the joined ONNX file.
-        paths: files of the held-out views.
-
     Raises:
         ExportError: the file's answers differ from the net's.
     """

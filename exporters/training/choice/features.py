@@ -55,9 +55,6 @@ class Features:
 class Trunk:
     """The small detector up to its embeddings, as an ONNX model.
 
-    Args:
-        text: ONNX file of the phrase encoder.
-
     Attributes:
         model: `images` → `HEADS` and `NECK`.
         logit_scale: factor in the detector's scores: sigmoid(scale · embedding · text + bias).

@@ -67,7 +67,7 @@ def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
 
 
 def scene(views: Views) -> np.ndarray:
-    """Return (n, t) bool: True if the best mark lies near a shortest path from the robot."""
+    """Return (n, t) bool: True if the best mark is near a shortest path from the robot."""
     by_mark_m = (views.path_m[..., None] + views.left_m).min(axis=1)
     shortest_m = np.minimum(views.here_m, np.minimum(by_mark_m, views.else_path_m))
     return by_mark_m <= shortest_m + np.maximum(DETOUR_M, DETOUR_SHARE * shortest_m)

@@ -24,14 +24,7 @@ _MARK_FEATURES, _OTHERS_FEATURES = 17, 6
 
 
 class ChoiceNet(nn.Module):
-    """The network: map, text and marks → logits of the directions ("elsewhere" last) and the scene.
-
-    Args:
-        kinds: number of kinds of object, whose scores are in the features.
-        width: channels of the map and the tokens.
-        heads: number of attention heads.
-        layers: number of attention layers.
-    """
+    """The network: map, text and marks → logits of directions ("elsewhere" last) and scene."""
 
     def __init__(self, kinds: int, width: int = 64, heads: int = 4, layers: int = 2) -> None:
         super().__init__()

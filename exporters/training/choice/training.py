@@ -69,7 +69,7 @@ class Batch(NamedTuple):
         others: see `ChoiceNet.forward`.
         direction: (v, t, m + 1) see `labels.directions`.
         among: (v, t, m) the labels of the marks alone, as if all frontiers had a mark.
-        scene: (v, t) 1 if the best mark lies near a shortest path.
+        scene: (v, t) 1 if the best mark is near a shortest path.
     """
 
     neck16: Tensor
@@ -86,11 +86,6 @@ class Batch(NamedTuple):
 
 class Data:
     """Views with their features and labels, from which batches are made.
-
-    Args:
-        views: images and marks.
-        level_scales: see `features.Trunk`.
-        words: see `features.Trunk`.
 
     Attributes:
         rows: indices of the views with a target to ask for.

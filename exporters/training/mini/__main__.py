@@ -77,12 +77,12 @@ def _train(args: argparse.Namespace) -> None:
     houses, data = range(args.houses), args.out / "data"
     make_frames = partial(views.make_frames, houses, views.PER_HOUSE, data, args.cores)
     frames = make_frames()
-    logging.info("%d frames, %d things", len(frames), len(frames.objects))
+    logging.info("%d frames, %d objects", len(frames), len(frames.objects))
     if device == "cpu":
         training.train_on_cores(make_frames, plan, checkpoint, ranks)
     else:
         training.train(frames, plan, checkpoint, device)
-    # The card tells the command, with the options that are not the defaults.
+    # The card holds the command, with the options that are not the defaults.
     usual = {"seed": SEED, "houses": HOUSES, "cores": CORES}
     given = {name: getattr(args, name) for name in usual if getattr(args, name) != usual[name]}
     options = "".join(f" --{name} {value}" for name, value in given.items())

@@ -39,7 +39,7 @@ LEAST_IN_CROP = 0.3
 THINGS = 32
 """Largest number of objects of an image."""
 ZOOM = (0.8, 1.6)
-"""Range of the scale of a crop, relative to the whole image."""
+"""Range of the scale of a crop, relative to the entire image."""
 AHEAD = 6
 """Batches that are made in advance."""
 
@@ -121,11 +121,6 @@ def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, 
 def sample_phrases(objects: np.ndarray, rng: np.random.Generator, plain: int = 0) -> np.ndarray:
     """Return phrases for an image with these objects.
 
-    Args:
-        objects: (o,) `views.OBJECT`.
-        rng: draws the phrases.
-        plain: number of plain phrases: different categories, without colour and size.
-
     Returns:
         (PHRASES + plain, 3) int64, see `looks`: true phrases, then others, then plain ones.
     """
@@ -160,15 +155,7 @@ def make_batch(
     rng: np.random.Generator,
     plain: int = 0,
 ) -> Batch:
-    """Return a batch.
-
-    Args:
-        frames: all images.
-        indices: (n,) indices of the batch's images.
-        hw: height and width of the crops.
-        rng: draws crops and phrases.
-        plain: see `sample_phrases`.
-    """
+    """Return a batch."""
     n, k = len(indices), PHRASES + plain
     images = np.empty((n, *hw, 3), np.uint8)
     phrases = np.empty((n, k, 3), np.int64)

@@ -2,10 +2,10 @@
 
     python -m exporters.training.mini.evaluate MODEL.onnx [--text TEXT.onnx]
 
-It measures three things. First, the average precision at IoU 0.5 of each category, for objects of
-at least 12 px that are half visible. Second, questions about two objects of a category in one image
-(which one is the red chair?): the share of phrases that score higher on the right one. Third, the
-latency.
+It measures three quantities. First, the average precision at IoU 0.5 of each category, for
+objects of at least 12 px that are half visible. Second, questions about two objects of a category
+in one image (which one is the red chair?): the share of phrases that score higher on the right one.
+Third, the latency.
 """
 
 from __future__ import annotations
@@ -60,16 +60,16 @@ class Report:
 
     Attributes:
         ap50: average precision at IoU 0.5, by category.
-        things: number of objects that count, by category.
+        n_objects: number of objects that count, by category.
         pairs: (number of right answers, number of questions) by kind of question: "color", "size"
-            (both objects are wholly in the image) and "cut_off_size" (at least one is not).
+            (both objects are entirely in the image) and "cut_off_size" (at least one is not).
         phrases: (n, 2) scores of the phrase on the right object and on the wrong one, for each
             question of the kinds `TOLD_APART`.
         latency_ms: median and 95th percentile on 2 threads, 8 phrases.
     """
 
     ap50: dict[str, float]
-    things: dict[str, int]
+    n_objects: dict[str, int]
     pairs: dict[str, tuple[int, int]]
     phrases: np.ndarray
     latency_ms: tuple[float, float]
@@ -97,7 +97,7 @@ class Report:
         return {
             "ap50": round(self.map50, 3),
             "categories": len(self.ap50),
-            "things": sum(self.things.values()),
+            "things": sum(self.n_objects.values()),
             "pairs_told_apart": round(self.pair_share(), 3),
             **{f"{kind}_pairs": round(self.pair_share(kind), 3) for kind in self.pairs},
             **{f"{kind}_questions": asked for kind, (_, asked) in self.pairs.items()},
@@ -107,7 +107,7 @@ class Report:
 
     def table(self) -> str:
         """Return the figures as text: a line for each category, worst first, then the summary."""
-        rows = [f"{v:6.3f}  {self.things[k]:5d}  {k}" for k, v in
+        rows = [f"{v:6.3f}  {self.n_objects[k]:5d}  {k}" for k, v in
                 sorted(self.ap50.items(), key=lambda kv: kv[1])]  # fmt: skip
         rows += [f"{name:24s} {value}" for name, value in self.summary().items()]
         rows.append("session ms, median / 95 %: {:.2f} / {:.2f}".format(*self.latency_ms))
@@ -127,7 +127,7 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
     categories[:, 0] = np.arange(1, 1 + len(categories))
     # By category: the result of `_match`, and the number of objects that count.
     found: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    things: dict[int, int] = defaultdict(int)
+    n_objects: dict[int, int] = defaultdict(int)
     # Kind of question → [right answers, questions].
     pairs = {"color": [0, 0], "size": [0, 0], "cut_off_size": [0, 0]}
     phrases: list[tuple[float, float]] = []  # see `Report.phrases`
@@ -141,7 +141,7 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
         boxes, scores = (out[0] for out in detector.run(None, feed))
         does_count = _does_count(objects)
         for c in range(len(categories)):
-            things[c] += int((does_count & (objects["category"] == c + 1)).sum())
+            n_objects[c] += int((does_count & (objects["category"] == c + 1)).sum())
             found[c] += _match(boxes, scores[:, c], objects, does_count, c + 1)
         for k, question in enumerate(questions):
             score = scores[:, len(categories) + k]
@@ -152,10 +152,10 @@ def measure(model: Path, text: Path, frames: Frames) -> Report:
             pairs[question.kind][1] += 1
             if question.kind in TOLD_APART:
                 phrases.append((right_score, wrong_score))
-    ap = {looks.CATEGORIES[c]: _average_precision(found[c], n) for c, n in things.items() if n}
+    ap = {looks.CATEGORIES[c]: _average_precision(found[c], n) for c, n in n_objects.items() if n}
     return Report(
         ap,
-        {looks.CATEGORIES[c]: n for c, n in things.items() if n},
+        {looks.CATEGORIES[c]: n for c, n in n_objects.items() if n},
         {k: (v[0], v[1]) for k, v in pairs.items()},
         np.array(phrases).reshape(-1, 2),
         _latency(detector, frames, features[:, :8]),

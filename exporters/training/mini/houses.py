@@ -46,7 +46,7 @@ _EXTRA = (
     *("table", "suitcase", "box", "television", "refrigerator", "dresser", "vase", "coffee table",
       "washing machine", "toilet", "oven", "ball") * 2,
 )  # fmt: skip
-"""Categories of random objects in any room; a category that rooms seldom have is repeated."""
+"""Categories of random objects in any room; a category that rooms rarely have is repeated."""
 _NEARLY_SQUARE = 0.6
 """If the shorter of depth and width is at least this share of the longer one, the words "wide" and
 "narrow" change both: a person cannot tell the depth of such an object from its width."""
@@ -362,9 +362,9 @@ def _wall_color(b: _Builder) -> tuple[float, float, float]:
     return tuple(float(c) for c in np.clip(color + b.rng.uniform(-6, 6, 3), 5, 250))
 
 
-def _split(b: _Builder, whole: Rect) -> tuple[list[Rect], list[Wall]]:
+def _split(b: _Builder, full: Rect) -> tuple[list[Rect], list[Wall]]:
     """Halve the largest room one to four times, with a doorway in each new wall."""
-    rects, walls = [whole], []
+    rects, walls = [full], []
     for _ in range(int(b.rng.integers(1, 5))):
         rects.sort(key=lambda r: (r.x1 - r.x0) * (r.y1 - r.y0))
         r = rects.pop()

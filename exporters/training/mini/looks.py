@@ -66,8 +66,8 @@ _NOT_SAID: dict[str, tuple[str, ...]] = {
     "table": ("short", "small"),
     "coffee table": ("tall", "large"),
 }
-"""Category → size words that nobody uses for it, or that make another kind of object of it: a wide
-armchair is a sofa."""
+"""Category → size words that no person uses for it, or that make another kind of object of it: a
+wide armchair is a sofa."""
 
 
 def _lab(rgb: np.ndarray) -> np.ndarray:
@@ -153,7 +153,7 @@ KINDS = kinds()
 def answers(
     category: np.ndarray, color: np.ndarray, size: np.ndarray, phrases: np.ndarray
 ) -> np.ndarray:
-    """Return the answers to phrases, for each object.
+    """Return the answers to phrases, for each object, (o, k) int8.
 
     An answer is NO if one word is wrong, else UNSURE if one is unsure, else YES.
 
@@ -162,9 +162,6 @@ def answers(
         color: (o, 1 + colours) int8 from `color_answers`.
         size: (o, 1 + sizes) int8 from `size_answers`.
         phrases: (k, 3) int (category, colour, size).
-
-    Returns:
-        (o, k) int8.
     """
     words = np.stack(
         [KINDS[category][:, phrases[:, 0]], color[:, phrases[:, 1]], size[:, phrases[:, 2]]]

@@ -107,7 +107,7 @@ def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tu
 
 
 def _inside(anchors: Tensor, boxes: Tensor) -> Tensor:
-    """Return (b, a, o) bool: True if the anchor lies in the box."""
+    """Return (b, a, o) bool: True if the anchor is in the box."""
     low = (anchors[None, :, None] > boxes[:, None, :, :2]).all(-1)
     return low & (anchors[None, :, None] < boxes[:, None, :, 2:]).all(-1)
 
@@ -151,7 +151,7 @@ def detection_loss(
         box_loss = (each_box * box_weight).sum() / weight_sum
         centre = anchors.expand(len(box), -1, -1)[owner >= 0]
         side = stride.expand(len(box), -1, -1)[owner >= 0]
-        # Distribution focal loss: each edge lies between two bins, which share its weight.
+        # Distribution focal loss: each edge is between two bins, which share its weight.
         edges = torch.cat([centre - wanted[:, :2], wanted[:, 2:] - centre], -1) / side
         edges = edges.clamp(0, BINS - 1.01)
         low = edges.long()

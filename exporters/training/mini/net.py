@@ -20,7 +20,7 @@ EMBED_DIM = 64
 STRIDES = (8, 16, 32)
 """Size of a cell of each of the three heads [px]."""
 BINS = 8
-"""Bins of a box edge's distribution; an edge lies at most BINS - 1 strides from its anchor."""
+"""Bins of a box edge's distribution; an edge is at most BINS - 1 strides from its anchor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,7 @@ class Widths:
 
 
 class Conv(nn.Sequential):
-    """Convolution, batch normalization and ReLU.
-
-    Args:
-        c_in: channels of the input.
-        c_out: channels of the output.
-        k: side of the kernel.
-    """
+    """Convolution, batch normalization and ReLU."""
 
     def __init__(self, c_in: int, c_out: int, k: int = 3, stride: int = 1) -> None:
         super().__init__(
@@ -75,12 +69,6 @@ class CSP(nn.Module):
 
     Half of the channels pass through the residual blocks. The output is computed from the inputs
     and outputs of all blocks.
-
-    Args:
-        c_in: channels of the input.
-        c_out: channels of the output.
-        n: number of residual blocks.
-        add: see `Residual`.
     """
 
     def __init__(self, c_in: int, c_out: int, n: int, add: bool) -> None:

@@ -253,16 +253,7 @@ def _visible_objects(
     ids: np.ndarray,
     depth: np.ndarray,
 ) -> np.ndarray:
-    """Return the objects that an image shows, (o,) `OBJECT`.
-
-    Args:
-        world: the house.
-        appearances: of all its objects.
-        has_own_color: see `_has_own_color`.
-        camera: camera of the image.
-        ids: (h, w) object ids of the image.
-        depth: (h, w) depth of the image.
-    """
+    """Return the objects that an image shows, (o,) `OBJECT`."""
     n = len(appearances)
     box, pixels = np.empty((n, 4), np.int32), np.empty(n, np.int32)
     detection_kernels.object_boxes(ids, depth, box, pixels, np.empty(n, np.float32))
@@ -270,7 +261,7 @@ def _visible_objects(
     # Primitive at each pixel, -1 for none; `world.owner` is the object of each primitive, from 1.
     prim, m = np.empty((HEIGHT_PX, WIDTH_PX), np.int32), camera.model
     lens = (camera.T_map_camera, m.fx_px, m.fy_px, m.cx_px, m.cy_px)
-    # Pixels of each object in its colour: `ids` tells objects apart, but not their primitives.
+    # Pixels of each object in its colour: `ids` distinguishes objects, but not their primitives.
     kernels.render_depth(world.shape, world.geometry, *lens, scratch_depth, prim)
     seen = np.bincount(prim[prim >= 0], minlength=len(world.owner))
     colored = np.bincount(world.owner, seen * has_own_color, minlength=n + 1)[1:]

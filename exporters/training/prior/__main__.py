@@ -54,12 +54,12 @@ def fit_table(
     """Fit the weights of a table to samples.
 
     Returns:
-        The whole table, and the fit of each target by its index in `things`.
+        The entire table, and the fit of each target by its index in `classes`.
     """
-    things = tuple(data["things"])
-    found = ((target, learn.cross_fit(samples, target)) for target in range(len(things)))
+    classes = tuple(data["things"])
+    found = ((target, learn.cross_fit(samples, target)) for target in range(len(classes)))
     fits = {target: fit for target, fit in found if fit is not None}
-    data = {**data, "near": learn.near_part(fits, things)}
+    data = {**data, "near": learn.near_part(fits, classes)}
     kinds = data["kinds"] = dict(data["kinds"])
     kinds["evidence"] = learn.fit_evidence(samples, parse(data))
     kinds["power"], gained = learn.fit_powers(samples, parse(data), fits)
@@ -68,13 +68,13 @@ def fit_table(
     return data, fits
 
 
-def print_scores(fits: dict[int, learn.Fit], samples: Samples, things: list[str]) -> None:
+def print_scores(fits: dict[int, learn.Fit], samples: Samples, classes: list[str]) -> None:
     """Print for each target how well the held-out houses were predicted."""
     print("target               houses  share   base   loss  gained     auc  opinion")
     for target, fit in sorted(fits.items(), key=lambda item: item[1].score.loss):
         s = fit.score
         gained = f"{s.base - s.loss:+.4f} ±{s.error:.4f}"
-        print(f"{things[target]:20} {s.houses:6} {s.share:6.3f} {s.base:6.3f} {s.loss:6.3f} "
+        print(f"{classes[target]:20} {s.houses:6} {s.share:6.3f} {s.base:6.3f} {s.loss:6.3f} "
               f"{gained} {s.auc:6.3f}  {'yes' if fit.has_opinion else 'no'}")  # fmt: skip
     print("predicted → observed likelihood ratio (places)")
     for predicted, observed, n in learn.reliability(

@@ -43,22 +43,22 @@ def count(houses: Iterable[dict[str, Any]]) -> dict[str, Any]:
             )
             single.update(categories)
             pairs.update(combinations(categories, 2))
-    things = sorted(name for name, rooms in single.items() if rooms >= _RARE)
+    classes = sorted(name for name, rooms in single.items() if rooms >= _RARE)
     rooms_with_both = [
-        [pairs[other, name] for other in things[:i]] + [single[name]]
-        for i, name in enumerate(things)
+        [pairs[other, name] for other in classes[:i]] + [single[name]]
+        for i, name in enumerate(classes)
     ]
-    return {"rooms": n_rooms, "things": things, "rooms_with_both": rooms_with_both}
+    return {"rooms": n_rooms, "things": classes, "rooms_with_both": rooms_with_both}
 
 
-def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequence[str]) -> dict:
+def count_kinds(plans: Sequence[HousePlan], classes: Sequence[str], kinds: Sequence[str]) -> dict:
     """Count the rooms with each visible object by kind of room, and the doors between kinds.
 
     Returns:
         `names`; `rooms` of each kind; `rooms_with` each object, by kind; `doors` between two kinds
         and `pairs` of two kinds in a house, symmetric.
     """
-    k, m = len(kinds), len(things)
+    k, m = len(kinds), len(classes)
     rooms, rooms_with = np.zeros(k, int), np.zeros((k, m), int)
     doors, pairs = np.zeros((k, k), int), np.zeros((k, k), int)
     # Kinds are indices. Each pair of rooms counts in both orders, so the tables are symmetric.
@@ -66,8 +66,8 @@ def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequen
         room_kinds = [kinds.index(name) for name in plan.kinds]
         for room, kind in enumerate(room_kinds):
             rooms[kind] += 1
-            names_here = {plan.words[w] for w in plan.word[plan.thing_room == room]}
-            rooms_with[kind, [things.index(name) for name in names_here if name in things]] += 1
+            names_here = {plan.words[w] for w in plan.word[plan.object_room == room]}
+            rooms_with[kind, [classes.index(name) for name in names_here if name in classes]] += 1
         for a, b in combinations(range(len(room_kinds)), 2):
             for i, j in ((room_kinds[a], room_kinds[b]), (room_kinds[b], room_kinds[a])):
                 pairs[i, j] += 1
@@ -82,7 +82,7 @@ def count_kinds(plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequen
 
 
 def inside(polygon: Sequence[Sequence[float]], x: float, y: float) -> bool:
-    """Return True if a point lies in a polygon, by the even-odd rule.
+    """Return True if a point is in a polygon, by the even-odd rule.
 
     >>> inside([(0, 0), (2, 0), (2, 2), (0, 2)], 1, 1)
     True

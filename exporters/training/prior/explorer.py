@@ -56,13 +56,9 @@ class Frontiers:
 class Explorer:
     """A robot in an unknown house.
 
-    Args:
-        cell: row and column at which it starts.
-        random: decides which objects are detected.
-
     Attributes:
         known: (h, w) bool, cells that it has mapped.
-        thing_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.
+        object_m: (n, 2) float32, the plan's objects, in metres from the grid's corner.
         seen: (n,) bool, detected objects.
         seen_m: (n, 2) float32, visible surface of each detected object, in metres from the grid's
             corner.
@@ -73,7 +69,7 @@ class Explorer:
         h, w = plan.wall.shape
         self.known = np.zeros((h, w), np.bool_)
         self.seen = np.zeros(len(plan.word), np.bool_)
-        self.thing_m = (plan.xy_m - plan.origin_xy_m).astype(np.float32)
+        self.object_m = (plan.xy_m - plan.origin_xy_m).astype(np.float32)
         self.seen_m = np.zeros((len(plan.word), 2), np.float32)
         self._since_turn_m = 0.0
         self._cell = cell
@@ -95,7 +91,7 @@ class Explorer:
         draws = self._random.random(len(self.seen))
         detect(
             self.plan.wall, (x + 0.5) * CELL_M, (y + 0.5) * CELL_M, yaw_rad or 0.0, half, CELL_M,
-            self.thing_m, self.plan.half_m, self.plan.range_m, draws, _NEAR, _FAR,
+            self.object_m, self.plan.half_m, self.plan.range_m, draws, _NEAR, _FAR,
             self.seen, self.seen_m,
         )  # fmt: skip
 
@@ -219,24 +215,24 @@ def is_clear(wall, x, y, to_x, to_y, short, cell_m):
 
 @jit
 def detect(
-    wall, x, y, yaw, half, cell_m, thing_m, half_m, range_m, draws, near, far, seen, seen_m
+    wall, x, y, yaw, half, cell_m, object_m, half_m, range_m, draws, near, far, seen, seen_m
 ):  # fmt: skip
     """Mark the objects that are detected from x, y [m], and store their visible side.
 
-    Of n objects, `thing_m` (n, 2), `half_m` (n,) and `range_m` (n,) are as in `Explorer` and
+    Of n objects, `object_m` (n, 2), `half_m` (n,) and `range_m` (n,) are as in `Explorer` and
     `HousePlan`. The view is `half` [rad] to each side of `yaw`.
 
     `draws` (n,) are random numbers in [0, 1). `near` and `far` are the probabilities of detection
     nearby and at the end of an object's range. `seen` and `seen_m` are changed.
     """
     for i in range(len(seen)):
-        dx, dy = thing_m[i, 0] - x, thing_m[i, 1] - y
+        dx, dy = object_m[i, 0] - x, object_m[i, 1] - y
         d = math.hypot(dx, dy)
         if seen[i] or d > range_m[i] or draws[i] > near + (far - near) * d / range_m[i]:
             continue
         turn = (math.atan2(dy, dx) - yaw + math.pi) % (2.0 * math.pi) - math.pi
         if abs(turn) > half or not is_clear(
-            wall, x, y, thing_m[i, 0], thing_m[i, 1], half_m[i] + WALL_GAP_M, cell_m
+            wall, x, y, object_m[i, 0], object_m[i, 1], half_m[i] + WALL_GAP_M, cell_m
         ):
             continue
         seen[i] = True

@@ -42,7 +42,7 @@ class HousePlan:
         xy_m: (n, 2) float64, centre of each object, in the house's frame.
         half_m: (n,) float64, half the smaller side of each object, seen from above.
         range_m: (n,) float64, detection range of each object.
-        thing_room: (n,) int16, room of each object.
+        object_room: (n,) int16, room of each object.
         words: canonical names of objects.
     """
 
@@ -56,7 +56,7 @@ class HousePlan:
     xy_m: np.ndarray
     half_m: np.ndarray
     range_m: np.ndarray
-    thing_room: np.ndarray
+    object_room: np.ndarray
     words: tuple[str, ...]
 
 
@@ -100,11 +100,11 @@ def read_plan(house: dict[str, Any]) -> HousePlan:
         room,
         tuple(r["category"] for r in house["rooms"]),
         doors,
-        *_things(house["objects"], origin, room),
+        *_objects(house["objects"], origin, room),
     )
 
 
-def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndarray) -> tuple:
+def _objects(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndarray) -> tuple:
     """Return the last fields of `HousePlan`, from `word` on; objects inside others are left out."""
     visible = [item for item in objects if not any(_inside(item, other) for other in objects)]
     name = [names.canonical(item["category"]) for item in visible]
@@ -126,7 +126,7 @@ def _things(objects: Sequence[dict[str, Any]], origin: np.ndarray, room: np.ndar
 
 
 def _inside(item: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return True if an object's centre lies within another, larger one."""
+    """Return True if an object's centre is within another, larger one."""
     if other is item or np.prod(other["size"]) <= np.prod(item["size"]):
         return False
     dx, dy, dz = np.subtract(item["center"], other["center"])
@@ -167,7 +167,7 @@ def _pixel(point: Sequence[float], origin: np.ndarray) -> tuple[int, int]:
 
 
 def _fill(grid: np.ndarray, polygon: Sequence[Sequence[float]], origin: np.ndarray, v: int) -> None:
-    """Write a value into the cells whose centre lies in a polygon."""
+    """Write a value into the cells whose centre is in a polygon."""
     shift = 10  # OpenCV's fixed-point coordinates have 10 bits after the point
     # OpenCV's integer coordinates are cell centres, hence - 0.5.
     points = ((np.asarray(polygon) - origin) / CELL_M - 0.5) * (1 << shift)

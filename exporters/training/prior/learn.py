@@ -129,19 +129,19 @@ def cross_fit(samples: Samples, target: int) -> Fit | None:
     return Fit(beta, score, wanted, log_ratio)
 
 
-def near_part(fits: dict[int, Fit], things: tuple[str, ...]) -> dict[str, Any]:
+def near_part(fits: dict[int, Fit], classes: tuple[str, ...]) -> dict[str, Any]:
     """Return the `near` part of a table's file.
 
     A target has weights only if its model predicts held-out houses better than the target's share
     does, by a standard error (`Fit.has_opinion`).
     """
-    bias, weights = [0] * len(things), {}
+    bias, weights = [0] * len(classes), {}
     for target, fit in fits.items():
         if fit.has_opinion:
             hundredths = np.rint(SCALE * fit.beta).astype(int).tolist()
             bias[target] = hundredths.pop()  # the last entry of `beta`
-            weights[things[target]] = {
-                thing: v for thing, v in zip(things, hundredths, strict=True) if abs(v) >= _SLIGHT
+            weights[classes[target]] = {
+                name: v for name, v in zip(classes, hundredths, strict=True) if abs(v) >= _SLIGHT
             }
     return {"bias": bias, "weight": weights}
 
@@ -216,7 +216,6 @@ def reliability(samples: Samples, fits: dict[int, Fit], edges: np.ndarray) -> It
 
 
 def _only(samples: Samples, rows: np.ndarray) -> Samples:
-    """Return these samples only."""
     return Samples(*(getattr(samples, field)[rows] for field in Samples.__slots__))
 
 

@@ -77,16 +77,16 @@ class PriorInputs:
         n, grid = len(frontiers.cell), explorer.wall_grid()
         self.label, n_regions = regions.segment_rooms(grid.cells, CELL_M)
         seen = np.flatnonzero(explorer.seen & (row >= 0))
-        thing_m, rows = explorer.seen_m[seen], row[seen].astype(np.int32)
+        object_m, rows = explorer.seen_m[seen], row[seen].astype(np.int32)
         near, weight = np.empty((n, m), np.float32), np.ones(len(seen), np.float32)
         wall = grid.cells == regions.WALL
         nearby(
-            wall, 0.0, 0.0, CELL_M, frontiers.xy_m, n, thing_m, rows, weight, len(seen), NEAR_M,
+            wall, 0.0, 0.0, CELL_M, frontiers.xy_m, n, object_m, rows, weight, len(seen), NEAR_M,
             near,
         )  # fmt: skip
         # Region of each seen object (`at`), and of each frontier.
         at, self.region = np.empty(len(seen), np.int16), np.empty(n, np.int16)
-        regions.regions_at(self.label, 0.0, 0.0, CELL_M, thing_m, len(seen), REGION_M, at)
+        regions.regions_at(self.label, 0.0, 0.0, CELL_M, object_m, len(seen), REGION_M, at)
         regions.regions_at(self.label, 0.0, 0.0, CELL_M, frontiers.xy_m, n, REGION_M, self.region)
         by_region = np.zeros((n_regions + 1, m), np.bool_)  # objects seen in each region
         by_region[at, rows] = True
@@ -97,10 +97,10 @@ class PriorInputs:
 
 
 def gather(
-    plans: Sequence[HousePlan], things: Sequence[str], kinds: Sequence[str], seed: int = 0
+    plans: Sequence[HousePlan], classes: Sequence[str], kinds: Sequence[str], seed: int = 0
 ) -> Samples:
     """Explore every house `RUNS` times; return the samples."""
-    row_of = {name: i for i, name in enumerate(things)}
+    row_of = {name: i for i, name in enumerate(classes)}
     parts: list[tuple[np.ndarray, ...]] = []  # of each decision
     for number, plan in enumerate(plans):
         random = np.random.default_rng((seed, number))
@@ -116,7 +116,7 @@ def gather(
                 if not len(frontiers.cell):
                     break
                 if turn % _EVERY == 0:
-                    parts.append(_sample(number, explorer, frontiers, row, len(things), kind))
+                    parts.append(_sample(number, explorer, frontiers, row, len(classes), kind))
                 best = np.argmax(np.sqrt(frontiers.area_m2) / (frontiers.path_m + 1.0))
                 explorer.drive(frontiers.cell[best], _STEP_M)
     return Samples(*map(np.concatenate, zip(*parts, strict=True)))
@@ -135,16 +135,7 @@ def starting_cells(plan: HousePlan) -> np.ndarray:
 def _sample(
     number: int, explorer: Explorer, frontiers: Frontiers, row: np.ndarray, m: int, kind: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return the samples of one decision, in the order of the fields of `Samples`.
-
-    Args:
-        number: number of the house.
-        explorer: the robot.
-        frontiers: its current frontiers.
-        row: see `PriorInputs`.
-        m: see `PriorInputs`.
-        kind: (rooms,) index of the kind of each room.
-    """
+    """Return the samples of one decision, in the order of the fields of `Samples`."""
     plan, n = explorer.plan, len(frontiers.cell)
     views = PriorInputs(explorer, frontiers, row, m)
     room = _rooms(views.label, plan.room, len(kind))[views.region]
@@ -154,7 +145,7 @@ def _sample(
     wanted[row[unseen]] = True
     wanted[row[explorer.seen & (row >= 0)]] = False
     stands_near(
-        plan.wall, CELL_M, frontiers.xy_m, explorer.thing_m[unseen], plan.half_m[unseen],
+        plan.wall, CELL_M, frontiers.xy_m, explorer.object_m[unseen], plan.half_m[unseen],
         row[unseen], NEAR_M, found,
     )  # fmt: skip
     return (
@@ -177,15 +168,15 @@ def _rooms(label: np.ndarray, room: np.ndarray, n_rooms: int) -> np.ndarray:
 
 
 @jit
-def stands_near(wall, cell_m, xy_m, thing_m, half_m, row, radius_m, out):
+def stands_near(wall, cell_m, xy_m, object_m, half_m, row, radius_m, out):
     """Mark in `out` (n, m) the table's objects near each of n positions, in line of sight.
 
-    Of k objects of the house, `thing_m` (k, 2), `half_m` (k,) and `row` (k,) are position, half the
-    smaller side, and row in the table.
+    Of k objects of the house, `object_m` (k, 2), `half_m` (k,) and `row` (k,) are position, half
+    of the smaller side, and row in the table.
     """
     for i in range(len(xy_m)):
         for j in range(len(row)):
-            x, y, tx, ty = xy_m[i, 0], xy_m[i, 1], thing_m[j, 0], thing_m[j, 1]
+            x, y, tx, ty = xy_m[i, 0], xy_m[i, 1], object_m[j, 0], object_m[j, 1]
             near = (tx - x) ** 2 + (ty - y) ** 2 <= radius_m * radius_m
             if near and is_clear(wall, x, y, tx, ty, half_m[j] + WALL_GAP_M, cell_m):
                 out[i, row[j]] = True

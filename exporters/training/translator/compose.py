@@ -108,12 +108,7 @@ def load(path: Path = PHRASES) -> Phrases:
 
 
 class Composer:
-    """Source of random pairs.
-
-    Args:
-        phrases: tables to draw from.
-        rng: draws everything; the same generator gives the same pairs.
-    """
+    """Source of random pairs."""
 
     def __init__(self, phrases: Phrases, rng: Random) -> None:
         self._phrases, self._rng = phrases, rng
@@ -133,7 +128,6 @@ class Composer:
         return delexicalised(self._add_noise(self._fill_template_of(family)), family.tokens)
 
     def _fill_template_of(self, family: Family) -> str:
-        """Return a sentence of a family."""
         return self.filled(self._rng.choice(family.templates))
 
     def filled(self, template: str) -> str:

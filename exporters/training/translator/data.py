@@ -122,7 +122,7 @@ class _FormulaMatcher:
             for order in permutations(NAMES[:n]):
                 new_name = dict(zip(NAMES, order, strict=False))
                 candidate = tuple(new_name.get(token, token) for token in tokens)
-                # Without a trace that tells them apart, the formulas are equivalent.
+                # Without a trace that distinguishes them, the formulas are equivalent.
                 if (
                     distinguishing_trace(formula_of(candidate, PLAIN), formula, silent_end=True)
                     is None

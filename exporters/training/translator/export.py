@@ -56,15 +56,7 @@ def inputs_of(net: Translator, words: int, tokens: int, past: int) -> dict[str, 
 
 
 def export(net: Translator, vocabulary: Vocabulary, out: Path) -> float:
-    """Write the network as ONNX.
-
-    Args:
-        net: the network.
-        vocabulary: its tokens.
-        out: file to write.
-
-    Returns:
-        The largest difference of a logit from the network's.
+    """Write the network as ONNX; return the largest difference of a logit from the network's.
 
     Raises:
         ExportError: the difference is above `MAX_LOGIT_ERROR`.

@@ -1,4 +1,4 @@
-"""Compressed pictures as `rosbags` writes them and OpenCV compresses them, and ones that lie."""
+"""Compressed pictures as `rosbags` writes them and OpenCV compresses them, and false ones."""
 
 from __future__ import annotations
 

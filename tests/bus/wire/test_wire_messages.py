@@ -1,4 +1,4 @@
-"""Round trips, `rosbags` as the oracle in both directions, and payloads that lie."""
+"""Round trips, `rosbags` as the oracle in both directions, and false payloads."""
 
 from __future__ import annotations
 
@@ -315,7 +315,7 @@ def test_a_calibration_that_cannot_be_is_refused(fields, says):
         camera_info(**fields)
 
 
-# -- payloads that lie --------------------------------------------------------------------------
+# -- false payloads --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", PAYLOADS)

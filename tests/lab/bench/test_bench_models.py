@@ -83,7 +83,7 @@ def test_nothing_wanted_and_nothing_found():
         ([(SOFA, 0, True)], [SAME_NAME], [SOFA, [1, 1, 41, 41]], (1, 2, 1)),  # once only
         ([(SOFA, 0, True)], [SAME_NAME], [[0, 0, 40, 20]], (1, 1, 1)),
         ([(SOFA, 0, True)], [KIND_OF_PROMPT], [SOFA], (0, 0, 0)),  # an armchair, asked for a chair
-        ([(SOFA, 0, False)], [SAME_NAME], [[10, 10, 20, 20]], (0, 0, 0)),  # lies in it
+        ([(SOFA, 0, False)], [SAME_NAME], [[10, 10, 20, 20]], (0, 0, 0)),  # is in it
         ([(SOFA, 0, False)], [UNRELATED], [SOFA], (0, 1, 0)),
         ([(SOFA, 0, True), (CHAIR, 0, True)], [SAME_NAME], [CHAIR, SOFA], (2, 2, 2)),
     ],
@@ -135,7 +135,7 @@ def test_agreement_is_complete_with_itself_and_bounded(one, other):
 
 @given(pictures(), pictures(), st.lists(st.booleans(), min_size=8, max_size=8))
 def test_uncounted_objects_never_lower_a_score(seen, there, counts):
-    """Recall keeps to its things; precision can only rise when some region is left out."""
+    """Recall keeps to its objects; precision can only rise when some region is left out."""
     how = np.array([SAME_NAME, UNRELATED, UNRELATED], np.uint8)
     mine = seen.xyxy_px[seen.class_id == 0]
     all_count = GroundTruthBoxes(there.xyxy_px, there.class_id, np.ones(len(there.score), bool))
@@ -174,7 +174,7 @@ def test_frames_of_a_world_are_repeatable(demo):
     assert all(np.array_equal(a, b) for a, b in zip(small.rgb, again.rgb, strict=True))
     large = frames.from_world(demo, 3, [(64, 64), (480, 640)])
     assert large.rgb[0].shape[0] == 480
-    # The same things count, but for those at the very limit.
+    # The same objects count, but for those at the very limit.
     assert abs(large.counted - small.counted) <= 2
     assert small.counted > 0
 
@@ -193,7 +193,7 @@ def test_only_whole_visible_objects_count(demo):
         side = real.xyxy_px[:, 2:] - real.xyxy_px[:, :2]
         assert (side[real.counts].min(axis=1) >= frames.MIN_SIDE_PX).all()
         T_camera_map = invert(pose.matrix() @ rig.T_base_camera)
-        whole = [frames.whole_area_px(item, T_camera_map, rig) for item in world.objects]
+        whole = [frames.full_area_px(item, T_camera_map, rig) for item in world.objects]
         shown = {int(i) - 1 for i in np.unique(rig.ids)} - {-1}
         assert len(shown) == len(real.label)
         for k, row in zip(sorted(shown), range(len(real.label)), strict=True):

@@ -33,7 +33,7 @@ def test_too_few_starts_are_reported():
 
 
 def blocked(tmp_path, **sim):
-    """Return a house whose own start lies in a sofa."""
+    """Return a house whose own start is in a sofa."""
     corners = [(0, 0), (8, 0), (8, 6), (0, 6)]
     walls = [
         {"start": a, "end": b} for a, b in zip(corners, corners[1:] + corners[:1], strict=True)

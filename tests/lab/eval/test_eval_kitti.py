@@ -52,7 +52,7 @@ def test_a_frame_has_the_poses_of_its_sensors(tmp_path):
     seen = frame.observation
     np.testing.assert_allclose(seen.T_map_base, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(seen.T_base_lidar[:3, 3], [0, 0, kitti.LIDAR_HEIGHT_M])
-    # Camera 2 lies 0.2 m to the left of camera 0 and 0.1 m over it: P2's last column, in metres.
+    # Camera 2 is 0.2 m to the left of camera 0 and 0.1 m over it: P2's last column, in metres.
     np.testing.assert_allclose(seen.T_base_camera[:3, 3], [0.3, 0.2, 1.63 + 0.1], atol=1e-9)
     np.testing.assert_allclose(seen.T_base_camera[:3, 2], [1, 0, 0], atol=1e-12)
     assert seen.rgb[0, 0].tolist() == [200, 20, 10]
@@ -185,7 +185,7 @@ def test_a_real_street_becomes_a_scene(sequence):
     """The advertising pillar, the van behind it and the hedge, after five frames."""
     scene = kitti_scene(sequence, frames_in(sequence))
     assert scene.pose.x_m == pytest.approx(4.53, abs=0.05)
-    labels = [thing.label for thing in scene.objects.values()]
+    labels = [obj.label for obj in scene.objects.values()]
     for label in ("car", "truck", "building", "bush", "pole", "sign"):
         assert label in labels
     regions = {region.label for region in scene.regions.values()}
@@ -195,7 +195,7 @@ def test_a_real_street_becomes_a_scene(sequence):
     assert scene.regions_grid.cells[scene.regions_grid.cell_of(4.5, 0.0)] == 1
     pillar = next(o for o in scene.objects.values() if o.caption.startswith("white object"))
     np.testing.assert_allclose(pillar.position_m[:2], [31.3, 7.0], atol=1.0)
-    assert all(thing.nearest_m for thing in scene.objects.values())
+    assert all(obj.nearest_m for obj in scene.objects.values())
 
 
 def test_obstacles_are_found_by_points(tmp_path):

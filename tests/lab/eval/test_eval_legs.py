@@ -58,7 +58,7 @@ def test_a_wall_hides_the_area_behind_it():
     yaw=st.floats(-7, 7),
 )
 def test_looks_count_each_place_once(cells, x, y, yaw):
-    """Off the plan and inside things as well."""
+    """Off the plan and inside objects as well."""
     floor = floor_of(np.kron(np.array(cells).reshape(8, 8), np.ones((10, 10))))
     total = sum(floor.add_view(x, y, yaw + turn)[0] for turn in (0.0, 0.5, 0.0))
     assert total == pytest.approx((floor._seen > 0).sum() * CELL_M**2)

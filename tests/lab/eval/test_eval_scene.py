@@ -14,7 +14,7 @@ from edge.tasks.scene_builder import SceneBuilder
 def test_a_scene_description_agrees_with_the_world(tmp_path):
     """Compare described and known objects with the world.
 
-    Each lies at an object of its class in the world, and a path leads to it.
+    Each is at an object of its class in the world, and a path leads to it.
     """
     config = small_house(tmp_path, mission={"target": "bed"})
     loop = ClosedLoop(config)
@@ -29,14 +29,14 @@ def test_a_scene_description_agrees_with_the_world(tmp_path):
     kept, seen = loop.service.map, loop.observe()
     of_service = scene_of_map(kept.view, seen, kept.tracker.all, config.robot.radius_m)
     for scene in (by_survey, of_service):
-        assert "bed" in {thing.label for thing in scene.objects.values()}
+        assert "bed" in {obj.label for obj in scene.objects.values()}
         assert scene.regions
-        for thing in scene.objects.values():
-            x_m, y_m = thing.position_m[:2]
+        for obj in scene.objects.values():
+            x_m, y_m = obj.position_m[:2]
             apart = [
                 one.distance_m(x_m, y_m)
                 for one in loop.world.objects
-                if names.same_name(one.label, thing.label)
+                if names.same_name(one.label, obj.label)
             ]
-            assert min(apart) < 0.5, thing.caption
-            assert thing.nearest_m, thing.caption
+            assert min(apart) < 0.5, obj.caption
+            assert obj.nearest_m, obj.caption

@@ -30,7 +30,6 @@ def arms(config):
 
 @pytest.fixture(scope="module")
 def outcomes(session, arms):
-    """By arm, the outcomes of both goals."""
     return [run_session(arm, session) for arm in arms]
 
 

@@ -50,9 +50,9 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_views_are_counted(case):
-    things, found, expected = CASES[case]
+    objects, found, expected = CASES[case]
     counter = RecallCounter(tau_det=0.25)
-    counter.update(detections(*found), visible_boxes(*image(*things), 5.0, 3), TARGETS)
+    counter.update(detections(*found), visible_boxes(*image(*objects), 5.0, 3), TARGETS)
     assert (counter.views, counter.detected) == expected
 
 

@@ -142,7 +142,7 @@ def test_targets_are_matched_by_name_or_noun(tmp_path):
 def test_narrower_kinds_count_as_for_the_service(target, labels):
     things = [SimpleNamespace(label=name) for name in ("chair", "armchair", "desk", "dining table")]
     world = SimpleNamespace(objects=things)
-    assert [thing.label for thing in objects_meant_by(world, target)] == labels
+    assert [obj.label for obj in objects_meant_by(world, target)] == labels
 
 
 def test_area_seen_by_an_earlier_search_counts_as_revisited(tmp_path):

@@ -22,7 +22,6 @@ def words(page) -> list[str]:
 
 
 def chart(page):
-    """Return the axes inside the page."""
     return page.figure.axes[1]
 
 

@@ -36,9 +36,9 @@ def test_the_strip_is_faint_behind_an_object():
     open_way = street(picture=True)
     van = street(*STREET[:1], picture=True)
     points = np.array([[2.0, 0.0, 0.5]], np.float32)
-    thing = replace(van.objects[1], points_m=points)
+    obj = replace(van.objects[1], points_m=points)
     outline = [np.array([[0, 0], [319, 0], [319, 199], [0, 199]], np.int32)]
-    before = replace(open_way, objects={1: thing}, contours={1: outline})
+    before = replace(open_way, objects={1: obj}, contours={1: outline})
     strong, faint = (
         draw_trajectory(scene, None, AHEAD_M[20:], 0.5) for scene in (open_way, before)
     )

@@ -122,7 +122,6 @@ def opened(tab: Tab, path: Path, html: str) -> None:
 
 
 def pixels(tab: Tab, colour: tuple[int, int, int]) -> int:
-    """Return the number of pixels of a colour."""
     return tab.run(
         f"""(() => {{
           draw();

@@ -103,7 +103,7 @@ def _legend() -> str:
         f'start <i style="background:linear-gradient(90deg,{ramp})"></i> path from start to end '
         '<svg viewBox="-8 -8 16 16"><circle class="seen" r="5"/></svg>target first in view '
         '<svg viewBox="-8 -8 16 16"><path class="g f" d="M0 0h0"/></svg>frontier goal '
-        '<svg viewBox="-8 -8 16 16"><path class="g i" d="M0 0h0"/></svg>goal at a thing '
+        '<svg viewBox="-8 -8 16 16"><path class="g i" d="M0 0h0"/></svg>goal at an object '
         '<svg viewBox="-8 -8 16 16"><rect class="thing" x="-6" y="-5" width="12" height="10"/>'
         "</svg>target. Click a map to enlarge it.</p>"
     )

@@ -257,17 +257,15 @@ def _figures(
         for key in keys:
             counted = values[key][a][~np.isnan(values[key][a])]
             if METRICS[key].how == "median":
-                interval = _median(counted)
+                interval = (
+                    Interval(float(np.median(counted)), math.nan, math.nan) if len(counted) else NAN
+                )
             elif METRICS[key].how == "share":
                 interval = wilson(int(counted.sum()), len(counted))
             else:
                 interval = intervals[means.index(key)][a]
             figures[name][key] = Estimate(len(counted), interval)
     return figures
-
-
-def _median(values: np.ndarray) -> Interval:
-    return Interval(float(np.median(values)), math.nan, math.nan) if len(values) else NAN
 
 
 def arm_means(

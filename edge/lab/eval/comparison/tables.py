@@ -74,7 +74,8 @@ def tables(comparison: Comparison) -> list[ReportTable]:
 def summary(comparison: Comparison, name: str) -> ReportTable:
     """Return a table of the metrics of one of SUMMARIES, one row for each arm."""
     title, wanted = SUMMARIES[name]
-    keys = [key for key in wanted if _has_values(comparison, key)]
+    figures_of_arms = comparison.figures.values()
+    keys = [key for key in wanted if any(figures[key].n for figures in figures_of_arms)]
     head = ["arm", "n", *(METRICS[key].title for key in keys)]
     rows = []
     for arm, figures in comparison.figures.items():
@@ -175,7 +176,7 @@ def by_word(comparison: Comparison) -> ReportTable:
                 f"{found / views:.2f}" if views else DASH, str(int((ends == "").sum())),
                 *(str(int((ends == kind).sum())) for kind in FAILURES),
             ])  # fmt: skip
-    # Kinds of failures that are nowhere have no column.
+    # Kinds of failures that never occur have no column.
     used = [k for k in range(len(FAILURES)) if any(row[5 + k] != "0" for row in rows)]
     head = ("target", "arm", "n", "recall", "reached", *(FAILURES[k] for k in used))
     note = (
@@ -193,10 +194,6 @@ def _spl_sr(figures: dict[str, Estimate]) -> str:
         return DASH
     share = 100 * figures["sr"].interval.value
     return f"{bounded(figures['spl'].interval, 2)}, {share:.0f}"
-
-
-def _has_values(comparison: Comparison, key: str) -> bool:
-    return any(figures[key].n for figures in comparison.figures.values())
 
 
 def _arm_name(comparison: Comparison, index: int) -> str:

@@ -55,9 +55,6 @@ class LlmPlanner:
     answer. It is for evaluations in lockstep. It obeys the model even if that breaks the mission.
     The mission fails if the model names no target that leads on, or says DONE too early.
 
-    Args:
-        url, model, api_key_env, time_limit_s: see `mission.translator.kind: llm`.
-
     Raises:
         ChatError: the URL or the key cannot be used; from `plan`, no usable answer.
     """

@@ -75,7 +75,7 @@ def least_costs(delta, accepting, order, p_obs, value, best):
         for extra in range(value.shape[1]):
             cost_here, choice_here = value[known, extra], best[known, extra]
             cost_here[:] = np.where(accepting, 0.0, np.inf)
-            others = extra - 1  # number of unknown objects besides the target
+            others = extra - 1  # number of unknown objects other than the target
             total[:] = 0.0
             if extra > 0:
                 total[:] = extra * value[known, extra - 1]

@@ -57,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _parse_planners(text: str | None) -> tuple[str, ...]:
-    """Parse the names of planners."""
     if text is None:
         return tuple(PLANNERS)
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))

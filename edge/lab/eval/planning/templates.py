@@ -165,13 +165,13 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
     choice_inside = any(len(choices) > 1 for steps in template.branches for choices in steps[:-1])
     joint = JOINTS[0] if choice_inside and template.joint == JOINTS[1] else template.joint
 
-    def thing(i: int) -> str:
+    def noun(i: int) -> str:
         word = SPOKEN.get(objects[i], objects[i])
         return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
 
     def step(choices: Step) -> str:
         either = "either " if len(choices) > 1 else ""
-        return either + " or ".join(map(thing, choices))
+        return either + " or ".join(map(noun, choices))
 
     def branch(steps: tuple[Step, ...]) -> str:
         if template.any_order:
@@ -183,10 +183,10 @@ def sentence_of(template: Template, objects: Sequence[str]) -> str:
     sentences = ["reach " + "; or reach ".join(map(branch, template.branches))]
     if template.untils:
         constraints = [
-            f"do not reach {thing(x)} until {thing(y)} is reached" for x, y in template.untils
+            f"do not reach {noun(x)} until {noun(y)} is reached" for x, y in template.untils
         ]
         sentences.append(", and ".join(constraints))
-    sentences += [f"never reach {thing(x)}" for x in template.avoided]
+    sentences += [f"never reach {noun(x)}" for x in template.avoided]
     return " ".join(f"{s[0].upper()}{s[1:]}." for s in sentences)
 
 

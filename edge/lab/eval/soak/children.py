@@ -16,12 +16,7 @@ STOP_S = 30.0
 
 
 class ChildProcesses:
-    """Processes by name, which end with this one.
-
-    Args:
-        environ: their environment.
-        output: file of their output.
-    """
+    """Processes by name, which end with this one."""
 
     def __init__(self, environ: dict[str, str], output: IO[bytes]) -> None:
         self._environ, self._output = environ, output

@@ -81,11 +81,6 @@ def _endpoint() -> str:
 class SoakHarness:
     """Runs the service and all processes around it until it is closed.
 
-    Args:
-        config: as `soak_config` returns it.
-        out: folder of all files.
-        stop: ends a wait.
-
     Attributes:
         config_file: the service's configuration.
         children: all processes that this one has started.
@@ -270,7 +265,7 @@ class SoakHarness:
     def write_config(self, **changes: dict[str, Any]) -> None:
         """Write the service's configuration with changed keys, by section.
 
-        A section with a `kind` is replaced as a whole.
+        A section with a `kind` is replaced completely.
         """
         data = json.loads(self.config.model_dump_json(exclude={"path"}))
         for section, values in changes.items():

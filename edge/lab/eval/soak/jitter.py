@@ -27,9 +27,6 @@ class JitterSink:
     `ticks` is the number of ticks and `beats` the number of beats. `interval_ms` is the time
     between two ticks, `gap_ms` between two beats, and `tick_ms` the duration of a tick: each as
     p50, p99 and maximum.
-
-    Args:
-        clock: returns seconds.
     """
 
     def __init__(

@@ -13,9 +13,6 @@ _CHUNK_BYTES = 1 << 16
 class PipeLog:
     """Reads the pipe without blocking, and copies it to a file.
 
-    Args:
-        copy: path of the file that gets all output.
-
     Attributes:
         lines: the lines with the time of reading (`time.monotonic`), oldest first.
     """

@@ -73,7 +73,7 @@ class MissionFeeder:
         if harness.house not in self._labels:
             sim = harness.config.sim.model_copy(update={"world": harness.world})
             world = load_world(harness.config.model_copy(update={"sim": sim}))
-            labels = {thing.label for thing in world.objects}
+            labels = {obj.label for obj in world.objects}
             detector = harness.config.perception.detector
             if isinstance(detector, DetectorOnnx):
                 known = set(map(names.canonical, detector.background))

@@ -185,7 +185,9 @@ class SoakMonitor:
             "loop": status.get("loop"),
             "detector": status.get("detector"),
             "missed": latency.get("tick", {}).get("overruns"),
-            "log_a_minute": sum(map(_is_logged, harness.log.since(now_s - _MINUTE_S))),
+            "log_a_minute": sum(
+                map(bool, map(_LINE_START.match, harness.log.since(now_s - _MINUTE_S)))
+            ),
             "goals": self.counts["goals"],
             "goals_reached": self.counts["goals reached"],
             "goals_failed": self.counts["goals failed"],
@@ -209,11 +211,6 @@ def dropped(page: str) -> dict[str, int]:
     """Return the messages that became part of no observation, by reason, from `/metrics`."""
     samples = (s for family in text_string_to_metric_families(page) for s in family.samples)
     return {s.labels["reason"]: int(s.value) for s in samples if s.name == _DROPPED and s.value}
-
-
-def _is_logged(line: str) -> bool:
-    """Return True if the line is a log record. A list of threads after a signal is not one."""
-    return _LINE_START.match(line) is not None
 
 
 def _age_s(path: Path) -> float | None:

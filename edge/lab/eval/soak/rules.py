@@ -1,6 +1,6 @@
 """Rules of `edge soak`, the endurance test: what the service must keep to under faults.
 
-`RULES` must hold at every sample. `GROWTHS` limit the growth of values over the whole run.
+`RULES` must hold at every sample. `GROWTHS` limit the growth of values over the entire run.
 
 The functions named `…_problem` return the reason why a rule does not hold, or "" if it holds. A
 sample is calm if no fault is active.
@@ -125,7 +125,7 @@ class GrowthLimit:
 
     Attributes:
         part: part of a sample, `service` or `model`.
-        most_in_all: growth in the whole run that is always allowed, such as caches that fill. It
+        most_in_all: growth in the entire run that is always allowed, such as caches that fill. It
             decides in a short run.
     """
 

@@ -89,11 +89,6 @@ class SoakRun:
     """Drives one soak run: faults, missions, samples, then the verdict.
 
     Call `run`, then `conclude`.
-
-    Args:
-        harness: the started processes.
-        record: gets all that happens.
-        seed: of the order of the faults, their durations, and the missions.
     """
 
     def __init__(
@@ -215,7 +210,7 @@ class SoakRun:
     # -- the end --------------------------------------------------------------------------------
 
     def conclude(self) -> None:
-        """Judge the whole run, and stop the service."""
+        """Judge the entire run, and stop the service."""
         ran_s = time.monotonic() - self._record.began_s
         samples = rows_of_kind(self._record.rows, "sample")
         for growth in GROWTHS:

@@ -56,7 +56,7 @@ class OutdoorEpisode:
 
     Attributes:
         scene: without a camera; the robot stands at the origin of `map`.
-        cloud_m: (n, 3) float32, the whole scan in `map`.
+        cloud_m: (n, 3) float32, the entire scan in `map`.
         place: the objects from which the task is made.
         task: the instruction and its reference.
     """
@@ -214,7 +214,7 @@ def _object(
 
 
 def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
-    """Return the points (n, 3) of a scan that lie on one of these parts."""
+    """Return the points (n, 3) of a scan that are on one of these parts."""
     centers = np.array([part.center_m for part in parts], np.float32)
     halves = 0.5 * np.array([part.size_m for part in parts], np.float32) + 0.01
     # First take the points in a box around all parts, then test each part in its own frame.

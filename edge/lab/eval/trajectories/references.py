@@ -74,7 +74,7 @@ _ORDER = ("nearest", "second", "third")
 # The viewer's left is clockwise from the direction object → viewer.
 _TURN_SIGN = {"left": -1.0, "right": 1.0}  # 1: the angles of `_abeam` count counterclockwise
 _MIN_LEG_M = 3.0  # least distance between the two parts of an instruction
-_OWN_CELLS = 1.5  # how far an object's occupied cells may lie outside its outline
+_OWN_CELLS = 1.5  # how far an object's occupied cells may be outside its outline
 
 
 @dataclass(frozen=True, slots=True, eq=False)

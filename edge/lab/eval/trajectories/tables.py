@@ -103,8 +103,8 @@ def by_thing(results: TrajectoryResults) -> ReportTable:
             for key in ("success", "at it"):
                 reached = int(results.numbers[key][m, kept].sum())
                 rows[-1].append(bounded(wilson(reached, int(kept.sum())), 0, 100.0))
-    note = "At it: ends as near to the thing as the reference, on any side of it. "
-    return ReportTable("things", "By kind of thing", head, rows, note + _note(results))
+    note = "At it: ends as near to the object as the reference, on any side of it. "
+    return ReportTable("things", "By kind of object", head, rows, note + _note(results))
 
 
 def shapes(results: TrajectoryResults) -> ReportTable:

@@ -54,8 +54,7 @@ def table(outcome: TaskRun, folder: RunFolder) -> list[tuple[str, str]]:
         by_model = f"by a model, in {len(outcome.rounds)} answers"
         rows.append(("written", one_line(outcome.written.understood or by_model)))
     rows += [
-        ("object", f"{thing.id}: {one_line(thing.caption, 90)}")
-        for thing in outcome.mentioned_objects()
+        ("object", f"{obj.id}: {one_line(obj.caption, 90)}") for obj in outcome.mentioned_objects()
     ]
     if refined is not None:
         shape = f"spline of {refined.control_m:g} m" if refined.control_m else "not smoothed"

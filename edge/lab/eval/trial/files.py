@@ -32,11 +32,7 @@ COLUMNS = ("x_m", "y_m", "z_m", "heading_rad", "speed_mps", "time_s")
 class RunFolder:
     """Writes the results of `edge trajectory` as files of a folder.
 
-    Args:
-        path: path of the folder; results of an earlier run are removed.
-
     Attributes:
-        path: path of the folder.
         written: names of the files, in the order of writing.
 
     Raises:
@@ -107,7 +103,7 @@ def as_json(outcome: TaskRun) -> dict[str, object]:
         "place": outcome.view.name,
         "frame": "map",
         "understood": written.understood,
-        "objects": [thing.id for thing in outcome.mentioned_objects()],
+        "objects": [obj.id for obj in outcome.mentioned_objects()],
         "coarse": [_rounded(points) for points in written.coarse.segments],
         "regions": sorted(refined.drivable),
         "length_m": round(outcome.length_m, 3),

@@ -123,7 +123,7 @@ def capture_street(seed: int, config: Config, words: Sequence[str] | None = None
     camera.look(world.start)
     lidar.look(world.start)
     seen = camera.observation(0, 0, world.start.matrix(), lidar)
-    labels = tuple(thing.label for thing in world.objects)
+    labels = tuple(obj.label for obj in world.objects)
     cloud_m, this_street = _in_map(seen), street(seed)
     kinds = tuple(dict.fromkeys(ground.label for ground in this_street.grounds))
     truth = Segmentation(camera.ids, labels)

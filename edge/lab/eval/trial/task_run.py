@@ -68,7 +68,7 @@ class TaskRun:
 
     def mentioned_objects(self) -> list[SceneObject]:
         """Return the objects that the rules find in the instruction."""
-        return list({thing.id: thing for step in self.steps() for thing in step.things}.values())
+        return list({obj.id: obj for step in self.steps() for obj in step.objects}.values())
 
     def object_at_end(self) -> tuple[SceneObject, float] | None:
         """Return an object and its distance from the trajectory's end; None without a trajectory.
@@ -76,14 +76,14 @@ class TaskRun:
         It is the nearest of the objects in the last step, or of all objects if that step names
         none.
         """
-        last = [thing for step in self.steps()[-1:] for thing in step.things]
-        things = [t for t in last or self.view.scene.objects.values() if len(t.points_m)]
-        if self.refined is None or not things:
+        last = [obj for step in self.steps()[-1:] for obj in step.objects]
+        objects = [t for t in last or self.view.scene.objects.values() if len(t.points_m)]
+        if self.refined is None or not objects:
             return None
         end = self.refined.poses[-1, :2]
-        away = [float(np.hypot(*(thing.points_m[:, :2] - end).T).min()) for thing in things]
+        away = [float(np.hypot(*(obj.points_m[:, :2] - end).T).min()) for obj in objects]
         k = int(np.argmin(away))
-        return things[k], away[k]
+        return objects[k], away[k]
 
 
 def run_task(

@@ -10,12 +10,7 @@ from edge.perception.scoring.choice.server import ServerFrontierScorer
 
 
 class FallbackScorer:
-    """A scorer of views (`ViewScorer`) of two; see `FallbackModel`.
-
-    Args:
-        remote: answers while its server does.
-        local: the `ViewScorer` that answers otherwise.
-    """
+    """A scorer of views (`ViewScorer`) of two; see `FallbackModel`."""
 
     def __init__(self, remote: ServerFrontierScorer, local: Any) -> None:
         self.name = remote.name

@@ -52,9 +52,6 @@ class MarkNetwork:
 
     Call `ask` from one thread at a time.
 
-    Args:
-        providers, threads, device_id: see `open_session`.
-
     Raises:
         ModelError: the model is missing or unusable, its first run fails, or the text encoder's
             embeddings have another length.
@@ -167,10 +164,6 @@ class MarkInput(NamedTuple):
 class MarkScorer:
     """A scorer (`edge.perception.worker`) of views, by a mark network.
 
-    Args:
-        network: the network, here or in its own process.
-        limit_s: time limit of both questions together.
-
     Attributes:
         name: name of the network's card.
     """
@@ -201,10 +194,7 @@ class MarkScorer:
         return MarkInput(view, image, rows, view.mark_costs.others)
 
     def answer(self, prepared: MarkInput) -> FrontierChoice | None:
-        """Get both answers at once.
-
-        Returns:
-            None if there is no mark to choose from.
+        """Get both answers at once; None if there is no mark to choose from.
 
         Raises:
             PromptError: the text encoder does not know the target.

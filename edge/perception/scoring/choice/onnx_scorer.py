@@ -64,11 +64,6 @@ class ModelPrompt(NamedTuple):
 class OnnxFrontierScorer:
     """A scorer (`edge.perception.worker`) of views, by a local language model.
 
-    Args:
-        model: the model, here or in its own process.
-        max_image_px: longest side of the image with letters.
-        time_limit_s: time limit of both questions together.
-
     Attributes:
         name: name of the model's card.
     """

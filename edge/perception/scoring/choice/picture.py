@@ -172,7 +172,7 @@ def _around(spot: tuple[float, float], radius: int) -> Iterator[tuple[float, flo
 
 
 def _fits(at: tuple[float, float], size: tuple[int, int], radius: int) -> bool:
-    """Return True if a disc lies inside the image."""
+    """Return True if a disc is inside the image."""
     return all(radius <= x <= side - 1 - radius for x, side in zip(at, size, strict=True))
 
 

@@ -148,7 +148,7 @@ def direction_question(n_marks: int, target: str) -> str:
 
 
 def scene_question(target: str) -> str:
-    """Return the yes-no question about the view as a whole."""
+    """Return the yes-no question about the entire view."""
     return SCENE.format(target=target)
 
 

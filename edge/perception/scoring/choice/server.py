@@ -47,10 +47,6 @@ class ServerPrompt:
 def picture_prompt(max_px: int, view: MarkedView) -> ServerPrompt:
     """Make a prompt with a copy of the image with letters; nothing of the observation is kept.
 
-    Args:
-        max_px: longest side of the copy.
-        view: image and marks.
-
     Raises:
         ValueError: the observation has no image.
     """

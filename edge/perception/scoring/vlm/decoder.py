@@ -123,15 +123,12 @@ class Decoder:
         return np.pad(rows, ((0, 0), (0, len(self.deepstack) * rows.shape[1])))
 
     def read(self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache) -> KeyValueCache:
-        """Read more tokens.
+        """Read more tokens; return the cache with the new tokens.
 
         Args:
             rows: n tokens, at least one: (n, d) embeddings, or (n,) ids if `takes_ids`.
             places: (3, n) int64; see `pictures.positions`.
             past: cache of the tokens read before.
-
-        Returns:
-            The cache with the new tokens.
         """
         return self._run(rows, places, past, self._presents)[0]
 
@@ -144,12 +141,6 @@ class Decoder:
         self, rows: np.ndarray, places: np.ndarray, past: KeyValueCache, wanted: Sequence[str]
     ) -> tuple[KeyValueCache, np.ndarray]:
         """Run the decoder on more tokens; see `read`.
-
-        Args:
-            rows: see `read`.
-            places: see `read`.
-            past: see `read`.
-            wanted: names of the outputs to compute.
 
         Returns:
             (cache of the wanted key and value outputs, logits or an empty array).

@@ -97,7 +97,7 @@ class _Normalise:
 
 
 def _size(settings: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
-    """Return a setting that must be a whole number of 1 to `most`; raise KeyError or ValueError."""
+    """Return a setting that must be an integer of 1 to `most`; raise KeyError or ValueError."""
     found = int(settings[key] if default is None else settings.get(key, default))
     if not 1 <= found <= most:
         raise ValueError(f"{key} is {found}, expected 1 to {most}")
@@ -107,7 +107,7 @@ def _size(settings: dict[str, Any], key: str, most: int, default: int | None = N
 def _idefics3(
     settings: dict[str, Any], files: ModelFiles, image_token: str, most_tokens: int
 ) -> Prepare:
-    """Prepare images for Idefics3 and SmolVLM: one square of the whole image, and tiles."""
+    """Prepare images for Idefics3 and SmolVLM: one square of the entire image, and tiles."""
     side = _size(settings["max_image_size"], "longest_edge", MAX_EDGE_PX)
     longest = min(_size(settings["size"], "longest_edge", 1 << 30), MAX_EDGE_PX)
     resample = Image.Resampling(settings.get("resample", 1))
@@ -115,8 +115,8 @@ def _idefics3(
     per_square = _size(files.processor, "image_seq_len", 1 << 30, 169)  # tokens of a square
     _check_limit(most_tokens, per_square)
     most_squares = most_tokens // per_square if settings.get("do_image_splitting", True) else 1
-    # Texts of Idefics3's prompt: around each square, before the whole image, and of one square.
-    around, whole, square_tokens = (
+    # Texts of Idefics3's prompt: around each square, before the entire image, and of one square.
+    around, overview, square_tokens = (
         "<fake_token_around_image>", "<global-img>", image_token * per_square
     )  # fmt: skip
 
@@ -142,7 +142,7 @@ def _idefics3(
         pixels = np.stack([normalise(square) for square in squares])[None]
         mask = np.ones((1, len(squares), side, side), bool)
         feeds = {"pixel_values": pixels, "pixel_attention_mask": mask}
-        return PreparedImage(feeds, f"{text}{around}{whole}{square_tokens}{around}", None)
+        return PreparedImage(feeds, f"{text}{around}{overview}{square_tokens}{around}", None)
 
     return prepare
 

@@ -26,7 +26,7 @@ def record(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> 
 
 
 def failure(episode: str = "house-0/bed/0", arm: str = "hvl", **changes: Any) -> EpisodeOutcome:
-    """One that used its path up and never saw the thing."""
+    """One that used its path up and never saw the object."""
     fields = {
         "success": False, "reason": "path limit", "failure": "never seen", "path_m": 40.0,
         "distance_m": 4.0, "left_m": 5.0, "first_sight_s": None, "first_sight_path_m": None,

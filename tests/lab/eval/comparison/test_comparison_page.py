@@ -36,7 +36,6 @@ def page_of(records, drawings=None) -> str:
 
 
 def points(path: str) -> list[tuple[int, int]]:
-    """Return the vertices of a path of one polyline."""
     start, _, steps = path.removeprefix("M").partition("l")
     x, y = map(int, start.split())
     found, numbers = [(x, y)], list(map(int, re.findall(r"-?\d+", steps)))

@@ -99,7 +99,6 @@ class Exploration:
         )
 
     def _left(self, state):
-        """Return the steps to acceptance."""
         if not hasattr(self, "_steps"):
             graph = nx.DiGraph()
             graph.add_nodes_from(range(self.a.n_states))

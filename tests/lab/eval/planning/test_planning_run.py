@@ -47,9 +47,9 @@ def test_runs_and_writes(tmp_path, capsys):
         (("--p-obs", "nan"), "above 0"),
         (("--p-obs", "half"), "expected probabilities such as 0.5,1, got 'half'"),
         (("--p-obs", ""), "expected probabilities"),
-        (("--n", "0"), "expected a whole number from 1, got"),
-        (("--episodes", "-1"), "expected a whole number from 1, got"),
-        (("--seed", "-1"), "expected a whole number from 0 to 2**63 - 1, got -1"),
+        (("--n", "0"), "expected an integer from 1, got"),
+        (("--episodes", "-1"), "expected an integer from 1, got"),
+        (("--seed", "-1"), "expected an integer from 0 to 2**63 - 1, got -1"),
         (("--jobs", "two"), "invalid"),
     ],
 )

@@ -77,7 +77,6 @@ def test_a_cut_off_recording_is_replayed_to_its_end(tmp_path, drive):
 
 
 def flipped(drive: bytes) -> bytes:
-    """Return the recording with one bit flipped."""
     at = len(drive) // 2
     return drive[:at] + bytes([drive[at] ^ 1]) + drive[at + 1 :]
 

@@ -24,7 +24,7 @@ def thing(number: int, label: str, x_m: float, y_m: float, look: str = "", side_
 
 
 def place(*things: Landmark, walls=()) -> ReferenceScene:
-    """Ground of 40 m by 40 m in cells of 0.2 m, with things and walls (x0, x1, y0, y1)."""
+    """Ground of 40 m by 40 m in cells of 0.2 m, with objects and walls (x0, x1, y0, y1)."""
     grid = Grid(np.zeros((200, 200), np.int8), (-20.0, -20.0), 0.2)
     x, y = np.moveaxis(grid.centres_m(*np.indices((200, 200))), -1, 0)
     ends = [(one.outline_m.min(axis=0), one.outline_m.max(axis=0)) for one in things]

@@ -31,8 +31,8 @@ def test_an_episode_is_whole(source, request):
         assert one.source == source
         assert contacts(task.reference_m, one.truth, one.robot_m) == 0
         np.testing.assert_allclose(task.reference_m[0], (scene.pose.x_m, scene.pose.y_m))
-        labels = [thing.label for thing in scene.objects.values()]
-        things = {thing.id: thing for thing in one.landmarks}
+        labels = [obj.label for obj in scene.objects.values()]
+        things = {obj.id: obj for obj in one.landmarks}
         for number in task.landmarks:
             assert things[number].label in labels
             assert things[number].label in task.instruction
@@ -56,7 +56,7 @@ def test_frames_of_different_sequences_are_different_places(shared_dir):
 
 
 def test_a_blind_detector_changes_the_scene_but_not_the_task(shared_dir):
-    """A chain that sees nothing: the same tasks and references, no things, ground without kinds.
+    """A chain that sees nothing: the same tasks and references, no objects, ground without kinds.
 
     It is asked for what the instruction names, and if it lacks a word, for its own.
     """

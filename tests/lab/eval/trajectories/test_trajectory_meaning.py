@@ -21,8 +21,8 @@ from edge.lab.sim.generator.rng import PortableRng
 CAR, VAN = thing(1, "car", 10.0, 0.0), thing(2, "van", 16.0, 3.0)
 
 
-def all_of(kind, *things, walls=()):
-    return list(possible_tasks(place(*things, walls=walls), kind, PortableRng(1)))
+def all_of(kind, *objects, walls=()):
+    return list(possible_tasks(place(*objects, walls=walls), kind, PortableRng(1)))
 
 
 @pytest.mark.parametrize("kind", KINDS)

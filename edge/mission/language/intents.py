@@ -52,7 +52,7 @@ class MemoryQuestion:
     Attributes:
         topic: "where" and "exists" ask for objects of the name `about`; "rooms", "places" and
             "seen" for all that are known; "self" for the robot's own place; "doing" for the state
-            of the mission; "help" for what can be said.
+            of the mission; "help" for the possible instructions.
         about: a name without an article, which may be related to another one, as in "mug on the
             table". For "seen", what the objects are near. "" if the topic needs none.
         room: only objects in this room; "" for all.
@@ -63,8 +63,8 @@ class MemoryQuestion:
     room: str = ""
 
     @property
-    def thing(self) -> str:
-        """The thing with its article and its room: "the mug in the kitchen"."""
+    def object_phrase(self) -> str:
+        """The object with its article and its room: "the mug in the kitchen"."""
         return f"the {self.about}" + (f" in the {self.room}" if self.room else "")
 
 
@@ -88,35 +88,35 @@ class Control:
 
     Attributes:
         do: "pause" stops the robot, "resume" goes on, and "cancel" ends the mission.
-        seconds: length of a pause; None until it is told to go on.
+        seconds: length of a pause; None: until an order to go on.
     """
 
     do: Literal["pause", "resume", "cancel"]
     seconds: float | None = None
 
 
-UtteranceKind = Union[MissionOrder, MemoryQuestion, SiteOrder, Control]
+Intent = Union[MissionOrder, MemoryQuestion, SiteOrder, Control]
 
 
 class NoMissionError(UnclearError):
     """An utterance that is a question, an order to learn, or about the present mission.
 
     Attributes:
-        said: the kind of the utterance, with its parts.
+        intent: the kind of the utterance, with its parts.
     """
 
-    def __init__(self, said: MemoryQuestion | SiteOrder | Control) -> None:
+    def __init__(self, intent: MemoryQuestion | SiteOrder | Control) -> None:
         what = {
             MemoryQuestion: "a question, which memory answers",
             SiteOrder: "an order to learn",
             Control: "about the present mission",
-        }[type(said)]
+        }[type(intent)]
         super().__init__(f"instruction: no mission, but {what}; send it to the running service")
-        self.said = said
+        self.intent = intent
 
 
 _IN_A_MISSION = ("keep_out", "stay_inside", "pause")  # `do` of orders that a mission may contain
-_OBJECT_SLOTS = ("thing", "name", "anchor", "room")  # slots whose text must not be vague
+_OBJECT_SLOTS = ("object", "name", "anchor", "room")  # slots whose text must not be vague
 _ZONE_KINDS = ("keep_out", "stay_inside", "open")  # `do` of orders whose room may also be a site
 _QUESTION_REWRITES = (
     # "somebody put the mug on the desk, is that right?"
@@ -157,7 +157,7 @@ _AND_GO = re.compile(
     r"search for|locate) (?:it|them))(?=[.,;!?]|$| (?:and|then|but)\b)(?P<rest>.*)$",
     re.I,
 )
-"""A question about a thing, and the order to go there: "where is the mug? Go there"."""
+"""A question about an object, and the order to go there: "where is the mug? Go there"."""
 _WHETHER_THERE = re.compile(
     r"^(?:find out|figure out|check|see|look|tell me)(?: for me)? (?:if|whether) there (is|are)\b",
     re.I,
@@ -166,7 +166,7 @@ _REMEMBER = re.compile(
     rf"(?:remember|memori[sz]e|save|store|note) {NAME}(?:(?:,| and| or)+ {NAME})*[.!]*", re.I
 )
 """An order to remember that does not say as what; the grammar would read a visit."""
-_SEVERAL_KINDS = "instruction: say one thing at a time: an errand, a question, or what to remember"
+_SEVERAL_KINDS = "instruction: say one at a time: an errand, a question, or what to remember"
 
 
 @lru_cache(maxsize=1)
@@ -176,11 +176,11 @@ def _templates() -> dict[str, list[re.Pattern[str]]]:
     return {kind: compile_templates(lines, PARTS) for kind, lines in templates.items()}
 
 
-def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
+def understand(utterance: str, sites: Collection[str] = ()) -> Intent:
     """Return the kind of an utterance with its parts.
 
     Args:
-        said: the person's words.
+        utterance: the words of a person.
         sites: names of places, rooms and zones; the robot can keep out of them as out of rooms.
 
     Raises:
@@ -192,7 +192,7 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
         >>> understand("Please stay out of the bathroom.").do
         'keep_out'
     """
-    speech = tidy_up(said)
+    speech = tidy_up(utterance)
     if (kind := _classify(speech.text, sites)) is not None:
         return kind
     if _REMEMBER.fullmatch(speech.text):
@@ -203,7 +203,7 @@ def understand(said: str, sites: Collection[str] = ()) -> UtteranceKind:
     if _GO_AND_LOOK.fullmatch(strip_politeness(order.strip(" .!"))):
         asked = _classify(f"{question}?", sites)
         if isinstance(asked, MemoryQuestion) and asked.topic == "exists":
-            check = f"check if there is a {asked.thing.removeprefix('the ')}"
+            check = f"check if there is a {asked.object_phrase.removeprefix('the ')}"
             return MissionOrder(replace(speech, text=check))
     if (order_to_find := _as_search(speech.text, sites)) is not None:
         return MissionOrder(replace(speech, text=order_to_find))
@@ -232,14 +232,14 @@ def _as_search(text: str, sites: Collection[str]) -> str | None:
         return None
     if asked.topic not in ("where", "exists") or re.match("which|how", question, re.I):
         return None
-    return f"go to {asked.thing}{found['rest']}"
+    return f"go to {asked.object_phrase}{found['rest']}"
 
 
-def _may_be_in_a_mission(kind: UtteranceKind) -> bool:
+def _may_be_in_a_mission(kind: Intent) -> bool:
     return isinstance(kind, (SiteOrder, Control)) and kind.do in _IN_A_MISSION
 
 
-def _may_be_order(piece: str, kind: UtteranceKind | None) -> bool:
+def _may_be_order(piece: str, kind: Intent | None) -> bool:
     """Return True if a piece may say more than to stop."""
     if kind is not None:
         return kind != Control("pause")
@@ -268,8 +268,8 @@ def _without_punctuation(text: str) -> str:
     return " ".join(text.split())
 
 
-def _classify(text: str, sites: Collection[str]) -> UtteranceKind | None:
-    """Return the first kind whose template fits the whole text; None for a mission.
+def _classify(text: str, sites: Collection[str]) -> Intent | None:
+    """Return the first kind whose template fits the entire text; None for a mission.
 
     No slot extends over a comma: "it is over, room 6 is open again" is not about "over room 6".
     """
@@ -291,8 +291,8 @@ def _is_place_name(name: str) -> bool:
     last = plain.split()[-1]
     if is_marked(plain) or re.fullmatch(rf".*\bcorner|{phrase_of('room of')}(?: area)?", plain):
         return True
-    thing = name.lower().startswith("the ") and nouns.is_noun(last)
-    return last not in NOWHERE and (thing or nouns.is_place(plain))
+    is_object = name.lower().startswith("the ") and nouns.is_noun(last)
+    return last not in NOWHERE and (is_object or nouns.is_place(plain))
 
 
 def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
@@ -319,11 +319,11 @@ def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> b
     )
 
 
-def _make_kind(kind: str, slots: Mapping[str, str]) -> UtteranceKind:
+def _make_kind(kind: str, slots: Mapping[str, str]) -> Intent:
     """Return a matched utterance."""
     room = bare(slots.get("room", ""))
     if kind in QUESTIONS:
-        about, relation = bare(slots.get("thing", "")), slots.get("relation", "").lower()
+        about, relation = bare(slots.get("object", "")), slots.get("relation", "").lower()
         anchor = bare(slots.get("anchor", ""))
         about, room = about.removesuffix(" left"), bare(slots.get("within", "")) or room
         if relation in ("in", "inside", "at", "on") and is_room(anchor):

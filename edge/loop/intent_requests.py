@@ -1,8 +1,8 @@
 """Answers to instructions that are no mission: questions, and orders to learn a place or zone.
 
-`said` is what the parser of instructions understood (`edge.mission.language.said`). The site holds
-the places and zones that people gave (`service.site.site`); `service.site.known` has the place
-`start` in addition.
+The parser of instructions gives the intent (`edge.mission.language.intents`). The site holds the
+places and zones that people gave (`service.site.site`); `service.site.known` has the place `start`
+in addition.
 
 `edge.loop.requests` calls `carry_out` for them: "where is the mug?", "this is the kitchen".
 """
@@ -22,7 +22,7 @@ from edge.geometry import SE2
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory.site import is_same
-from edge.mission.language.said import MemoryQuestion, SiteOrder
+from edge.mission.language.intents import MemoryQuestion, SiteOrder
 from edge.text import one_line
 
 if TYPE_CHECKING:
@@ -37,29 +37,21 @@ _HELP = (
 _NEAR_M = 1.5  # distance between the centres of two objects that are near each other
 
 
-def carry_out(service: Service, said: MemoryQuestion | SiteOrder, now_ns: int) -> str:
+def carry_out(service: Service, intent: MemoryQuestion | SiteOrder, now_ns: int) -> str:
     """Answer a question, or change the site as ordered; return the answer in one line.
 
     Raises:
         UserError: it cannot be done. Nothing has changed then.
     """
-    if isinstance(said, MemoryQuestion):
-        return _answer(service, said, now_ns)
-    return _change_site(service, said, now_ns)
+    if isinstance(intent, MemoryQuestion):
+        return _answer(service, intent, now_ns)
+    return _change_site(service, intent, now_ns)
 
 
 def _call_handler(
     handle: Any, verbs: Mapping[str, Verb], service: Service, now_ns: int, **data: Any
 ) -> dict:
-    """Check a request like one that came over the bus, and return its answer.
-
-    Args:
-        handle: Handler of the requests: `handle_memory` or `handle_site`.
-        verbs: Verbs of these requests.
-        service: The running service.
-        now_ns: Loop time.
-        data: The request: `do`, and the fields of that verb.
-    """
+    """Check a request like one that came over the bus, and return its answer."""
     try:
         do, fields = read_request(json.dumps(data).encode(), verbs)
     except ValueError as error:
@@ -68,30 +60,30 @@ def _call_handler(
     return answer
 
 
-def _answer(service: Service, said: MemoryQuestion, now_ns: int) -> str:
+def _answer(service: Service, intent: MemoryQuestion, now_ns: int) -> str:
     """Return the answer to a question in one line."""
-    if said.topic in ("where", "exists"):
-        name = names.head_phrase(said.about)
+    if intent.topic in ("where", "exists"):
+        name = names.head_phrase(intent.about)
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
-        in_room = _in_room(service, answer["objects"], said.room)
+        in_room = _in_room(service, answer["objects"], intent.room)
         text = str(answer["text"])
-        if said.room and answer["objects"] and not in_room:
-            return f"none in the {one_line(said.room)}; {text}"
-        return f"yes, {text}" if said.topic == "exists" and in_room else text
-    if said.topic == "seen":
+        if intent.room and answer["objects"] and not in_room:
+            return f"none in the {one_line(intent.room)}; {text}"
+        return f"yes, {text}" if intent.topic == "exists" and in_room else text
+    if intent.topic == "seen":
         answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="list")
-        in_room = _in_room(service, answer["objects"], said.room)
-        if said.about:
-            return _seen_near(service, said.about, in_room, now_ns)
+        in_room = _in_room(service, answer["objects"], intent.room)
+        if intent.about:
+            return _seen_near(service, intent.about, in_room, now_ns)
         return _counted_names("seen", [one["name"] for one in in_room])
-    if said.topic == "doing":
+    if intent.topic == "doing":
         status = service.status
         return ": ".join(filter(None, (status.instruction, status.phase, status.reason)))
-    if said.topic == "help":
+    if intent.topic == "help":
         return _HELP
-    if said.topic == "places":
+    if intent.topic == "places":
         return _counted_names("places", [place.name for place in service.site.known.places])
-    if said.topic == "rooms":
+    if intent.topic == "rooms":
         return _counted_names("rooms", [room.title for room in service.map.rooms.rooms])
     # "where are you?"
     pose = _pose(service)
@@ -123,7 +115,7 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
 def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) -> str:
     """Return what is near the known objects of a name, or that there are none.
 
-    The memory has no surfaces, so it cannot tell what is on an object from what is next to it.
+    The memory has no surfaces, so it cannot distinguish objects on an object from those next to it.
     """
     answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
     # Without an object of this name, the answer has similar ones.
@@ -152,19 +144,19 @@ def _counted_names(title: str, found: list[str]) -> str:
     return f"{title}: {', '.join(shown) or 'none'}{more}"
 
 
-def _change_site(service: Service, said: SiteOrder, now_ns: int) -> str:
+def _change_site(service: Service, intent: SiteOrder, now_ns: int) -> str:
     """Add or remove a place, room name or zone; return the answer in one line."""
     data: dict[str, Any]
-    if said.do == "place":
-        data = {"do": "set", "name": said.name}
-    elif said.do == "room":
-        data = {"do": "set", "kind": "room", "name": said.name}
-    elif said.do in ("keep_out", "stay_inside"):
-        data = {"do": "set", "kind": said.do, "room": said.name or _room_here(service)}
-    elif said.do == "open":
-        data = {"do": "remove", "name": _zone_to_open(service, said.name)}
+    if intent.do == "place":
+        data = {"do": "set", "name": intent.name}
+    elif intent.do == "room":
+        data = {"do": "set", "kind": "room", "name": intent.name}
+    elif intent.do in ("keep_out", "stay_inside"):
+        data = {"do": "set", "kind": intent.do, "room": intent.name or _room_here(service)}
+    elif intent.do == "open":
+        data = {"do": "remove", "name": _zone_to_open(service, intent.name)}
     else:
-        data = {"do": "remove", "name": said.name}
+        data = {"do": "remove", "name": intent.name}
     return str(_call_handler(handle_site, SITE_VERBS, service, now_ns, **data)["text"])
 
 
