@@ -10,6 +10,7 @@ from small_house import HOUSE, driven
 
 from edge.bus.verbs import Request, read_request
 from edge.errors import UserError
+from edge.geometry import SE2
 from edge.lab.eval.closed_loop import ClosedLoop
 from edge.loop.behaviours.room_targets import is_closed
 from edge.loop.memory_requests import MEMORY_VERBS, handle_memory
@@ -17,6 +18,7 @@ from edge.loop.requests import handle_mission
 from edge.loop.site_requests import SITE_VERBS, handle_site
 from edge.memory import RoomName, Site, Zone
 from edge.mission.spec import prepare
+from edge.types import GoalStatus
 
 LIVING, KITCHEN = (1.6, 1.4), (8.5, 2.0)
 KITCHEN_X_M, KITCHEN_Y_M = (6.0, 11.0), (0.0, 4.0)  # of the built-in house
@@ -211,3 +213,18 @@ def test_a_patrol_of_the_house_visits_each_room_in_each_round(tmp_path):
     assert loop.service.status.phase == "reached", loop.notes.events
     tours = [text for text in loop.notes.events if text.startswith("reached: every room (was in ")]
     assert len(tours) == 2, loop.notes.events
+
+
+def test_a_tour_leaves_out_a_room_that_the_robot_cannot_get_into(tmp_path, monkeypatch):
+    loop = driven("visit all rooms", seconds=0.0, folder=tmp_path)
+    accept = loop.controller.on_goal
+
+    def refuse_bedroom(stamp_ns: int, goal: SE2) -> list[GoalStatus]:
+        if goal.x_m > 4.0:
+            return [GoalStatus(stamp_ns, "failed", "the door is closed")]
+        return accept(stamp_ns, goal)
+
+    monkeypatch.setattr(loop.controller, "on_goal", refuse_bedroom)
+    status = loop.run(200.0).service.status
+    assert status.phase == "reached", loop.notes.events
+    assert status.reason.startswith("was in 1 room: living room; did not get into: "), status.reason
