@@ -18,7 +18,7 @@ OPENER = re.compile(
 CLASS = re.compile(r"^ *class ([A-Za-z]\w*)", re.MULTILINE)
 BANNED = re.compile(
     r"\b(anew|beside|whoever|whomever|whosoever|wherever|taken up|takes up|amiss|aught|naught|"
-    r"thereof|therein|whereof|whereby|ere|dearer|foretold)\b",
+    r"thereof|therein|whereof|whereby|ere|dearer|foretold|sought|besides|seldom)\b",
     re.IGNORECASE,
 )
 """Words of the old dialect."""

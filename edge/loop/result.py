@@ -134,8 +134,8 @@ class TickResult:
         mission: Returns state, plan and log of the mission.
         task: Returns the trajectory of a task and its progress; None if there is no task.
         instances: Returns copies of the instances of all targets that are worth driving to, best
-            first for each target. An instance that matches two targets is listed twice. Nobody
-            writes to the arrays of the copies.
+            first for each target. An instance that matches two targets is listed twice. The
+            arrays of the copies never change.
         objects: Returns the remembered objects, the most confident first, `MAX_OBJECTS` at most.
         rooms: Rooms of the map, by id.
         site: Places and zones, with the place `start`.

@@ -153,7 +153,7 @@ class RollingMap:
 
         Args:
             small_too: True: cells of other obstacles that are no larger than a person become
-                unknown. Somebody may have stood there when the floor was first seen.
+                unknown. A person may have stood there when the floor was first seen.
         """
         cells = cells_to_forget(self.layers.raw, self.window, self._footprint.cell, small_too)
         for x, y, arrived in cells:

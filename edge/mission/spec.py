@@ -146,9 +146,9 @@ def prepare(
 
     Args:
         config: the `mission` section.
-        instruction: text for the configured translator. Its sender can choose a reading. Nobody may
-            be present to choose a reading of the configuration's own instruction, so the safer one
-            is taken (see `Translator.translate`).
+        instruction: text for the configured translator. Its sender can choose a reading. For the
+            configuration's own instruction the safer reading is taken, as no person may be there
+            to choose (see `Translator.translate`).
         formula: linear temporal logic, instead of an instruction. With neither, the instruction
             or the target of the configuration is used.
         reading: the chosen reading of the given instruction, counted from 1. For the

@@ -191,7 +191,7 @@ class Pursuit(Generic[DestinationType]):
         left_s = self._asked_at_s + _ASK_S - mission.pursued_now_s
         mission.activity = f"{text}; waiting for `edge mission confirm`, {time_left(left_s)}"
         if left_s <= 0:
-            mission.abandon_target(f"{text}; nobody confirmed it within {_ASK_S:g} s", now_ns)
+            mission.abandon_target(f"{text}; not confirmed within {_ASK_S:g} s", now_ns)
 
     def _describe(self, probable: ProbableObject) -> str:
         """Return the score of an object and its possible names: "probably, 0.31: sofa or bench"."""
