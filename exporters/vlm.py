@@ -142,15 +142,6 @@ class TorchReference:
         return found.logits[0, -1].numpy()
 
 
-def cache_shape(text: Any) -> tuple[int, int]:
-    """Return number of heads and size of a head, of a language model's keys and values.
-
-    `text` is the configuration of the language model.
-    """
-    size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
-    return text.num_key_value_heads, size
-
-
 def _inputs(feeds: dict[str, np.ndarray]) -> dict[str, Any]:
     """Rename inputs of the vision encoder's ONNX to those of transformers."""
     renamed = {"grid_thw": "image_grid_thw"}
@@ -285,8 +276,9 @@ def traced(networks: Networks) -> Iterator[dict[str, Path]]:
     Yields:
         Path by name; the files exist until the block ends.
     """
-    layers = networks.text.num_hidden_layers
-    heads, size = cache_shape(networks.text)
+    text = networks.text  # configuration of the language model
+    layers, heads = text.num_hidden_layers, text.num_key_value_heads
+    size = getattr(text, "head_dim", None) or text.hidden_size // text.num_attention_heads
     n, n_past = TRACED_TOKENS, TRACED_PAST
     cached_names = [f"{i}.{kind}" for i in range(layers) for kind in ("key", "value")]
     positions = torch.arange(n_past, n_past + n)[None]

@@ -173,21 +173,17 @@ class VariantBuilder:
                 check_format(temporary)
             return [out]
         if precision in ("fp16", "q4f16"):
-            in_fp32 = _float32_nodes(model, feeds if fits_one_file else [], name)
+            recipe = RECIPES[name]
+            if feeds and fits_one_file:
+                in_fp32 = kept_nodes(model, feeds, recipe)
+            else:
+                in_fp32 = set(nodes_like(model, recipe.not_fp16))
             model = to_fp16(model, in_fp32, float16_io_prefixes=CACHED)
             if precision == "q4f16":
                 model = quantize_weights(model, "q4")
         else:
             model = quantize_weights(model, precision)
         return save_network(model, out)
-
-
-def _float32_nodes(
-    model: onnx.ModelProto, feeds: list[dict[str, np.ndarray]], name: str
-) -> set[str]:
-    """Return the nodes that stay in float32; without feeds, only those of the recipe."""
-    recipe = RECIPES[name]
-    return kept_nodes(model, feeds, recipe) if feeds else set(nodes_like(model, recipe.not_fp16))
 
 
 class OnnxReference:

@@ -41,7 +41,9 @@ def main(make: Make = make_detector) -> int:
     try:
         perception = config.PerceptionConfig.model_validate(request["perception"])
         detector = make(perception, request["prompts"], progress)
-        _run_empty(detector)
+        # Compile all kernels. Else the first real image would wait, which looks like a hang.
+        detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
+        detector.invalid_boxes = 0  # that image was not from a camera
     except Exception as error:
         control.send(wire.encode_error(error))
         return 1
@@ -53,15 +55,6 @@ def main(make: Make = make_detector) -> int:
         log.exception("model %s: its process ends after an error", detector.name)
         os._exit(1)  # `check_prompts` blocks in recv for ever
     return 0
-
-
-def _run_empty(detector: Detector) -> None:
-    """Detect in an empty image, so that all kernels are compiled.
-
-    Else the first real image would wait for them, which looks like a hang.
-    """
-    detector.detect(Observation(0, 0, np.eye(4), rgb=np.zeros((64, 64, 3), np.uint8)))
-    detector.invalid_boxes = 0  # this image is not from a camera
 
 
 def check_prompts(control: socket.socket, detector: Detector) -> None:

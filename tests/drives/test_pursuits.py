@@ -148,7 +148,7 @@ def test_a_check_in_a_room_looks_only_there(formula, answer, tmp_path):
 
 
 @pytest.mark.parametrize(("obj", "phase"), [("sofa", "reached"), ("bed", "failed")])
-def test_an_object_in_a_named_room_is_sought_only_there(obj, phase, tmp_path):
+def test_an_object_in_a_named_room_is_searched_for_only_there(obj, phase, tmp_path):
     den = Site((RoomName("den", (2.0, 2.0)),))
     loop = loop_of(tmp_path, "F start")
     loop.service.change_site(den, loop.drive.motion.stamp_ns)

@@ -66,13 +66,13 @@ def test_an_absent_target_is_given_up_after_a_second_look(tmp_path):
     assert max(xs) > 5.5  # all along the room
 
 
-def test_a_later_mission_finds_an_object_that_was_not_sought(tmp_path):
+def test_a_later_mission_finds_an_object_that_was_not_searched_for(tmp_path):
     loop = ClosedLoop(room(tmp_path, "F armchair"), colour=False).run(100)
     assert loop.service.status.phase == "reached"
     begin(loop, "F toilet")
     assert loop.service.status.phase == "reached", loop.service.status
     assert loop.distance_m("toilet") <= 1.0
-    # Then back to the first target, which the camera saw while it was not sought.
+    # Then back to the first target, which the camera saw while it was not a target.
     begin(loop, "F desk")
     path_m = loop.drive.motion.pose.distance_to(2.5, 0.6)
     begin(loop, "F armchair")

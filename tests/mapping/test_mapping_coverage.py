@@ -89,7 +89,7 @@ def random_world(seed: int, n: int = 128):
     return rng, layers, raw, looks, stored, shift, origin
 
 
-def test_nothing_is_sought_before_a_camera_looked():
+def test_nothing_is_searched_before_a_camera_looked():
     assert searched(explored()) is None
 
 

@@ -248,33 +248,20 @@ def _may_be_order(piece: str, kind: Intent | None) -> bool:
     return named or has_order(words) or not {"to", "into", "then", "not", "but"}.isdisjoint(words)
 
 
-def _as_question(text: str) -> str:
-    """Return a question with the word order of questions; other texts stay as they are.
-
-    Without its question mark "There is a mug?" would be a statement: it becomes "is there a mug".
-    "My keys, are they on the desk?" becomes "are My keys on the desk".
-    """
-    for stated, asked in _QUESTION_REWRITES:
-        text = stated.sub(asked, text)
-    return text
-
-
-def _without_punctuation(text: str) -> str:
-    """Return the text without commas and without its final mark.
-
-    A full stop within the text becomes a separate word ".", so that no slot extends over it.
-    """
-    text = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", text))
-    return " ".join(text.split())
-
-
 def _classify(text: str, sites: Collection[str]) -> Intent | None:
     """Return the first kind whose template fits the entire text; None for a mission.
 
     No slot extends over a comma: "it is over, room 6 is open again" is not about "over room 6".
     """
-    asked = _as_question(text)
-    plain = _without_punctuation(asked)
+    # Without its question mark "There is a mug?" would be a statement: it becomes "is there a mug".
+    # "My keys, are they on the desk?" becomes "are My keys on the desk".
+    asked = text
+    for stated, question in _QUESTION_REWRITES:
+        asked = stated.sub(question, asked)
+    # Remove commas and the final mark. A full stop in the text becomes a separate word ".", so that
+    # no slot extends over it.
+    plain = re.sub(r"[.;:!?]+(?= )", " .", re.sub(r"[.,;:!?]+$|,(?= )", "", asked))
+    plain = " ".join(plain.split())
     for kind, patterns in _templates().items():
         for pattern in patterns:
             slots = first_match([pattern], plain)

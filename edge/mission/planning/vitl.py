@@ -95,7 +95,11 @@ class VitlPlanner:
         options = tuple((names[c], self._as_weight(cost[c])) for c in ranked)
         first = best = ranked[0]
         if cost[best] >= kernels.FAILED:
-            return self._blocked_plan(self._follow(best, state), knowledge, options)
+            # Even the best path needs failed objects; it needs as few as possible.
+            path = self._follow(best, state)
+            needed = tuple(dict.fromkeys(name for name in path if name in knowledge.failed))
+            reason = explain_blocked(needed)
+            return TargetPlan(None, (), math.inf, False, needed, reason, options)
         if self._by_distance and names[best] != current:
             first = self._column_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
@@ -108,17 +112,6 @@ class VitlPlanner:
         return TargetPlan(
             path[0] or None, path, self._as_weight(cost[first]), True, (), reason, options
         )
-
-    def _blocked_plan(
-        self,
-        path: tuple[str, ...],
-        knowledge: MissionKnowledge,
-        options: tuple[tuple[str, float], ...],
-    ) -> TargetPlan:
-        """Return the infeasible plan if the best path needs failed objects, as few as possible."""
-        needed = tuple(dict.fromkeys(c for c in path if c in knowledge.failed))
-        reason = explain_blocked(needed)
-        return TargetPlan(None, (), math.inf, False, needed, reason, options)
 
     def _column_to_pursue(self, ranked: list[int], cost: list[int], current: str | None) -> int:
         """Return the current target's column if it is within the margin, else the best one."""

@@ -92,17 +92,6 @@ def included_kinds(table: ObjectPrior, seen: np.ndarray, area_m2: np.ndarray) ->
     return p @ np.array([[i in kinds for i in range(k)] for kinds in members], np.float64)
 
 
-def adjacent_room_posterior(table: ObjectPrior, belief: np.ndarray) -> np.ndarray:
-    """Return P(kind) of the room behind a door of each region: (m, kinds) float64.
-
-    Args:
-        table: the learned counts.
-        belief: (m, kinds), P(kind) of each region.
-    """
-    p = belief @ (table.neighbours * room_prior(table))
-    return p / p.sum(1, keepdims=True)
-
-
 def room_posterior_at(
     table: ObjectPrior, seen: np.ndarray, seen_adjacent: np.ndarray
 ) -> np.ndarray:
@@ -119,8 +108,10 @@ def room_posterior_at(
     """
     belief = room_posterior(table, seen)
     nothing = ~seen.any(1)
+    # The rooms behind a door: kinds of rooms that share doors with the adjacent region's kinds.
     adjacent = room_posterior(table, seen_adjacent[nothing])
-    belief[nothing] = adjacent_room_posterior(table, adjacent)
+    p = adjacent @ (table.neighbours * room_prior(table))
+    belief[nothing] = p / p.sum(1, keepdims=True)
     belief[nothing & ~seen_adjacent.any(1)] = room_prior(table)
     return belief
 
