@@ -296,8 +296,10 @@ class GoalChooser:
             current = CurrentGoal(tracked.goal, tracked.peak, often_left)
         # Near enough to have reached it.
         stop_m = min(self.config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
-        tracker = self._tracker
-        instances = InstanceQueries(tracker.get, search.missed_from, tracker.only_viewpoint)
+        tracks, hits = self._tracker.tracks, self.config.perception.confirm_hits
+        instances = InstanceQueries(
+            self._tracker.get, search.missed_from, lambda id: tracks[id].only_viewpoint(hits)
+        )
         chosen = choose(context, score, order, current, policy.switch_margin, instances, stop_m)
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:

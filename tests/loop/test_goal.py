@@ -109,8 +109,10 @@ class Things(dict):
     def confirmed(self, instance: Instance) -> bool:
         return instance.id in self.sure
 
-    def only_viewpoint(self, instance_id: int) -> tuple[float, float] | None:
-        return self.viewpoint
+    @property
+    def tracks(self) -> dict[int, SimpleNamespace]:
+        track = SimpleNamespace(only_viewpoint=lambda confirm_hits: self.viewpoint)
+        return dict.fromkeys(self, track)
 
     def of(self, label: str) -> list[Instance]:
         return list(self.values())

@@ -148,7 +148,6 @@ def test_a_confirmed_object_is_verified_by_hits_from_another_viewpoint(scene, pl
 @pytest.mark.parametrize(
     ("places_m", "viewpoint"),
     [
-        ([], None),
         ([0.2] * 3, None),  # not confirmed
         ([0.2] * 4, (0.2, 0.0)),
         ([0.2, 0.4, 0.4, 0.8], (0.2, 0.0)),
@@ -159,7 +158,7 @@ def test_the_only_viewpoint_of_a_confirmed_object(scene, places_m, viewpoint):
     s = scene(confirm_hits=4)
     for x_m in places_m:
         s.see(("chair", 2, 0, 0.6), x_m=x_m)
-    assert s.tracker.only_viewpoint(1) == viewpoint
+    assert s.tracker.tracks[1].only_viewpoint(4) == viewpoint
 
 
 @pytest.mark.parametrize(("x_m", "verified"), [(0.0, False), (0.6, True)])

@@ -131,20 +131,8 @@ class InstanceTracker:
         track = self.tracks.get(instance.id)
         if track is None or not instance.is_confirmed:
             return False
-        return self._has_two_viewpoints(track) or not track.is_other_viewpoint(pose)
-
-    def only_viewpoint(self, instance_id: int) -> tuple[float, float] | None:
-        """Return the robot's position at the first good hit, if the other hits are from there, too.
-
-        None if the instance is not confirmed, or has enough hits from another viewpoint.
-        """
-        track = self.tracks.get(instance_id)
-        if track is None or not track.instance.is_confirmed or self._has_two_viewpoints(track):
-            return None
-        return track.first_x_m, track.first_y_m
-
-    def _has_two_viewpoints(self, track: InstanceTrack) -> bool:
-        return track.other_hits >= self.config.confirm_hits // 2
+        has_two_viewpoints = track.has_two_viewpoints(self.config.confirm_hits)
+        return has_two_viewpoints or not track.is_other_viewpoint(pose)
 
     def verified_now(self, instance: Instance, pose: SE2) -> bool:
         """Return True if an instance is `verified` and not doubtful since.
@@ -156,7 +144,7 @@ class InstanceTracker:
         if track is None or not self.verified(instance, pose):
             return False
         is_sure = instance.score >= self.config.confirm_score_of(track.name)
-        return is_sure or self._has_two_viewpoints(track)
+        return is_sure or track.has_two_viewpoints(self.config.confirm_hits)
 
     def reject(self, instance_id: int) -> None:
         """Reject an instance: it is not the target and is never chased again.

@@ -81,6 +81,19 @@ class InstanceTrack:
         moved_m = pose.distance_to(self.first_x_m, self.first_y_m)
         return moved_m >= VIEWPOINT_M or abs(wrap_angle(now - first)) >= VIEWPOINT_RAD
 
+    def has_two_viewpoints(self, confirm_hits: int) -> bool:
+        """Return True if half of `confirm_hits` are from another viewpoint than the first one."""
+        return self.other_hits >= confirm_hits // 2
+
+    def only_viewpoint(self, confirm_hits: int) -> tuple[float, float] | None:
+        """Return where the robot was at the first good hit, if it was confirmed from there alone.
+
+        None if the instance is not confirmed, or has enough hits from another viewpoint.
+        """
+        if not self.instance.is_confirmed or self.has_two_viewpoints(confirm_hits):
+            return None
+        return self.first_x_m, self.first_y_m
+
     def overlaps(self, other: InstanceTrack, near_m: float) -> bool:
         """Return True if one centre is nearer than `near_m` to the other instance's points."""
         if self.distance_m(other.x_m, other.y_m) > near_m + max(self.radius_m, other.radius_m):
