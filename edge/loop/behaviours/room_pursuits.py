@@ -37,7 +37,6 @@ _SURVEYS = 2  # surveys after the arrival that must agree that the robot is insi
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
-_GROWN = 1.3  # a room that has grown by this factor since its visit is visited again
 _TRIES = 2  # failed goals in a room after which a tour leaves it out
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 
@@ -369,15 +368,14 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         super().__init__(destination, mission, semantic_map, goals)
         self._room_name = destination.room or "room"
         self._wanted = f"another {self._room_name}"
-        # A point and the area of each room that is done, or that it cannot get into. The ids of
-        # rooms may change as the map grows.
-        self._done: list[tuple[float, float, float]] = []
-        self._missed: list[tuple[float, float, float]] = []
+        # A point in each room that is done, or that it cannot get into. The ids of rooms may change.
+        self._done_m: list[tuple[float, float]] = []
+        self._missed_m: list[tuple[float, float]] = []
 
     def check_progress(self, context: PolicyInput, images: int) -> None:
         room = self._map.rooms.room(self._chosen_id)
         if room is not None and self._chooser.place_failures >= _TRIES:
-            self._missed.append((*room.xy_m, room.area_m2))
+            self._missed_m.append(room.xy_m)
             self._next_room()
         if self._inside is not None:
             self._phrase = self._inside.phrase
@@ -386,32 +384,23 @@ class EveryRoomPursuit(ExploreRoomPursuit):
             return
         super().check_progress(context, images)
 
-    def select(self, context: PolicyInput, scores: np.ndarray, images: int) -> Goal | None:
-        if not self._chosen_id:  # the frontiers in rooms that are done lead to no other room
-            c = self._map.pool.candidates
-            for room in self._map.rooms.rooms:
-                if not self._covers(self._done, room):
-                    continue
-                c.blocked[: c.n] |= self._is_in(c.xy_m[: c.n], room) & (c.kind[: c.n] == FRONTIER)
-        return super().select(context, scores, images)
-
     def end(self, now_ns: int) -> None:
         """End the visit of one room: its frontiers are explored."""
         if self._inside is not None:
-            self._done.append((*self._inside.xy_m, self._inside.area_m2))
+            self._done_m.append(self._inside.xy_m)
         self._next_room()
 
     def finish(self, now_ns: int) -> None:
         """End the tour: no room is left. If there was none, try the one most likely of the kind."""
         kind = self._kind
-        if not self._done and kind is not None and self._most_likely(kind) is not None:
+        if not self._done_m and kind is not None and self._most_likely(kind) is not None:
             super().finish(now_ns)
             return
         rooms = self._rooms_of_kind()
-        done = [room.title for room in rooms if self._area_of(self._done, room)]
-        missed = [room.title for room in rooms if not self._area_of(self._done, room)]
+        done = [room.title for room in rooms if self._holds(room, self._done_m)]
+        missed = [room.title for room in rooms if not self._holds(room, self._done_m)]
         end = f"; did not get into: {', '.join(missed)}" if missed else ""
-        if not self._done:
+        if not self._done_m:
             text = f"explored all reachable space, found no {self._room_name}{end}"
             self._mission.abandon_target(one_line(text), now_ns)
             return
@@ -430,7 +419,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         return [
             room
             for room in self._rooms_of_kind()
-            if not (self._covers(self._done, room) or self._covers(self._missed, room))
+            if not self._holds(room, self._done_m + self._missed_m)
             and np.isfinite(self._distance_m(room))
         ]
 
@@ -438,15 +427,9 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         rooms, kind = self._map.rooms, self._destination.name
         return rooms.matching(kind) if kind else rooms.rooms
 
-    def _covers(self, parts: Sequence[tuple[float, float, float]], room: MappedRoom) -> bool:
-        """Return True if the parts (x, y, area) cover a room, which may have grown or merged."""
-        area_m2 = self._area_of(parts, room)
-        return area_m2 > 0.0 and room.area_m2 <= _GROWN * area_m2
-
-    def _area_of(self, parts: Sequence[tuple[float, float, float]], room: MappedRoom) -> float:
-        """Return the area of the parts whose point is in a room; 0 if there is none."""
-        part = np.array(parts, np.float32).reshape(-1, 3)
-        return float(part[self._is_in(part[:, :2], room), 2].max(initial=0.0))
+    def _holds(self, room: MappedRoom, points_m: Sequence[tuple[float, float]]) -> bool:
+        """Return True if one of the points is in a room."""
+        return bool(self._is_in(np.array(points_m, np.float32).reshape(-1, 2), room).any())
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):
