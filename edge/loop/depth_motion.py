@@ -54,8 +54,8 @@ class DepthMotionCheck:
     informative if this depth differs from the one that the same pixel showed before. Most points of
     a corridor's walls are not.
 
-    The image is cut into vertical strips. Three in four strips must be wrong, so that a person who
-    walks in front of the camera causes no failure.
+    The image is cut into vertical strips. Four in five strips must be wrong, so that people who
+    walk in front of the camera cause no failure.
 
     Args:
         max_speed_mps: Largest speed of the robot.
@@ -190,7 +190,7 @@ def _misplaced_share(
 ) -> float:
     """Return the share of a view's points that the new image shows in the wrong place.
 
-    It is the lower quartile over the strips; NaN if too few strips have informative points.
+    It is the lowest fifth over the strips; NaN if too few strips have informative points.
     """
     height, width = depth_m.shape
     points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
@@ -213,4 +213,4 @@ def _misplaced_share(
     number = np.bincount(strip[informative], minlength=_STRIPS)
     share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)
     share = np.sort(share[number >= _MIN_POINTS])
-    return math.nan if len(share) < _MIN_STRIPS else float(share[(len(share) - 1) // 4])
+    return math.nan if len(share) < _MIN_STRIPS else float(share[(len(share) - 1) // 5])
