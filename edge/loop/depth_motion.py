@@ -15,7 +15,7 @@ from edge.geometry import FARTHEST_M, CameraModel
 
 MISFIT = 0.45
 """Largest share of informative points in the wrong place. It is usually below 0.1."""
-RETRY_NS, MOST_RETRY_NS = 2_000_000_000, 64_000_000_000
+RETRY_NS, MOST_RETRY_NS = 800_000_000, 64_000_000_000
 """Shortest and longest time between retries after a failure. A standing robot cannot measure
 whether images and poses fit again, so it retries at growing intervals."""
 # Distances between views; 1 rad of turn counts as 1 m.

@@ -126,6 +126,14 @@ def test_people_in_front_of_most_strips_do_not_contradict_the_pose(house):
     assert not Eye(house).worst(ahead, ahead, change=walk) > MISFIT
 
 
+def test_a_first_failure_lasts_less_than_a_second(house):
+    eye, ticks = Eye(house), 0
+    at = next(0.1 * i for i in range(20) if eye.see(ahead(0.1 * i), turning(0.1 * i)) > MISFIT)
+    while eye.see(ahead(at), ahead(at)) > MISFIT:
+        ticks += 1
+    assert ticks * TICK_NS < SECOND_NS
+
+
 def test_a_corrected_pose_is_not_motion(house):
     eye = Eye(house)
     assert eye.worst(ahead, ahead) < MISFIT
