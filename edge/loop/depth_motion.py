@@ -15,7 +15,7 @@ from edge.geometry import FARTHEST_M, CameraModel
 
 MISFIT = 0.45
 """Largest share of informative points in the wrong place. It is usually below 0.1."""
-RETRY_NS, MOST_RETRY_NS = 2_000_000_000, 64_000_000_000
+RETRY_NS, MOST_RETRY_NS = 800_000_000, 64_000_000_000
 """Shortest and longest time between retries after a failure. A standing robot cannot measure
 whether images and poses fit again, so it retries at growing intervals."""
 # Distances between views; 1 rad of turn counts as 1 m.
@@ -54,8 +54,8 @@ class DepthMotionCheck:
     informative if this depth differs from the one that the same pixel showed before. Most points of
     a corridor's walls are not.
 
-    The image is cut into vertical strips. Three in four strips must be wrong, so that a person who
-    walks in front of the camera causes no failure.
+    The image is cut into vertical strips. Four in five strips must be wrong, so that people who
+    walk in front of the camera cause no failure.
 
     Attributes:
         since_ns: Loop time since which the images do not fit.
@@ -186,7 +186,7 @@ def _misplaced_share(
 ) -> float:
     """Return the share of a view's points that the new image shows in the wrong place.
 
-    It is the lower quartile over the strips; NaN if too few strips have informative points.
+    It is the lowest fifth over the strips; NaN if too few strips have informative points.
     """
     height, width = depth_m.shape
     points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
@@ -209,4 +209,4 @@ def _misplaced_share(
     number = np.bincount(strip[informative], minlength=_STRIPS)
     share = np.bincount(strip[wrong], minlength=_STRIPS) / np.maximum(number, 1)
     share = np.sort(share[number >= _MIN_POINTS])
-    return math.nan if len(share) < _MIN_STRIPS else float(share[(len(share) - 1) // 4])
+    return math.nan if len(share) < _MIN_STRIPS else float(share[(len(share) - 1) // 5])

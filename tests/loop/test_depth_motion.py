@@ -115,6 +115,25 @@ def test_a_passing_person_does_not_contradict_the_pose(house, drive, px_per_tick
     assert not Eye(house).worst(drive, drive, change=walks) > MISFIT
 
 
+def test_people_in_front_of_most_strips_do_not_contradict_the_pose(house):
+    """Three of eight strips have no depth, four show people, and one shows the house."""
+    near_m = [1.2]
+
+    def walk(depth_m: np.ndarray) -> None:
+        near_m.append(near_m[-1] + 0.8 if near_m[-1] < 2.0 else 1.2)
+        depth_m[:, :60], depth_m[:, 60:140] = 0.0, near_m[-1]
+
+    assert not Eye(house).worst(ahead, ahead, change=walk) > MISFIT
+
+
+def test_a_first_failure_lasts_less_than_a_second(house):
+    eye, ticks = Eye(house), 0
+    at = next(0.1 * i for i in range(20) if eye.see(ahead(0.1 * i), turning(0.1 * i)) > MISFIT)
+    while eye.see(ahead(at), ahead(at)) > MISFIT:
+        ticks += 1
+    assert ticks * TICK_NS < SECOND_NS
+
+
 def test_a_corrected_pose_is_not_motion(house):
     eye = Eye(house)
     assert eye.worst(ahead, ahead) < MISFIT
