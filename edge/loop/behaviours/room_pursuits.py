@@ -368,7 +368,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
         super().__init__(destination, mission, semantic_map, goals)
         self._room_name = destination.room or "room"
         self._wanted = f"another {self._room_name}"
-        # A point in each room that is done, or that it cannot get into. The ids of rooms may change.
+        # A point in each room that is done, or that it cannot get into: ids of rooms may change.
         self._done_m: list[tuple[float, float]] = []
         self._missed_m: list[tuple[float, float]] = []
 
