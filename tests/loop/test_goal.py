@@ -59,9 +59,9 @@ class Map:
         if within_m < self.least_m or points > self.most_points:
             return None
         x_m, y_m, radius_m = except_disc
-        allowed = [p for p in surface_m.tolist() if math.dist(p[:2], (x_m, y_m)) >= radius_m]
-        nearest = min(allowed, key=lambda p: self.here.distance_to(p[0], p[1]), default=None)
-        return nearest and self.nearest(nearest[0], nearest[1], within_m)
+        cells = (self.nearest(x, y, within_m) for x, y, _ in surface_m.tolist())
+        allowed = [c for c in cells if c and math.dist(c[:2], (x_m, y_m)) >= radius_m]
+        return min(allowed, key=lambda cell: self.here.distance_to(*cell[:2]), default=None)
 
     def state_at(self, x: float, y: float) -> int:
         return 100 if (round(x, 3), round(y, 3)) in self.closed else 0
@@ -310,6 +310,16 @@ def test_an_object_seen_from_one_viewpoint_is_viewed_from_another_side(
     case = Case()
     case.things.viewpoint = viewpoint
     assert case.choose(chair(9, chair_x_m, 0.8)).pose.x_m == pytest.approx(goal_x_m)
+
+
+def test_the_only_viewpoint_will_do_if_the_robot_cannot_get_to_another_side():
+    case = Case()
+    case.things.viewpoint = (2.8, 0.0)
+    assert case.choose(chair(9, 3.0, 0.8)).pose.x_m == 4.0
+    case.answer("failed")
+    case.judge()
+    goal = case.choose(chair(9, 3.0, 0.8), after_s=60.0)
+    assert (who(goal), goal.pose.x_m) == (("instance", 9), 3.0)
 
 
 def test_a_place_from_which_an_object_was_out_of_reach_is_no_goal_again():
