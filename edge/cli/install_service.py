@@ -157,9 +157,7 @@ def unit(config: Config, name: str, user: str | None) -> str:
         name=name,
         command=" ".join(map(_quote_argument, words)),
         user="\n".join([*_user_lines(user), *_credential_lines(credentials)]),
-        homes="read-only"
-        if any(_is_below(q, _HOMES) for p in needed for q in (p, p.resolve()))
-        else "yes",
+        homes="read-only" if any(_in_a_home(path) for path in needed) else "yes",
         # Twice HANGS_S, so that /healthz reports a hang before systemd kills the service.
         watchdog_s=2 * HANGS_S,
         no_restart=" ".join(map(str, PERMANENT)),
@@ -235,6 +233,10 @@ def _quote_argument(text: str) -> str:
 def _edge_command() -> str:
     script = Path(sys.executable).with_name("edge")
     return str(script) if script.exists() else f"{sys.executable} -m edge.cli"
+
+
+def _in_a_home(path: Path) -> bool:
+    return _is_below(path, _HOMES) or _is_below(path.resolve(), _HOMES)
 
 
 def _is_below(path: Path, folders: Iterable[str]) -> bool:

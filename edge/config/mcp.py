@@ -16,7 +16,7 @@ class McpConfig(Section):
         motion: orders of agents. `ask`: a person must allow each on the live page, or by a request
             to `confirm/request`. `allow`: they start at once, unless a mission of a person runs.
             `refuse`: agents only read, and stop the robot.
-        confirm_s: an order that no person allows within this time expires.
+        confirm_s: an order expires if no person allows it within this time.
         calls_per_minute: limit of calls of one agent. Stops are not limited.
     """
 

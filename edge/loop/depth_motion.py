@@ -54,8 +54,8 @@ class DepthMotionCheck:
     informative if this depth differs from the one that the same pixel showed before. Most points of
     a corridor's walls are not.
 
-    The image is cut into vertical strips. Four in five strips must be wrong, so that people who
-    walk in front of the camera cause no failure.
+    The image is cut into vertical strips. All strips but one must be wrong (all, if four or five
+    are informative), so that people who walk in front of the camera cause no failure.
 
     Attributes:
         since_ns: Loop time since which the images do not fit.
@@ -186,7 +186,8 @@ def _misplaced_share(
 ) -> float:
     """Return the share of a view's points that the new image shows in the wrong place.
 
-    It is the lowest fifth over the strips; NaN if too few strips have informative points.
+    It is the second lowest share of the strips (the lowest of four or five); NaN if too few strips
+    have informative points.
     """
     height, width = depth_m.shape
     points = (view.points_m - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]

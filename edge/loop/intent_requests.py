@@ -115,7 +115,7 @@ def _in_room(service: Service, objects: list[dict], name: str) -> list[dict]:
 def _seen_near(service: Service, name: str, objects: list[dict], now_ns: int) -> str:
     """Return what is near the known objects of a name, or that there are none.
 
-    The memory has no surfaces, so it cannot distinguish objects on an object from those next to it.
+    The memory has no surfaces, so it cannot tell what is on an object from what is next to it.
     """
     answer = _call_handler(handle_memory, MEMORY_VERBS, service, now_ns, do="find", name=name)
     # Without an object of this name, the answer has similar ones.

@@ -216,7 +216,7 @@ def test_refuses_by_name(sentence: str, part: str) -> None:
 @pytest.mark.parametrize(
     ("sentence", "reason"),
     [
-        ("keep visiting the bed", "only a patrol repeats"),
+        ("keep visiting the bed", "a patrol needs two stops"),
         ("wait at the door", "not stay or leave"),
         ("go to the bed and continue", "say where to go"),
         ("visit the bed forever", "a mission ends"),

@@ -128,15 +128,7 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
     if args.threads is not None:
         settings = settings.model_copy(update={"threads": args.threads})
     results = [
-        (
-            card,
-            on,
-            _measure(
-                card,
-                settings.model_copy(update={"card": card.name, "providers": PROVIDERS[on]}),
-                views,
-            ),
-        )
+        (card, on, _measure(card, settings.model_copy(update=_settings_of(card, on)), views))
         for on in providers_here(args.providers)
         for card in cards
         if on in ("cpu", "cuda") and runs_on(card, on)
@@ -149,6 +141,11 @@ def compare(family: str, args: argparse.Namespace, pictures: BenchFrames) -> lis
 def any_ran(rows: Sequence[Row]) -> bool:
     """Return True if at least one row has figures."""
     return any("why" not in row for row in rows)
+
+
+def _settings_of(card: DirectionsCard, on: str) -> dict[str, object]:
+    """Return the settings that differ between the variants."""
+    return {"card": card.name, "providers": PROVIDERS[on]}
 
 
 def views_of(pictures: BenchFrames) -> list[MarkedView]:

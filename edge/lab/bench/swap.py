@@ -33,7 +33,7 @@ counts observations that a newer one replaced before a tick used them."""
 
 
 class SwapBench:
-    """Requests the swap at half time, and measures the loop before it and during it."""
+    """A request for the swap at half time, with measurements of the loop before and during it."""
 
     def __init__(self, running: RunningService, model: str, seconds: float) -> None:
         from edge.perception.runtime.cards import load_detector_card

@@ -379,7 +379,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
             self._next_room()
         if self._inside is not None:
             self._phrase = self._inside.phrase
-        elif self._chooser.search.exhausted and not self._known_rooms():
+        elif not self._chosen_id and self._chooser.search.exhausted and not self._known_rooms():
             self.finish(context.now_ns)  # retries and second looks find no other room
             return
         super().check_progress(context, images)
@@ -392,21 +392,23 @@ class EveryRoomPursuit(ExploreRoomPursuit):
 
     def finish(self, now_ns: int) -> None:
         """End the tour: no room is left. If there was none, try the one most likely of the kind."""
-        kind = self._kind
-        if not self._done_m and kind is not None and self._most_likely(kind) is not None:
-            super().finish(now_ns)
-            return
-        rooms = self._rooms_of_kind()
-        done = [room.title for room in rooms if self._holds(room, self._done_m)]
-        missed = [room.title for room in rooms if not self._holds(room, self._done_m)]
+        guess = self._most_likely(self._kind) if self._kind and not self._done_m else None
+        if guess is not None and guess.id != self._chosen_id:
+            tried = self._holds(guess, self._missed_m) or is_closed(guess, self._map, self._kind)
+            if not tried:
+                self._chosen_id, self._is_final = guess.id, True
+                return
+        of_kind = self._rooms_of_kind()
+        done = [room for room in self._map.rooms.rooms if self._holds(room, self._done_m)]
+        missed = [room.title for room in of_kind if room not in done]
         end = f"; did not get into: {', '.join(missed)}" if missed else ""
-        if not self._done_m:
+        if not done:
             text = f"explored all reachable space, found no {self._room_name}{end}"
             self._mission.abandon_target(one_line(text), now_ns)
             return
+        titles = [room.title + " (probably one)" * (room not in of_kind) for room in done]
         plural = "" if len(done) == 1 else "s"
-        text = f"was in {len(done)} {self._room_name}{plural}: {', '.join(done) or 'none'}{end}"
-        text = one_line(text)
+        text = one_line(f"was in {len(done)} {self._room_name}{plural}: {', '.join(titles)}{end}")
         self._mission.on_reached(text, now_ns, f"{text}; {objects_found(self._map)}")
 
     def _next_room(self) -> None:
@@ -421,6 +423,7 @@ class EveryRoomPursuit(ExploreRoomPursuit):
             for room in self._rooms_of_kind()
             if not self._holds(room, self._done_m + self._missed_m)
             and np.isfinite(self._distance_m(room))
+            and not is_closed(room, self._map, self._kind)
         ]
 
     def _rooms_of_kind(self) -> Sequence[MappedRoom]:

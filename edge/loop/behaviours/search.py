@@ -138,7 +138,8 @@ class SearchBehaviour:
         self._config = config
 
     def on_pose_jump(self) -> None:
-        """Do nothing: the map and the goal tracker hold all data in the frame."""
+        """Start the pursuit of the target again: a tour knows places in the old frame."""
+        self._pursued = None
 
     def close(self) -> None:
         """Do nothing: the estimator of travel costs belongs to the service."""

@@ -31,8 +31,8 @@ PARTS = {
         everything [around|in] [here|there])
         """,
     "look": """
-        (explore|explore (me|us)|exploring|inspect|scout|scout out|scan|survey|map|map out|discover|
-        investigate|get to know|
+        (explore|explore (me|us)|exploring|inspect|tour|scout|scout out|scan|survey|map|map out|
+        discover|investigate|get to know|
         [make|do] [an|the] exploration [of]|go exploring [in]|look through|search through|
         (look|drive|go|wander|roam|cruise|(have|take|make) a [good|quick] (look|wander|peek|tour)|
         do a (tour|scan)|make a map) [all] (around|round|about) [in|inside|of|at]|
@@ -63,15 +63,13 @@ PARTS = {
         [between|of|in|through|around|round|from|at|to|on]
         """,
     "patrolling": """
-        [keep|keep on|start|begin] [to] (patrol|patrolling|guard|guarding|[make|do] [a|the] patrol|
+        [keep|keep on|start|begin] [to] (patrol|patrolling|[make|do] [a|the] patrol|
         [go|be] on patrol|shuttle|[go|drive|run|keep going|move|walk] back and forth)
         [between|of|in|through|around|round|from|at|to|on]
         """,
-    "every": "(every [single] [one of]|each [single] [one] [of]|all [of]|both [of]) "
-             "[the|our|my|your|these|those]",
     "turn": "[(of|in) [the|this|our|my|your] (house|home|flat|apartment|building|place)] "
             "[, (one by one|in turn|one after (the other|another)|at least once)]",
-    "house": "({whole}|{every} (room|rooms))",
+    "house": "({patrolling}|guard) ({whole}|[the] rooms|<each>)",
     "rounds": "(times|rounds|laps|loops|circles|circuits|tours|turns|trips|round|lap|time)",
     "back": """
         [then|and|straight|right|directly|after|afterwards]* (

@@ -11,6 +11,7 @@ import re
 from edge.mission.language.everyday_words import (
     AFTER_A_NAME,
     ARTICLE,
+    EACH_ROOM,
     MARK,
     NAME,
     PLAIN_NAME,
@@ -53,19 +54,25 @@ SEARCHES = """
     (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
             [around|round|in|at|inside|through]* <room> for <object>
     (search|look) {whole} for <object>
-    {goes} (check|visit|(look|search) [in|into|inside|through]|{drive} {over} (in|to|into|through))
-            {every} (room|rooms) [and look|and search] for <object>
-    (find|(look|search) for) <object> in {every} (room|rooms)
-    {drive} {over} (in|to|into|through) {every} (room|rooms) , [and] [then] (find|(look|search) for)
-            <object>
+    {goes} (check|(look|search) [in|into|inside|through]) <each> [and look|and search] for <object>
+    (look|search) for <object> in <each>
+    find <own> in <each>
+    (visit|{drive} {over} (in|to|into|through)) <each> ([and] (look|looking|search|searching) for|
+            to (find|(look|search) for)) <object>
 """
 EVERY_ROOM = """
     {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
             look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look})
-            {every} <rooms> [{turn}] [, (except|except for|apart from|but|but not) <left_out>]
-            [{turn}]
+            <each> [{turn}] [, (except|except for|apart from|but|but not) <left_out>] [{turn}]
 """
-EVERY_ROOM_TOO = "(, and|, then|, and then) {every} <rooms>"
+# "and wait there for 10 seconds"
+IN_EACH = re.compile(
+    r",?(?: and| then)+ (?:wait|stay|stop|look|check|search|find)\b[^.;!?]*"
+    r" (?:there|in (?:each|it|every one|all of them))\b[^.;!?]*",
+    re.I,
+)
+# "…, every bedroom and each bathroom"
+EVERY_ROOM_TOO = re.compile(rf"(?:,? (?:and then|and|then)|,) (?P<each>{EACH_ROOM}){END}", re.I)
 EXPLORES = """
     {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
             [everything] {time}
@@ -96,10 +103,11 @@ PATROLS = """
             (doing|repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
-    {patrolling} {house} , [for] <count> {rounds}
-    {patrolling} {house} , <often>
-    {patrolling} {house} , [for|during] <span>
-    {patrolling} ({house}|<stops>) [, (forever|until (told|further notice)|until (i|we) ...)]
+    {house} , [for] <count> {rounds}
+    {house} , <often>
+    {house} , [for|during] <span>
+    {house} [, (forever|until (told|further notice)|until (i|we) ...)]
+    {patrolling} <stops>
 """
 ROUNDS_FIRST = (
     "<count> {rounds} [of|between|around|through|from|in|[you] make (the|a) (tour|round|loop)]* , "
@@ -230,6 +238,9 @@ _NUMBERED = re.compile(
     re.I,
 )
 FIRST_REWRITES = (
+    # "look around the house, every room"
+    (re.compile(r"\b(house|home|flat|apartment|building|place), (?:every|each) (?:single )?room\b",
+                re.I), r"\1"),
     # "afterwards to the hall", "and then into the hall"
     (re.compile(r",? after(?:wards)? to\b(?! the (?:right|left))", re.I), ", then to"),
     (re.compile(r",? (?:and )?(?:(?:after|afterwards|then)(?: out| over| on| back)? (?:in|into)|"

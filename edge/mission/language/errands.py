@@ -14,20 +14,22 @@ from functools import cache
 from typing import Union
 
 from edge import names, number_words
+from edge.memory import RECOGNISED_KINDS, kind_of_room
 from edge.mission.language import errand_patterns as patterns
 from edge.mission.language import nouns
 from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.errand_patterns import CALLER, CHECK, MAX_COUNT, MAX_ROUNDS, WAIT
 from edge.mission.language.everyday_words import (
+    EACH_ROOM,
     MARK,
     NAME,
     NOWHERE,
     bare,
-    in_each_room,
-    is_each_room,
+    each_kind,
     is_room,
     is_vague,
     phrase_of,
+    refuse_each,
 )
 from edge.mission.language.impossible import refuse_impossible, refuse_states
 from edge.mission.language.lexicon import TABLE
@@ -74,6 +76,7 @@ def spell_out(text: str, places: Iterable[str] = ()) -> str:
             text = _rewrite_outside_quotes(pattern, change, text)
     text = patterns.EXPLORED_TWICE.sub(r"\1", text)
     _refuse_unknown_names(text)
+    _refuse_other_tours(text)
     text = restore_places(text, known)
     text = patterns.AFTER_WAIT.sub(r"\g<wait>, then", text)
     for unclear, hint in patterns.UNCLEAR:
@@ -102,7 +105,7 @@ def _rules() -> list[tuple[list[re.Pattern[str]], _Change]]:
         (patterns.SEARCHES, _rewrite_search),
         (patterns.PATROLS, _rewrite_patrol),
         (patterns.EVERY_ROOM, _rewrite_every_room),
-        (patterns.EVERY_ROOM_TOO, _rewrite_every_room_too),
+        ([patterns.EVERY_ROOM_TOO], _rewrite_every_room_too),
         ([patterns.ROOM_FIRST], _rewrite_room_first),
         # Only at the start of the text.
         (patterns.ROUNDS_FIRST, lambda found: None if found.start() else _rewrite_patrol(found)),
@@ -143,6 +146,15 @@ def _refuse_unknown_names(text: str) -> None:
                     f'write "{one_line(phrase)}" in double quotes'
                 )
                 raise UnclearError(f"instruction: {name!r}: {hint}", name)
+
+
+def _refuse_other_tours(text: str) -> None:
+    """Refuse several rooms that no rule has read; a ban may name them."""
+    for sentence in re.split(r"[.;!?]", re.sub(r'"[^"]*"', '""', text)):
+        found = re.search(rf"\b{EACH_ROOM}\b", sentence, re.I)
+        if found and not _BAN.search(sentence):
+            hint = f"a tour cannot stand here; say 'go into {found[0]}' in a sentence of its own"
+            raise UnclearError(f"instruction: {found[0]!r}: {hint}", found[0])
 
 
 def _is_name(name: str) -> bool:
@@ -252,31 +264,44 @@ def _rewrite_nearest(found: re.Match[str]) -> str | None:
 
 def _rewrite_search(found: re.Match[str]) -> str | None:
     """Return "search the kitchen for a mug" as the order to find the mug in the kitchen."""
-    room = found.groupdict().get("room") or ""
-    if (room and not is_room(bare(room))) or is_vague(found["object"]):
+    slots = found.groupdict()
+    room, each, name = slots.get("room"), slots.get("each"), slots.get("object") or slots["own"]
+    if (room and not is_room(bare(room))) or is_vague(name):
         return None
+    if each and each_kind(each) != "room":
+        refuse_each(each)
     where = _relation_text("in", room)
-    return None if where is None else f' find "{bare(found["object"])}{where}"'
+    return None if where is None else f' find "{bare(name)}{where}"'
 
 
 def _rewrite_every_room(found: re.Match[str]) -> str | None:
     """Return "visit all bedrooms" as `go to "every bedroom"`; None to explore all rooms."""
-    kind = names.singular(found["rooms"].lower())
+    kind, left_out = each_kind(found["each"]), bare(found["left_out"] or "")
     explores = re.search(r"\b(?:explor|scan|map|survey)", found[0], re.I)
-    left_out = found["left_out"]
     is_ban = re.search(r"\b(?:not|never)$", found.string[: found.start()], re.I)
-    if is_ban or (kind == "room" and explores) or (left_out and not is_room(bare(left_out))):
+    if is_ban or (kind == "room" and explores):
         return None
-    ban = f", but do not go to {left_out}" if left_out else ""
+    rest = found[0][found.end("each") - found.start() :]
+    if work := patterns.IN_EACH.match(rest + found.string[found.end() :]):
+        hint = "the robot goes into each room and looks around; it cannot be told what to do there"
+        raise UnclearError(f"instruction: {work[0].strip()!r}: {hint}", work[0].strip())
+    known = is_marked(left_out) or kind_of_room(left_out) in RECOGNISED_KINDS
+    if known or re.fullmatch(r"room \w+", left_out):
+        rest = f", but do not go to {found['left_out']}"
+    elif left_out and is_room(left_out):
+        hint = "no room has this name; give a room this name first"
+        raise UnclearError(f"instruction: {left_out!r}: {hint}", left_out)
+    elif not left_out:
+        rest = ""
     is_next = found.start() and re.match(r",| (?:and|then|so|but)\b", found[0], re.I)
-    return _go_to(f"{EVERY} {kind}", found if is_next else None) + ban
+    return _go_to(f"{EVERY} {kind}", found if is_next else None) + rest
 
 
 def _rewrite_every_room_too(found: re.Match[str]) -> str | None:
     """Return "and every bathroom", after another stop, as an order."""
     sentence = re.split(r"[.;!?]", found.string[: found.start()])[-1]
-    kind = names.singular(found["rooms"].lower())
-    return None if _BAN.search(sentence) else _go_to(f"{EVERY} {kind}", found)
+    tour = f"{EVERY} {each_kind(found['each'])}"
+    return None if _BAN.search(sentence) else _go_to(tour, found)
 
 
 def _rewrite_check(found: re.Match[str]) -> str | None:
@@ -313,8 +338,8 @@ def _relation_text(
     """Return " next to the desk"; "" without a relation, None if the anchor is no object."""
     if not relation or not anchor:
         return ""
-    if is_each_room(anchor):
-        return in_each_room(anchor)
+    if each_kind(anchor):
+        refuse_each(anchor)
     name = bare(anchor)
     words = name.split()
     phrase = f"{relation} {anchor}".lower().split()
@@ -379,8 +404,12 @@ def _rewrite_patrol(found: re.Match[str]) -> str | None:
     Return None if it is no patrol.
     """
     slots = found.groupdict()
+    before, after = found.string[: found.start()], found.string[found.end() :].strip(" .!?")
+    if re.search(r"\b(?:not|never|stop)$", before, re.I):
+        return None
     if slots.get("stops") is None:
-        stops = [f'"{EVERY} room"']
+        kind = each_kind(slots["each"]) if slots.get("each") else "room"
+        stops = [f'"{EVERY} {kind}"']
     else:
         stops = [bare(stop) for stop in re.split(STOP, slots["stops"])]
         if re.search(r"\bor\b", slots["stops"]) or any(map(is_vague, stops)) or len(stops) < 2:
@@ -389,14 +418,15 @@ def _rewrite_patrol(found: re.Match[str]) -> str | None:
     rounds = number_of(often) if often else None
     if often and rounds is None:
         return None
-    if rounds is not None and 1 <= rounds <= MAX_ROUNDS and len(stops) > 1:
+    if rounds is not None and 1 <= rounds <= MAX_ROUNDS and (len(stops) > 1 or rounds == 1):
         return _go_to_each(stops * rounds)
-    if found.start() or found.string[found.end() :].strip(" .!?"):
-        order = "send what comes before it first" if found.start() else "send the rest afterwards"
-        raise UnclearError(
-            "instruction: a patrol of all rooms, for some time, without an end or with more than "
-            f"{MAX_ROUNDS} rounds must be the only order; {order}"
+    if before or after:
+        part = before.strip() or after
+        hint = (
+            "this cannot go with a patrol of rooms, for some time, without an end or with more "
+            f"than {MAX_ROUNDS} rounds; send the patrol alone"
         )
+        raise UnclearError(f"instruction: {part!r}: {hint}", part)
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {_duration_text(seconds_of(slots['span']))}" if slots.get("span") else end
     return f"{_go_to_each(stops)}; repeat {end}"

@@ -7,8 +7,9 @@ format is the lexicon's: phrases are separated by `;`, and "(a|b) c" is both "a 
 from __future__ import annotations
 
 import re
+from typing import NoReturn
 
-from edge import number_words
+from edge import names, number_words
 from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
@@ -273,9 +274,14 @@ PLAIN_NAME = rf"(?:{MARK}|(?:(?:(?<=[\w'-]) |(?<![\w'-])){_WORD}){{1,5}})"
 but the first. No word character may stand right before the name."""
 NAME = rf"(?:(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?{PLAIN_NAME})"
 """Regular expression for one name, with or without an article or "a pair of"."""
-_EACH_ROOM = re.compile(
-    r"(?:all|every|each|both)(?: of)?(?: the| our| my| these| those)?"
-    rf" (?P<kind>{phrase_of('room')}(?:s|es)?)",
+_ROOM_KIND = rf"(?:(?:{phrase_of('room of')}|living|dining|family|sitting) )?{phrase_of('room')}"
+EACH_ROOM = (
+    rf"(?:(?:every|each)(?: single)? {_ROOM_KIND}|(?:every one of|each(?: one)? of|all(?: of)?|"
+    rf"both(?: of)?)(?: (?:the|our|my|your|these|those))? {_ROOM_KIND}e?s)"
+)
+"""Regular expression for several rooms: "every room", "all the bedrooms"."""
+_EACH_OF = re.compile(
+    r"(?:every|each|all|both)(?: one)?(?: of)?(?: single)?(?: (?:the|our|my|your|these|those))? ",
     re.I,
 )
 _ROOM_HEAD = re.compile(
@@ -297,22 +303,20 @@ def is_room(name: str) -> bool:
     return by_name or kind_of_room(name) is not None
 
 
-def is_each_room(name: str) -> bool:
-    """Return True if a name means several rooms: "all the bedrooms", "every room"."""
-    return _EACH_ROOM.fullmatch(name) is not None
+def each_kind(name: str) -> str:
+    """Return the kind of several rooms; "" if a name means something else.
 
-
-def in_each_room(name: str) -> str:
-    """Return where to search for "in every room": everywhere, so "".
-
-    Raises:
-        UnclearError: the rooms are of one kind, so the robot would search too much or too little.
+    >>> each_kind("all the bedrooms"), each_kind("every room"), each_kind("all kitchen")
+    ('bedroom', 'room', '')
     """
-    found = _EACH_ROOM.fullmatch(name)
-    if found is None or found["kind"].lower() not in ("room", "rooms"):
-        hint = "a search is in one room or everywhere; name one room, or say 'in every room'"
-        raise UnclearError(f"instruction: {name!r}: {hint}", name)
-    return ""
+    several = re.fullmatch(EACH_ROOM, name, re.I)
+    return names.singular(_EACH_OF.sub("", name.lower(), count=1)) if several else ""
+
+
+def refuse_each(name: str) -> NoReturn:
+    """Refuse a search in several rooms of a kind."""
+    hint = "a search is in one room or everywhere; name one room, or say 'in every room'"
+    raise UnclearError(f"instruction: {name.strip()!r}: {hint}", name.strip())
 
 
 def bare(name: str) -> str:

@@ -16,10 +16,10 @@ from typing import Literal
 from edge.mission.language.everyday_words import (
     NAME,
     bare,
-    in_each_room,
-    is_each_room,
+    each_kind,
     is_room,
     phrase_of,
+    refuse_each,
 )
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
@@ -436,8 +436,10 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
         anchor = found["anchor"]
         is_order = not found["verb"] and TABLE.get((anchor.split()[0].lower(),)) == "verb"
         in_room = verb in ("try", "check", "search") and is_room(bare(anchor)) and not is_order
-        if is_each_room(anchor) and not is_order:
-            orders.append(f"find {noun}{in_each_room(anchor)}")
+        if each_kind(anchor) and not is_order:
+            if each_kind(anchor) != "room":
+                refuse_each(anchor)
+            orders.append(f"find {noun}")
         elif not (relation or in_room):
             if found["verb"] and not relation:
                 part = found[0].strip()

@@ -8,9 +8,9 @@ The modules `intents`, `errands` and `remarks` compile them to regular expressio
   times.
 - `<object>` is a slot: a name of up to five words, with or without an article. The match has its
   text as a named group. So is each slot that is not in the next list.
-- `<stops>` is a list of names, `<rooms>` a word for rooms such as "bedrooms", `<count>` a number,
-  `<often>` once or twice, `<relation>` a word such as "behind", `<done>` a form such as "mopped",
-  and `<span>` a length of time, such as "ten minutes".
+- `<stops>` is a list of names, `<each>` means several rooms, such as "all bedrooms", `<own>` is a
+  name with "the" or "my", `<count>` a number, `<often>` once or twice, `<relation>` a word such as
+  "behind", `<done>` a form such as "mopped", and `<span>` a length of time, such as "ten minutes".
 - `{seen}` is another template, by its name in a table of parts.
 - `,` is a comma that may be left out, and `...` is any rest that begins no new order.
 """
@@ -20,7 +20,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from edge.mission.language.everyday_words import MARK, NAME, phrase_of
+from edge.mission.language.everyday_words import EACH_ROOM, MARK, NAME, PLAIN_NAME, phrase_of
 from edge.mission.language.spans import COUNT, DURATION
 
 _TOKEN = re.compile(r"<(?P<slot>\w+)>|\{(?P<part>\w+)\}|(?P<rest>\.\.\.)|(?P<mark>[()\[\]|*,])"
@@ -33,7 +33,8 @@ _SLOTS = {
     "often": r"(?:once|twice|thrice)",
     "relation": phrase_of("relation"),
     "done": r"\w+(?:ed|ing)",
-    "rooms": rf"{phrase_of('room')}(?:s|es)?",
+    "each": EACH_ROOM,
+    "own": rf"(?:the|my|our|your|his|her|their) {PLAIN_NAME}",
     "stops": rf"{NAME}(?:{STOP}{NAME})+",
 }
 _MARKS = {"(": "(?:", ")": ")", "[": "(?:", "]": ")?", "|": "|", "*": "*", ",": ",?"}

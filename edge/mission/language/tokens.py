@@ -19,7 +19,8 @@ MAX_WORDS = 1_000
 """Much more than an instruction needs; it limits the formula, and so the time to compile it."""
 
 REASONS = {
-    "endless": "only a patrol repeats: 'patrol the dock and the shelf', or 'patrol the house'",
+    "endless": "a patrol needs two stops, or rooms: 'patrol the dock and the shelf', or 'patrol "
+    "the house'",
     "forever": "a mission ends, so 'forever' is not possible",
     "going on": "say where to go, or 'until … is reached'",
     "stay": "the robot can only go to objects, not stay or leave",

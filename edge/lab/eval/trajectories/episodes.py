@@ -57,7 +57,7 @@ STARTS = 10
 _KEY = 18  # first part of the seeds here; `outdoor` has another
 _SPEC = re.compile(r"^streets\[(\d+):(\d+)\]$")
 _MAX_STREETS = 10_000
-_NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that no person says
+_NO_NAMES = ("object", "structure", "vehicle")  # SemanticKITTI's labels that people do not use
 # Smallest and largest distance of a task's objects from the robot.
 _KITTI_M, _HOUSE_M = (7.0, 45.0), (1.5, 12.0)
 _MIN_HEIGHT_M = 0.15  # a lower object does not block
