@@ -215,6 +215,14 @@ def test_a_patrol_of_the_house_visits_each_room_in_each_round(tmp_path):
     assert len(tours) == 2, loop.notes.events
 
 
+def test_a_tour_without_a_certain_room_visits_the_most_likely_one(tmp_path, monkeypatch):
+    objects = [HOUSE["objects"][0], {"category": "sink", "at": [7.5, 2.0]}]
+    monkeypatch.setitem(HOUSE, "objects", objects)
+    status = driven("visit every bathroom", folder=tmp_path).service.status
+    assert status.phase == "reached", status.reason
+    assert re.match(r"was in 1 bathroom: room \d \(probably one\); found: ", status.reason)
+
+
 def test_a_tour_leaves_out_a_room_that_the_robot_cannot_get_into(tmp_path, monkeypatch):
     loop = driven("visit all rooms", seconds=0.0, folder=tmp_path)
     accept = loop.controller.on_goal

@@ -399,7 +399,8 @@ class EveryRoomPursuit(ExploreRoomPursuit):
                 self._chosen_id, self._is_final = guess.id, True
                 return
         of_kind = self._rooms_of_kind()
-        done = [room for room in self._map.rooms.rooms if self._holds(room, self._done_m)]
+        visited = [room for room in self._map.rooms.rooms if self._holds(room, self._done_m)]
+        done = [room for room in visited if room in of_kind] or visited
         missed = [room.title for room in of_kind if room not in done]
         end = f"; did not get into: {', '.join(missed)}" if missed else ""
         if not done:
