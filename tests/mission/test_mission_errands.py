@@ -226,6 +226,7 @@ def test_an_errand_is_spelled_out(said, plain):
         ("visit every room and wait there for 5 s", "cannot be told what to do there"),
         ("visit all rooms except the master bedroom", "no room has this name"),
         ("visit every bedroom or every bathroom", "a tour cannot stand here"),
+        ("visit every bedroom and bathroom", "say 'every' before each"),
         ("do not visit every room", "unclear which room"),
         ("find the mug in all the bedrooms", "one room or everywhere"),
     ],

@@ -21,6 +21,7 @@ from edge.mission.language.errand_parts import PARTS
 from edge.mission.language.errand_patterns import CALLER, CHECK, MAX_COUNT, MAX_ROUNDS, WAIT
 from edge.mission.language.everyday_words import (
     EACH_ROOM,
+    EACH_ROOM_AND,
     MARK,
     NAME,
     NOWHERE,
@@ -294,14 +295,22 @@ def _rewrite_every_room(found: re.Match[str]) -> str | None:
     elif not left_out:
         rest = ""
     is_next = found.start() and re.match(r",| (?:and|then|so|but)\b", found[0], re.I)
-    return _go_to(f"{EVERY} {kind}", found if is_next else None) + rest
+    return _go_to(_tour_of(found), found if is_next else None) + rest
+
+
+def _tour_of(found: re.Match[str]) -> str:
+    """Return the proposition of a tour: "every bedroom" for "all the bedrooms"."""
+    if more := EACH_ROOM_AND.match(found.string, found.end("each")):
+        part = f"{found['each'].strip()}{more[0]}"
+        hint = "unclear if this means every one of them; say 'every' before each kind of room"
+        raise UnclearError(f"instruction: {part!r}: {hint}", part)
+    return f"{EVERY} {each_kind(found['each'])}"
 
 
 def _rewrite_every_room_too(found: re.Match[str]) -> str | None:
     """Return "and every bathroom", after another stop, as an order."""
     sentence = re.split(r"[.;!?]", found.string[: found.start()])[-1]
-    tour = f"{EVERY} {each_kind(found['each'])}"
-    return None if _BAN.search(sentence) else _go_to(tour, found)
+    return None if _BAN.search(sentence) else _go_to(_tour_of(found), found)
 
 
 def _rewrite_check(found: re.Match[str]) -> str | None:

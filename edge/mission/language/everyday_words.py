@@ -280,6 +280,8 @@ EACH_ROOM = (
     rf"both(?: of)?)(?: (?:the|our|my|your|these|those))? {_ROOM_KIND}e?s)"
 )
 """Regular expression for several rooms: "every room", "all the bedrooms"."""
+EACH_ROOM_AND = re.compile(rf"(?:, | and | or |, and ){_ROOM_KIND}(?:e?s)?\b", re.I)
+"""What may follow: "every bedroom and bathroom", in which the second room has no article."""
 _EACH_OF = re.compile(
     r"(?:every|each|all|both)(?: one)?(?: of)?(?: single)?(?: (?:the|our|my|your|these|those))? ",
     re.I,
