@@ -281,7 +281,7 @@ EACH_ROOM = (
 )
 """Regular expression for several rooms: "every room", "all the bedrooms"."""
 EACH_ROOM_AND = re.compile(rf"(?:, | and | or |, and ){_ROOM_KIND}(?:e?s)?\b", re.I)
-"""What may follow: "every bedroom and bathroom", in which the second room has no article."""
+"""Regular expression for a second room without an article: "every bedroom and bathroom"."""
 _EACH_OF = re.compile(
     r"(?:every|each|all|both)(?: one)?(?: of)?(?: single)?(?: (?:the|our|my|your|these|those))? ",
     re.I,
