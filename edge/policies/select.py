@@ -36,9 +36,9 @@ but at most `MOST_POINTS`. Fewer points may belong to another object in front.""
 
 _GOAL_KIND: dict[int, CandidateKind] = {FRONTIER: "frontier", INSTANCE: "instance", SPIN: "spin"}
 
-_SECOND_VIEW_M, _MOST_AROUND_M = 0.8, 4.0
+_SECOND_VIEW_M, _MOST_AROUND_M = 0.6, 4.0
 """Distance of a stop from the only viewpoint that an instance was confirmed from, and the longest
-path to such a stop. A robot that arrives 0.3 m short of it is at another viewpoint."""
+path to such a stop. A larger distance would turn robots aside that drive straight to the object."""
 
 Cell = tuple[float, float]
 
@@ -248,12 +248,11 @@ def _instance_cell(
     attempts = (stop_m, enough_points), *((fallback_m, 1) for fallback_m in STOP_M)
     only_view = instances.only_viewpoint(instance.id)
     if only_view is not None:
-        for within_m, points in attempts:
-            disc = (*only_view, _SECOND_VIEW_M)
-            found = context.map.stopping_point(points_m, within_m, points, disc)
-            is_near = found is not None and found[2] <= _MOST_AROUND_M
-            if found is not None and is_near and not instances.missed_from(instance.id, found[:2]):
-                return found[:2]
+        disc = (*only_view, _SECOND_VIEW_M)
+        found = context.map.stopping_point(points_m, stop_m, enough_points, disc)
+        is_near = found is not None and found[2] <= _MOST_AROUND_M
+        if found is not None and is_near and not instances.missed_from(instance.id, found[:2]):
+            return found[:2]
     for within_m, points in attempts:
         found = context.map.stopping_point(points_m, within_m, points)
         if found is not None:
