@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+
 from edge.config import Config
 from edge.geometry import SE2, Grid, optical_yaw_rad
 from edge.host.checkpoint import Arrays
@@ -59,7 +61,7 @@ class SemanticMap:
         words = make_words(load(), perception.detector)
         self.room_surveyor = RoomSurveyor(config.loop.lockstep)
         self.rooms = RoomMemory(load(), words)
-        self.tracker.resolver = DescribedTargets(self.rooms.is_in)
+        self.tracker.resolver = DescribedTargets(self.rooms.is_in, self._is_floor_between)
         self.prior = make_prior(config, words)
         self.epoch = 0
         self._fov_rad: float | None = None  # of the first camera
@@ -186,6 +188,9 @@ class SemanticMap:
         self.pool.clear()
         self.room_surveyor.discard_pending()
         self.rooms.on_pose_jump()
+
+    def _is_floor_between(self, point_m: np.ndarray, other_m: np.ndarray) -> bool:
+        return self.grid.is_floor_between(point_m, other_m)  # another frame has another grid
 
     def state_dict(self) -> dict[str, Arrays]:
         """Return the arrays to save by part, without the tiles of the grid."""

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from edge import names, number_words
 from edge.errors import UserError
 from edge.memory.room_kinds import is_room_name
@@ -26,6 +28,9 @@ TOUCHING_M = 0.4
 
 Surfaces are seen from some sides only, so it is more than 0. Nearer to a reached object, another of
 its name may be a part of it, and does not count as another one."""
+PART_M = 0.8
+"""Largest planar distance between two surfaces of one object, without floor between them: the end
+of a sofa and a side of it, each seen alone."""
 MOST_DESCRIBED = 64
 """Largest number of labels whose descriptions are kept."""
 _CONTAINERS = """
@@ -40,6 +45,8 @@ InstancesOf = Callable[[str], Sequence[Instance]]
 """Function that returns the instances of a name, best first."""
 IsIn = Callable[[str, float, float], bool]
 """Function that returns True if the room of a name contains a point (x, y) in `map`."""
+IsFloorBetween = Callable[[np.ndarray, np.ndarray], bool]
+"""Function that returns True if the map has floor between two points in `map`."""
 
 # Words of a relation → the relation.
 _WORDS: dict[str, Relation] = {
@@ -170,10 +177,11 @@ class DescribedTargets:
 
     Args:
         is_in: returns True if the room of a name contains a point (x, y) in `map`.
+        is_floor_between: returns True if the map has floor between two points in `map`.
     """
 
-    def __init__(self, is_in: IsIn) -> None:
-        self._contains = is_in
+    def __init__(self, is_in: IsIn, is_floor_between: IsFloorBetween) -> None:
+        self._contains, self._is_floor_between = is_in, is_floor_between
         self._known: dict[str, DescribedObject | None] = {}
 
     def described(self, label: str) -> DescribedObject | None:
@@ -214,10 +222,7 @@ class DescribedTargets:
         found = [instance for instance in known if self._is_in(described.room, instance)]
         if described.is_new:
             reached = [instance for instance in known if instance.state == "reached"]
-            found = [
-                one for one in found
-                if all(least_gap(one.points_m, it.points_m) > TOUCHING_M for it in reached)
-            ]  # fmt: skip
+            found = [one for one in found if not any(self._may_be_one(one, it) for it in reached)]
         why = f"in the {described.room}" if described.room else ""
         if not described.relation:
             pairs = [(instance, why) for instance in found]
@@ -236,6 +241,13 @@ class DescribedTargets:
             for instance, place in by_age[described.nth - 1 :][:1]
         ]
 
+    def _may_be_one(self, instance: Instance, other: Instance) -> bool:
+        """Return True if two instances of a name may be parts of one object."""
+        gap_m, row, other_row = least_gap(instance.points_m, other.points_m)
+        if gap_m <= TOUCHING_M or gap_m > PART_M:
+            return gap_m <= TOUCHING_M
+        return not self._is_floor_between(instance.points_m[row], other.points_m[other_row])
+
     def _is_in(self, room: str, instance: Instance) -> bool:
         return not room or self._contains(room, *instance.center_m[:2].tolist())
 
@@ -253,7 +265,7 @@ def _found_near(
     found_near: list[tuple[float, Instance, str]] = []
     for instance in found:
         gaps = [
-            (least_gap(instance.points_m, other.points_m), other) for other in anchors
+            (least_gap(instance.points_m, other.points_m)[0], other) for other in anchors
             if other.id != instance.id and _is_level(described.relation, instance, other)
         ]  # fmt: skip
         if not gaps:

@@ -26,6 +26,7 @@ STILL = np.eye(4), np.eye(4)
 def test_an_empty_map_is_unknown_everywhere():
     grid = RollingMap(SMALL)
     assert grid.state_at(0.0, 0.0) == -1
+    assert not grid.is_floor_between(np.zeros(2), np.ones(2))
     assert grid.frontiers.n == 0
     assert grid.snapshot().cells.shape == (0, 0)
     assert grid.travel_cost.nearest(0.0, 0.0, 1.0) is None
@@ -44,6 +45,9 @@ def test_a_room_seen_all_around_is_free_inside_and_walled():
     walls = [grid.state_at(1.51, y) for y in np.arange(-1.3, 1.3, 0.05)]
     assert all(s == 100 for s in walls)
     assert grid.state_at(1.8, 0.0) == -1
+    for other_m, is_floor in (((1.2, 0.5), True), ((2.0, 0.0), True), ((9.0, 0.0), False)):
+        assert grid.is_floor_between(np.zeros(3), np.array(other_m)) == is_floor
+        assert grid.is_floor_between(np.array(other_m), np.zeros(3)) == is_floor
 
 
 def test_a_walking_person_leaves_no_ghost():

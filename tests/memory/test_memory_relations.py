@@ -16,6 +16,10 @@ def in_no_room(name: str, x_m: float, y_m: float) -> bool:
     return False
 
 
+def on_floor(point_m: np.ndarray, other_m: np.ndarray) -> bool:
+    return True
+
+
 @pytest.mark.parametrize(
     "name", ["chair", "red chair", "second floor", "first aid kit", "room 12", "chest of drawers"]
 )
@@ -87,7 +91,7 @@ MAP = (
 
 
 def resolve(text, known=MAP, last=False, targets=None):
-    targets = targets or DescribedTargets(in_no_room)
+    targets = targets or DescribedTargets(in_no_room, on_floor)
     found = targets.resolve(text, lambda name: [one for one in known if one.label == name], last)
     return None if found is None else [one.id for one in found]
 
@@ -121,13 +125,13 @@ def test_the_nearest_object_may_be_far_after_the_search():
 
 def test_a_room_needs_the_map_of_rooms():
     assert resolve("chair in the kitchen") == []
-    targets = DescribedTargets(lambda name, x_m, y_m: name == "kitchen" and x_m > 3)
+    targets = DescribedTargets(lambda name, x_m, y_m: name == "kitchen" and x_m > 3, on_floor)
     assert resolve("chair in the kitchen", targets=targets) == [3]
     assert resolve("chair in the office", targets=targets) == []
 
 
 def test_the_choice_is_explained():
-    targets = DescribedTargets(in_no_room)
+    targets = DescribedTargets(in_no_room, on_floor)
 
     def of(name):
         return [one for one in MAP if one.label == name]
@@ -137,6 +141,18 @@ def test_the_choice_is_explained():
     assert targets.reason_for("chair next to the desk", MAP[2], of) == ""
     why = targets.reason_for("second chair next to the desk", MAP[3], of)
     assert why == "number 2 in the order of seeing, 1.1 m from desk 1"
+
+
+@pytest.mark.parametrize(
+    ("x_m", "has_floor", "is_another"),
+    [(1.7, True, False), (1.9, True, True), (1.9, False, False), (2.3, False, True)],
+)
+def test_another_one_of_several_is_no_part_of_the_reached_one(x_m, has_floor, is_another):
+    reached = obj(1, "sofa", 1.0)
+    reached.state = "reached"
+    targets = DescribedTargets(in_no_room, lambda point_m, other_m: has_floor)
+    ids = resolve("sofa 2 of 2", (reached, obj(2, "sofa", x_m)), targets=targets)
+    assert ids == [2] * is_another
 
 
 @given(st.text(max_size=30))

@@ -119,10 +119,14 @@ def nearest(points, x, y):
 
 @jit
 def least_gap(points, others):
-    """Return the least planar distance between (n, 3) and (m, 3) points; inf if a set is empty."""
-    least = np.inf
+    """Return the least planar distance between (n, 3) and (m, 3) points, and the rows of the two.
+
+    The distance is inf if a set is empty.
+    """
+    least, row, other_row = np.inf, 0, 0
     for i in range(len(points)):
         for j in range(len(others)):
             dx, dy = points[i, 0] - others[j, 0], points[i, 1] - others[j, 1]
-            least = min(least, dx * dx + dy * dy)
-    return np.sqrt(least)
+            if dx * dx + dy * dy < least:
+                least, row, other_row = dx * dx + dy * dy, i, j
+    return np.sqrt(least), row, other_row
