@@ -47,7 +47,7 @@ from edge.mission.language.intents import (
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
 from edge.mission.language.tidy import TidySpeech, tidy_up
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 from edge.mission.logic import ltl
 from edge.mission.logic.automaton import Automaton, compile_formula
 from edge.mission.logic.diagnosis import Diagnosis, diagnose
@@ -283,10 +283,9 @@ def _translate_branches(
             if isinstance(intent, MemoryQuestion) and intent.topic == "exists":
                 return translate_part(f"check if there is {intent.object_phrase}")
             hint = "with a condition, expected an order that has one meaning"
-            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part) from error
+            raise unclear(part, hint) from error
         if parts[-1].repeat is not None:
-            hint = "what repeats cannot have a condition"
-            raise UnclearError(f"instruction: {one_line(part)!r}: {hint}", part)
+            raise unclear(part, "what repeats cannot have a condition")
         return parts[-1].formula
 
     def is_object(name: str) -> bool:
@@ -331,8 +330,7 @@ def _refuse_other_of_kind(formula: Formula) -> None:
     for name, described in targets:
         noun = name if described is None else described.noun
         if (described is None or not described.is_new) and names.same_as_any(noun, counted):
-            hint = "unclear if it is one of those that you counted; leave it out"
-            raise UnclearError(f"instruction: {one_line(noun)!r}: {hint}", noun)
+            raise unclear(noun, "unclear if it is one of those that you counted; leave it out")
 
 
 def _note(reasons: Sequence[str], formula: Formula) -> str:
@@ -346,7 +344,7 @@ def _note(reasons: Sequence[str], formula: Formula) -> str:
             hint = (
                 f"unclear if this says more about {shared!r}; leave it out, or say it as an order"
             )
-            raise UnclearError(f"instruction: {one_line(reason)!r}: {hint}", reason)
+            raise unclear(reason, hint)
     unused = "; ".join(f"'{one_line(reason)}'" for reason in reasons)
     return f" (Not part of the order: {unused}.)" if unused else ""
 

@@ -31,8 +31,8 @@ from edge.mission.destinations import (
     ExploreTarget,
     PlaceTarget,
     WaitTarget,
-    shown_s,
 )
+from edge.mission.language.spans import shown_s
 from edge.mission.run import PROBABLY, MissionRun
 from edge.policies.base import PolicyInput
 from edge.text import one_line

@@ -167,6 +167,8 @@ INTRODUCED = re.compile(
     rf"(?: (?P<later>{phrase_of('relation')}) (?P<at>{NAME}))?(?=[,.;!?]|$)",
     re.I,
 )
+# A word of a ban.
+BAN = re.compile(r"\b(?:not|never|avoid\w*|without|except|away|out of)\b", re.I)
 GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
 _FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
 # "reception, but not through the hall", "room 3 first, then room 5"

@@ -14,7 +14,7 @@ from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
 from edge.mission.language.places import is_marked
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import unclear
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
@@ -295,7 +295,7 @@ def each_kind(name: str) -> str:
 def refuse_each(name: str) -> NoReturn:
     """Refuse a search in several rooms of a kind."""
     hint = "a search is in one room or everywhere; name one room, or say 'in every room'"
-    raise UnclearError(f"instruction: {name.strip()!r}: {hint}", name.strip())
+    raise unclear(name, hint)
 
 
 def bare(name: str) -> str:

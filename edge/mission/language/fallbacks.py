@@ -23,7 +23,7 @@ from edge.mission.language.everyday_words import (
 )
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 
 Outcome = Literal["found", "failed"]
 
@@ -326,7 +326,7 @@ def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
             phrase.strip(),
             "unclear which of the orders this is about; say first what to do if it is there",
         )
-        raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        raise unclear(part, hint)
 
 
 def _order(text: str) -> str:
@@ -444,7 +444,7 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
             if found["verb"] and not relation:
                 part = found[0].strip()
                 hint = "say 'look on the …' or 'look in the …'"
-                raise UnclearError(f"instruction: {part!r}: unclear where to look; {hint}", part)
+                raise unclear(part, f"unclear where to look; {hint}")
             break
         else:
             orders.append(f"find {noun} {relation or 'in'} {anchor}")

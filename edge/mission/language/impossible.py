@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
 _DRIVES = (
@@ -84,12 +84,11 @@ def refuse_impossible(text: str) -> None:
     for pattern, hint in _CANNOT:
         if found := re.search(pattern, text, re.I):
             part = found[0].strip(" .,;!?")
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+            raise unclear(part, hint)
     owned = _OWNED.search(text)
     if owned and not is_room(bare(owned["object"])):
         noun = owned["object"]
-        hint = f"the camera cannot see whose {noun} it is; say 'the {noun}'"
-        raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
+        raise unclear(owned[0], f"the camera cannot see whose {noun} it is; say 'the {noun}'")
 
 
 def asks_for_work(text: str) -> bool:

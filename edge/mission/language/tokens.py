@@ -72,6 +72,11 @@ def not_understood(part: str, position: int, hint: str) -> TranslationError:
     return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
 
 
+def unclear(part: str, hint: str) -> UnclearError:
+    """Return the error for a part of an instruction that is unclear."""
+    return UnclearError(f"instruction: {one_line(part)!r}: {hint}", part.strip())
+
+
 @dataclass(frozen=True, slots=True)
 class Token:
     """A known phrase, a possible name, or a punctuation mark.
