@@ -8,8 +8,9 @@ from typing import Any
 from edge import names
 from edge.config import Config, WriterModel
 from edge.memory import Site
+from edge.mission.instructions import MissionError
 from edge.mission.logic import ltl
-from edge.mission.spec import MissionError, MissionSpec, prepare, spec_of_task
+from edge.mission.spec import MissionSpec, prepare, spec_of_task
 from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
