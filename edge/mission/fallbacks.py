@@ -13,10 +13,11 @@ from typing import Union
 
 from edge import names
 from edge.memory import parse_description
+from edge.mission.language.areas import areas_of, searched_object
 from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.everyday_words import NAME, bare, is_room
-from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, searched_object
 from edge.mission.language.nouns import is_plural
+from edge.mission.language.outcomes import Branches, OutcomeCondition
 from edge.mission.language.places import EXPLORED, NO
 from edge.mission.language.tokens import UnclearError, unclear
 from edge.mission.logic import goal_sequence

@@ -26,7 +26,6 @@ from edge.mission.language.english import describe
 from edge.mission.language.errand_patterns import CHECK
 from edge.mission.language.errands import spell_out
 from edge.mission.language.everyday_words import is_room
-from edge.mission.language.fallbacks import Branches, split_outcomes
 from edge.mission.language.grammar import readings
 from edge.mission.language.impossible import asks_for_work
 from edge.mission.language.intents import (
@@ -37,6 +36,7 @@ from edge.mission.language.intents import (
     understand,
 )
 from edge.mission.language.nouns import split_entries
+from edge.mission.language.outcomes import Branches, split_outcomes
 from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError, unclear

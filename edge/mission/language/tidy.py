@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 from edge import number_words
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
-from edge.mission.language.lexicon import TABLE, WORD, expand_word
+from edge.mission.language.lexicon import TABLE
 from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
+from edge.mission.language.spelling import WORD, expand_word
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')

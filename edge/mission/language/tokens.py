@@ -10,7 +10,8 @@ from typing import NoReturn
 from edge import number_words
 from edge.errors import UserError
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
+from edge.mission.language.lexicon import LONGEST, TABLE
+from edge.mission.language.spelling import WORD, expand_word
 from edge.text import one_line
 
 MAX_CHARS = 10_000

@@ -13,14 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
-from edge.mission.language.everyday_words import (
-    NAME,
-    bare,
-    each_kind,
-    is_room,
-    phrase_of,
-    refuse_each,
-)
+from edge.mission.language.areas import AREA, JOINT
+from edge.mission.language.everyday_words import NAME, phrase_of
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
 from edge.mission.language.tokens import UnclearError, unclear
@@ -165,8 +159,7 @@ _ASKED = re.compile(
 _LIMITED = re.compile(r"\b(?:only|even|as|except|not|unless)$", re.I)
 _WHAT_ELSE = re.compile(r"(?:thing|where|one|body|or|who|what|how)$", re.I)
 _ENDS_CLAUSE = re.compile(r"[,;.!?:-]$|\b(?:and|but|or)$", re.I)
-_JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=[\s,]|$))+"
-_JOINTS = re.compile(rf"{_JOINT}$", re.I)
+_JOINTS = re.compile(rf"{JOINT}$", re.I)
 _BOUND = re.compile(
     r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$", re.I
 )
@@ -188,28 +181,8 @@ _AFTER = re.compile(
     r"\s+(?P<rest>.+)$",
     re.I,
 )
-_FOR_IT = r"(?:\s+(?:for\s+(?:it|them|one|him|her)|again|also|too|as well|next))*"
 _NEEDS_VERB = re.compile(r"\b(?:can not|have|do|did|is|are|was)$", re.I)
 _RELATION = re.compile(rf"\s+{phrase_of('relation')}\s", re.I)
-_AREA = re.compile(
-    r"(?:(?:go|then|also|and|next)\s+)*"
-    rf"(?:(?P<verb>look|search|try|check|hunt|(?:have|take) a look){_FOR_IT}\s+)?"
-    rf"(?:(?P<relation>{phrase_of('relation')})\s+)?(?P<anchor>{NAME}){_FOR_IT}"
-    r"(?=[,.;!?]|$|\s+(?:and|then|or)\b)",
-    re.I,
-)
-_FIND_IT = re.compile(
-    rf"^(?:(?:go|and|look)\s+)*(?:find|for|search for|locate|hunt for)\s+(?:it|them|one)"
-    rf"(?=\s+{phrase_of('relation')}\s)",
-    re.I,
-)
-_GO_AND_LOOK = re.compile(
-    rf"^(?:go|drive|head) (?:over )?(?:to|in|into) (?P<room>{NAME}),? and (?:then )?"
-    r"(?:look|search|check)(?: for (?:it|them|one))?(?: in)?(?: there)?"
-    r"(?=[,.;!?]|$| (?:and|then)\b)",
-    re.I,
-)
-_SEARCHED = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<object>{NAME})", re.I)
 _IN_CLAUSE = r"(?:(?! and )[^,;.!?])*"
 # "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
 _SEARCHES = re.compile(
@@ -350,7 +323,7 @@ def _matches(text: str) -> list[_Match]:
         if found and begin < found[-1].end:
             continue
         if trigger["area"]:  # "look for the mug in the hall, then in the kitchen"
-            area = _AREA.match(trigger["area"])
+            area = AREA.match(trigger["area"])
             if area is None or area["verb"] or not area["relation"] or area[0].startswith("go "):
                 continue
             if not found and _SEARCHES.search(text[: trigger.end()]):
@@ -412,48 +385,6 @@ def _is_followed_by_order(text: str) -> bool:
     """Return True if a clause ends before a text, or an order begins with it."""
     word = re.match(r" (?:then |please |just )*(\w+)", text)
     is_order = word is not None and TABLE.get((word[1].lower(),)) in ("verb", "and", "or")
-    area = _AREA.match(text.strip())
+    area = AREA.match(text.strip())
     is_area = area is not None and area["verb"] is not None
     return word is None or is_order or is_area or _RETURNS.match(word[1]) is not None
-
-
-def areas_of(text: str, noun: str) -> tuple[list[str], str]:
-    """Return the orders to look for an object in one place after another, and the rest of a text.
-
-    Example:
-        >>> areas_of("look in the office, then in the hall, and come back", "the mug")
-        (['find the mug in the office', 'find the mug in the hall'], 'come back')
-
-    Args:
-        text: an order after a search that failed.
-        noun: the object that is searched for, with its article.
-    """
-    orders: list[str] = []
-    text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))
-    at = 0
-    while found := _AREA.match(text, at):
-        relation, verb = found["relation"], (found["verb"] or "try").lower()
-        anchor = found["anchor"]
-        is_order = not found["verb"] and TABLE.get((anchor.split()[0].lower(),)) == "verb"
-        in_room = verb in ("try", "check", "search") and is_room(bare(anchor)) and not is_order
-        if each_kind(anchor) and not is_order:
-            if each_kind(anchor) != "room":
-                refuse_each(anchor)
-            orders.append(f"find {noun}")
-        elif not (relation or in_room):
-            if found["verb"] and not relation:
-                part = found[0].strip()
-                hint = "say 'look on the …' or 'look in the …'"
-                raise unclear(part, f"unclear where to look; {hint}")
-            break
-        else:
-            orders.append(f"find {noun} {relation or 'in'} {anchor}")
-        joint = re.compile(_JOINT, re.I).match(text, found.end())
-        at = joint.end() if joint else found.end()
-    return orders, text[at:].strip(" ,.;!?")
-
-
-def searched_object(text: str) -> str:
-    """Return the object that an order searches for; "" if there is none."""
-    found = _SEARCHED.search(text)
-    return found["object"] if found else ""
