@@ -8,13 +8,7 @@ from typing import Literal
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.destinations import (
-    Destination,
-    FailureTarget,
-    PlaceTarget,
-    RoomTarget,
-    is_timed,
-)
+from edge.mission.destinations import Destination, FailureTarget, PlaceTarget, RoomTarget, is_timed
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.meter import MissionMeter
 from edge.mission.planning.plan import Planner, TargetPlan

@@ -245,8 +245,7 @@ def _refuse_bans(automaton: Automaton, destinations: Mapping[str, Destination]) 
         destination = destinations.get(name)
         chosen = isinstance(destination, RoomTarget) and destination.which != "called"
         if chosen or isinstance(
-            destination,
-            (CheckTarget, EveryRoomTarget, ExploreTarget, FailureTarget, WaitTarget),
+            destination, (CheckTarget, EveryRoomTarget, ExploreTarget, FailureTarget, WaitTarget)
         ):
             raise MissionError(
                 f"mission: {one_line(name, 60)}: the robot can do this, but it cannot be "

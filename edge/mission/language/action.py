@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 from edge.mission.language import nouns
-from edge.mission.language.clause_parts import (
-    Clause,
-    Condition,
-    skip_particles,
-    take_mood,
-)
+from edge.mission.language.clause_parts import Clause, Condition, skip_particles, take_mood
 from edge.mission.language.conditions import take_happening
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.naming import refuse_missing_name

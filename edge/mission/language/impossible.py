@@ -32,14 +32,8 @@ _CANNOT = (
         r"hallway|corridor|passage)\b)",
         "the robot cannot drive along an object; say where to go",
     ),
-    (
-        rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b",
-        "the robot answers here in text, and does no more",
-    ),
-    (
-        rf"\b{phrase_of('climb')}\b",
-        "the robot cannot change floors; say where to go on this one",
-    ),
+    (rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b", "the robot answers here in text, and does no more"),
+    (rf"\b{phrase_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
     (
         rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",

@@ -14,14 +14,7 @@ from functools import lru_cache
 from typing import Literal, Union
 
 from edge.mission.language import nouns
-from edge.mission.language.everyday_words import (
-    NAME,
-    NOWHERE,
-    bare,
-    is_room,
-    is_vague,
-    phrase_of,
-)
+from edge.mission.language.everyday_words import NAME, NOWHERE, bare, is_room, is_vague, phrase_of
 from edge.mission.language.places import is_marked
 from edge.mission.language.remarks import has_order, is_remark
 from edge.mission.language.spans import seconds_of
