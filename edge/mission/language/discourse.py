@@ -80,47 +80,33 @@ def _is_participle_clause(reader: TokenReader) -> bool:
 
 @dataclass(slots=True)
 class Discourse:
-    """The state of the parser for one instruction.
-
-    Attributes:
-        goal: the goal so far.
-        rules: rules that hold throughout, in every alternative.
-        asks: True if something was asked for without an upper limit.
-        times: how often each name was asked for.
-        last: objects of the last clause with a goal.
-        first: True if the last clause said "first", so that later goals come after it.
-        clauses: number of clauses so far.
-        flow: facts about the last clause.
-        elsewhere: first token of a clause that names only exceptions ("go anywhere but to a").
-        halted: token of the place where the robot must stop.
-        detour: token of a sentence that is on the way to the goal of the sentence before.
-        shuns: True if something must be avoided, not only until something else is reached.
-        waits: pairs of names and the objects that must be reached before them.
-        number: number of the last numbered step ("second, …"); 1 before any.
-        listed: True if an order followed "do not …" and a comma.
-        each: largest number of visits to each place, and the token of that limit.
-        strictly: token of a ban on visits out of turn.
-    """
+    """The state of the parser for one instruction."""
 
     reader: TokenReader
     memory: Antecedents = field(default_factory=Antecedents)
-    goal: Goal | None = None
+    goal: Goal | None = None  # the goal so far
+    # rules that hold throughout, in every alternative
     rules: list[ClauseMeaning] = field(default_factory=list)
-    asks: bool = False
-    times: dict[str, int] = field(default_factory=dict)
-    last: NounPhrase | None = None
-    first: bool = False
-    clauses: int = 0
-    flow: Flow = field(default_factory=Flow)
+    asks: bool = False  # True if something was asked for without an upper limit
+    times: dict[str, int] = field(default_factory=dict)  # how often each name was asked for
+    last: NounPhrase | None = None  # objects of the last clause with a goal
+    first: bool = False  # True if the last clause said "first", so that later goals come after it
+    clauses: int = 0  # number of clauses so far
+    flow: Flow = field(default_factory=Flow)  # facts about the last clause
+    # first token of a clause that names only exceptions ("go anywhere but to a")
     elsewhere: Token | None = None
-    halted: Token | None = None
+    halted: Token | None = None  # token of the place where the robot must stop
+    # token of a sentence that is on the way to the goal of the sentence before
     detour: Token | None = None
+    # True if something must be avoided, not only until something else is reached
     shuns: bool = False
+    # pairs of names and the objects that must be reached before them
     waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
-    number: int = 1
-    listed: bool = False
+    number: int = 1  # number of the last numbered step ("second, …"); 1 before any
+    listed: bool = False  # True if an order followed "do not …" and a comma
+    # largest number of visits to each place, and the token of that limit
     each: tuple[int, Token] | None = None
-    strictly: Token | None = None
+    strictly: Token | None = None  # token of a ban on visits out of turn
 
     def formula(self) -> Formula:
         """Parse all sentences and return the formula.

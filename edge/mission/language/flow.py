@@ -34,29 +34,20 @@ _ALSO = ("also", "too", "as well", "at some point")  # words for a goal at any t
 
 @dataclass(slots=True)
 class Flow:
-    """Facts about the last clause that decide where the next clause belongs.
+    """Facts about the last clause that decide where the next clause belongs."""
 
-    Attributes:
-        moved: True if the clause was a plain order to go somewhere: "go to a go to b" is in order.
-        passed: True if the clause only passed through somewhere.
-        denied: True if the clause forbade something, so that a bare "then the bed" is ambiguous.
-        barred: True if the clause was a plain "do not visit a".
-        until: objects that end the clause's ban.
-        hanging: token of a clause that began with "if …" or "you may …": the next clause may belong
-            to it.
-        permitted: objects that the clause allowed, if it asked for nothing.
-        agent: name that the instruction has used for the robot so far.
-    """
-
+    # True if the clause was a plain order to go somewhere: "go to a go to b" is in order
     moved: bool = False
-    passed: bool = False
+    passed: bool = False  # True if the clause only passed through somewhere
     verb: str = ""
+    # True if the clause forbade something, so that a bare "then the bed" is ambiguous
     denied: bool = False
-    barred: bool = False
-    until: NounPhrase | None = None
+    barred: bool = False  # True if the clause was a plain "do not visit a"
+    until: NounPhrase | None = None  # objects that end the clause's ban
+    # token of a clause that began with "if …" or "you may …": the next clause may belong to it
     hanging: Token | None = None
-    permitted: NounPhrase | None = None
-    agent: str = ""
+    permitted: NounPhrase | None = None  # objects that the clause allowed, if it asked for nothing
+    agent: str = ""  # name that the instruction has used for the robot so far
 
     def comes_after(
         self,

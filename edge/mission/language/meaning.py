@@ -31,44 +31,30 @@ from edge.mission.logic.ltl import Formula, always, ap, implies, neg, next_, wea
 
 @dataclass(slots=True)
 class ClauseMeaning:
-    """Goals and rules of a clause, or of several clauses joined by "and".
+    """Goals and rules of a clause, or of several clauses joined by "and"."""
 
-    Attributes:
-        goals: goals to achieve in any order.
-        targets: objects of the goals; "while avoiding" lasts until they are reached.
-        rules: formulas that hold from the start.
-        bans: names not to be reached; their duration is decided when the sequence is complete.
-        withouts: (names, objects, token) of "go to the targets without the names", if more follows.
-            Unless the sequence later asks for the names, the user is asked if the ban is permanent.
-        waits: (names, objects): none of the names before the objects; also in `rules`.
-        limits: (names, n, token): at most n separate visits to the names, in a sequence until the
-            next step. The token is that of "not again", which may apply only on the way to
-            `targets`; else None.
-        listed: True if the goals are a list without "and".
-        follows: True if the clause comes after the step before it.
-        repeats: True if the clause asks for the same visit as the last one.
-        commas: True if the orders are joined only by commas.
-        returns: True if the clause goes back to an earlier goal.
-        anchors: objects after which the goals come.
-        each: limit of visits to each place in the entire instruction.
-        strictly: True if the order of the entire instruction is strict.
-    """
-
-    goals: list[Goal] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)  # goals to achieve in any order
+    # objects of the goals; "while avoiding" lasts until they are reached
     targets: NounPhrase = field(default_factory=lambda: NounPhrase(()))
-    rules: list[Formula] = field(default_factory=list)
+    rules: list[Formula] = field(default_factory=list)  # formulas that hold from the start
+    # names not to be reached; their duration is decided when the sequence is complete
     bans: list[tuple[str, ...]] = field(default_factory=list)
+    # (names, objects, token) of "go to the targets without the names", if more follows. Unless the
+    # sequence later asks for the names, the user is asked if the ban is permanent
     withouts: list[tuple[tuple[str, ...], NounPhrase, Token]] = field(default_factory=list)
+    # (names, n, token): at most n separate visits to the names, in a sequence until the next step.
+    # The token is that of "not again", which may apply only on the way to `targets`; else None
     limits: list[tuple[tuple[str, ...], int, Token | None]] = field(default_factory=list)
+    # (names, objects): none of the names before the objects; also in `rules`
     waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
-    listed: bool = True
-    follows: bool = False
-    repeats: bool = False
-    commas: bool = False
-    returns: bool = False
-    anchors: list[NounPhrase] = field(default_factory=list)
-    each: int | None = None
-    strictly: bool = False
+    listed: bool = True  # True if the goals are a list without "and"
+    follows: bool = False  # True if the clause comes after the step before it
+    repeats: bool = False  # True if the clause asks for the same visit as the last one
+    commas: bool = False  # True if the orders are joined only by commas
+    returns: bool = False  # True if the clause goes back to an earlier goal
+    anchors: list[NounPhrase] = field(default_factory=list)  # objects after which the goals come
+    each: int | None = None  # limit of visits to each place in the entire instruction
+    strictly: bool = False  # True if the order of the entire instruction is strict
 
     @property
     def loose(self) -> bool:

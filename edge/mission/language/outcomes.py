@@ -24,47 +24,32 @@ Outcome = Literal["found", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class OutcomeCondition:
-    """The outcome of an order, in the words of a person.
+    """The outcome of an order, in the words of a person."""
 
-    Attributes:
-        outcome: "found" if the order succeeded, "failed" if not.
-        is_object: True for an object ("it is not there"), False for a place ("you can not get in"),
-            None for either ("otherwise").
-        name: its name with the article; "" for the last goal of the order ("it").
-        at: " in the kitchen": the object is there or not; "" if no place is given.
-        there: True if the object is at the place of the order.
-        presumes: True if the condition also says what to do: "if you can not find the bed".
-        state: True if it is a state of a place: "if it is blocked".
-    """
-
-    outcome: Outcome
+    outcome: Outcome  # "found" if the order succeeded, "failed" if not
+    # True for an object ("it is not there"), False for a place ("you can not get in"), None for
+    # either ("otherwise")
     is_object: bool | None = None
-    name: str = ""
-    at: str = ""
-    there: bool = False
+    name: str = ""  # its name with the article; "" for the last goal of the order ("it")
+    at: str = ""  # " in the kitchen": the object is there or not; "" if no place is given
+    there: bool = False  # True if the object is at the place of the order
+    # True if the condition also says what to do: "if you can not find the bed"
     presumes: bool = False
-    state: bool = False
+    state: bool = False  # True if it is a state of a place: "if it is blocked"
 
 
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """An order, and what to do after each of its outcomes.
+    """An order, and what to do after each of its outcomes."""
 
-    Attributes:
-        order: the order whose last goal has the outcome; "" if the condition presumes it.
-        found: what to do if it succeeds; None: nothing more.
-        failed: what to do if it fails; None: the mission fails, or with `found`, nothing more.
-        after: what to do in the end, whatever the outcome; "": nothing.
-        both: True if the text says what to do after both outcomes.
-        may_drive: True if the text may also be read as orders to drive: "…, then in the hall, …".
-    """
-
-    order: str
+    order: str  # the order whose last goal has the outcome; "" if the condition presumes it
     condition: OutcomeCondition
-    found: Branches | str | None
+    found: Branches | str | None  # what to do if it succeeds; None: nothing more
+    # what to do if it fails; None: the mission fails, or with `found`, nothing more
     failed: Branches | str | None
-    after: str = ""
-    both: bool = False
+    after: str = ""  # what to do in the end, whatever the outcome; "": nothing
+    both: bool = False  # True if the text says what to do after both outcomes
+    # True if the text may also be read as orders to drive: "…, then in the hall, …"
     may_drive: bool = False
 
     @property

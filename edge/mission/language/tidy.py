@@ -96,18 +96,12 @@ _REFERS = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class TidySpeech:
-    """An utterance without what speech adds to it.
+    """An utterance without what speech adds to it."""
 
-    Attributes:
-        text: the rest, in one line. A private Unicode character stands for each quotation.
-        reasons: the clauses that were left out because they give no order.
-        repaired: True if the speaker corrected or repeated words.
-        quoted: the quotations in double quotes, in the order of their private characters.
-    """
-
-    text: str
-    reasons: tuple[str, ...] = ()
-    repaired: bool = False
+    text: str  # the rest, in one line. A private Unicode character stands for each quotation
+    reasons: tuple[str, ...] = ()  # the clauses that were left out because they give no order
+    repaired: bool = False  # True if the speaker corrected or repeated words
+    # the quotations in double quotes, in the order of their private characters
     quoted: tuple[str, ...] = ()
 
     def with_quotations(self, text: str) -> str:
