@@ -14,7 +14,7 @@ from edge.mission.language.noun_phrases import (
     take_noun_phrase,
 )
 from edge.mission.language.routes import PASSING, add_to_route, set_destination, take_exception
-from edge.mission.language.tokens import REASONS, Token, TokenReader
+from edge.mission.language.tokens import NONE_OR_NOT_ALL, REASONS, Token, TokenReader
 
 UP = ("up", "down", "over", "on")
 """Particles after "back" that say nothing about the goal: "back up to the roof"."""
@@ -41,10 +41,7 @@ _ALL_OF = ("both", "both of", "all of", "all", "every")
 def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bool:
     """Return True if a path without a verb comes: ", then past the sofa".
 
-    Args:
-        reader: the token reader.
-        ahead: position of the token.
-        any_way: True also accepts the particle without an object.
+    `any_way` also accepts the particle without an object.
     """
     token = reader.peek(ahead)
     if token.text == "back":
@@ -66,9 +63,8 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     """
     was_negated = False
     if clause.negated and reader.is_at("avoid") and "anywhere" in reader.peek().text:
-        reader.refuse_finally(
-            "say what to visit, and what to avoid"
-        )  # "don't go anywhere but to a"
+        # "don't go anywhere but to a"
+        reader.refuse_finally("say what to visit, and what to avoid")
     if avoid := reader.take("avoid"):
         was_negated = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
@@ -142,9 +138,7 @@ def take_passed(
 ) -> None:
     """Parse objects and the objects after them: "through a and into b", "from a to b to c"."""
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.refuse_finally(
-            "unclear: none of them, or not all? say for each if to avoid it", reader.peek()
-        )
+        reader.refuse_finally(NONE_OR_NOT_ALL)
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
     targets = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)

@@ -46,10 +46,6 @@ def areas_of(text: str, noun: str) -> tuple[list[str], str]:
     Example:
         >>> areas_of("look in the office, then in the hall, and come back", "the mug")
         (['find the mug in the office', 'find the mug in the hall'], 'come back')
-
-    Args:
-        text: an order after a search that failed.
-        noun: the object that is searched for, with its article.
     """
     orders: list[str] = []
     text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))

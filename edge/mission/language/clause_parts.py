@@ -11,7 +11,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import ONE_ROBOT, PAST_TENSE, REASONS, Token, TokenReader
 
 MAX_VISITS = 20
 """Largest number of visits to one object that a count may ask for."""
@@ -39,10 +39,8 @@ class Count:
 def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count | None:
     """Parse the count that begins here; return None if there is none.
 
-    Args:
-        reader: the token reader.
-        negated: True if the clause is negated; the result is negated then.
-        every: True if the count is for all places, so that "once" means "no second time".
+    `negated`: the clause and the result are negated. `every`: the count is for all places, so that
+    "once" means "no second time".
 
     Raises:
         TranslationError: the count is above `MAX_VISITS`, or makes no sense after "not".
@@ -172,7 +170,7 @@ _NEEDS = (
 )  # fmt: skip
 # After "no", these make it an answer: "no thanks", "no problem".
 _THANKS = ("thanks", "please", "thank you", "way", "problem")
-_NOT_NEEDED = "this is optional and asks for nothing; leave it out"
+_NOT_NEEDED = REASONS["needless"]
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 """Kinds of token that may stand between a subject and its verb."""
 
@@ -287,35 +285,29 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
         if token.text == "need" and reader.is_at("not", ahead=1):
             reader.refuse_finally(_NOT_NEEDED, token)
         if names_one_robot(reader):
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(ONE_ROBOT, token)
         if token.text in ("ok", "okay", "alright") and reader.is_at("to", ahead=1):
-            reader.refuse_finally("this is optional and asks for nothing; leave it out", token)
+            reader.refuse_finally(_NOT_NEEDED, token)
         answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.refuse_finally("give the full instruction again", token)  # "…, no, the bed"
         if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader):
             reader.refuse_finally("not an instruction for the robot", token)
         if token.text == "did" and reader.is_at("not", ahead=1):
-            reader.refuse_finally("this describes the past; say what to do", token)
-        if (
-            token.text == "let"
-            and reader.is_at("article", ahead=1)
-            and reader.is_at("verb", ahead=3)
-        ):  # "let the dog go there"
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(PAST_TENSE, token)
+        let = token.text == "let" and reader.is_at("article", ahead=1)
+        if let and reader.is_at("verb", ahead=3):  # "let the dog go there"
+            reader.refuse_finally(ONE_ROBOT, token)
         if token.text == "it" and _is_acting_robot(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
             continue
-        if token.kind == "to" and reader.is_at("verb", "not", "avoid", "be", "happen", ahead=1):
-            reader.at += 1
-            continue
         if token.kind == "to" and reader.is_at("filler", ahead=1) and reader.is_at("verb", ahead=2):
             reader.at += 2  # "you have to eventually get there"
             continue
-        if (
-            token.kind == "all of" and seen and reader.is_at("verb", "be", ahead=1)
-        ):  # "are both visited"
+        to = token.kind == "to" and reader.is_at("verb", "not", "avoid", "be", "happen", ahead=1)
+        both = token.kind == "all of" and seen and reader.is_at("verb", "be", ahead=1)
+        if to or both:  # "to visit", "are both visited"
             reader.at += 1
             continue
         if token.text in ("then", "afterwards", "later") and seen & {*AUXILIARIES, "you", "ensure"}:
@@ -376,7 +368,7 @@ def skip_particles(reader: TokenReader, clause: Clause) -> None:
         ):
             reader.refuse("the robot can only go to objects", token)
         elif token.kind == "filler" and names_one_robot(reader):
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(ONE_ROBOT, token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.is_at("verb", ahead=1) and clause.verb == "go"
         ):

@@ -19,7 +19,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import ONLY_REACHED, Token, TokenReader
 
 STATES = (
     "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
@@ -31,14 +31,8 @@ STATES = (
 def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> Condition:
     """Parse `until the bed is reached`, `once you have visited it`, `before that`.
 
-    Args:
-        reader: the token reader, at the first word of the condition, or at "only" or "not" before
-            it.
-        memory: the objects that pronouns mean.
-        clause: clause of the condition; "as soon as" sets its `soon`.
-
-    Returns:
-        The condition; see `Condition` for its flags.
+    The reader is at its first word, or at "only" or "not" before it. "As soon as" sets
+    `clause.soon`.
 
     Raises:
         TranslationError: the condition is incomplete, unclear or not supported.
@@ -158,10 +152,10 @@ def _take_predicate(reader: TokenReader, inner: Clause) -> bool:
         return True
     if mood_kinds & AUXILIARIES and reader.is_at("verb"):
         if mood_kinds <= {"be", "not"} and reader.peek().text in STATES:
-            reader.refuse_finally("the state of an object cannot be used, only that it is reached")
+            reader.refuse_finally(ONLY_REACHED)
         reader.take("verb")
         return True
     if "be" in mood_kinds and not _ends(reader):
-        reader.refuse_finally("the state of an object cannot be used, only that it is reached")
+        reader.refuse_finally(ONLY_REACHED)
     reader.at, inner.negated = begin, negated
     return False

@@ -276,13 +276,7 @@ def _is_place_name(name: str) -> bool:
 
 
 def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
-    """Return True if each slot has a name of its kind.
-
-    Args:
-        kind: topic or `do` of the template.
-        slots: slot -> its text.
-        sites: names that are allowed in the slot `room` of a zone, in addition to kinds of rooms.
-    """
+    """Return True if each slot has a name of its kind; a zone may also be of one of the sites."""
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and not (kind in _ZONE_KINDS and room in sites):
         return False

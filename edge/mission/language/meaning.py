@@ -87,10 +87,7 @@ class ClauseMeaning:
 def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) -> ClauseMeaning:
     """Return the meaning of a clause.
 
-    Args:
-        clause: the clause.
-        reader: the token reader.
-        times: number of visits that were asked for so far, by name, for "do not visit it again".
+    `times` is the number of visits so far, by name, for "do not visit it again".
 
     Raises:
         TranslationError: parts of the clause do not fit together.

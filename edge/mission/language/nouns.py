@@ -214,18 +214,7 @@ NUMERALS = (*number_words.ORDINALS, "last")
 """Ordinal numbers in order, and "last"."""
 ORDINALS = frozenset(NUMERALS)
 """The same as a set."""
-_NAMED_BY_CONTENT = (
-    "shop",
-    "store",
-    "station",
-    "stop",
-    "room",
-    "market",
-    "museum",
-    "lot",
-    "stand",
-    "park",
-)
+_NAMED_BY_CONTENT = split_entries("shop store station stop room market museum lot stand park")
 """Places that are named after their content: "coffee shop", "printer room"."""
 # Further objects that lead to a place.
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")

@@ -87,8 +87,10 @@ _PARTS = {
         reach {them}|reach there|enter [it|there|that room])
         """,
 }
-# Kind of target → templates, one for each line. True: an object; False: a place; None: either.
-_FAILED: dict[bool | None, str] = {
+# Outcome → kind of target → templates, one for each line. True: an object; False: a place; None:
+# either.
+_TEMPLATES: dict[Outcome, dict[bool | None, str]] = {
+  "failed": {
     True: """
         {if} {it} {is} {gone} {either}
         {if} {it} {is} not {at} {either}
@@ -115,8 +117,8 @@ _FAILED: dict[bool | None, str] = {
             you can not [do (it|that)]|you have no luck)
         (failing that|or otherwise|otherwise|else|if else)
     """,
-}
-_FOUND: dict[bool | None, str] = {
+  },
+  "found": {
     True: """
         {if} {it} {is} {there} {either}
         {if} <object> {is} {there} {either}
@@ -130,7 +132,8 @@ _FOUND: dict[bool | None, str] = {
         {if} (so|yes|you (do|did|have)|it (is|was)|there (is|are)|they are|found|successful|
             that works [out]|you succeed)
     """,
-}
+  },
+}  # fmt: skip
 _TRIGGER = re.compile(
     r"(?<![^\s,;.!?:-])(?P<word>if|in case|in the event|supposing|failing that|otherwise|else"
     r"|(?:or else|(?:and )?then)(?= (?P<area>\w+ .*)))\b",
@@ -180,14 +183,12 @@ _SEARCHES = re.compile(
 
 @cache
 def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
-    found: list[tuple[re.Pattern[str], Outcome, bool | None]] = []
-    table: tuple[tuple[Outcome, dict[bool | None, str]], ...] = (
-        ("failed", _FAILED), ("found", _FOUND),
-    )  # fmt: skip
-    for outcome, rows in table:
-        for is_object, lines in rows.items():
-            found += [(one, outcome, is_object) for one in compile_templates(lines, _PARTS)]
-    return found
+    return [
+        (pattern, outcome, is_object)
+        for outcome, rows in _TEMPLATES.items()
+        for is_object, lines in rows.items()
+        for pattern in compile_templates(lines, _PARTS)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,15 +277,11 @@ def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
     is_object = second.condition.is_object
     missed = first.condition.outcome == "failed"
     drives = (is_object is False or missed) and is_object is not None and _DRIVES.search(between)
-    searches = (is_object is not None or (missed and second.is_bare)) and _SEARCH_VERB.search(
-        between
-    )
+    may_search = is_object is not None or (missed and second.is_bare)
+    searches = may_search and _SEARCH_VERB.search(between)
     if re.search(r"\b(?:that|this)\b", phrase, re.I) or drives or searches:
-        part, hint = (
-            phrase.strip(),
-            "unclear which of the orders this is about; say first what to do if it is there",
-        )
-        raise unclear(part, hint)
+        hint = "unclear which of the orders this is about; say first what to do if it is there"
+        raise unclear(phrase, hint)
 
 
 def _order(text: str) -> str:
@@ -354,9 +351,8 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     state = is_object is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
     presumes = bool(name) and (bool(at) or (outcome == "failed" and not state))
     rest = spaced[match.end() :]
-    is_area = (
-        bool(there) and is_object and _RELATION.match(rest)
-    )  # "if it is not there in the hall"
+    # "if it is not there in the hall"
+    is_area = bool(there) and is_object and _RELATION.match(rest)
     is_report = outcome == "found" or is_object is not None
     if is_report and not (is_area or _is_followed_by_order(rest)):
         return None  # "if you enter the hall", "if you have been to the bed", "if it is not free"

@@ -13,13 +13,7 @@ Change = Callable[[re.Match[str]], Union[str, None]]
 
 
 def rewrite_outside_quotes(pattern: re.Pattern[str], change: Change, text: str) -> str:
-    """Replace the matches of a pattern outside quotes.
-
-    Args:
-        pattern: the pattern.
-        change: returns the replacement of a match; None keeps the match.
-        text: the text.
-    """
+    """Replace the matches of a pattern outside quotes."""
 
     def replace(found: re.Match[str]) -> str:
         # The match begins in quotes, or only one of its ends is in quotes.

@@ -33,6 +33,12 @@ REASONS = {
 }
 """Reasons to refuse tokens, by kind."""
 
+ONE_ROBOT = "an instruction is for one robot only"
+ONLY_REACHED = "the state of an object cannot be used, only that it is reached"
+PAST_TENSE = "this describes the past; say what to do"
+NONE_OR_NOT_ALL = "unclear: none of them, or not all? say for each if to avoid it"
+"""Hints of refusals by several parsers."""
+
 _DRIVEN = ("car", "vehicle")  # after "the", they may mean the robot or an object
 _ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
 _ACTS = ("must", "can", "verb", "not", "do", "always")  # kinds after "u" that means "you"

@@ -192,16 +192,8 @@ def _is_lone_letter(reader: TokenReader) -> bool:
         word.kind == "word" and nouns.is_noun(word.text) and _is_letter(follower)
         for word, follower in itertools.pairwise(before)
     )
-    return lettered and before[-1].kind in (
-        "and",
-        "or",
-        "then",
-        "to",
-        "comma",
-        "but",
-        "not",
-        "avoid",
-    )
+    joints = ("and", "or", "then", "to", "comma", "but", "not", "avoid")
+    return lettered and before[-1].kind in joints
 
 
 def _is_letter(token: Token) -> bool:
@@ -227,11 +219,8 @@ def _is_soft(reader: TokenReader) -> bool:
     if not reader.is_at("when"):
         return False
     willing = reader.is_at("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
-    return (
-        willing
-        or _ends_clause(reader, 1)
-        or reader.peek(1).text in ("possible", "necessary", "needed")
-    )
+    polite = reader.peek(1).text in ("possible", "necessary", "needed")
+    return willing or polite or _ends_clause(reader, 1)
 
 
 def _previous(reader: TokenReader) -> Token | None:
@@ -304,11 +293,8 @@ def _name_before(reader: TokenReader) -> Token | None:
     if before.kind == "number" and begin > 1:
         begin -= 1
     end, found = begin, None
-    while (
-        begin
-        and end - begin < _MOST_NAME_WORDS
-        and reader.tokens[begin - 1].kind in ("word", "group")
-    ):
+    earliest = max(0, begin - _MOST_NAME_WORDS)
+    while begin > earliest and reader.tokens[begin - 1].kind in ("word", "group"):
         begin -= 1
         if _is_known([token.text for token in reader.tokens[begin:end]]):
             found = reader.tokens[begin]
