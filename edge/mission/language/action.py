@@ -142,12 +142,8 @@ def take_passed(
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
     targets = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
-    if (
-        clause.negated
-        and clause.verb.startswith((*_CARRIES, "move"))
-        and reader.is_at("to")
-        and starts_noun_phrase(reader, 1)
-    ):
+    carries = clause.negated and clause.verb.startswith((*_CARRIES, "move"))
+    if carries and reader.is_at("to") and starts_noun_phrase(reader, 1):
         reader.refuse_finally("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, targets.names))
     clause.targets, clause.through = targets, passes or (rides and clause.verb[:2] != "go")
@@ -190,6 +186,7 @@ LEADING = nouns.split_entries(
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )
 """Objects that lead to a place: "the door to the kitchen" is one object."""
+LEADS_ON = "unclear: one object that leads to the other, or both in turn? say 'then to …'"
 
 
 def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
@@ -202,10 +199,7 @@ def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     if carried and not all(map(nouns.is_place, clause.targets.names)):
         reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
     if clause.targets.names[-1].split()[-1] in LEADING:
-        reader.refuse_finally(
-            "unclear: one object that leads to the other, or both in turn? say 'then to …'",
-            before[verb],
-        )
+        reader.refuse_finally(LEADS_ON, before[verb])
 
 
 def _take_onward(reader: TokenReader) -> bool:

@@ -97,18 +97,16 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
     elif clause.only and clause.conditions:
         clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
     elif clause.only and not clause.count and not clause.negated:
-        reader.refuse_finally(
-            "'only' needs a number or a condition; say what to avoid", clause.token
-        )
+        hint = "'only' needs a number or a condition; say what to avoid"
+        reader.refuse_finally(hint, clause.token)
     if clause.targets is None:
         return _goal_of_until(clause, reader)
     if clause.instant and not clause.conditions:
         reader.refuse("'in the next step' is not possible here", clause.instant)
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
     if again and not clause.returns and not times.keys() & set(clause.targets.names):
-        reader.refuse(
-            "this was not asked for before, so 'again' is unclear; say how often", clause.token
-        )
+        hint = "this was not asked for before, so 'again' is unclear; say how often"
+        reader.refuse(hint, clause.token)
     if clause.targets.every and (meaning := _meaning_of_every(clause, clause.targets, reader)):
         return meaning
     # One object has no order.
@@ -253,12 +251,9 @@ def _meaning_of_order(
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _meaning_of_count_until(clause, targets, clause.count, reader, times)
     if clause.count and len(targets.groups) > 1 and clause.order:  # "a, b in order, once each"
-        most = clause.count.most
-        meaning.goals.append(
-            steps([visits(NounPhrase((g,)), clause.count.least) for g in targets.groups])
-        )
-        if most == 1:
-            meaning.each = 1
+        least = clause.count.least
+        meaning.goals.append(steps([visits(NounPhrase((g,)), least) for g in targets.groups]))
+        meaning.each = 1 if clause.count.most == 1 else None
         meaning.targets = targets
     elif clause.count:
         _add_count(clause, targets, clause.count, meaning, times)
@@ -361,9 +356,8 @@ def _add_condition(
     if clause.next_step and not answers:
         reader.refuse_finally("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.refuse_finally(
-            "a condition that something never happens is not possible", condition.token
-        )
+        hint = "a condition that something never happens is not possible"
+        reader.refuse_finally(hint, condition.token)
     if set(when.names) & set(targets.names) and not answers:
         reader.refuse_finally("nothing comes before or after itself", condition.token)
     if kind == "before" and condition.only and not condition.denied:
@@ -373,9 +367,8 @@ def _add_condition(
         meaning.targets = when  # "go through the hallway until you reach the bed"
         return
     if kind == "until" and not condition.denied:
-        reader.refuse(
-            "'until' is not possible for a visit; say what comes after what", condition.token
-        )
+        hint = "'until' is not possible for a visit; say what comes after what"
+        reader.refuse(hint, condition.token)
     if condition.denied and kind != "after":  # "visit x, but not before y"
         meaning.rules += held_until(targets.names, when)
     elif kind == "unless":
@@ -383,9 +376,8 @@ def _add_condition(
     elif kind == "before" and (clause.mood != "can" or condition.only):
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
-            pick = 0
-            if _is_rule(clause, condition, reader):
-                pick = reader.pick(condition.token, len(_BEFORE_READINGS))
+            is_rule = _is_rule(clause, condition, reader)
+            pick = reader.pick(condition.token, len(_BEFORE_READINGS)) if is_rule else 0
             way = _BEFORE_READINGS[pick]
         if way != "in order":
             meaning.rules += held_until(when.names, targets)

@@ -76,8 +76,7 @@ def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
         reader.refuse_finally("say what to do then, as in 'go to the bed'", conditional[0].token)
     groups = clause.targets.groups if clause.targets else ()
     if clause.count and clause.count.least > 1 and (clause.order and len(groups) > 1):
-        reader.refuse_finally(
-            "unclear: this number for the entire list, or for each? use two sentences", clause.token
-        )
+        hint = "unclear: this number for the entire list, or for each? use two sentences"
+        reader.refuse_finally(hint, clause.token)
     if any(c.recurring for c in conditional) and (len(clause.conditions) > 1 or clause.avoiding):
         reader.refuse_finally("use two sentences", conditional[0].token)
