@@ -33,7 +33,7 @@ def rewrite_every_room(found: re.Match[str]) -> str | None:
         return None
     rest = found[0][found.end("each") - found.start() :]
     if work := patterns.IN_EACH.match(rest + found.string[found.end() :]):
-        hint = "the robot goes into each room and looks around; it cannot be told what to do there"
+        hint = "the robot goes into each room and looks around; it can do no more there"
         raise unclear(work[0], hint)
     known = is_marked(left_out) or kind_of_room(left_out) in RECOGNISED_KINDS
     if known or re.fullmatch(r"room \w+", left_out):
