@@ -19,7 +19,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.tokens import ONLY_REACHED, Token, TokenReader
+from edge.mission.language.tokens import ONLY_REACHED, TokenReader
 
 STATES = (
     "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
@@ -88,9 +88,11 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
             condition.targets = NounPhrase(condition.targets.groups + more.groups)
         reader.take("happen")
     elif reader.is_at("pronoun"):
-        pronoun = reader.take("pronoun")
-        assert pronoun is not None
-        condition.targets = _objects_of_pronoun(reader, memory, pronoun)
+        if memory.asked is None:
+            hint = f"{reader.peek().text!r} refers to nothing that was named before"
+            reader.refuse(hint, reader.peek())
+        reader.at += 1
+        condition.targets = memory.asked
         # "before it" means the order of goals; "before it is visited" names an event.
         condition.referred = not _take_predicate(reader, inner)
     elif starts_noun_phrase(reader):
@@ -134,14 +136,6 @@ def another_participle(reader: TokenReader) -> bool:
 def _ends(reader: TokenReader) -> bool:
     """Return True if the phrase ends here."""
     return reader.is_at("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
-
-
-def _objects_of_pronoun(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
-    """Return the objects of the last goal, which a pronoun means; refuse it without a goal."""
-    targets = memory.asked
-    if targets is None:
-        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
-    return targets
 
 
 def _take_predicate(reader: TokenReader, inner: Clause) -> bool:

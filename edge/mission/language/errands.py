@@ -160,15 +160,10 @@ def _rewrite_room_first(found: re.Match[str]) -> str | None:
 def _rewrite_counted(found: re.Match[str]) -> str | None:
     """Return "find two chairs" as `find "chair 1 of 2", then find "chair 2 of 2"`."""
     *first, last = found["object"].lower().split()
-    count = 2 if found["count"].lower() == "both" else number_of(found["count"].lower())
+    count = 2 if found["count"].lower() == "both" else number_of(found["count"].lower()) or 0
     where = relation_text(found["relation"], found["anchor"])
     noun = " ".join((*first, names.singular(last)))
-    if (
-        count is None
-        or not 2 <= count <= MAX_COUNT
-        or where is None
-        or names.singular(last) == last
-    ):
+    if where is None or not 2 <= count <= MAX_COUNT or names.singular(last) == last:
         return None
     if is_room(noun) or is_vague(found["object"]) or nouns.unknown_in(noun.split()) is not None:
         return None

@@ -222,11 +222,8 @@ def _find_replaced(before: str, after: str) -> int | None:
     name = re.match(rf"{NAME}$", _CLAUSE_END.split(after)[0].strip(), re.I)
     articles = list(re.finditer(rf"\b{ARTICLE} ", before, re.I))
     if name and articles and re.fullmatch(NAME, before[articles[-1].start() :], re.I):
-        return (
-            articles[-1].end()
-            if not re.match(rf"{ARTICLE} ", after, re.I)
-            else articles[-1].start()
-        )
+        has_article = re.match(rf"{ARTICLE} ", after, re.I)
+        return articles[-1].start() if has_article else articles[-1].end()
     return None
 
 

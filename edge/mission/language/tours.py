@@ -123,19 +123,14 @@ def rewrite_patrol(found: re.Match[str]) -> str | None:
     rounds = number_of(often) if often else None
     if often and rounds is None:
         return None
-    if (
-        rounds is not None
-        and 1 <= rounds <= patterns.MAX_ROUNDS
-        and (len(stops) > 1 or rounds == 1)
-    ):
+    if rounds and rounds <= patterns.MAX_ROUNDS and (len(stops) > 1 or rounds == 1):
         return go_to_each(stops * rounds)
     if before or after:
-        part = before.strip() or after
         hint = (
             "this cannot go with a patrol of rooms, for some time, without an end or with more "
             f"than {patterns.MAX_ROUNDS} rounds; send the patrol alone"
         )
-        raise unclear(part, hint)
+        raise unclear(before.strip() or after, hint)
     end = f"{rounds} times" if rounds is not None else "until told"
     end = f"for {shown_s(seconds_of(slots['span']))}" if slots.get("span") else end
     return f"{go_to_each(stops)}; repeat {end}"
