@@ -24,6 +24,8 @@ from edge.mission.language.tokens import unclear
 from edge.mission.language.unsupported import BEYOND_NAMES
 from edge.text import one_line
 
+_ROOM_OF = re.compile(phrase_of("room of"))
+
 
 def refuse_unknown_names(text: str) -> None:
     """Refuse a quoted proposition with a word that is no known object, such as a typing error."""
@@ -54,7 +56,7 @@ def is_name(name: str) -> bool:
 
 def modifies(word: str) -> bool:
     """Return True if a word may stand before a noun, and is no slip of a known word."""
-    if re.fullmatch(phrase_of("room of"), word):
+    if _ROOM_OF.fullmatch(word):
         return True
     kind = TABLE.get((word,))
     if word in BEYOND_NAMES or word in nouns.ORDINALS or word in ("whole", "entire"):

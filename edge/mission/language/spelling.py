@@ -10,7 +10,7 @@ from edge.number_words import SMALL_NUMBERS, TENS
 WORD = re.compile(r"[^\W_]+(?:['\-_][^\W_]+)*")
 """A word: letters and digits, with single ' - _ between them, as in "don't" and "twenty-one"."""
 # Contraction or informal spelling → its words.
-CONTRACTIONS = {
+_CONTRACTIONS = {
     "can't": "can not",
     "ur": "your", "pls": "please", "plz": "please", "gotta": "have to", "wanna": "want to",
     "gonna": "going to", "lemme": "let me", "untill": "until", "'til": "until",
@@ -27,18 +27,18 @@ CONTRACTIONS = {
 _NUMERAL = re.compile(r"(\d{1,2})(?:st|nd|rd|th)")
 _COMPOUND = re.compile(rf"({'|'.join(TENS)})-({'|'.join(SMALL_NUMBERS[1:10])})")
 # End of a contraction → the words that replace it.
-ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
+_ENDINGS = {"n't": " not", "'ve": " have", "'re": " are", "'ll": " will", "'d": " would"}
 
 
 def expand_word(word: str) -> list[str]:
     """Return the words for which a word stands: `don't` is do, not; `2nd` is second."""
-    if word in CONTRACTIONS:
-        return CONTRACTIONS[word].split()
+    if word in _CONTRACTIONS:
+        return _CONTRACTIONS[word].split()
     if (numeral := _NUMERAL.fullmatch(word)) and 0 < int(numeral[1]) < len(nouns.NUMERALS):
         return [nouns.NUMERALS[int(numeral[1]) - 1]]
     if compound := _COMPOUND.fullmatch(word):
         return [compound[1], compound[2]]
-    for ending, full in ENDINGS.items():
+    for ending, full in _ENDINGS.items():
         if word.endswith(ending) and len(word) > len(ending):
             return (word[: -len(ending)] + full).split()
     return [word]

@@ -20,8 +20,7 @@ _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "u": "you", "id": "i would", "till": "until",
-           "whichever's": "whichever is", "wanna": "want to", "gonna": "going to",
-           "gotta": "must"}  # fmt: skip
+           "whichever's": "whichever is", "gotta": "must"}  # fmt: skip
 # "the door's painted" has "is" only at the end of a clause: "the robot's painted door" is the
 # robot's. "room 3's painted" and the listed words have it anywhere.
 _APOSTROPHE_IS = re.compile(
