@@ -23,7 +23,7 @@ from edge.mission.destinations import (
 )
 from edge.mission.fallbacks import FallbackTranslator
 from edge.mission.language.english import describe
-from edge.mission.language.errand_patterns import CHECK
+from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.errands import spell_out
 from edge.mission.language.everyday_words import is_room
 from edge.mission.language.grammar import readings
@@ -37,13 +37,16 @@ from edge.mission.language.intents import (
 )
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.outcomes import Branches, split_outcomes
+from edge.mission.language.periods import Period, split_period
 from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
+from edge.mission.language.spans import shown_s
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError, unclear
 from edge.mission.logic import ltl
+from edge.mission.logic.goal_sequence import NotASequenceError, split_bans, then
 from edge.mission.logic.ltl import Formula
 from edge.mission.read_back import orders_of
-from edge.mission.repetition import split_repetition
+from edge.mission.repetition import Repetition, split_repetition
 from edge.mission.translate import (
     AmbiguousInstructionError,
     ParsedInstruction,
@@ -92,6 +95,11 @@ def translate(
         quoted, repeat = split_repetition(quote_places(text, _place_names(site)))
         translation = make_translator(config.translator).translate(quoted, reading, ask)
         return replace(with_failures(translation), repeat=repeat)
+    if (period := split_period(text)) is not None:
+        try:
+            return _with_period(translate(config, period.order, site, reading, ask), period, text)
+        except NoMissionError:
+            raise unclear(text, "only an order to drive can be repeated after a time") from None
     speech = tidy_up(text)
     if (branches := split_outcomes(speech.text)) is not None:
         try:
@@ -104,6 +112,23 @@ def translate(
             except TranslationError:
                 raise error from None
     return _translate_plain(config, text, site, reading, ask)
+
+
+def _with_period(order: Translation, period: Period, text: str) -> Translation:
+    """Return an order that is repeated, with a wait at the end of each round."""
+    if order.repeat not in (None, Repetition()):
+        raise unclear(text, "unclear what is repeated how often; say only the time between rounds")
+    goals, bans = split_bans(order.formula)
+    wait = ltl.eventually(ltl.ap(f"{WAIT} {shown_s(period.wait_s)}"))
+    try:
+        round_of_goals = then(*goals, wait) or wait
+    except NotASequenceError:
+        raise unclear(text, "expected orders in a sequence, to repeat them") from None
+    formula = ltl.conj(round_of_goals, *bans)
+    return replace(
+        order, instruction=text, formula=formula, repeat=Repetition(limit_s=period.limit_s),
+        english=describe(formula) + order.english.removeprefix(describe(order.formula)),
+    )  # fmt: skip
 
 
 def _translate_plain(

@@ -80,6 +80,14 @@ def test_exploring_ends_after_its_time_and_lists_the_objects(tmp_path):
     assert 6.0 <= status.elapsed_s < 7.0
 
 
+def test_an_order_with_a_period_waits_between_its_rounds(tmp_path):
+    loop = driven("go to the sofa every 5 seconds for 20 seconds", folder=tmp_path, seconds=40.0)
+    status = loop.service.status
+    assert (status.phase, loop.notes.events.count("reached: wait 5 s (waited 5 s)")) == (
+        "reached", status.reason.count("rounds") and int(status.reason.split()[0])
+    ), status  # fmt: skip
+
+
 def test_a_check_looks_and_answers_yes_with_the_place(tmp_path):
     loop = loop_of(tmp_path, 'F ("check bed" & F here)').run(200)
     status = loop.service.status

@@ -1,0 +1,59 @@
+"""Orders that are carried out again after a time."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge.config import MissionConfig, TranslatorGrammar
+from edge.lab.eval.everyday import SITE
+from edge.mission.language.tokens import UnclearError
+from edge.mission.repetition import Repetition
+from edge.mission.spec import prepare
+
+CONFIG = MissionConfig(translator=TranslatorGrammar())
+
+
+@pytest.mark.parametrize(
+    ("instruction", "formula", "limit_s"),
+    [
+        ("check the stove every 10 minutes", 'F ("check stove" & F "wait 10 min")', None),
+        ("Every other hour, find the cat!", 'F (cat & F "wait 120 min")', None),
+        ("visit the kitchen hourly until I tell you to stop",
+         'F (kitchen & F "wait 60 min")', None),
+        ("can you patrol the house every half hour for 8 hours?",
+         'F ("every room" & F "wait 30 min")', 28800.0),
+        ("every minute go to the bed, then to the sofa",
+         'F (bed & F (sofa & F "wait 1 min"))', None),
+        ("patrol the bed and the sofa every 90 seconds",
+         'F (bed & F (sofa & F "wait 90 s"))', None),
+        ("every hour, go to the bed but stay out of the kitchen",
+         'F (bed & F "wait 60 min") & G !kitchen', None),
+    ],
+)  # fmt: skip
+def test_an_order_with_a_period_repeats_with_a_wait(instruction, formula, limit_s):
+    translation = prepare(CONFIG, instruction, site=SITE).translation
+    assert str(translation.formula) == formula
+    assert translation.repeat == Repetition(limit_s=limit_s)
+    assert translation.instruction == instruction
+    assert ", then wait " in translation.understood
+    assert "Repeat this" in translation.understood
+
+
+@pytest.mark.parametrize(
+    ("instruction", "reason"),
+    [
+        ("go to the bed, then to the sofa every 5 minutes", "begin with it: 'every 5 minutes, go"),
+        ("patrol the house twice every hour", "unclear what is repeated how often"),
+        ("tell me what you see every 10 minutes", "only an order to drive"),
+        ("pause every hour", "only an order to drive"),
+        ("look for the mug; if it is not there, go to the sofa every hour", "in a sequence"),
+        ("every hour", "no times of day"),
+    ],
+)
+def test_a_period_of_something_else_is_refused(instruction, reason):
+    with pytest.raises(UnclearError, match=reason):
+        prepare(CONFIG, instruction, site=SITE)
+
+
+def test_every_room_is_no_period():
+    assert prepare(CONFIG, "visit every room", site=SITE).translation.repeat is None
