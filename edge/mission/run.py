@@ -198,12 +198,17 @@ class MissionRun:
     # -- events -------------------------------------------------------------------------------
 
     def on_detections(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
-        """Update the set D, and plan again if it changes; see `TargetSets.on_detections`."""
+        """Update the set D, and plan again if it changes; see `TargetSets.on_detections`.
+
+        The log has objects and rooms, but not places and routines, which are known from the start.
+        """
         if self.done or (new := self.sets.on_detections(newest, keep)) is None:
             return
         for label in sorted(new - frozenset(self.sets.reached)):
             self.meter.pursued_s[label] = 0.0
-            self.log_event(now_ns, "seen", label, f"seen: {label}")
+            destination = self.destinations.get(label)
+            if destination is None or isinstance(destination, RoomTarget):
+                self.log_event(now_ns, "seen", label, f"seen: {label}")
         self.replan(now_ns)
 
     def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:
