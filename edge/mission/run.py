@@ -13,7 +13,7 @@ from edge.mission.destinations import (
     FailureTarget,
     PlaceTarget,
     RoomTarget,
-    is_timed,
+    has_own_end,
 )
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.meter import MissionMeter
@@ -168,8 +168,8 @@ class MissionRun:
     def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
         """Count time and path; see `MissionMeter.add`."""
         target = self.target if self.active else None
-        is_timed_target = is_timed(self.destinations.get(self.target))
-        self.meter.add(pose, now_ns, target, is_timed_target, searching)
+        exempt = has_own_end(self.destinations.get(self.target))
+        self.meter.add(pose, now_ns, target, exempt, searching)
 
     def check_limits(self, now_ns: int) -> None:
         """End at the end of the repetition; fail at the time or path limit of the mission.
@@ -189,8 +189,8 @@ class MissionRun:
             self.finish("failed", f"time limit of {c.time_limit_s:g} s", now_ns)
         elif path_m > c.path_limit_m:
             self.finish("failed", f"path limit of {c.path_limit_m:g} m", now_ns)
-        elif is_timed(self.destinations.get(self.target)):
-            pass  # it ends by a time of its own
+        elif has_own_end(self.destinations.get(self.target)):
+            pass
         elif self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.sets.detected else "no"
             self.abandon_target(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
