@@ -73,6 +73,7 @@ def test_without_a_task_a_mission_is_prepared():
     [
         ("turn left, then go to the bed", ["turn left", "go to the bed"]),
         ("please stop 2 m before the sofa", ["stop 2 m before the sofa"]),
+        ("circle around the sofa", ["circle around the sofa"]),
         ("go past the right of the bench", ["go past the right of the bench"]),
         ("go to the bed", None),
     ],
