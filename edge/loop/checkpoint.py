@@ -20,9 +20,10 @@ from edge.loop import crop_checkpoint
 from edge.loop.map_checkpoint import SUFFIX, MapCheckpoint, MapParts, StampedPose
 from edge.memory import CropStore
 from edge.mission.checkpoint import MISSION, TRANSLATION_ATTRIBUTES, MissionState, restore, state_of
+from edge.mission.instructions import MissionError
 from edge.mission.logic import ltl
 from edge.mission.run import MissionRun
-from edge.mission.spec import MissionError, MissionSpec, spec_of
+from edge.mission.spec import MissionSpec, spec_of
 from edge.mission.translate import Translation
 from edge.tasks.mission_spec import prepare_task
 from edge.text import one_line

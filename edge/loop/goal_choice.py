@@ -232,7 +232,7 @@ class GoalChooser:
             tracked = None
         c = context.candidates
         path_m = c.path_m[: c.n][c.kind[: c.n] == INSTANCE]
-        if len(path_m) and np.isinf(path_m).all():  # somebody may have stood in the way
+        if len(path_m) and np.isinf(path_m).all():  # a person may have stood in the way
             search.open_path(now_ns, grid)
         best = self._best_candidate(tracked, context, score)
         if tracked is not None and best is not None and self._jumps(tracked.goal, best.goal):

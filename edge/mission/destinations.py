@@ -19,6 +19,7 @@ from edge.errors import UserError
 from edge.geometry import SE2
 from edge.memory import RECOGNISED_KINDS, Place, Site, kind_of_room
 from edge.mission.language.places import EVERY, EXPLORED, HERE, NO, START
+from edge.mission.language.spans import shown_s
 from edge.text import one_line
 
 CALLER = "caller"
@@ -299,16 +300,6 @@ def describe_destination(name: str, destination: Destination) -> str:
         START: "the start", HERE: "the place where this mission begins", CALLER: "the caller",
     }  # fmt: skip
     return special.get(name, f'"{name}"')
-
-
-def shown_s(seconds: float) -> str:
-    """Return a duration for people.
-
-    >>> shown_s(30.0), shown_s(600.0), shown_s(90.0)
-    ('30 s', '10 min', '90 s')
-    """
-    whole_min = seconds >= 60 and seconds % 60 == 0
-    return f"{seconds / 60:g} min" if whole_min else f"{seconds:.0f} s"
 
 
 def destinations_json(destinations: Mapping[str, Destination]) -> dict[str, Any]:

@@ -13,16 +13,16 @@ from typing import Union
 
 from edge import names
 from edge.memory import parse_description
+from edge.mission.language.areas import areas_of, searched_object
 from edge.mission.language.errand_patterns import CHECK, WAIT
 from edge.mission.language.everyday_words import NAME, bare, is_room
-from edge.mission.language.fallbacks import Branches, OutcomeCondition, areas_of, searched_object
 from edge.mission.language.nouns import is_plural
+from edge.mission.language.outcomes import Branches, OutcomeCondition
 from edge.mission.language.places import EXPLORED, NO
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 from edge.mission.logic import goal_sequence
 from edge.mission.logic.goal_sequence import last_goals, reach, replace_last, then
 from edge.mission.logic.ltl import Formula, ap, conj, disj, eventually, propositions
-from edge.text import one_line
 
 # Orders that ask for nothing more: the robot stops anyway, or reports anyway.
 _NOTHING_MORE = (
@@ -174,7 +174,7 @@ class FallbackTranslator:
             return self._nested(part, noun, last)
         if found := _WAIT_HERE.search(part):
             hint = "say 'come back here, then wait', or 'wait there'"
-            raise UnclearError(f"instruction: {found[0]!r}: unclear where; {hint}", found[0])
+            raise unclear(found[0], f"unclear where; {hint}")
         text = _STOPS.sub("", part)
         orders, text = areas_of(text, noun) if noun else ([], text)
         text = _FIND_IT.sub(rf"\g<find> {noun}" if noun and not orders else r"\g<0>", text)
@@ -215,7 +215,7 @@ class FallbackTranslator:
         """Return the formula of orders after a condition: only goals."""
         if _STATES.match(text):
             hint = "after a condition, expected an order; say for example 'look in the hall'"
-            raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+            raise unclear(text, hint)
         formula = self.translate(text)
         _refuse_rules(formula, text)
         return formula
@@ -304,7 +304,7 @@ class FallbackTranslator:
         if is_unclear:
             part = condition.name or "it"
             hint = "unclear which of the orders the condition is about; use one order before it"
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+            raise unclear(part, hint)
 
     def _at(self, order: Formula, goals: Sequence[str], condition: OutcomeCondition) -> Formula:
         """Return the order with the place that the condition names: "if it is not in the hall"."""
@@ -314,7 +314,7 @@ class FallbackTranslator:
             raise UnclearError(f"instruction: {_UNPLACED}")
         if len(goals) > 1 or parse_description(goals[0]) or condition.at.endswith(" it"):
             part = condition.at.strip()
-            raise UnclearError(f"instruction: {part!r}: unclear what should be there", part)
+            raise unclear(part, "unclear what should be there")
         return replace_last(order, lambda _: self.translate(f"find the {goals[0]}{condition.at}"))
 
     def _check_kind(self, goals: Sequence[str], condition: OutcomeCondition) -> None:
@@ -323,17 +323,15 @@ class FallbackTranslator:
         timed = goals[0].startswith((WAIT, EXPLORED))
         is_there = condition.is_object and condition.there and not are_objects
         if condition.state and are_objects:
-            hint = "the robot cannot see this state; say it for a room or a place"
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+            raise unclear(part, "the robot cannot see this state; say it for a room or a place")
         if timed or is_there:
-            hint = "unclear what this is about; name the object that may be missing"
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+            raise unclear(part, "unclear what this is about; name the object that may be missing")
 
 
 def _refuse_rules(formula: Formula, text: str) -> None:
     if not goal_sequence.has_only_goals(formula):
         hint = "with a condition, only goals are understood here; say first what to avoid"
-        raise UnclearError(f"instruction: {one_line(text)!r}: {hint}", text)
+        raise unclear(text, hint)
 
 
 def _targets(formula: Formula) -> tuple[str, ...]:
@@ -405,6 +403,5 @@ def _place(condition: OutcomeCondition, goals: Sequence[str]) -> str:
     room = goal.removeprefix(f"{EXPLORED} ").partition(" for ")[0]
     if not condition.there or not is_room(room) or condition.is_object is False:
         part = condition.name
-        hint = "say where, as in 'if there is a cup in the kitchen'"
-        raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        raise unclear(part, "say where, as in 'if there is a cup in the kitchen'")
     return f" in the {room}"

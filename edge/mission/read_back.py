@@ -21,11 +21,11 @@ from edge.mission.destinations import (
     RoomTarget,
     WaitTarget,
     describe_destination,
-    shown_s,
 )
 from edge.mission.language.english import Chain, alternatives_of, is_too_long, options_of
 from edge.mission.language.everyday_words import is_room
 from edge.mission.language.places import HERE, START
+from edge.mission.language.spans import shown_s
 from edge.mission.logic.ltl import Formula, conj
 
 # A name that ends in a number or a letter: "room 12".

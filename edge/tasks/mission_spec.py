@@ -13,10 +13,11 @@ from edge import names
 from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
 from edge.mission.destinations import destination_of
+from edge.mission.instructions import MissionError
 from edge.mission.language.intents import NoMissionError
 from edge.mission.logic import ltl
 from edge.mission.readings import AmbiguousInstructionError
-from edge.mission.spec import MissionError, MissionSpec, prepare, spec_of_task
+from edge.mission.spec import MissionSpec, prepare, spec_of_task
 from edge.mission.task_step import TaskStep
 from edge.mission.translate import Translation, TranslationError
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS

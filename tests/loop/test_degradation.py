@@ -34,8 +34,8 @@ class Plant:
     def run(self, seconds: int, load: float = 1.0, **second) -> Plant:
         for _ in range(seconds):
             self.now_s += 1
-            told = LoadSample(self.costs_ms[self.level] * load, **second)
-            if (move := self.levels.update(told, self.now_s * S)) is not None:
+            sample = LoadSample(self.costs_ms[self.level] * load, **second)
+            if (move := self.levels.update(sample, self.now_s * S)) is not None:
                 self.levels.arrived(move.level, self.now_s * S)
                 self.moves.append((self.now_s, move.level, move.why))
         return self

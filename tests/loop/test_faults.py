@@ -9,13 +9,13 @@ from edge.loop.error_boundary import DEGRADED_AFTER, ErrorBoundary
 
 
 @pytest.fixture
-def told() -> list[str]:
+def notes() -> list[str]:
     return []
 
 
 @pytest.fixture
-def faults(told) -> ErrorBoundary:
-    return ErrorBoundary(lambda text, now_ns: told.append(f"{now_ns} {text}"))
+def faults(notes) -> ErrorBoundary:
+    return ErrorBoundary(lambda text, now_ns: notes.append(f"{now_ns} {text}"))
 
 
 def fail(
@@ -26,22 +26,22 @@ def fail(
             raise error("oh\n\x1b[31mno")
 
 
-def test_nothing_failed(faults, told):
+def test_nothing_failed(faults, notes):
     with faults.contain("tick", 5):
         pass
     assert faults.status() == {"state": "ok", "failed": 0, "last_error": "", "failures": {}}
-    assert told == []
+    assert notes == []
 
 
-def test_each_kind_is_reported_once_on_one_line_and_counted(faults, told, caplog):
+def test_each_kind_is_reported_once_on_one_line_and_counted(faults, notes, caplog):
     fail(faults, 3)
     fail(faults, 2, error=KeyError)
     fail(faults, 1, step="orders")
     kinds = {"tick: ZeroDivisionError": 3, "tick: KeyError": 2, "orders: ZeroDivisionError": 1}
     assert faults.failures == kinds
     assert faults.failed == 6
-    assert [text.split(" at ")[0] for text in told] == [f"5 failed: {kind}" for kind in kinds]
-    assert told[0].endswith(": oh [31mno")
+    assert [text.split(" at ")[0] for text in notes] == [f"5 failed: {kind}" for kind in kinds]
+    assert notes[0].endswith(": oh [31mno")
     assert "test_faults.py:" in faults.last_error
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 3
 
@@ -59,7 +59,7 @@ def test_a_step_without_work_does_not_end_the_degraded_state(faults, nothing):
     assert faults.state == "ok"
 
 
-def test_repeated_failures_set_degraded_and_success_ends_it(faults, told):
+def test_repeated_failures_set_degraded_and_success_ends_it(faults, notes):
     fail(faults, DEGRADED_AFTER - 1)
     with faults.contain("tick", 6):
         pass
@@ -69,13 +69,13 @@ def test_repeated_failures_set_degraded_and_success_ends_it(faults, told):
     assert faults.state == "ok"
     fail(faults)
     assert faults.state == "degraded"
-    assert "degraded: tick keeps failing: tick: ZeroDivisionError" in told[-1]
+    assert "degraded: tick keeps failing: tick: ZeroDivisionError" in notes[-1]
     fail(faults, 5)
     with faults.contain("tick", 7):
         pass
     assert faults.state == "ok"
-    assert told[-1] == "7 tick: works again"
-    assert len(told) == 3
+    assert notes[-1] == "7 tick: works again"
+    assert len(notes) == 3
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, Stopped])

@@ -94,7 +94,7 @@ class Map:
         return math.hypot(x, y)
 
 
-class Things(dict):
+class Instances(dict):
     """As much of the instances as a goal asks for."""
 
     sure: tuple[int, ...] = ()
@@ -149,13 +149,13 @@ class Case:
 
     def __init__(self, sensors_ahead_ns: int = 0) -> None:
         config = simulated({"mission": {"verify_s": 2.0}})
-        self.pool, self.things = CandidatePool(16, 0.5), Things()
+        self.pool, self.instances = CandidatePool(16, 0.5), Instances()
         self.sent: list[Goal] = []
         self.events: list[str] = []
         self.goals = GoalTracker(
             config,
             self.pool,
-            self.things,
+            self.instances,
             self.sent.append,
             lambda text, _: self.events.append(text),
         )
@@ -184,7 +184,7 @@ class Case:
             c.first_seen_ns[i] = int(since_s * S) + self._ahead_ns
             if kind == INSTANCE:
                 points = np.array([[x, y, 0.5], [x + 1.0, y, 0.5]], np.float32)
-                self.things[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
+                self.instances[id] = Instance(id, "chair", points[0], points, score, 3, 0, 0)
         self.now_ns += int(after_s * S)
         c.stamp_ns = self.now_ns + self._ahead_ns
         return self._tick(pose, 0)
@@ -294,9 +294,9 @@ def test_without_a_stop_the_robot_looks_from_near_or_goes_around(
 ):
     case = Case()
     case.map.least_m = least_m
-    things = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
+    found = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
     case.pool.candidates.path_m[0] = frontier_path_m
-    assert case.choose(*things).pose.x_m == expected_x_m
+    assert case.choose(*found).pose.x_m == expected_x_m
 
 
 @pytest.mark.parametrize(
@@ -308,13 +308,13 @@ def test_an_object_seen_from_one_viewpoint_is_viewed_from_another_side(
     chair_x_m, viewpoint, goal_x_m
 ):
     case = Case()
-    case.things.viewpoint = viewpoint
+    case.instances.viewpoint = viewpoint
     assert case.choose(chair(9, chair_x_m, 0.8)).pose.x_m == pytest.approx(goal_x_m)
 
 
 def test_the_only_viewpoint_will_do_if_the_robot_cannot_get_to_another_side():
     case = Case()
-    case.things.viewpoint = (2.8, 0.0)
+    case.instances.viewpoint = (2.8, 0.0)
     assert case.choose(chair(9, 3.0, 0.8)).pose.x_m == 4.0
     case.answer("failed")
     case.judge()
@@ -325,12 +325,12 @@ def test_the_only_viewpoint_will_do_if_the_robot_cannot_get_to_another_side():
 def test_a_place_from_which_an_object_was_out_of_reach_is_no_goal_again():
     case = Case()
     case.map.least_m = 1.1
-    things = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
+    found = frontier(1, 2.0, 0.5), chair(9, 4.0, 0.8)
     case.pool.candidates.path_m[0] = 9.0
-    assert case.choose(*things).pose.x_m == 4.0
+    assert case.choose(*found).pose.x_m == 4.0
     case.answer("reached")
     case.judge(pose=HERE)
-    assert case.choose(*things).pose.x_m == 2.0
+    assert case.choose(*found).pose.x_m == 2.0
 
 
 def test_once_the_map_was_opened_an_object_may_be_in_reach_again():
@@ -351,13 +351,13 @@ def test_once_the_map_was_opened_an_object_may_be_in_reach_again():
 def test_the_goal_keeps_its_side_of_a_wall(paths_m, at_y_m):
     case = Case()
     case.map.least_m = 9.0  # no free cell is near the chair
-    things = frontier(1, 2, 0.5, y=1.0), frontier(2, 2, 0.5, y=-1.0), chair(9, 4, 0.8)
+    found = frontier(1, 2, 0.5, y=1.0), frontier(2, 2, 0.5, y=-1.0), chair(9, 4, 0.8)
     path_m = case.pool.candidates.path_m
     path_m[:2] = 2.0, 2.1
-    first = case.choose(*things)
+    first = case.choose(*found)
     assert who(first) == ("instance", 9)
     path_m[:2] = paths_m
-    goal = case.choose(*things)
+    goal = case.choose(*found)
     assert (goal.pose.y_m, goal is first) == (at_y_m, at_y_m > 0)
 
 
@@ -381,7 +381,7 @@ def test_the_failure_reason_names_an_unreachable_place(nearest_m, place):
 @pytest.mark.parametrize("candidate", [chair(9, 3.0, 0.8), frontier(1, 3.0, 0.8)])
 def test_each_failure_doubles_the_discard_time(candidate):
     case, times_ns = Case(), []
-    case.pool.discarded.add = lambda *thing: times_ns.append(thing[-1] - case.now_ns)
+    case.pool.discarded.add = lambda *entry: times_ns.append(entry[-1] - case.now_ns)
     for _ in range(3):
         case.choose(candidate)
         case.answer("failed")
@@ -392,7 +392,7 @@ def test_each_failure_doubles_the_discard_time(candidate):
 @pytest.mark.parametrize(("side_m", "is_left_alone"), [(1.0, True), (0.5, False)])
 def test_an_object_with_alternating_stopping_points_is_given_up(side_m, is_left_alone):
     case, discarded = Case(), []
-    case.pool.discarded.add = lambda *thing: discarded.append(thing[1])
+    case.pool.discarded.add = lambda *entry: discarded.append(entry[1])
     for k in range(4):
         case.map.stopping_point = lambda *_, y=(-1) ** k * side_m: (3.0, y, 3.0)
         goal = case.choose(chair(9, 3.0, 0.8))
@@ -417,9 +417,9 @@ def test_a_rejected_or_forgotten_instance_is_skipped(gone):
     case.choose(chair(9, 3.0, 0.5))
     case.goals.chooser.abandon()
     if gone == "rejected":
-        case.things.reject(9)
+        case.instances.reject(9)
     else:
-        del case.things[9]
+        del case.instances[9]
     assert case.goals.chooser.choose(case.context(), case.map, case.score, 0) is None
 
 
@@ -507,7 +507,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
     confirmed, view_m2, gain_m2, expected
 ):
     case, there = Case(), SE2(2.5, 0.0, 0.0)
-    case.things.sure = (9,) if confirmed else ()
+    case.instances.sure = (9,) if confirmed else ()
     case.pool.candidates.path_m[:] = 1.0
     case.pool.candidates.gain_m2[:] = gain_m2
     case.map.view, case.map.view_m2 = Viewpoint(1.0, 0.0, 0.5), view_m2
@@ -516,7 +516,7 @@ def test_if_a_confirmed_object_has_moved_known_space_is_searched(
     case.goals.check_progress(case.map, there, case.mission, 0, case.now_ns, lambda *_: False)
     case.now_ns += 3 * S
     case.goals.check_progress(case.map, there, case.mission, 9, case.now_ns, lambda *_: False)
-    assert case.things[9].state == "rejected"
+    assert case.instances[9].state == "rejected"
     goal = case.choose(frontier(1, 3.0, 0.5))
     assert goal.kind == expected
     assert case.choose(frontier(1, 3.0, 0.5)) is goal
@@ -627,13 +627,13 @@ def test_arrival_needs_the_answer_of_the_controller(away_m, state, confirmed, ph
     case.judge()
     assert case.goals.phase == "searching"
     case.choose(chair(9, 3.0, 0.8))
-    case.things.sure = (9,) if confirmed else ()
+    case.instances.sure = (9,) if confirmed else ()
     if state:
         case.answer(state)
     case.judge(pose=SE2(3.0 - away_m, 0.0, 0.0))
     assert case.goals.phase == phase
     assert (case.mission.arrivals + case.events) == ([came_to] if came_to else [])
-    assert (case.things[9].state == "reached") == bool(case.mission.arrivals)
+    assert (case.instances[9].state == "reached") == bool(case.mission.arrivals)
     # A settled object is not pursued again; this mission asks for a second chair.
     assert (case.goals.goal is None) == bool(came_to)
 
@@ -673,7 +673,7 @@ def test_an_unanswered_turn_is_done_after_the_rotation(turned_rad, done):
 
 def test_an_object_out_of_reach_twice_is_given_up():
     case = Case()
-    case.things.sure = (9,)
+    case.instances.sure = (9,)
     for x_m, given_up in ((1.0, False), (1.6, False), (1.7, True)):
         case.choose(chair(9, x_m + 1.4, 0.8))
         case.answer("reached")
@@ -703,19 +703,19 @@ def test_an_instance_is_rejected_by_images_and_time(looks, rejected):
     for t_s, images in looks:
         case.now_ns = start_ns + int(t_s * S)
         case.judge(images, there)
-    assert (case.things[9].state == "rejected") == rejected
+    assert (case.instances[9].state == "rejected") == rejected
     assert case.goals.phase == "verifying"
 
 
 def test_an_object_confirmed_from_one_viewpoint_is_only_probable():
     case, there = Case(), SE2(2.5, 0.0, 0.0)
-    case.things.sure = case.things.one_sided = (9,)
+    case.instances.sure = case.instances.one_sided = (9,)
     case.choose(chair(9, 3.0, 0.8))
     case.answer("reached")
     for images in (0, 50):
         case.judge(images, there)
         case.now_ns += 3 * S
-    assert case.things[9].state == "rejected"
+    assert case.instances[9].state == "rejected"
     assert case.goals.chooser.search.probable.xy_m == (3.0, 0.0)
 
 
@@ -733,26 +733,26 @@ def test_every_arrival_is_verified_afresh(between):
     case.answer("reached")
     case.judge(60, there)
     assert case.goals.phase == "verifying"
-    assert "rejected" not in [thing.state for thing in case.things.values()]
+    assert "rejected" not in [entry.state for entry in case.instances.values()]
     case.judge(90, there, after_s=3.0)
-    assert "rejected" in [thing.state for thing in case.things.values()]
+    assert "rejected" in [entry.state for entry in case.instances.values()]
 
 
 def test_a_goal_next_to_a_forbidden_object_warns_once():
-    case, told = Case(), []
+    case, logged = Case(), []
     point = np.array([[3.4, 0.0, 0.5]], np.float32)
     lamp = Instance(5, "lamp", point[0], point, 0.8, 3, 0, 0)
-    case.things.of = {"lamp": [lamp]}.__getitem__
+    case.instances.of = {"lamp": [lamp]}.__getitem__
     case.mission = SimpleNamespace(
         target="chair",
         progress=SimpleNamespace(forbidden=("lamp",)),
         stopped="",
-        log_event=lambda now_ns, kind, label, text: told.append((kind, label, text)),
+        log_event=lambda now_ns, kind, label, text: logged.append((kind, label, text)),
     )
     for x in (3.0, 3.5, -3.0, 3.0):
         case.choose(frontier(int(abs(x) * 10), x, 0.5))
     text = "goal 0.4 m from lamp, which must not be reached now"
-    assert told == [("warning", "lamp", text)] * 2
+    assert logged == [("warning", "lamp", text)] * 2
     case.goals.forget_mission()
     case.choose(frontier(30, 3.0, 0.5))
-    assert len(told) == 3
+    assert len(logged) == 3

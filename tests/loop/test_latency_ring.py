@@ -87,8 +87,8 @@ def test_without_a_calibration_only_deadlines_are_reported():
     assert verdicts == {"detect": "over", "tick": "ok"}
     assert (report.stage("map").budget_ms, report.stage("map").overruns) == (None, 0)
     assert report.tick.budget_ms == report.deadline_ms == TICK_DEADLINE_MS
-    told = report.as_dict()
-    assert (told["slowdown"], told["stages"]["map"]["budget_ms"]) == (None, None)
+    summary = report.as_dict()
+    assert (summary["slowdown"], summary["stages"]["map"]["budget_ms"]) == (None, None)
     *table, hint = report.table().splitlines()
     assert "edge bench --calibrate" in hint
     assert "deadline" in table[0]
@@ -202,6 +202,6 @@ def test_spans_are_listed_in_order():
     ]  # fmt: skip
     newest = [(name, at + 2000, took, inside) for name, at, took, inside in expected]
     older = [(name, at + 1000, took, inside) for name, at, took, inside in expected]
-    beside = [("detect", 1300 - 250, 250, False), ("detect", 2300 - 250, 250, False)]
-    assert ring.spans() == older + newest + beside
-    assert ring.spans(after_ns=1300) == newest + beside[1:]
+    other_thread = [("detect", 1300 - 250, 250, False), ("detect", 2300 - 250, 250, False)]
+    assert ring.spans() == older + newest + other_thread
+    assert ring.spans(after_ns=1300) == newest + other_thread[1:]

@@ -269,9 +269,9 @@ def test_each_step_is_in_the_status_and_the_events():
     finally:
         closed.close()
     assert (status["load_shedding"]["level"], status["load_shedding"]["steps"]["down"]) == (1, 1)
-    told = [text for text in closed.notes.events if text.startswith("load shedding")]
-    assert told == [f"load shedding: {status['load_shedding']['why']}"]
-    assert "pause choice: tj is at 97 C" in told[0]
+    texts = [text for text in closed.notes.events if text.startswith("load shedding")]
+    assert texts == [f"load shedding: {status['load_shedding']['why']}"]
+    assert "pause choice: tj is at 97 C" in texts[0]
 
 
 def test_levels_name_models_that_are_here():

@@ -147,9 +147,9 @@ def test_sink_statuses_report_failures_and_drops():
     found = Watched().watch(*sinks).scrape()
     assert found["edge_sink_failures_total"] == {"Slow": 2, "Slow.2": 5, "Wordy": 7}
     assert found["edge_sink_dropped_total"] == {"Slow": 3, "Slow.2": 0}
-    told = statuses(sinks)
-    assert told["Slow.2"] == {"failed": 5, "dropped": 0, "problem": ""}
-    assert told["Broken"] == {"problem": "status(): ValueError: no idea"}
+    reported = statuses(sinks)
+    assert reported["Slow.2"] == {"failed": 5, "dropped": 0, "problem": ""}
+    assert reported["Broken"] == {"problem": "status(): ValueError: no idea"}
     assert statuses([]) == {}
 
 

@@ -90,8 +90,8 @@ def test_objects_near_by_change_the_prior():
 def test_not_through_walls():
     p, objects = prior("cooccurrence"), seen(("toilet paper", 1, 0))
     p.step(walls((2, -2, 2, 2)), objects)
-    beside, behind = lifts(p, "toilet", (0.5, 0.5), (2.6, 0.0))
-    assert behind == 1 < beside
+    near, behind = lifts(p, "toilet", (0.5, 0.5), (2.6, 0.0))
+    assert behind == 1 < near
 
 
 def test_rooms_change_the_prior_inside_them():
@@ -150,8 +150,8 @@ def test_its_layer_has_its_value_at_each_place(by):
     grid = p.layer("toilet")()
     drawn = np.argwhere(grid.cells)
     assert len(drawn) > 50
-    told = LEAST * (MOST / LEAST) ** ((grid.cells[grid.cells > 0] - 1.0) / 254)
-    for (y, x), lift in list(zip(drawn, told, strict=True))[::7]:
+    decoded = LEAST * (MOST / LEAST) ** ((grid.cells[grid.cells > 0] - 1.0) / 254)
+    for (y, x), lift in list(zip(drawn, decoded, strict=True))[::7]:
         place = grid.to_metres(np.array([x + 0.5, y + 0.5]))
         assert lifts(p, "toilet", place) == [pytest.approx(lift, rel=0.01)]
     assert grid.cells.max() > 128

@@ -270,8 +270,8 @@ def test_a_failing_detector_is_degraded_until_it_works_again(inline, monkeypatch
         *[well] * (DEGRADED_AFTER - 1), *[ill] * 3, *[well] * passing
     ]  # fmt: skip
     name = f"detector {detector.name}: "
-    told = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
-    assert told == [f"degraded: {ill[1]}", "works again"]
+    texts = [text.removeprefix(name) for text in closed.notes.events if text.startswith(name)]
+    assert texts == [f"degraded: {ill[1]}", "works again"]
     assert status_message(service.result())["loop"]["state"] == "ok"
 
 
@@ -282,13 +282,13 @@ def test_each_change_of_the_detector_is_reported_once():
     now = SimpleNamespace(health=far)
     detector = SimpleNamespace(name="far", health=lambda: now.health)
     worker = SimpleNamespace(detector=detector, stats=SimpleNamespace(in_a_row=0))
-    told: list[str] = []
+    texts: list[str] = []
     watch = HealthWatch(
-        worker, None, None, None, None, dict, lambda: None, lambda text, now_ns: told.append(text)
+        worker, None, None, None, None, dict, lambda: None, lambda text, now_ns: texts.append(text)
     )
     for now.health in (loads, far, far, near, near, ill, ill, near, far, near, far, far):
         watch.check(0)
-    assert [text.removeprefix("detector far: ") for text in told] == [
+    assert [text.removeprefix("detector far: ") for text in texts] == [
         near.detail, f"degraded: {ill.detail}", near.detail, "works again", near.detail,
         "works again",
     ]  # fmt: skip

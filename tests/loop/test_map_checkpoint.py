@@ -56,7 +56,7 @@ class Run(ClosedLoop):
 
     def __init__(self, path: Path, settings: Config) -> None:
         super().__init__(settings, colour=False)
-        self.path, self.beside = path, None
+        self.path, self.second = path, None
         self.service = self.another()
 
     def another(self, settings: Config | None = None) -> Service:
@@ -86,17 +86,17 @@ class Run(ClosedLoop):
         self._seq -= 1
         seen = len(self.notes.answers)
         self.step()
-        self.beside.tick(replace(observation), now_ns)
+        self.second.tick(replace(observation), now_ns)
         for answer in self.notes.answers[seen:]:
             self.hear(answer)
-        return self.service, self.beside
+        return self.service, self.second
 
     def hear(self, answer: GoalStatus) -> None:
-        goal = self.beside.goals.goal
+        goal = self.second.goals.goal
         if goal is not None and self.service.goals.goal is not None:
             mine = answer.stamp_ns == self.service.goals.goal.stamp_ns
             stamp_ns = goal.stamp_ns if mine else answer.stamp_ns
-            self.beside.on_goal_status(replace(answer, stamp_ns=stamp_ns))
+            self.second.on_goal_status(replace(answer, stamp_ns=stamp_ns))
 
 
 def goal_fields(goal: Goal | None) -> tuple | None:
@@ -107,9 +107,9 @@ def begun(path: Path, ticks: int, settings: Config) -> Run:
     """Save a run after some ticks; return it with a second service that loaded the checkpoint."""
     run = Run(path, settings).ticks(ticks)
     run.service.checkpoint.close()
-    run.beside = run.another()
+    run.second = run.another()
     # Its content is not trusted.
-    run.beside.publisher._sinks = [RunLog()]
+    run.second.publisher._sinks = [RunLog()]
     return run
 
 
@@ -295,14 +295,14 @@ def test_a_clock_set_back_shifts_all_stored_times(tmp_path):
 
 def test_an_ended_mission_leaves_its_map_to_the_next(tmp_path):
     run = Run(tmp_path / "m.json", config()).ticks(40)
-    run.service.mission.finish("failed", "told to", run.drive.motion.stamp_ns)
+    run.service.mission.finish("failed", "by order", run.drive.motion.stamp_ns)
     run.ticks(1)
-    known_m2, things = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
+    known_m2, n_objects = run.service.map.grid.known_m2, len(run.service.map.objects.read_only.id)
     run.killed()
     assert run.service.checkpoint.saved is None
     run.service.tick(run.observe(), run.drive.motion.stamp_ns)
     assert run.service.map.grid.known_m2 >= known_m2 > 0
-    assert len(run.service.map.objects.read_only.id) == things
+    assert len(run.service.map.objects.read_only.id) == n_objects
     # The new mission has looked only at the view of this one image.
     assert run.service.map.grid.coverage.looks.max(initial=0) <= 1
     run.service.checkpoint.close()

@@ -19,7 +19,7 @@ from edge.trajectory.pursuit import MotionLimits
 
 
 @pytest.mark.parametrize(
-    ("things", "asked", "found"),
+    ("objects", "asked", "found"),
     [
         ((), (1, "van"), None),
         (STREET, (2, "car"), 2),
@@ -27,10 +27,10 @@ from edge.trajectory.pursuit import MotionLimits
         ((Thing("van", 2.0, 0.0), Thing("car", 3.0, 0.0), Thing("car", 9.0, 0.0)), (9, "car"), 2),
         ((Thing("car", SAME_OBJECT_M + 0.1, 0.0),), (9, "car"), None),
     ],
-    ids=["nothing", "by its number", "no such thing", "by its label", "too far off"],
+    ids=["nothing", "by its number", "no such object", "by its label", "too far off"],
 )
-def test_an_object_with_a_new_id_is_found_again(things, asked, found):
-    scene = street(*things)
+def test_an_object_with_a_new_id_is_found_again(objects, asked, found):
+    scene = street(*objects)
     for i, one in scene.objects.items():
         scene.objects[i] = replace(one, points_m=one.position_m[None])
     obj = _find_again(asked, scene)

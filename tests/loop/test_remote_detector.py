@@ -38,8 +38,8 @@ def remote(monkeypatch):
     made = []
 
     def make(server: KServe) -> RemoteDetector:
-        told = InferenceServer(url=server.url, model="m", time_limit_s=60)
-        card = load_card(SMALL).model_copy(update={"server": told, "file": None})
+        server_config = InferenceServer(url=server.url, model="m", time_limit_s=60)
+        card = load_card(SMALL).model_copy(update={"server": server_config, "file": None})
         monkeypatch.setattr("edge.perception.detection.onnx.load_detector_card", lambda name: card)
         made.append(RemoteDetector(config.DetectorOnnx(model=SMALL, threads=1), card, ("bed",)))
         return made[-1]

@@ -158,5 +158,5 @@ def test_a_stop_during_the_start_ends_after_the_step(monkeypatch, caplog, last):
     with pytest.raises(Stopped), open_service(config(target="bed"), [], stop=stop):
         raise AssertionError
     assert made == STEPS[: STEPS.index(last) + 1]
-    told = [r.getMessage() for r in caplog.records if r.name == "edge"]
-    assert told == ["stopped during the start, before the service was ready"]
+    logged = [r.getMessage() for r in caplog.records if r.name == "edge"]
+    assert logged == ["stopped during the start, before the service was ready"]

@@ -1,7 +1,7 @@
 """Two runs choose the same goals, tick for tick, as were recorded in `tests/data/same_goals.json`.
 
 Where a policy, the map or the simulator is meant to change, look at what has become different,
-and record anew: `PYTHONPATH=tests python tests/loop/test_same_goals.py`.
+and record again: `PYTHONPATH=tests python tests/loop/test_same_goals.py`.
 """
 
 from __future__ import annotations

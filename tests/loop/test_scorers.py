@@ -204,9 +204,9 @@ def test_objects_around_are_in_the_prompt():
     for i, (_, x_m, hits, ago_ns) in enumerate(objects):
         around.word[i], around.hits[i], around.xyz_m[i] = i, hits, (x_m, 1.0, 0.5)
         around.last_seen_ns[i] = seen_ns - ago_ns
-    told = objects_in_view(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
+    viewed = objects_in_view(tracker, around, Observation(0, seen_ns, SE2(0.0, 1.0, 0.0).matrix()))
     # Objects that are rejected, seen once or seen long ago are not named.
-    assert [(s.label, s.distance_m) for s in told] == [("stove", pytest.approx(2.0))]
+    assert [(s.label, s.distance_m) for s in viewed] == [("stove", pytest.approx(2.0))]
 
 
 @pytest.mark.parametrize(

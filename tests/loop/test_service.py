@@ -367,9 +367,9 @@ def test_a_pose_jump_restarts_the_search():
 def watched(monkeypatch) -> Iterator[ClosedLoop]:
     """Run a closed loop with the sinks of a real run, in real time, over a real session.
 
-    Maps, status and latency are copied and encoded beside the loop, and the prior cuts the map into
-    rooms there; they are sent so seldom here, and it is left out, so that they stay out of what a
-    test measures.
+    Maps, status and latency are copied and encoded in the background, and the prior cuts the map
+    into rooms there. They are sent so seldom here, and it is left out, so that they stay out of
+    what a test measures.
     """
     monkeypatch.setattr("edge.sinks.zenoh.LATENCY_HZ", 0.001)
     seldom = {"map_hz": 0.001, "status_hz": 0.001}
@@ -414,15 +414,15 @@ def test_a_result_has_the_candidates_and_the_path():
     assert (len(nothing.candidates().score), len(nothing.path())) == (0, 0)
     for _ in range(10):
         loop.step()
-    told = loop.service.result()
-    there, way, goal = told.candidates(), told.path(), told.goal
+    shown = loop.service.result()
+    there, way, goal = shown.candidates(), shown.path(), shown.goal
     assert goal.candidate_id in there.id
     assert {len(part) for part in there} == {loop.service.map.pool.candidates.n}
     assert goal.pose.distance_to(*map(float, way[-1])) < 0.05
     before = there.xy_m.copy()
     for _ in range(20):
         loop.step()
-    assert (told.candidates().xy_m == before).all()
+    assert (shown.candidates().xy_m == before).all()
 
 
 @pytest.mark.parametrize(
@@ -439,6 +439,6 @@ def test_likely_places_are_a_layer_if_a_prior_exists(prior, idle, layers):
         loop.service.mission.set_idle()
     for _ in range(10):
         loop.step()
-    told = loop.service.result().layers()
-    assert list(told) == layers
-    assert told[layers[-1]]().cells.max() > 0
+    shown = loop.service.result().layers()
+    assert list(shown) == layers
+    assert shown[layers[-1]]().cells.max() > 0

@@ -99,8 +99,8 @@ def test_checkpoint_text_is_shown_in_one_short_line(path, caplog):
         ServiceCheckpoint(run.config, path, "another").close()
     run.step()
     run.service.checkpoint.close()
-    told = [record.getMessage() for record in caplog.records if "go on" in record.getMessage()]
-    assert len(told) >= 2
+    logged = [record.getMessage() for record in caplog.records if "go on" in record.getMessage()]
+    assert len(logged) >= 2
     assert load(path, MISSION)[0].state.instruction == said  # which is how it is known again
     service = run.service
     shown = [
@@ -108,7 +108,7 @@ def test_checkpoint_text_is_shown_in_one_short_line(path, caplog):
         *mission_json(mission_facts(service.mission)).values(),
         *run.notes.events,
     ]
-    for text in map(str, [*told, *shown]):
+    for text in map(str, [*logged, *shown]):
         assert text.isprintable()
         assert len(text) < 1500
     assert len(service.status.instruction) == MAX_CHARS

@@ -43,9 +43,9 @@ class Watched:
         """Return the service manager's messages of one heartbeat."""
         self.now_s += after_s
         self.vitals.beat(self.running)
-        return self.told()
+        return self.notified()
 
-    def told(self) -> list[str]:
+    def notified(self) -> list[str]:
         said = []
         while True:
             try:
@@ -72,7 +72,7 @@ def watched(tmp_path) -> Iterator[Watched]:
 
 def test_the_service_is_ready_after_its_first_observation(watched):
     watched.vitals.ready()
-    assert watched.told() == ["READY=1"]
+    assert watched.notified() == ["READY=1"]
     assert watched.page("/readyz")[1]["why"] == ["no usable observations"]
     assert watched.beat()[-1] == "STATUS=not ready: no usable observations (searching: bed)"
     watched.see()
@@ -119,7 +119,7 @@ def test_implausible_data_make_the_service_not_ready(watched):
 
 def test_only_loop_beats_send_watchdog_pings(watched):
     watched.vitals.ready()
-    watched.told()
+    watched.notified()
     pings = [watched.beat(0.5).count("WATCHDOG=1") for _ in range(16)]
     assert sum(pings) == 4
     watched.now_s += HANGS_S - 0.1
@@ -129,7 +129,7 @@ def test_only_loop_beats_send_watchdog_pings(watched):
     for path in ("/healthz", "/readyz"):
         status, said = watched.page(path)
         assert (status, said["why"]) == (503, ["the loop has hung for 10 s"])
-    assert watched.told() == []
+    assert watched.notified() == []
     watched.beat()
     assert watched.page("/healthz")[0] == 200
 

@@ -226,10 +226,10 @@ def _thing_at(instance_id: int, label: str, x_m: float, y_m: float):
 
 def test_the_status_has_formula_state_plan_sets_and_reason():
     loop = ClosedLoop(config(CHOICE), colour=False).run(3)
-    told = status_message(loop.service.result())["mission"]
-    assert told["formula"] == CHOICE
-    assert told["states"] >= 4
-    assert told["plan"][-1] == "television"
-    assert told["forbidden"] == ["bed"]
-    assert told["why"]
-    assert set(told) >= {"state", "detected", "reached", "failed", "english", "options", "trace"}
+    sent = status_message(loop.service.result())["mission"]
+    assert sent["formula"] == CHOICE
+    assert sent["states"] >= 4
+    assert sent["plan"][-1] == "television"
+    assert sent["forbidden"] == ["bed"]
+    assert sent["why"]
+    assert set(sent) >= {"state", "detected", "reached", "failed", "english", "options", "trace"}

@@ -11,7 +11,7 @@ from edge.mission.logic.ltl import to_text
 from edge.mission.readings import distinct
 from exporters.training.translator.compose import Composer, load
 
-THINGS = ("sofa", "bed", "oven", "chair", "desk", "floor lamp", "door", "window")
+OBJECTS = ("sofa", "bed", "oven", "chair", "desk", "floor lamp", "door", "window")
 DRAWN = 1000
 DEBATABLE = {
     "F & x F": "whether 'visit a and open b', or 'a by way of b or c', is in order",
@@ -38,7 +38,7 @@ def test_unambiguous_readings_have_the_intended_meaning() -> None:
         if pair.tokens == (REFUSED,) or not clear or UNCLEAR & set(pair.words):
             continue
         said = " ".join(
-            f"the {THINGS[NAMES.index(word)]}" if word in NAMES else word for word in pair.words
+            f"the {OBJECTS[NAMES.index(word)]}" if word in NAMES else word for word in pair.words
         )
         try:
             formulas = distinct(readings(said))[0]
@@ -46,7 +46,7 @@ def test_unambiguous_readings_have_the_intended_meaning() -> None:
             continue
         if len(formulas) == 1:
             read += 1
-            formula = formula_of(pair.tokens, THINGS)
+            formula = formula_of(pair.tokens, OBJECTS)
             if distinguishing_trace(formulas[0], formula, True) is not None:
                 wrong.append(f"{said} | {meant} | {to_text(formulas[0])}")
     assert read > 100

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from edge.config import MissionConfig, TranslatorAuto, TranslatorLtl
 from edge.lab.eval.everyday import SITE, everyday_cases, score_everyday
+from edge.mission.instructions import translate
 from edge.mission.language.intents import (
     Control,
     MemoryQuestion,
@@ -22,7 +23,7 @@ from edge.mission.language.intents import (
 from edge.mission.language.remarks import is_remark
 from edge.mission.language.tidy import tidy_up
 from edge.mission.language.tokens import TranslationError
-from edge.mission.spec import prepare, translate
+from edge.mission.spec import prepare
 
 EVERYDAY = {
     "everyday": 150,

@@ -40,9 +40,9 @@ class Stub:
         self, tokens: Sequence[str], sentences: Sequence[Sequence[str]]
     ) -> list[float]:
         """Every word is accounted for: the shorter sentence is the less likely."""
-        told = {tuple(text.split()): each for text, _, each in self._written}
+        log_p = {tuple(text.split()): each for text, _, each in self._written}
         whole = max(map(len, sentences))
-        return [told[tuple(tokens)] * (2 * whole - len(words)) for words in sentences]
+        return [log_p[tuple(tokens)] * (2 * whole - len(words)) for words in sentences]
 
 
 SURE = ("F & <0> F <1>", 0.98, -1.0)

@@ -219,9 +219,9 @@ def test_distance_plans_are_shortest_paths(data, automaton, seed):
         return between if math.isfinite(between) else math.hypot(10.0, here)
 
     planner = make_planner(METRES, automaton)
-    told = MissionKnowledge(knowledge.detected, knowledge.reached, knowledge.failed, metres)
+    given = MissionKnowledge(knowledge.detected, knowledge.reached, knowledge.failed, metres)
     for state in range(automaton.n_states):
-        plan = planner.plan(state, told)
+        plan = planner.plan(state, given)
         cost, steps = shortest(automaton, state, weight)
         assert plan.cost == pytest.approx(cost, abs=1e-9)
         assert len(plan.steps) == steps
@@ -320,7 +320,7 @@ def test_a_plugin_planner_gets_the_mission_and_its_options():
     ],
 )
 def test_an_unusable_planner_is_reported_in_one_line(kind, options, words):
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as error:
         make_planner(PlannerPlugin(kind=kind, options=options), compiled("F a"), "Reach a.")
-    assert words in str(told.value)
-    assert "\n" not in str(told.value)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)

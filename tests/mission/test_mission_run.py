@@ -8,8 +8,9 @@ import pytest
 from edge.config import MissionConfig, PlannerVitl
 from edge.geometry import SE2
 from edge.mission.checkpoint import restore, state_of
+from edge.mission.instructions import MissionError
 from edge.mission.run import MissionRun
-from edge.mission.spec import MissionError, prepare
+from edge.mission.spec import prepare
 
 S = 1_000_000_000
 CHOICE = "F ((chair | sofa) & F tv) & (!bed W tv)"

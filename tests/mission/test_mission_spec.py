@@ -72,17 +72,17 @@ AMBIGUOUS = "the sofa must be visited before the bed"
 def test_only_requests_are_asked_about_ambiguity() -> None:
     with pytest.raises(AmbiguousInstructionError) as caught:
         prepare(MissionConfig(), AMBIGUOUS)
-    told = caught.value.details["readings"]
-    assert told == [reading.english for reading in caught.value.readings]
+    shown = caught.value.details["readings"]
+    assert shown == [reading.english for reading in caught.value.readings]
     spec = prepare(MissionConfig(instruction=AMBIGUOUS))
     assert spec.translation.implied
     assert spec.warnings == (
-        f"the instruction has {len(told)} readings and no person chose one, so reading 1 was "
+        f"the instruction has {len(shown)} readings and no person chose one, so reading 1 was "
         "taken: it fulfils all of them",
     )
     for chosen in (
         prepare(MissionConfig(), AMBIGUOUS, reading=2),
         prepare(MissionConfig(instruction=AMBIGUOUS, reading=2)),
     ):
-        assert chosen.translation.english == told[1]
+        assert chosen.translation.english == shown[1]
         assert chosen.warnings == ()

@@ -33,6 +33,7 @@ from edge.host.files import MAX_TEXT_BYTES
 from edge.lab.eval.equivalence import distinguishing_trace
 from edge.lab.eval.json_lines_file import read_lines
 from edge.memory import Place, Site
+from edge.mission.instructions import translate
 from edge.mission.language.intents import Control, MemoryQuestion, NoMissionError, SiteOrder
 from edge.mission.language.spans import DURATION, seconds_of
 from edge.mission.logic.automaton import compile_formula
@@ -49,7 +50,6 @@ from edge.mission.logic.ltl import (
     weak_until,
 )
 from edge.mission.repetition import recurrence
-from edge.mission.spec import translate
 from edge.mission.translate import TranslationError
 from edge.text import format_table
 

@@ -1,8 +1,8 @@
 """Pursuits: one class for each kind of target says how the robot goes there and when it is done.
 
 `SearchBehaviour` makes a pursuit for each active target and calls it in each tick. A target is an
-*object*, such as "chair", or a destination: a place, an exploration, a wait, a check, or a room
-(`room_pursuits`).
+*object*, such as "chair", or a destination: a place, an exploration, a wait, a check, a room
+(`room_pursuits`) or a tour of rooms (`tours`).
 
 `PURSUITS` in `search` has one class for each kind of destination. Another kind needs a class and a
 line there.
@@ -31,8 +31,8 @@ from edge.mission.destinations import (
     ExploreTarget,
     PlaceTarget,
     WaitTarget,
-    shown_s,
 )
+from edge.mission.language.spans import shown_s
 from edge.mission.run import PROBABLY, MissionRun
 from edge.policies.base import PolicyInput
 from edge.text import one_line

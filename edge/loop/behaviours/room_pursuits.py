@@ -37,7 +37,6 @@ _SURVEYS = 2  # surveys after the arrival that must agree that the robot is insi
 _DEEPER_M = 0.4  # length of the next move if the robot arrived, but is not inside
 _AROUND_M = 3.0  # distance within which a room of a kind is explored before it counts as reached
 _LAST_CHANCE = 0.2  # least probability of a kind for a room to be tried when all is explored
-_TRIES = 2  # failed goals in a room after which a tour leaves it out
 _ROOM_SNAP_M = np.array([0.5])  # for the distance to a room
 
 
@@ -350,90 +349,6 @@ class SearchRoomPursuit(ExploreRoomPursuit):
         missed = "did not get to" if self.gather() else "no"
         reason = f"{missed} {self._mission.target}: the room is explored"
         self._mission.abandon_target(reason, now_ns)
-
-
-class EveryRoomPursuit(ExploreRoomPursuit):
-    """Tour of all rooms, or of all of a kind: into each one, to its frontiers, and a look around.
-
-    The nearest room comes first. While none is left, the robot explores to find more.
-    """
-
-    def __init__(
-        self,
-        destination: EveryRoomTarget,
-        mission: MissionRun,
-        semantic_map: SemanticMap,
-        goals: GoalTracker,
-    ) -> None:
-        super().__init__(destination, mission, semantic_map, goals)
-        self._room_name = destination.room or "room"
-        self._wanted = f"another {self._room_name}"
-        # A point in each room that is done, or that it cannot get into: ids of rooms may change.
-        self._done_m: list[tuple[float, float]] = []
-        self._missed_m: list[tuple[float, float]] = []
-
-    def check_progress(self, context: PolicyInput, images: int) -> None:
-        room = self._map.rooms.room(self._chosen_id)
-        if room is not None and self._chooser.place_failures >= _TRIES:
-            self._missed_m.append(room.xy_m)
-            self._next_room()
-        if self._inside is not None:
-            self._phrase = self._inside.phrase
-        elif not self._chosen_id and self._chooser.search.exhausted and not self._known_rooms():
-            self.finish(context.now_ns)  # retries and second looks find no other room
-            return
-        super().check_progress(context, images)
-
-    def end(self, now_ns: int) -> None:
-        """End the visit of one room: its frontiers are explored."""
-        if self._inside is not None:
-            self._done_m.append(self._inside.xy_m)
-        self._next_room()
-
-    def finish(self, now_ns: int) -> None:
-        """End the tour: no room is left. If there was none, try the one most likely of the kind."""
-        guess = self._most_likely(self._kind) if self._kind and not self._done_m else None
-        if guess is not None and guess.id != self._chosen_id:
-            tried = self._holds(guess, self._missed_m) or is_closed(guess, self._map, self._kind)
-            if not tried:
-                self._chosen_id, self._is_final = guess.id, True
-                return
-        of_kind = self._rooms_of_kind()
-        visited = [room for room in self._map.rooms.rooms if self._holds(room, self._done_m)]
-        done = [room for room in visited if room in of_kind] or visited
-        missed = [room.title for room in of_kind if room not in done]
-        end = f"; did not get into: {', '.join(missed)}" if missed else ""
-        if not done:
-            text = f"explored all reachable space, found no {self._room_name}{end}"
-            self._mission.abandon_target(one_line(text), now_ns)
-            return
-        titles = [room.title + " (probably one)" * (room not in of_kind) for room in done]
-        plural = "" if len(done) == 1 else "s"
-        text = one_line(f"was in {len(done)} {self._room_name}{plural}: {', '.join(titles)}{end}")
-        self._mission.on_reached(text, now_ns, f"{text}; {objects_found(self._map)}")
-
-    def _next_room(self) -> None:
-        """Start on the next room, with a new search."""
-        self._inside, self._chosen_id, self._is_final = None, 0, False
-        self._chooser.retarget(self._mission.target)
-
-    def _known_rooms(self) -> list[MappedRoom]:
-        """Return the rooms that are left."""
-        return [
-            room
-            for room in self._rooms_of_kind()
-            if not self._holds(room, self._done_m + self._missed_m)
-            and np.isfinite(self._distance_m(room))
-            and not is_closed(room, self._map, self._kind)
-        ]
-
-    def _rooms_of_kind(self) -> Sequence[MappedRoom]:
-        rooms, kind = self._map.rooms, self._destination.name
-        return rooms.matching(kind) if kind else rooms.rooms
-
-    def _holds(self, room: MappedRoom, points_m: Sequence[tuple[float, float]]) -> bool:
-        """Return True if one of the points is in a room."""
-        return bool(self._is_in(np.array(points_m, np.float32).reshape(-1, 2), room).any())
 
 
 class CheckRoomPursuit(ExploreRoomPursuit):

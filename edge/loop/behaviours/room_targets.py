@@ -11,8 +11,9 @@ from edge.loop.prior import LEAST, MOST
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import MappedRoom, RoomMemory, Site
 from edge.mission.destinations import RoomTarget
+from edge.mission.instructions import MissionError
 from edge.mission.run import MissionRun
-from edge.mission.spec import MissionError, MissionSpec
+from edge.mission.spec import MissionSpec
 from edge.text import one_line
 
 

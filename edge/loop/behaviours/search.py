@@ -17,12 +17,12 @@ from edge.loop.behaviours.pursuits import (
 )
 from edge.loop.behaviours.room_pursuits import (
     CheckRoomPursuit,
-    EveryRoomPursuit,
     ExploreRoomPursuit,
     RoomPursuit,
     SearchRoomPursuit,
 )
 from edge.loop.behaviours.room_targets import close_forbidden, known_targets
+from edge.loop.behaviours.tours import EveryRoomPursuit
 from edge.loop.goal import GoalTracker
 from edge.loop.semantic_map import SemanticMap
 from edge.memory import parse_description

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 from edge.mission.language import nouns
-from edge.mission.language.clause_parts import (
-    Clause,
-    Condition,
-    skip_particles,
-    take_mood,
-)
+from edge.mission.language.clause_parts import Clause, Condition, skip_particles, take_mood
 from edge.mission.language.conditions import take_happening
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.naming import refuse_missing_name
@@ -19,7 +14,7 @@ from edge.mission.language.noun_phrases import (
     take_noun_phrase,
 )
 from edge.mission.language.routes import PASSING, add_to_route, set_destination, take_exception
-from edge.mission.language.tokens import REASONS, Token, TokenReader
+from edge.mission.language.tokens import NONE_OR_NOT_ALL, REASONS, Token, TokenReader
 
 UP = ("up", "down", "over", "on")
 """Particles after "back" that say nothing about the goal: "back up to the roof"."""
@@ -46,10 +41,7 @@ _ALL_OF = ("both", "both of", "all of", "all", "every")
 def is_passing(reader: TokenReader, ahead: int = 0, any_way: bool = False) -> bool:
     """Return True if a path without a verb comes: ", then past the sofa".
 
-    Args:
-        reader: the token reader.
-        ahead: position of the token.
-        any_way: True also accepts the particle without an object.
+    `any_way` also accepts the particle without an object.
     """
     token = reader.peek(ahead)
     if token.text == "back":
@@ -71,9 +63,8 @@ def take_action(reader: TokenReader, memory: Antecedents, clause: Clause) -> Non
     """
     was_negated = False
     if clause.negated and reader.is_at("avoid") and "anywhere" in reader.peek().text:
-        reader.refuse_finally(
-            "say what to visit, and what to avoid"
-        )  # "don't go anywhere but to a"
+        # "don't go anywhere but to a"
+        reader.refuse_finally("say what to visit, and what to avoid")
     if avoid := reader.take("avoid"):
         was_negated = clause.negated  # "do not skip a or b"
         clause.negated = not clause.negated
@@ -147,18 +138,12 @@ def take_passed(
 ) -> None:
     """Parse objects and the objects after them: "through a and into b", "from a to b to c"."""
     if clause.negated and clause.verb not in AVOIDING and reader.peek().text in _ALL_OF:
-        reader.refuse_finally(
-            "unclear: none of them, or not all? say for each if to avoid it", reader.peek()
-        )
+        reader.refuse_finally(NONE_OR_NOT_ALL)
     if clause.negated and verb and verb.text == "from":
         reader.refuse_finally("unclear which one to avoid; say 'avoid …'", verb)
     targets = take_noun_phrase(reader, memory, banned=clause.negated, way=passes)
-    if (
-        clause.negated
-        and clause.verb.startswith((*_CARRIES, "move"))
-        and reader.is_at("to")
-        and starts_noun_phrase(reader, 1)
-    ):
+    carries = clause.negated and clause.verb.startswith((*_CARRIES, "move"))
+    if carries and reader.is_at("to") and starts_noun_phrase(reader, 1):
         reader.refuse_finally("the robot can only go to objects", verb)
     rides = clause.verb.startswith(_RIDES) and all(map(nouns.is_place, targets.names))
     clause.targets, clause.through = targets, passes or (rides and clause.verb[:2] != "go")
@@ -201,6 +186,7 @@ LEADING = nouns.split_entries(
     ladder ramp bridge tunnel passage passageway hatch archway driveway"""
 )
 """Objects that lead to a place: "the door to the kitchen" is one object."""
+LEADS_ON = "unclear: one object that leads to the other, or both in turn? say 'then to …'"
 
 
 def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
@@ -213,10 +199,7 @@ def _refuse_leading(reader: TokenReader, clause: Clause, ahead: int) -> None:
     if carried and not all(map(nouns.is_place, clause.targets.names)):
         reader.refuse_finally("the robot can only go to objects", reader.peek(ahead))
     if clause.targets.names[-1].split()[-1] in LEADING:
-        reader.refuse_finally(
-            "unclear: one object that leads to the other, or both in turn? say 'then to …'",
-            before[verb],
-        )
+        reader.refuse_finally(LEADS_ON, before[verb])
 
 
 def _take_onward(reader: TokenReader) -> bool:

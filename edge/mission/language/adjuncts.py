@@ -34,6 +34,7 @@ from edge.mission.language.tokens import Token, TokenReader
 def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
     """Parse one more part of the clause; return False at its end."""
     token, start = reader.peek(), reader.at
+    every = clause.targets is not None and clause.targets.every != ""  # "visit each place once"
     if token.kind == "always":
         clause.always = token  # "never go to a, at any moment"
         reader.at += 1
@@ -73,7 +74,7 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
         reader.at += 1
     elif token.kind == "comma" and reader.is_at(*ORDERS, ahead=1):
         reader.at += 1
-    elif (count := take_count(reader, clause.negated, _is_about_every(clause))) is not None:
+    elif (count := take_count(reader, clause.negated, every)) is not None:
         clause.count = intersect_counts(reader, clause.count, count, token)
         several = clause.targets is not None and len(clause.targets.groups) > 1
         if several and reader.tokens[reader.at - 1].text.endswith(("in total", "overall")):
@@ -125,9 +126,8 @@ def take_adjunct(reader: TokenReader, memory: Antecedents, clause: Clause) -> bo
             return False  # "visit a if you saw b then visit c": of the next clause
         after = condition.kind == "after" and clause.negated
         if (when or after) and reader.is_at("verb", "ensure", "you", "avoid"):
-            reader.refuse_finally(
-                "unclear which part this belongs to; add a comma", condition.token
-            )
+            hint = "unclear which part this belongs to; add a comma"
+            reader.refuse_finally(hint, condition.token)
         clause.conditions.append(condition)
     else:
         return False
@@ -150,17 +150,11 @@ def _take_whichever(reader: TokenReader) -> bool:
     """Skip ", whichever you like" after a choice; return False if it does not come."""
     ahead = 1 if reader.is_at("comma") else 0
     choice = any(token.kind in ("or", "either") for token in reader.tokens[: reader.at])
-    if not (
-        choice and reader.is_at("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)
-    ):
+    whichever = reader.is_at("whichever", ahead=ahead) and _ends_sentence(reader, ahead + 1)
+    if not (choice and whichever):
         return False
     reader.at += ahead + 1
     return True
-
-
-def _is_about_every(clause: Clause) -> bool:
-    """Return True if the clause is about all places: "visit each place only once"."""
-    return clause.targets is not None and clause.targets.every != ""
 
 
 def _negate_count(reader: TokenReader, count: Count, token: Token) -> Count:
@@ -217,30 +211,18 @@ def _skip_to_condition(reader: TokenReader, clause: Clause) -> bool:
     Return False if none comes.
     """
     ahead = 1 if reader.is_at("comma") else 0
-    if reader.is_at("but", "and", ahead=ahead):
-        ahead += 1
-    joined = ahead > 0
+    ahead += reader.is_at("but", "and", ahead=ahead)
     limited = reader.is_at("only", "not", ahead=ahead)
-    if limited:
-        ahead += 1
-    if not reader.is_at(*CONDITIONS, ahead=ahead):
+    if not reader.is_at(*CONDITIONS, ahead=ahead + limited):
         return False
-    if joined and not limited:
+    if ahead and not limited:
         return False  # ", and before that …" begins the next clause
-    if not limited and _belongs_to_next_clause(reader, clause):
-        return False
-    reader.at += ahead - (1 if limited else 0)
+    that = reader.is_at("before", "after", "until") and reader.is_at("pronoun", ahead=1)
+    goes_on = that and reader.is_at("verb", "you", "ensure", "must", ahead=2)
+    if goes_on and clause.conditions and not limited:
+        return False  # "before that visit b" belongs to the next clause
+    reader.at += ahead
     return True
-
-
-def _belongs_to_next_clause(reader: TokenReader, clause: Clause) -> bool:
-    """Return True if this condition belongs to the next clause: "visit a before that visit b"."""
-    return (
-        reader.is_at("before", "after", "until")
-        and reader.is_at("pronoun", ahead=1)
-        and reader.is_at("verb", "you", "ensure", "must", ahead=2)
-        and bool(clause.conditions)
-    )
 
 
 def _take_avoiding_aside(reader: TokenReader, memory: Antecedents, clause: Clause) -> bool:
@@ -290,9 +272,8 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
     if not starts_noun_phrase(reader):
         refuse_missing_name(reader)
     if token.kind == "without" and reader.peek().text in ("both", "both of"):
-        reader.refuse_finally(
-            "unclear: none of them, or not both? say for each if to avoid it", reader.peek()
-        )
+        hint = "unclear: none of them, or not both? say for each if to avoid it"
+        reader.refuse_finally(hint)
     if token.text == "with no" and not inner.verb:
         reader.refuse_finally("say 'without …'", token)  # "the room with no window"
     targets = take_noun_phrase(reader, memory, banned=not clause.negated, way=True)
@@ -327,12 +308,10 @@ def take_avoiding(reader: TokenReader, memory: Antecedents, clause: Clause) -> N
         return
     if targets.every == "places":
         reader.refuse("say what to avoid", token)
-    ever = token.text == "without ever" or any(
-        t.text in _EVER for t in reader.tokens[begin : reader.at]
-    )
     if reader.peek().text in _EVER:
         reader.at += 1
-        ever = True
+    ever = any(t.text in _EVER for t in reader.tokens[begin : reader.at])
+    ever = ever or token.text == "without ever"
     if (inner.always or ever) and not inner.again:
         clause.never.append(targets)
     elif inner.again or reader.take("again"):

@@ -11,7 +11,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import ONE_ROBOT, PAST_TENSE, REASONS, Token, TokenReader
 
 MAX_VISITS = 20
 """Largest number of visits to one object that a count may ask for."""
@@ -24,15 +24,10 @@ _NUMBERS = ("number", "times n", "once")  # kinds of token that have a number
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """A range of separate visits.
+    """A range of separate visits."""
 
-    Attributes:
-        least: smallest number of visits.
-        most: largest number of visits; None: no limit.
-    """
-
-    least: int
-    most: int | None = None
+    least: int  # smallest number of visits
+    most: int | None = None  # largest number of visits; None: no limit
 
     def negated(self) -> Count | None:
         """Return the range that "do not …" leaves; None if that is no range."""
@@ -44,10 +39,8 @@ class Count:
 def take_count(reader: TokenReader, negated: bool, every: bool = False) -> Count | None:
     """Parse the count that begins here; return None if there is none.
 
-    Args:
-        reader: the token reader.
-        negated: True if the clause is negated; the result is negated then.
-        every: True if the count is for all places, so that "once" means "no second time".
+    `negated`: the clause and the result are negated. `every`: the count is for all places, so that
+    "once" means "no second time".
 
     Raises:
         TranslationError: the count is above `MAX_VISITS`, or makes no sense after "not".
@@ -177,120 +170,78 @@ _NEEDS = (
 )  # fmt: skip
 # After "no", these make it an answer: "no thanks", "no problem".
 _THANKS = ("thanks", "please", "thank you", "way", "problem")
-_NOT_NEEDED = "this is optional and asks for nothing; leave it out"
+_NOT_NEEDED = REASONS["needless"]
 PREDICATE = ("must", "can", "not", "filler", "only", "first", "be")
 """Kinds of token that may stand between a subject and its verb."""
 
 
 @dataclass(slots=True)
 class Condition:
-    """A condition of a clause.
+    """A condition of a clause."""
 
-    Attributes:
-        kind: "before", "after", "until", "unless" or "when" ("once" is "when").
-        targets: objects of the event.
-        only: "only after …", "only before …".
-        denied: "not before …", or an event that is negated ("once you have not …").
-        recurring: "whenever", "if": each event counts, not only the first.
-        going: "when visiting a", which may mean on the way there or afterwards.
-        count: number of events in "after you have visited a twice".
-        referred: "before that" or "before" alone. Without a verb ("before that is visited"), it
-            means only the order of two goals.
-    """
-
-    kind: str
+    kind: str  # "before", "after", "until", "unless" or "when" ("once" is "when")
     token: Token
-    targets: NounPhrase
-    only: bool = False
-    denied: bool = False
-    recurring: bool = False
-    going: bool = False
-    count: Count | None = None
+    targets: NounPhrase  # objects of the event
+    only: bool = False  # "only after …", "only before …"
+    denied: bool = False  # "not before …", or an event that is negated ("once you have not …")
+    recurring: bool = False  # "whenever", "if": each event counts, not only the first
+    going: bool = False  # "when visiting a", which may mean on the way there or afterwards
+    count: Count | None = None  # number of events in "after you have visited a twice"
+    # "before that" or "before" alone. Without a verb ("before that is visited"), it means only the
+    # order of two goals
     referred: bool = False
 
 
 @dataclass(slots=True)
 class Clause:
-    """The content of one clause.
-
-    Attributes:
-        mood: "do" (an order), "must" (a duty) or "can" (a permission).
-        negated: "do not", "never", "avoid".
-        only: "only" before the verb.
-        targets: objects of the clause; None for "do not stop (until …)".
-        avoiding: objects to avoid on the way ("while avoiding", "without").
-        during: the avoidance has "while", so it ends with this clause.
-        never: objects to avoid permanently ("while always avoiding").
-        not_first: objects to avoid only until then ("without visiting x first").
-        not_again: objects not to visit again on the way ("without returning to x").
-        order: kind of order among the objects, or "".
-        count: number of visits.
-        separate_count: the count stood after a comma.
-        next_step: "right after", "immediately".
-        instant: token of "in the next step", exactly.
-        soon: "as soon as", which applies to duties only.
-        again: "again", "any more", "revisit".
-        trails: the clause comes after the clause before it ("… after that").
-        returns: "return to", "go back to": the clause comes after all clauses before it.
-        bound: destination given first: "to reach x, go through y".
-        bound_by: token of a destination given last: "go through y to reach x".
-        through: the objects are on the way to something.
-        by_way: the objects can only be on the way ("go by way of x").
-        route: objects that are reached before `targets`, in order.
-        several_ways: the route has "a and b" in one part.
-        only_way: no other route is allowed.
-        enroute: the clause is "on the way" to an earlier goal.
-        elsewhere: the clause names only exceptions ("any room but a"), so another goal is needed.
-        each: limit of visits to each place ("no revisiting").
-        out_of_turn: a ban on another order than the given one.
-        done: the verb is in the past: "you must have visited a (before b)".
-        leads: "then" stands between the conditions and the rest.
-        subject: the clause names who must act ("you must …").
-        in_future: the clause describes the future ("will", "can not").
-        agent: name for the robot ("the drone").
-        verb: the verb; "" in a bare clause.
-    """
+    """The content of one clause."""
 
     token: Token
-    mood: str = "do"
-    negated: bool = False
-    only: bool = False
-    targets: NounPhrase | None = None
+    mood: str = "do"  # "do" (an order), "must" (a duty) or "can" (a permission)
+    negated: bool = False  # "do not", "never", "avoid"
+    only: bool = False  # "only" before the verb
+    targets: NounPhrase | None = None  # objects of the clause; None for "do not stop (until …)"
     conditions: list[Condition] = field(default_factory=list)
+    # objects to avoid on the way ("while avoiding", "without")
     avoiding: list[NounPhrase] = field(default_factory=list)
-    during: bool = False
+    during: bool = False  # the avoidance has "while", so it ends with this clause
+    # objects to avoid permanently ("while always avoiding")
     never: list[NounPhrase] = field(default_factory=list)
+    # objects to avoid only until then ("without visiting x first")
     not_first: list[NounPhrase] = field(default_factory=list)
+    # objects not to visit again on the way ("without returning to x")
     not_again: list[NounPhrase] = field(default_factory=list)
-    order: str = ""
-    count: Count | None = None
-    separate_count: bool = False
-    next_step: bool = False
-    instant: Token | None = None
-    soon: bool = False
-    again: bool = False
+    order: str = ""  # kind of order among the objects, or ""
+    count: Count | None = None  # number of visits
+    separate_count: bool = False  # the count stood after a comma
+    next_step: bool = False  # "right after", "immediately"
+    instant: Token | None = None  # token of "in the next step", exactly
+    soon: bool = False  # "as soon as", which applies to duties only
+    again: bool = False  # "again", "any more", "revisit"
     first: bool = False
-    trails: bool = False
-    returns: bool = False
-    bound: NounPhrase | None = None
-    bound_by: Token | None = None
-    through: bool = False
-    by_way: bool = False
+    trails: bool = False  # the clause comes after the clause before it ("… after that")
+    returns: bool = False  # "return to", "go back to": the clause comes after all clauses before it
+    bound: NounPhrase | None = None  # destination given first: "to reach x, go through y"
+    bound_by: Token | None = None  # token of a destination given last: "go through y to reach x"
+    through: bool = False  # the objects are on the way to something
+    by_way: bool = False  # the objects can only be on the way ("go by way of x")
+    # objects that are reached before `targets`, in order
     route: list[NounPhrase] = field(default_factory=list)
-    several_ways: bool = False
-    only_way: bool = False
-    enroute: bool = False
+    several_ways: bool = False  # the route has "a and b" in one part
+    only_way: bool = False  # no other route is allowed
+    enroute: bool = False  # the clause is "on the way" to an earlier goal
+    # the clause names only exceptions ("any room but a"), so another goal is needed
     elsewhere: bool = False
     always: Token | None = None
     ends: bool = False
-    each: int | None = None
-    out_of_turn: bool = False
-    done: bool = False
-    leads: bool = False
-    subject: bool = False
-    in_future: bool = False
-    agent: str = ""
-    verb: str = ""
+    each: int | None = None  # limit of visits to each place ("no revisiting")
+    out_of_turn: bool = False  # a ban on another order than the given one
+    done: bool = False  # the verb is in the past: "you must have visited a (before b)"
+    leads: bool = False  # "then" stands between the conditions and the rest
+    subject: bool = False  # the clause names who must act ("you must …")
+    in_future: bool = False  # the clause describes the future ("will", "can not")
+    agent: str = ""  # name for the robot ("the drone")
+    verb: str = ""  # the verb; "" in a bare clause
 
 
 def names_one_robot(reader: TokenReader) -> bool:
@@ -334,35 +285,29 @@ def take_mood(reader: TokenReader, clause: Clause, kinds: tuple[str, ...] = MOOD
         if token.text == "need" and reader.is_at("not", ahead=1):
             reader.refuse_finally(_NOT_NEEDED, token)
         if names_one_robot(reader):
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(ONE_ROBOT, token)
         if token.text in ("ok", "okay", "alright") and reader.is_at("to", ahead=1):
-            reader.refuse_finally("this is optional and asks for nothing; leave it out", token)
+            reader.refuse_finally(_NOT_NEEDED, token)
         answers = reader.is_at("comma", "article", ahead=1) or reader.peek(1).text in _THANKS
         if token.text == "no" and answers:
             reader.refuse_finally("give the full instruction again", token)  # "…, no, the bed"
         if token.kind == "you" and token.text in ("i", "we") and _is_statement(reader):
             reader.refuse_finally("not an instruction for the robot", token)
         if token.text == "did" and reader.is_at("not", ahead=1):
-            reader.refuse_finally("this describes the past; say what to do", token)
-        if (
-            token.text == "let"
-            and reader.is_at("article", ahead=1)
-            and reader.is_at("verb", ahead=3)
-        ):  # "let the dog go there"
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(PAST_TENSE, token)
+        let = token.text == "let" and reader.is_at("article", ahead=1)
+        if let and reader.is_at("verb", ahead=3):  # "let the dog go there"
+            reader.refuse_finally(ONE_ROBOT, token)
         if token.text == "it" and _is_acting_robot(reader):
             seen.add("you")
             reader.at += 1  # "the robot goes to a, then it goes to b"
             continue
-        if token.kind == "to" and reader.is_at("verb", "not", "avoid", "be", "happen", ahead=1):
-            reader.at += 1
-            continue
         if token.kind == "to" and reader.is_at("filler", ahead=1) and reader.is_at("verb", ahead=2):
             reader.at += 2  # "you have to eventually get there"
             continue
-        if (
-            token.kind == "all of" and seen and reader.is_at("verb", "be", ahead=1)
-        ):  # "are both visited"
+        to = token.kind == "to" and reader.is_at("verb", "not", "avoid", "be", "happen", ahead=1)
+        both = token.kind == "all of" and seen and reader.is_at("verb", "be", ahead=1)
+        if to or both:  # "to visit", "are both visited"
             reader.at += 1
             continue
         if token.text in ("then", "afterwards", "later") and seen & {*AUXILIARIES, "you", "ensure"}:
@@ -423,7 +368,7 @@ def skip_particles(reader: TokenReader, clause: Clause) -> None:
         ):
             reader.refuse("the robot can only go to objects", token)
         elif token.kind == "filler" and names_one_robot(reader):
-            reader.refuse_finally("an instruction is for one robot only", token)
+            reader.refuse_finally(ONE_ROBOT, token)
         elif token.kind in ("to", "filler") or (
             token.kind == "and" and reader.is_at("verb", ahead=1) and clause.verb == "go"
         ):

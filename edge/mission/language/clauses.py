@@ -48,10 +48,19 @@ from edge.mission.language.noun_phrases import (
     take_noun_phrase,
 )
 from edge.mission.language.routes import set_destination
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import (
+    NONE_OR_NOT_ALL,
+    ONE_ROBOT,
+    ONLY_REACHED,
+    PAST_TENSE,
+    REASONS,
+    Token,
+    TokenReader,
+)
 
 Bare = Literal["yes", "known", "no"]
 """Permission of a clause without a verb; see `take_clause`."""
+_SAY_WHAT = "say what to do, as in 'visit the bed'"
 _PERFORM = ("make", "complete", "perform", "have")
 _OPENINGS = ("no return", "quota", "onward", "opener", "origin", "on the way", "bound", "around")
 _PLACE_PREPOSITIONS = ("in", "inside", "at", "on", "near")
@@ -83,10 +92,7 @@ def starts_clause(reader: TokenReader, ahead: int = 0) -> bool:
 def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     """Parse the clause that begins here.
 
-    Args:
-        reader: the token reader.
-        memory: antecedents of pronouns.
-        bare: "yes" allows a clause without a verb, "known" only if it names known objects.
+    `bare`: "yes" allows a clause without a verb, "known" only if it names known objects.
 
     Raises:
         TranslationError: no clause begins here.
@@ -117,9 +123,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
     )
     clause.agent = next((t.text for t in opening if t.kind == "you" and " " in t.text), "")
     if opening and opening[-1].kind == "must" and starts_noun_phrase(reader):
-        reader.refuse_finally(
-            "say what to do, as in 'visit the bed'", clause.token
-        )  # "I have a sofa"
+        reader.refuse_finally(_SAY_WHAT, clause.token)  # "I have a sofa"
     if reader.peek().text in _PERFORM and reader.is_at(*COUNTING, ahead=1):
         reader.at += 1
     # The action: a count, a verb, a place after "be", names with a predicate, or only names.
@@ -134,7 +138,7 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.verb = "be"
         reader.at += 2 if reader.peek().text == "over" else 1
         if clause.negated and reader.is_at("all of"):
-            reader.refuse_finally("unclear: none of them, or not all? say for each if to avoid it")
+            reader.refuse_finally(NONE_OR_NOT_ALL)
         clause.targets = take_noun_phrase(reader, memory, banned=clause.negated)
     elif reader.is_at("quota"):
         take_quota(reader, memory, clause)
@@ -194,11 +198,6 @@ def take_clause(reader: TokenReader, memory: Antecedents, bare: Bare) -> Clause:
         clause.conditions.append(Condition("before", clause.token, any_other))  # "not b first"
         clause.first = False
     return clause
-
-
-def _ends_here(reader: TokenReader) -> bool:
-    """Return True if the clause ends here."""
-    return reader.is_at("comma", "stop", "end", "and", "but", "then")
 
 
 def _is_there(reader: TokenReader) -> bool:
@@ -278,16 +277,15 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     start = reader.peek()
     begin = reader.at
     if clause.negated and start.kind == "all of":
-        reader.refuse_finally(
-            "unclear: none of them, or not all? say for each if to avoid it", start
-        )
+        reader.refuse_finally(NONE_OR_NOT_ALL, start)
     targets = take_noun_phrase(reader, memory, subject=True, banned=clause.negated)
     if start.text in _ANY_VISIT and _take_consequence(reader, memory, clause, start, targets):
         return
     inner = Clause(start)
     mood_kinds = take_mood(reader, inner, PREDICATE)
     texts = [token.text for token in reader.tokens[begin : reader.at]]
-    if inner.first and _ends_here(reader):  # "the bank must be first"
+    ends = reader.is_at("comma", "stop", "end", "and", "but", "then")
+    if inner.first and ends:  # "the bank must be first"
         clause.first, clause.negated = True, clause.negated != inner.negated
         clause.verb, clause.targets = "be", targets
         return
@@ -295,9 +293,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     if "been" in texts and any(c.kind == "when" for c in clause.conditions):
         reader.refuse_finally("say 'visit … before …'", start)
     if done and not clause.conditions:
-        reader.refuse_finally(
-            "this describes the past; say what to do", start
-        )  # "the hall has been mopped"
+        reader.refuse_finally(PAST_TENSE, start)  # "the hall has been mopped"
     barred = any(token.kind == "banned" for token in reader.tokens[begin : reader.at])
     if targets.listed and bare == "yes" and (barred or mood_kinds & AUXILIARIES):
         reader.at = begin  # "…, then a, the hallway is off limits"
@@ -307,12 +303,10 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
     if start.kind == "either" and (avoid or inner.negated):
         reader.refuse_finally("say which to avoid", start)
     if "be" in mood_kinds and reader.peek().text in STATES:
-        reader.refuse_finally(
-            "the state of an object cannot be used, only that it is reached", start
-        )
+        reader.refuse_finally(ONLY_REACHED, start)
     verb = avoid or reader.take("verb", "happen")
     if barred and verb is not None:  # "the cat is forbidden to enter the kitchen"
-        reader.refuse_finally("an instruction is for one robot only", start)
+        reader.refuse_finally(ONE_ROBOT, start)
     if "be" in mood_kinds and reader.peek().text in _PLACE_PREPOSITIONS:
         reader.refuse_finally("the robot can only go to objects", start)  # "the dog must be in b"
     if barred and verb is None:  # "the hallway is off limits"
@@ -320,7 +314,7 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         clause.targets = each_of(targets)
         return
     if avoid and inner.mood == "can" and not inner.negated:
-        reader.refuse_finally("this is optional and asks for nothing; leave it out", start)
+        reader.refuse_finally(REASONS["needless"], start)
     if verb is not None and (mood_kinds & AUXILIARIES or verb.kind == "happen"):
         clause.mood = inner.mood if inner.mood != "do" else clause.mood
         clause.negated = clause.negated != (inner.negated != bool(avoid))
@@ -337,13 +331,9 @@ def _take_passive(reader: TokenReader, memory: Antecedents, clause: Clause, bare
         reader.refuse("unknown verb", start)
     clause.targets = take_noun_phrase(reader, memory, banned=clause.negated)
     if reader.is_at("not") and reader.peek().text.endswith(("allowed", "permitted")):
-        reader.refuse_finally(
-            "an instruction is for one robot only", start
-        )  # "guests are not allowed in b"
+        reader.refuse_finally(ONE_ROBOT, start)  # "guests are not allowed in b"
     if reader.is_at("verb") and reader.peek().text.split()[0].endswith("s"):
-        reader.refuse_finally(
-            "say what to do, as in 'visit the bed'", start
-        )  # "the path goes through b"
+        reader.refuse_finally(_SAY_WHAT, start)  # "the path goes through b"
 
 
 def _take_consequence(

@@ -19,7 +19,7 @@ from edge.mission.language.noun_phrases import (
     starts_noun_phrase,
     take_noun_phrase,
 )
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import ONLY_REACHED, TokenReader
 
 STATES = (
     "open", "closed", "close", "locked", "empty", "clean", "shut", "unlocked", "blocked", "broken",
@@ -31,14 +31,8 @@ STATES = (
 def take_condition(reader: TokenReader, memory: Antecedents, clause: Clause) -> Condition:
     """Parse `until the bed is reached`, `once you have visited it`, `before that`.
 
-    Args:
-        reader: the token reader, at the first word of the condition, or at "only" or "not" before
-            it.
-        memory: the objects that pronouns mean.
-        clause: clause of the condition; "as soon as" sets its `soon`.
-
-    Returns:
-        The condition; see `Condition` for its flags.
+    The reader is at its first word, or at "only" or "not" before it. "As soon as" sets
+    `clause.soon`.
 
     Raises:
         TranslationError: the condition is incomplete, unclear or not supported.
@@ -94,9 +88,11 @@ def take_happening(reader: TokenReader, memory: Antecedents, condition: Conditio
             condition.targets = NounPhrase(condition.targets.groups + more.groups)
         reader.take("happen")
     elif reader.is_at("pronoun"):
-        pronoun = reader.take("pronoun")
-        assert pronoun is not None
-        condition.targets = _objects_of_pronoun(reader, memory, pronoun)
+        if memory.asked is None:
+            hint = f"{reader.peek().text!r} refers to nothing that was named before"
+            reader.refuse(hint, reader.peek())
+        reader.at += 1
+        condition.targets = memory.asked
         # "before it" means the order of goals; "before it is visited" names an event.
         condition.referred = not _take_predicate(reader, inner)
     elif starts_noun_phrase(reader):
@@ -142,14 +138,6 @@ def _ends(reader: TokenReader) -> bool:
     return reader.is_at("comma", "stop", "end", "and", "or", "but", "then", "filler", "first")
 
 
-def _objects_of_pronoun(reader: TokenReader, memory: Antecedents, token: Token) -> NounPhrase:
-    """Return the objects of the last goal, which a pronoun means; refuse it without a goal."""
-    targets = memory.asked
-    if targets is None:
-        reader.refuse(f"{token.text!r} refers to nothing that was named before", token)
-    return targets
-
-
 def _take_predicate(reader: TokenReader, inner: Clause) -> bool:
     """Skip `has been visited` or `occurs`; return False, and take nothing, if it does not come."""
     begin, negated = reader.at, inner.negated
@@ -158,10 +146,10 @@ def _take_predicate(reader: TokenReader, inner: Clause) -> bool:
         return True
     if mood_kinds & AUXILIARIES and reader.is_at("verb"):
         if mood_kinds <= {"be", "not"} and reader.peek().text in STATES:
-            reader.refuse_finally("the state of an object cannot be used, only that it is reached")
+            reader.refuse_finally(ONLY_REACHED)
         reader.take("verb")
         return True
     if "be" in mood_kinds and not _ends(reader):
-        reader.refuse_finally("the state of an object cannot be used, only that it is reached")
+        reader.refuse_finally(ONLY_REACHED)
     reader.at, inner.negated = begin, negated
     return False

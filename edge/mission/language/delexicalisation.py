@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 from edge import names
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE, WORD, expand_word
+from edge.mission.language.lexicon import AFTER_VERB, PHRASES, TABLE
 from edge.mission.language.prefix_notation import MOST_NAMES, NAMES
+from edge.mission.language.spelling import WORD, expand_word
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 MOST_PIECES = 250

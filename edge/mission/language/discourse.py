@@ -13,11 +13,9 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from edge.mission.language import nouns
-from edge.mission.language.action import LEADING
 from edge.mission.language.clause_parts import Clause, Condition, Count
 from edge.mission.language.clauses import Bare, starts_clause, take_clause
-from edge.mission.language.flow import ENDING, JOINTS, THEN, Flow
+from edge.mission.language.flow import ENDING, THEN, Flow
 from edge.mission.language.goal_tree import (
     AllOf,
     AnyOf,
@@ -28,6 +26,7 @@ from edge.mission.language.goal_tree import (
     steps,
     visits,
 )
+from edge.mission.language.joints import Joints
 from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import ClauseMeaning, meaning_of
 from edge.mission.language.not_commands import refuse_questions
@@ -51,7 +50,6 @@ from edge.mission.language.sequences import (
 from edge.mission.language.tokens import Token, TokenReader
 from edge.mission.logic.ltl import TRUE, Formula, postorder
 
-_OUT_OF_ORDER = "give the steps in their order"
 MAX_NODES = 20_000
 """Largest size of a formula. "a and b, then c and d, then …" doubles the size with every step."""
 
@@ -64,63 +62,34 @@ def _tree_size(formula: Formula) -> int:
     return sizes[id(formula)]
 
 
-def _is_participle_clause(reader: TokenReader) -> bool:
-    """Return True if "visiting b" comes, which may mean on the way or in addition.
-
-    "ending at b" is clear, so it does not count.
-    """
-    verb = reader.peek().text
-    if not reader.is_at("verb") or verb.startswith((*ENDING, "swing", "bring ")):
-        return False
-    if not verb.split()[0].endswith("ing"):
-        return False
-    rest = itertools.takewhile(lambda token: token.kind != "stop", reader.tokens[reader.at :])
-    return not any(token.kind == "on the way" for token in rest)
-
-
 @dataclass(slots=True)
 class Discourse:
-    """The state of the parser for one instruction.
-
-    Attributes:
-        goal: the goal so far.
-        rules: rules that hold throughout, in every alternative.
-        asks: True if something was asked for without an upper limit.
-        times: how often each name was asked for.
-        last: objects of the last clause with a goal.
-        first: True if the last clause said "first", so that later goals come after it.
-        clauses: number of clauses so far.
-        flow: facts about the last clause.
-        elsewhere: first token of a clause that names only exceptions ("go anywhere but to a").
-        halted: token of the place where the robot must stop.
-        detour: token of a sentence that is on the way to the goal of the sentence before.
-        shuns: True if something must be avoided, not only until something else is reached.
-        waits: pairs of names and the objects that must be reached before them.
-        number: number of the last numbered step ("second, …"); 1 before any.
-        listed: True if an order followed "do not …" and a comma.
-        each: largest number of visits to each place, and the token of that limit.
-        strictly: token of a ban on visits out of turn.
-    """
+    """The state of the parser for one instruction."""
 
     reader: TokenReader
     memory: Antecedents = field(default_factory=Antecedents)
-    goal: Goal | None = None
+    goal: Goal | None = None  # the goal so far
+    # rules that hold throughout, in every alternative
     rules: list[ClauseMeaning] = field(default_factory=list)
-    asks: bool = False
-    times: dict[str, int] = field(default_factory=dict)
-    last: NounPhrase | None = None
-    first: bool = False
-    clauses: int = 0
-    flow: Flow = field(default_factory=Flow)
+    asks: bool = False  # True if something was asked for without an upper limit
+    times: dict[str, int] = field(default_factory=dict)  # how often each name was asked for
+    last: NounPhrase | None = None  # objects of the last clause with a goal
+    first: bool = False  # True if the last clause said "first", so that later goals come after it
+    clauses: int = 0  # number of clauses so far
+    flow: Flow = field(default_factory=Flow)  # facts about the last clause
+    joints: Joints = field(default_factory=Joints)
+    # first token of a clause that names only exceptions ("go anywhere but to a")
     elsewhere: Token | None = None
-    halted: Token | None = None
+    # token of a sentence that is on the way to the goal of the sentence before
     detour: Token | None = None
+    # True if something must be avoided, not only until something else is reached
     shuns: bool = False
+    # pairs of names and the objects that must be reached before them
     waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
-    number: int = 1
-    listed: bool = False
+    listed: bool = False  # True if an order followed "do not …" and a comma
+    # largest number of visits to each place, and the token of that limit
     each: tuple[int, Token] | None = None
-    strictly: Token | None = None
+    strictly: Token | None = None  # token of a ban on visits out of turn
 
     def formula(self) -> Formula:
         """Parse all sentences and return the formula.
@@ -131,9 +100,7 @@ class Discourse:
         reader.skip("comma", "stop")
         while not reader.is_at("end"):
             is_filler = reader.is_at("filler") and reader.is_at("comma", "stop", "end", ahead=1)
-            if is_filler or reader.is_at(
-                "addressed"
-            ):  # "Drone, find …", "robot! find …", "thanks."
+            if is_filler or reader.is_at("addressed"):  # "Drone, find …", "thanks."
                 reader.at += 1
                 reader.skip("comma", "stop")
                 continue
@@ -148,9 +115,8 @@ class Discourse:
             reader.skip("comma", "stop")
         if self.first and self.clauses > 1:
             firsts = [token for token in reader.tokens if token.kind in ("first", "opener")]
-            reader.refuse(
-                "say in the same sentence what comes after it", firsts[-1] if firsts else None
-            )
+            hint = "say in the same sentence what comes after it"
+            reader.refuse(hint, firsts[-1] if firsts else None)
         parts = [] if self.goal is None else [self.goal]
         parts += [sequence_goal([rule], reader) for rule in self.rules]
         if self.goal is None and self.elsewhere:
@@ -194,21 +160,6 @@ class Discourse:
             rules += rules_of_each_at_most(goal, *self.each, self.reader)
         return [AllOf((), tuple(rules))] if rules else []
 
-    def _take_halt(self) -> bool:
-        """Skip "and stay there" at the end: a mission ends where its last goal is reached.
-
-        Return False if it does not come.
-        """
-        reader = self.reader
-        bare = reader.peek().text in ("stop", "halt")
-        if not (bare or reader.is_at("halt")) or not reader.is_at("stop", "end", ahead=1):
-            return False
-        self.halted = reader.peek()
-        if self.flow.denied or self.flow.permitted or not bare:
-            reader.refuse("say where to stop, and what comes last", self.halted)
-        reader.at += 1
-        return True
-
     def _take_sentence(self, joint: Token | None) -> None:
         """Parse a sentence: sequences with "or" between them."""
         reader = self.reader
@@ -244,9 +195,8 @@ class Discourse:
         if loose:
             self.rules.append(loose)
         single = all(len(earlier) == 1 for earlier in sequences[:-1])
-        comma_then = any(  # ", then"
-            (a.kind, b.kind in THEN) == ("comma", True) for a, b in itertools.pairwise(tokens)
-        )
+        pairs = itertools.pairwise(tokens)
+        comma_then = any(a.kind == "comma" and b.kind in THEN for a, b in pairs)
         has_either = either.text == "either" and len(sequences) > 1
         unclear = no_pause or (comma_then and (short or has_either))
         if unclear and single and len(sequences[-1]) > 1:
@@ -296,15 +246,14 @@ class Discourse:
         loose: ClauseMeaning | None = None
         order_token: Token | None = None
         while True:
-            self._check_number(joint)
+            self.joints.check_number(self.reader, joint, bool(self.clauses))
             clause, meaning = self._take_clause(joint, sequence)
             kind = joint.kind if joint else ""
             # Rules without a goal wait until the next step, or the end, shows where they belong.
             if meaning.loose and kind != "but" and not meaning.follows:
-                if loose is None:
-                    loose = meaning
-                else:
+                if loose is not None:
                     loose.add(meaning)
+                loose = loose or meaning
             else:
                 if loose is not None:
                     forbidden = {name for names in loose.bans for name in names}
@@ -319,34 +268,12 @@ class Discourse:
             has_order = clause.order in ("in order", "strict order")
             if has_order and clause.targets and len(clause.targets.groups) + len(clause.route) < 2:
                 order_token = clause.token
-            joint = self._take_joint()
+            joint = self.joints.take(self.reader, self.flow, bool(self.clauses))
             if joint is None:
                 if order_token:
                     hint = "an order goes with a list: 'visit a, then b'"
                     self.reader.refuse(hint, order_token)
                 return sequence, loose
-
-    def _named_before(self, clause: Clause) -> bool:
-        """Return True if all names of a clause were asked for before."""
-        known = set(self.times) | set(self.last.names if self.last else ())
-        return clause.targets is not None and set(clause.targets.names) <= known
-
-    def _check_number(self, joint: Token | None) -> None:
-        """Check that a numbered step ("second", "third") comes in its turn, and note its number."""
-        words = joint.text.split() if joint else []
-        # The ordinal in the joint: 2 for "second". "Lastly" without earlier numbers is the last.
-        number = next((i for i, word in enumerate(nouns.NUMERALS[:-1], 1) if word in words), None)
-        if joint and self.number == 1 and not self.clauses and words[-1] in ("lastly", "finally"):
-            number = len(nouns.NUMERALS)
-        if number is None or joint is None:
-            if self.number > 1 and self.reader.is_at("first", "opener"):
-                self.reader.refuse_finally(_OUT_OF_ORDER)
-            return
-        # "…, second chair": the second step, or the second chair?
-        bare = self.reader.is_at("word") and len(self.reader.peek().text) > 1
-        if number <= self.number or (bare and joint.text in nouns.ORDINALS):
-            self.reader.refuse_finally("unclear which step this is; say 'then the …'", joint)
-        self.number = number
 
     def _count_return(
         self, clause: Clause, meaning: ClauseMeaning, sequence: list[ClauseMeaning]
@@ -359,9 +286,8 @@ class Discourse:
             return
         count = clause.count or Count(1)
         most = None if count.most is None else count.most + 1
-        repeat_visit(
-            sequence[-1], self.last, Count(count.least + 1, most), clause.token, self.reader
-        )
+        count = Count(count.least + 1, most)
+        repeat_visit(sequence[-1], self.last, count, clause.token, self.reader)
         meaning.repeats = True
 
     def _take_clause(
@@ -372,8 +298,10 @@ class Discourse:
         bare: Bare = "known" if not self.clauses else "no"
         if self.clauses and joint and joint.kind and not self.flow.denied:
             bare = "yes"
-        if self.halted:
-            self.reader.refuse("the mission ends where the robot stops; say this last", self.halted)
+        if self.joints.halted:
+            self.reader.refuse(
+                "the mission ends where the robot stops; say this last", self.joints.halted
+            )
         clause = take_clause(self.reader, self.memory, bare)
         self.listed = self.listed or self.flow.lists(clause, joint)
         then = self._comes_after(clause, joint, sequence)
@@ -408,12 +336,11 @@ class Discourse:
         if clause.ends:  # it comes after all other goals
             if clause.negated:
                 self.reader.refuse("say it in one sentence, with 'then'", clause.token)
-            self.halted, then = clause.token, then or bool(sequence) or asked
+            self.joints.halted, then = clause.token, then or bool(sequence) or asked
         stays = clause.returns and then and not clause.negated
         if stays and clause.targets == self.last:
-            self.reader.refuse_finally(
-                "the robot is already there at that time; say where to go", clause.token
-            )
+            hint = "the robot is already there at that time; say where to go"
+            self.reader.refuse_finally(hint, clause.token)
         return then
 
     def _resolve(
@@ -426,14 +353,15 @@ class Discourse:
         if single and sequence and clause.order == "strict order" and not clause.negated:
             clause.order, self.strictly = "", clause.token  # "a, then b in this exact order"
         if clause.separate_count and sequence:
-            self.reader.refuse_finally(
-                "unclear: this number for all, or for the last one? use two sentences", clause.token
-            )
+            hint = "unclear: this number for all, or for the last one? use two sentences"
+            self.reader.refuse_finally(hint, clause.token)
         allowed = then and clause.mood == "can" and not clause.negated
         if allowed and (joint_kind == "only then" or self.reader.pick(clause.token, 2) == 0):
             clause.mood = "do"  # "visit a, then you can go to b" may ask for b
         limits = joint_kind == "but" and clause.verb == "" and bool(clause.conditions)
-        if limits and all(c.only for c in clause.conditions) and self._named_before(clause):
+        named = {*self.times, *(self.last.names if self.last else ())}
+        repeats = clause.targets is not None and set(clause.targets.names) <= named
+        if limits and all(c.only for c in clause.conditions) and repeats:
             clause.mood = "can"  # "visit a or b, but b only after c"
 
     def _relate(
@@ -454,11 +382,8 @@ class Discourse:
             self.goal = remove_last_goals(self.goal, meaning)
         if then and meaning.goals and self.flow.until and not sequence:
             meaning.goals = [steps([visits(self.flow.until), *meaning.goals])]
-        if (
-            meaning.anchors
-            and not (then or self.first)
-            and self.times.keys() & set(meaning.targets.names)
-        ):
+        anchored = meaning.anchors and not (then or self.first)
+        if anchored and self.times.keys() & set(meaning.targets.names):
             hint = "this was already asked for; give the order in one sentence"
             self.reader.refuse(hint, clause.token)
         anchor_goals(meaning, sequence, self.times, then or self.first)
@@ -520,43 +445,3 @@ class Discourse:
             clause.trails = False
         elif not self.clauses:
             self.reader.refuse("no step comes before this one", clause.token)
-
-    def _take_joint(self) -> Token | None:
-        """Skip the words that join this clause to the next; return None if the sequence ends."""
-        reader = self.reader
-        if reader.is_at("comma") and reader.is_at("or", ahead=1):
-            return None
-        begin, joint = reader.at, reader.peek()
-        while token := reader.take(*JOINTS):  # the strongest of several words is the joint
-            if JOINTS.index(token.kind) >= JOINTS.index(joint.kind):
-                joint = token
-        last = reader.is_at("filler", "addressed") or (self.clauses and reader.is_at("any order"))
-        if last and reader.is_at("stop", "end", ahead=1):
-            reader.at += 1  # "…, please.", "…, but the order is up to you."
-            return None
-        if self.clauses and self._take_halt():
-            return None
-        if reader.at > begin:
-            if joint.kind == "comma" and _is_participle_clause(reader):
-                reader.refuse_finally(
-                    "unclear: on the way, or in addition? say 'and then' or 'on the way'"
-                )
-            if not starts_clause(reader):
-                reader.refuse("expected a clause here")
-            return joint
-        if reader.is_at("end", "stop", "or"):
-            return None
-        verb = reader.peek().text.split()[0] if reader.is_at("verb") else ""
-        no_order = verb.endswith(("ing", "s")) and not verb.endswith("ss")  # "…, it goes to b"
-        starts = starts_clause(reader) and self._has_own_verb() and not no_order
-        if not starts:
-            if reader.is_at("to") and reader.peek(-1).text in LEADING:
-                reader.refuse_finally(
-                    "unclear: one object that leads to the other, or both in turn? say 'then to …'"
-                )
-            reader.refuse("unknown word")
-        return Token("", "", joint.start, joint.start)  # a joint without words
-
-    def _has_own_verb(self) -> bool:
-        """Return True if a clause without a joint before it has its own verb."""
-        return not self.reader.is_at("word", "quoted", "to") or len(self.reader.peek().text) == 1

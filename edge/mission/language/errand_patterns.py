@@ -31,15 +31,15 @@ MAX_ROUNDS = 10
 """Largest number of rounds of a patrol that becomes one sequence of stops."""
 
 CHECKS = """
-    {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check}
-            ({if} there (is|are)|[if] (is|are) there) {still} <object> [there|around|here]
-    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <object> (is|are)
-            {still} (there|in there)
-    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|for] <object>
-            there
+    {then} {drive} {over} (in|into|to|inside|down|along|through) <into> and [then] {check} ({if}
+            there (is|are)|[if] (is|are) there) {still} <object> [there|around|here]
+    {then} {drive} {over} (in|into|to|inside) <into> and [then] {check} {if} <object> (is|
+            are) {still} (there|in there)
+    {then} {drive} {over} (in|into|to|inside|down) <into> , [and] [then] check [on|
+            for] <object> there
     {then} {goes} {check} {if} there (is|are) {still} <object> {at} [there|around|here]
-    {then} {goes} {check} {if} <object> (is|are) {still}
-            (there|here|around|in place|at home|present)
+    {then} {goes} {check} {if} <object> (is|are) {still} (there|here|around|in place|at home|
+            present)
     {then} {goes} {check} {if} <object> (is|are) {at}
     {then} {goes} {check} {if} (i|we) [have] (left|put|forgot|forgotten|dropped) <object> {at}
     {then} {goes} {check} {if} you [can] see <object> {at} [there|around|here]
@@ -47,12 +47,12 @@ CHECKS = """
     {then} {goes} check for <object> {at}
     {then} {goes} check [on] <object> {at} [for me|for us]*
     {then} {goes} {check} <room> for <object>
-    {then} {goes} {check} {if} <into> (has|have|contains|has got) {still} <object>
-            [(in|inside) it|there]
+    {then} {goes} {check} {if} <into> (has|have|contains|has got) {still} <object> [(in|inside) it|
+            there]
 """
 SEARCHES = """
-    (search|scan|look|(have|take) a [good|quick|little|proper|close]* look)
-            [around|round|in|at|inside|through]* <room> for <object>
+    (search|scan|look|(have|take) a [good|quick|little|proper|close]* look) [around|round|in|at|
+            inside|through]* <room> for <object>
     (search|look) {whole} for <object>
     {goes} (check|(look|search) [in|into|inside|through]) <each> [and look|and search] for <object>
     (look|search) for <object> in <each>
@@ -62,8 +62,8 @@ SEARCHES = """
 """
 EVERY_ROOM = """
     {then} {goes} (visit|enter|tour|see|check [on|out|in]|{drive} {over} (in|to|into|through)|
-            look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look})
-            <each> [{turn}] [, (except|except for|apart from|but|but not) <left_out>] [{turn}]
+            look (in|into|inside|at)|(have|take) a look (in|into|inside|at)|{look}) <each> [{turn}]
+            [, (except|except for|apart from|but|but not) <left_out>] [{turn}]
 """
 # "and wait there for 10 seconds"
 IN_EACH = re.compile(
@@ -74,33 +74,30 @@ IN_EACH = re.compile(
 # "…, every bedroom and each bathroom"
 EVERY_ROOM_TOO = re.compile(rf"(?:,? (?:and then|and|then)|,) (?P<each>{EACH_ROOM}){END}", re.I)
 EXPLORES = """
-    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore]
-            [everything] {time}
+    {goes} ({look}|look) {whole} [{whole}] [and|then] [map|scan|look at|explore] [everything] {time}
     {goes} {look} <stops> {time}
-    spend <span> (exploring|looking around|looking round|looking about|wandering [around|round])
-            [in] [<room>|{whole}]
+    spend <span> (exploring|looking around|looking round|looking about|wandering [around|
+            round]) [in] [<room>|{whole}]
     {goes} (see|look|check|find out) what is (in|inside) <room>
     {goes} {look} <room> [, (only|just) (this|that) (room|one)] {time}
-    give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]*
-            (once-over|once over|look|scan|sweep|look over|check|going over|look-over|inspection)
-            {time}
-    (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander)
-            (round|around|in|at|inside) (<room>|{whole})
-            {time}
+    give (<room>|{whole}) a [good|proper|quick|thorough|full|little|complete]* (once-over|once over|
+            look|scan|sweep|look over|check|going over|look-over|inspection) {time}
+    (have|take|make) a [good|proper|quick|close]* (look|scout|nose|wander) (round|around|in|at|
+            inside) (<room>|{whole}) {time}
 """
 EXPLORES_HERE = """
     {then} {goes} (explore|exploring|look around|look round|scan|survey|wander|wander around|
-            have a look around|take a look around|roam around|drive around|go exploring|map|
-            be [an|a|the] explorer|make [an] exploration) {time}
+            have a look around|take a look around|roam around|drive around|go exploring|map|be [an|
+            a|the] explorer|make [an] exploration) {time}
 """
 PATROLS = """
     {patrol} <stops> , [for] <count> {rounds} [each|please|in total]
     {patrol} <stops> , <often>
     {patrol} <stops> , [and] [keep it up] [for|during] <span> [long]
-    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|
-            all (day|night|the time)|over and over [again]|again and again)
-    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* (forever [and ever]|keep
-            (doing|repeating) (it|that|this) [forever|over and over|again]*)
+    {patrol} <stops> , (forever|until (told|further notice)|until (i|we|you hear) ...|all (day|
+            night|the time)|over and over [again]|again and again)
+    ({patrol}|(go|drive) to) <stops> , [and] [just|then]* (forever [and ever]|keep (doing|
+            repeating) (it|that|this) [forever|over and over|again]*)
     {patrol} <count> {rounds} (of|between|around|through|from|in|at) <stops>
     (do|make|drive|go|run|walk) <count> {rounds} [of|between|around|through|from|in] , <stops>
     {house} , [for] <count> {rounds}
@@ -119,8 +116,8 @@ ERRAND_AND_BACK = """
 """
 STARTS = """
     {then} ((come|go|get|drive|head|run|return|move) [yourself] [back|home]*|back) to {home}
-    {then} (come|go|get|drive|head|run|return|move) [yourself] [straight|right|back]* (home|to
-            [the|your] [home] base)
+    {then} (come|go|get|drive|head|run|return|move) [yourself] [straight|right|back]* (home|to [the|
+            your] [home] base)
     {then} (come|go|get|drive|head|run|return|move) [back|home]* to [the|your] (start|beginning|
             (start|starting) (point|place|position|pose|spot))
 """
@@ -139,8 +136,8 @@ WAITS = """
     {then} (stay|remain) [for (me|us)] (at|by|near|next to|in front of) <object> [{until_told}]
     {then} (wait|stay|remain|stand by) [put] (there|here|in there) [for me|{until_told}]
     {then} go to <object> [and (stay|remain|wait) [there]] for <span>
-    {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|her) [for] [<span>]
-            [{until_told}]
+    {then} {hold} (next to|by|near|at|beside|with|in front of) (it|them|him|
+            her) [for] [<span>] [{until_told}]
     {then} (wait|stay|remain) {until_told}
 """
 # "the mug on the desk in the kitchen" (slot `within`), "the chair between the bed and the sofa"
@@ -170,6 +167,8 @@ INTRODUCED = re.compile(
     rf"(?: (?P<later>{phrase_of('relation')}) (?P<at>{NAME}))?(?=[,.;!?]|$)",
     re.I,
 )
+# A word of a ban.
+BAN = re.compile(r"\b(?:not|never|avoid\w*|without|except|away|out of)\b", re.I)
 GO_THERE = re.compile(r"^(?:go|drive|head|get|run|move|park)(?: yourself| over| up)?$", re.I)
 _FIND = rf"(?:{phrase_of('find')}|find|get to|go to|locate)"
 # "reception, but not through the hall", "room 3 first, then room 5"

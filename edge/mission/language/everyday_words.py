@@ -14,7 +14,7 @@ from edge.memory import kind_of_room
 from edge.mission.language import nouns
 from edge.mission.language.lexicon import expand_choices
 from edge.mission.language.places import is_marked
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import unclear
 
 _ROWS: dict[str, str] = {
     # Words around an order, which do not change it.
@@ -22,61 +22,47 @@ _ROWS: dict[str, str] = {
     "opening": """
         hey; hi; hello; yo; ok; okay; so; well; now; please; robot; oh; right; alright; all right;
         listen; dear; ah; and; then; carefully; good morning; good evening; attention; quick;
-        quickly; yes;
-        yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa; off you (go|
-        toddle|trot|pop|run);
-        buddy; sorry; just; kindly; from now; from now on; from today (on|); (make|pay) attention;
-        watch out; for now; first; today;
-        (my|) (dear|love|darling|friend|sweetheart|sweetie);
-        (could|can|would|will) you (just|maybe|perhaps|kindly|quickly|);
-        (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
-        i (want|need|would like|expect) (that|) you to; i (want|need|would like|would prefer)
-        that you;
-        (that is|this is) enough; that will do;
-        (we|i) (want|need|would like) (the|) robot to; i want to ask you to; you (must|should|shall)
-        to;
-        you (must|should|shall|have to|need to|are to); it would be (nice|great|lovely) if you
-        (could|would); be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good
-        (robot|boy|girl)) and; do me a favour and;
-        do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|that you); be sure to;
-        try to; you (had|would) better; let us; (is it|it is|would it be) possible (for you|) to;
-        mind (that|) you;
-        i (wonder|was wondering) (if|whether) you (could|would|might)
-        (be so kind|be so good|) (as to|); i (would be|am) (much obliged|grateful|glad|happy) if you
-        (could|would|); (perhaps|maybe) you (could|would|might|can); you might (like|want) to;
-        i dare you to; is it possible; is possible (that|) you; wow; oops; goodness; dear me;
-        vroom; beep; whee; yay; (if it is|unless it is) not too much (bother|trouble);
-        (forgive|pardon|excuse) me (for asking|) (again|) (but|); (i am|) sorry to (ask|bother you)
-        (again|); but; why do not you; why do n't you; time to; in your memory;
-        hurry up and; hurry and;
-        as far as you (know|remember); come on;
-        follow the plan and; please to
+        quickly; yes; yeah; (hey|hello|hi) (there|you|buddy); excuse me; thanks; thank you; whoa;
+        off you (go|toddle|trot|pop|run); buddy; sorry; just; kindly; from now; from now on;
+        from today (on|); (make|pay) attention; watch out; for now; first; today; (my|) (dear|love|
+        darling|friend|sweetheart|sweetie); (could|can|would|will) you (just|maybe|perhaps|kindly|
+        quickly|); (could|can|would|will) you (be so kind|be so good) (as|) to; (would|do) you mind;
+        i (want|need|would like|expect) (that|) you to; i (want|need|would like|
+        would prefer) that you; (that is|this is) enough; that will do; (we|i) (want|need|
+        would like) (the|) robot to; i want to ask you to; you (must|should|shall) to; you (must|
+        should|shall|have to|need to|are to); it would be (nice|great|lovely) if you (could|would);
+        be (a|an) (dear|pal|darling|sweetheart|love|angel|star|good (robot|boy|girl)) and;
+        do me a favour and; do me a (favor|kindness) and; oi; go ahead and; make sure (to|you|
+        that you); be sure to; try to; you (had|would) better; let us; (is it|it is|
+        would it be) possible (for you|) to; mind (that|) you; i (wonder|was wondering) (if|
+        whether) you (could|would|might) (be so kind|be so good|) (as to|); i (would be|
+        am) (much obliged|grateful|glad|happy) if you (could|would|); (perhaps|maybe) you (could|
+        would|might|can); you might (like|want) to; i dare you to; is it possible;
+        is possible (that|) you; wow; oops; goodness; dear me; vroom; beep; whee; yay; (if it is|
+        unless it is) not too much (bother|trouble); (forgive|pardon|excuse) me (for asking|
+        ) (again|) (but|); (i am|) sorry to (ask|bother you) (again|); but; why do not you;
+        why do n't you; time to; in your memory; hurry up and; hurry and; as far as you (know|
+        remember); come on; follow the plan and; please to
     """,
     "closing": """
         please; thanks; thank you; thank you (very|so) much; thanks (ever|) so much; many thanks;
-        cheers; dear; love; buddy;
-        robot; okay; ok; mate; keep (that|it) in mind;
-        pal; (would|will|could|can) you; for me; now; right now; right away; at once; immediately;
-        honey; darling; sweetie; my dear; my friend; my love; sweetheart;
-        as (fast|quickly|soon) as you can; (really|very|super|) (quickly|quick|fast); sharpish;
-        hurry; hurry up; thanks a lot; (just|) so you know; for your information; log it; you can
-        find;
-        if you (please|do not mind); when you (have|get) (time|a moment|a minute|a chance);
-        in case you did not know; for now; today; do not forget (that|it|); got it; did you get
-        that; you hear;
-        will you please; all right; alright; for us; sir; friend; be careful; and be careful;
-        carefully; come on; good robot; pronto; asap; from now on; there is a good
-        (boy|robot|lad|girl|chap|fellow); to charge; (it|) starting (now|today); as of (now|today);
-        (from|) end to end; (from|) top to bottom; of course;
-        whichever you (like|please|prefer); (while|when) you are at it; (all|) by yourself; yes;
-        (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|show|report) (to|) (me|
-        us) the (result|answer);
-        for charge; for charging; to recharge; (and|) (tell|show) me; (when|once|after) you
-        (are|have) (done|finished|ready); no rush; just wondering; by the way; lying
-        (about|around); will (ya|you); would ya; off you go; with you; little (one|robot|friend);
-        (to|do|try to|you have to|) (remember|memorize|memorise) (it|that|);
-        as far as you (know|remember);
-        every (bit|part|inch|corner) of it;
+        cheers; dear; love; buddy; robot; okay; ok; mate; keep (that|it) in mind; pal; (would|will|
+        could|can) you; for me; now; right now; right away; at once; immediately; honey; darling;
+        sweetie; my dear; my friend; my love; sweetheart; as (fast|quickly|soon) as you can;
+        (really|very|super|) (quickly|quick|fast); sharpish; hurry; hurry up; thanks a lot; (just|
+        ) so you know; for your information; log it; you can find; if you (please|do not mind);
+        when you (have|get) (time|a moment|a minute|a chance); in case you did not know; for now;
+        today; do not forget (that|it|); got it; did you get that; you hear; will you please;
+        all right; alright; for us; sir; friend; be careful; and be careful; carefully; come on;
+        good robot; pronto; asap; from now on; there is a good (boy|robot|lad|girl|chap|fellow);
+        to charge; (it|) starting (now|today); as of (now|today); (from|) end to end; (from|
+        ) top to bottom; of course; whichever you (like|please|prefer); (while|when) you are at it;
+        (all|) by yourself; yes; (and|then) report; (and|) let (me|us) know; (and|) (tell|give|say|
+        show|report) (to|) (me|us) the (result|answer); for charge; for charging; to recharge; (and|
+        ) (tell|show) me; (when|once|after) you (are|have) (done|finished|ready); no rush;
+        just wondering; by the way; lying (about|around); will (ya|you); would ya; off you go;
+        with you; little (one|robot|friend); (to|do|try to|you have to|) (remember|memorize|
+        memorise) (it|that|); as far as you (know|remember); every (bit|part|inch|corner) of it;
         like a (guard|policeman|robot|spy)
     """,
     # A self-correction: "the bedroom, no, I mean the office".
@@ -91,26 +77,26 @@ _ROWS: dict[str, str] = {
         room; kitchen; kitchenette; bedroom; bathroom; restroom; washroom; office; study; lounge;
         hall; hallway; corridor; playroom; nursery; garage; basement; cellar; attic; pantry;
         balcony; terrace; garden; lobby; foyer; ward; gym; library; lab; laboratory; workshop;
-        canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard;
-        aisle; bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom;
-        ballroom; boardroom; darkroom; showroom; staffroom; lunchroom; guestroom; stairwell;
-        entrance hall; sunroom; studio; mezzanine; sluice; gallery
+        canteen; cafeteria; storeroom; stockroom; classroom; den; conservatory; patio; yard; aisle;
+        bay; warehouse; unit; theatre; clinic; pharmacy; mailroom; cloakroom; ballroom; boardroom;
+        darkroom; showroom; staffroom; lunchroom; guestroom; stairwell; entrance hall; sunroom;
+        studio; mezzanine; sluice; gallery
     """,
     # First words of rooms' names that are no names of objects.
     "room of": """
         break; staff; lunch; tea; supply; copy; mail; print; printing; control; treatment; exam;
         examination; operating; recovery; emergency; changing; dressing; shower; utility; boiler;
         packing; shipping; receiving; loading; sorting; cold; isolation; therapy; music; games;
-        reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment;
-        crash; wash; sleep; play; med; medication; drug; activity; common; rest; family; waiting;
+        reading; sewing; hobby; day; quiet; prayer; spare; master; tool; supplies; equipment; crash;
+        wash; sleep; play; med; medication; drug; activity; common; rest; family; waiting;
         breakfast; dining; seating; sitting; smoking; server; interview; consulting; fitness;
         luggage; laundry; delivery; pickup; parking; charging; assembly; machine; sick; ironing
     """,
     "everything": """
         everything; everywhere; house; home; flat; apartment; building; floor; area; place;
-        surroundings; environment; rooms; ward; warehouse; site; all; everything here;
-        place here; all here; what is here; all what is here; everything that is here; whole thing;
-        every room; all rooms; all the rooms; every corner; entire place; everything around here;
+        surroundings; environment; rooms; ward; warehouse; site; all; everything here; place here;
+        all here; what is here; all what is here; everything that is here; whole thing; every room;
+        all rooms; all the rooms; every corner; entire place; everything around here;
         everything around you; the rest
     """,
     # Relations between objects, as `edge.memory` decides them.
@@ -125,62 +111,54 @@ _ROWS: dict[str, str] = {
     """,
     # Other words for "go to" and "find", at the beginning of a clause.
     "go to": """
-(pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|run|
-        drive|
-        go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get)
-        (on|along|round|quickly|right|
-        straight|next door|again|now|)  (over|back|across|up|down|) (in|into|to|at|inside);
-        back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|)
-        (to|into);
-        bring yourself (over|back|) to; report (to|at); head (back|over|) (for|towards); make
-        for; head for;
-        set off (for|to); show up (at|in); (go|drive|come) (as far as|until); be off to; drop (in|
-        ) (at|by|into);
-        i need you (over|) (in|at|to); you are needed (in|at); (park|sleep|rest|charge|recharge)
-        (yourself|) (at|in|on|by|near|next to); present yourself at; position yourself (at|in|by);
-        place yourself (at|in|by); put yourself (at|in|by); get (over|back|) to; go and stand
-        (in|at|by|near|next to); go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to);
-        go visit; (pay|paid) a visit to; take a trip to; go have a look at;
-        (take|get|bring|off) yourself (off|down|up|along) to;
+        (pop|nip|trundle|scoot|shoot|zoom|toddle|wander|roll|dash|sprint|motor|hop|whizz|come|head|
+        run|drive|go|move|walk|skip|ride|cruise|travel|hurry|race|be off|off|get) (on|along|round|
+        quickly|right|straight|next door|again|now|) (over|back|across|up|down|) (in|into|to|at|
+        inside); back (in|into|to); make your way (over|back|) (to|into); get yourself (over|back|
+        ) (to|into); bring yourself (over|back|) to; report (to|at); head (back|over|) (for|
+        towards); make for; head for; set off (for|to); show up (at|in); (go|drive|come) (as far as|
+        until); be off to; drop (in|) (at|by|into); i need you (over|) (in|at|to);
+        you are needed (in|at); (park|sleep|rest|charge|recharge) (yourself|) (at|in|on|by|near|
+        next to); present yourself at; position yourself (at|in|by); place yourself (at|in|by);
+        put yourself (at|in|by); get (over|back|) to; go and stand (in|at|by|near|next to);
+        go (stand|sit|wait|be|sleep|park) (in|at|by|near|next to); go visit; (pay|paid) a visit to;
+        take a trip to; go have a look at; (take|get|bring|off) yourself (off|down|up|along) to;
         (go|move|drive|get|come) (close|closer|next|up) to; (move|drive|get|come) near
     """,
     "find": """
-        make (a|) search (of|for);         track down; hunt (for|down|out); seek; seek out; spot;
-        look out for; go find; go and find;
-        go around and find; go around and (look|search) for;
-        (find|look) for (me|us);
-        search; search for; go search for; go and search for; go look for; go and look for; locate;
-        go locate; try to find; try and find; help (me|us) find; help (me|us) look for; find me;
-        find us; see if you can find; see if you can spot; keep an eye out for; i am looking for;
-        we are looking for; i need you to find; i can not find; where could we find; look for
+        make (a|) search (of|for); track down; hunt (for|down|out); seek; seek out; spot;
+        look out for; go find; go and find; go around and find; go around and (look|search) for;
+        (find|look) for (me|us); search; search for; go search for; go and search for; go look for;
+        go and look for; locate; go locate; try to find; try and find; help (me|us) find; help (me|
+        us) look for; find me; find us; see if you can find; see if you can spot;
+        keep an eye out for; i am looking for; we are looking for; i need you to find;
+        i can not find; where could we find; look for
     """,
     # Beginnings of clauses that ask for what a robot with wheels, a camera and text cannot do.
     # Verbs of carrying and handing: they are no order to drive to the object.
     "carry": """
-        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give; pass
-        (me|us|him|her|it|them); pick; take;
-        deliver; collect; load; unload; throw; put; place; drop; move; push; pull; drag; pour;
-        plug; unplug; make (me|us); get (me|us|the|my|a|an|some|that|it|them); serve; tow; stack;
-        fold; build; shake; cut; charge my; hug; help me; cook;
+        bring; fetch; carry; grab; lift; hold; hand; open; close; shut; lock; unlock; give;
+        pass (me|us|him|her|it|them); pick; take; deliver; collect; load; unload; throw; put; place;
+        drop; move; push; pull; drag; pour; plug; unplug; make (me|us); get (me|us|the|my|a|an|some|
+        that|it|them); serve; tow; stack; fold; build; shake; cut; charge my; hug; help me; cook;
         press
     """,
     # Verbs of work at an object: the robot drives there.
     "work": """
-        sweep; touch; wash; wipe; mop; vacuum; clean; dust; tidy;
-        feed; iron; water; empty; fill; (switch|turn) (on|off|up|down); knock; fix; repair; sort
+        sweep; touch; wash; wipe; mop; vacuum; clean; dust; tidy; feed; iron; water; empty; fill;
+        (switch|turn) (on|off|up|down); knock; fix; repair; sort
     """,
     "talk": """
         tell; call; ring; phone; say; sing; ask; speak; talk; shout; message; text; email; remind;
-        warn; greet; whisper; inform; alert; announce; read; play; dance; laugh; count;
-        translate; write; record; film; take (a|some) (picture|photo|pictures|photos)
+        warn; greet; whisper; inform; alert; announce; read; play; dance; laugh; count; translate;
+        write; record; film; take (a|some) (picture|photo|pictures|photos)
     """,
     "follow": """
         follow (me|us|him|her|them|my|that|the (man|woman|nurse|doctor|patient|dog|cat|boy|girl|
-        people|person|visitor|forklift|lady|guy|kids|children)); chase; accompany; escort; come
-        with;
-        (guide|lead|show|walk) (me|us) (to|around|back|home|there|into|the way|out|through);
-        (take|bring|guide|lead|show|walk|drive) (him|her|them|the (patient|visitor|guest|man|
-        lady|guests|visitors)) (to|around|back|home|there|into|the way|out|upstairs|through);
+        people|person|visitor|forklift|lady|guy|kids|children)); chase; accompany; escort;
+        come with; (guide|lead|show|walk) (me|us) (to|around|back|home|there|into|the way|out|
+        through); (take|bring|guide|lead|show|walk|drive) (him|her|them|the (patient|visitor|guest|
+        man|lady|guests|visitors)) (to|around|back|home|there|into|the way|out|upstairs|through);
         run after; walk with; come along; keep up with; stay with me; hide; catch
     """,
     # Elsewhere in an errand.
@@ -190,10 +168,9 @@ _ROWS: dict[str, str] = {
     """,
     "clock": """
         at (half|quarter|noon|midnight|night|dawn|lunch|dinner|breakfast|supper); tomorrow; tonight;
-        (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon);
-        (after|before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to);
-        o'clock; oclock;
-        on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
+        (every|each) (hour|day|night|morning|evening); in the (morning|evening|afternoon); (after|
+        before) (lunch|dinner|breakfast|supper|visiting hours); (half|quarter) (past|to); o'clock;
+        oclock; on (monday|tuesday|wednesday|thursday|friday|saturday|sunday); later today
     """,
 }  # fmt: skip
 
@@ -318,7 +295,7 @@ def each_kind(name: str) -> str:
 def refuse_each(name: str) -> NoReturn:
     """Refuse a search in several rooms of a kind."""
     hint = "a search is in one room or everywhere; name one room, or say 'in every room'"
-    raise UnclearError(f"instruction: {name.strip()!r}: {hint}", name.strip())
+    raise unclear(name, hint)
 
 
 def bare(name: str) -> str:

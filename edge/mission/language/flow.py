@@ -10,7 +10,7 @@ from edge.mission.language.lexicon import AVOIDING
 from edge.mission.language.meaning import ClauseMeaning, permission_of
 from edge.mission.language.noun_phrases import NounPhrase
 from edge.mission.language.routes import PASSING
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import ONE_ROBOT, Token, TokenReader
 
 THEN = ("then", "only then")
 """Kinds of token that put the next clause after the one before."""
@@ -34,29 +34,20 @@ _ALSO = ("also", "too", "as well", "at some point")  # words for a goal at any t
 
 @dataclass(slots=True)
 class Flow:
-    """Facts about the last clause that decide where the next clause belongs.
+    """Facts about the last clause that decide where the next clause belongs."""
 
-    Attributes:
-        moved: True if the clause was a plain order to go somewhere: "go to a go to b" is in order.
-        passed: True if the clause only passed through somewhere.
-        denied: True if the clause forbade something, so that a bare "then the bed" is ambiguous.
-        barred: True if the clause was a plain "do not visit a".
-        until: objects that end the clause's ban.
-        hanging: token of a clause that began with "if …" or "you may …": the next clause may belong
-            to it.
-        permitted: objects that the clause allowed, if it asked for nothing.
-        agent: name that the instruction has used for the robot so far.
-    """
-
+    # True if the clause was a plain order to go somewhere: "go to a go to b" is in order
     moved: bool = False
-    passed: bool = False
+    passed: bool = False  # True if the clause only passed through somewhere
     verb: str = ""
+    # True if the clause forbade something, so that a bare "then the bed" is ambiguous
     denied: bool = False
-    barred: bool = False
-    until: NounPhrase | None = None
+    barred: bool = False  # True if the clause was a plain "do not visit a"
+    until: NounPhrase | None = None  # objects that end the clause's ban
+    # token of a clause that began with "if …" or "you may …": the next clause may belong to it
     hanging: Token | None = None
-    permitted: NounPhrase | None = None
-    agent: str = ""
+    permitted: NounPhrase | None = None  # objects that the clause allowed, if it asked for nothing
+    agent: str = ""  # name that the instruction has used for the robot so far
 
     def comes_after(
         self,
@@ -71,12 +62,8 @@ class Flow:
         Otherwise the clause may be marked as on the way there (`clause.enroute`). Also stores facts
         about this clause for the next one.
 
-        Args:
-            clause: the clause.
-            joint: token before the clause; None at the start of a sentence.
-            sequence: steps of the sentence so far.
-            asked: True if earlier sentences asked for something.
-            reader: the token reader.
+        `joint` is the token before the clause, None at the start of a sentence. `sequence` has the
+        steps of the sentence so far. `asked`: earlier sentences asked for something.
         """
         kind = joint.kind if joint else None
         also = clause.token.text in _ALSO
@@ -150,23 +137,20 @@ class Flow:
         bare = clause.verb == "" and not (clause.conditions or clause.count)
         listed = clause.targets is not None and clause.targets.listed
         if bare and clause.negated and (self.denied or not started or listed):
-            reader.refuse_finally(
-                "unclear: avoid it or visit it? say which", clause.token
-            )  # "not a, b"
+            # "not a, b"
+            reader.refuse_finally("unclear: avoid it or visit it? say which", clause.token)
         if clause.agent and self.agent not in ("", clause.agent):
-            reader.refuse_finally("an instruction is for one robot only", clause.token)
+            reader.refuse_finally(ONE_ROBOT, clause.token)
         several = clause.targets is not None and len(clause.targets.groups) > 1
         joins = several and any(token.kind == "and" for token in _clause_tokens(clause, reader))
         if bare and clause.negated and joins:
-            reader.refuse_finally(
-                "unclear what 'not' applies to; use a separate sentence", clause.token
-            )
+            hint = "unclear what 'not' applies to; use a separate sentence"
+            reader.refuse_finally(hint, clause.token)
         if not started and joint is not None and joint.text in ("later", "afterwards"):
             reader.refuse_finally("no step comes before this one", joint)
         if kind == "but" and bare and not (clause.negated or clause.first):
-            reader.refuse_finally(
-                "unclear: all except this, or this too? say 'visit …'", clause.token
-            )
+            hint = "unclear: all except this, or this too? say 'visit …'"
+            reader.refuse_finally(hint, clause.token)
         if kind == "or" and clause.through and clause.verb == "":
             reader.refuse_finally("say 'through a or b'", clause.token)  # "to a via b or via c"
         if clause.bound_by and kind == "or":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from edge.mission.language.everyday_words import ARTICLE, PLAIN_NAME, bare, is_room, phrase_of
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 
 _OPENS_CLAUSE = r"(?:^|[.;,!?] |\b(?:and|then|to|go|or) )(?:also |quickly |just |now )?"
 _DRIVES = (
@@ -32,14 +32,8 @@ _CANNOT = (
         r"hallway|corridor|passage)\b)",
         "the robot cannot drive along an object; say where to go",
     ),
-    (
-        rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b",
-        "the robot answers here in text, and does no more",
-    ),
-    (
-        rf"\b{phrase_of('climb')}\b",
-        "the robot cannot change floors; say where to go on this one",
-    ),
+    (rf"{_OPENS_CLAUSE}{phrase_of('talk')}\b", "the robot answers here in text, and does no more"),
+    (rf"\b{phrase_of('climb')}\b", "the robot cannot change floors; say where to go on this one"),
     (
         rf"\b{phrase_of('clock')}\b|\bat \d+(?::\d+)?(?: ?[ap]m)?(?=[ .,!?]|$)",
         "the robot knows no times of day; say what to do now",
@@ -84,12 +78,11 @@ def refuse_impossible(text: str) -> None:
     for pattern, hint in _CANNOT:
         if found := re.search(pattern, text, re.I):
             part = found[0].strip(" .,;!?")
-            raise UnclearError(f"instruction: {part!r}: {hint}", part)
+            raise unclear(part, hint)
     owned = _OWNED.search(text)
     if owned and not is_room(bare(owned["object"])):
         noun = owned["object"]
-        hint = f"the camera cannot see whose {noun} it is; say 'the {noun}'"
-        raise UnclearError(f"instruction: {owned[0]!r}: {hint}", owned[0])
+        raise unclear(owned[0], f"the camera cannot see whose {noun} it is; say 'the {noun}'")
 
 
 def asks_for_work(text: str) -> bool:

@@ -14,14 +14,7 @@ from functools import lru_cache
 from typing import Literal, Union
 
 from edge.mission.language import nouns
-from edge.mission.language.everyday_words import (
-    NAME,
-    NOWHERE,
-    bare,
-    is_room,
-    is_vague,
-    phrase_of,
-)
+from edge.mission.language.everyday_words import NAME, NOWHERE, bare, is_room, is_vague, phrase_of
 from edge.mission.language.places import is_marked
 from edge.mission.language.remarks import has_order, is_remark
 from edge.mission.language.spans import seconds_of
@@ -283,13 +276,7 @@ def _is_place_name(name: str) -> bool:
 
 
 def _slots_fit(kind: str, slots: Mapping[str, str], sites: Collection[str]) -> bool:
-    """Return True if each slot has a name of its kind.
-
-    Args:
-        kind: topic or `do` of the template.
-        slots: slot -> its text.
-        sites: names that are allowed in the slot `room` of a zone, in addition to kinds of rooms.
-    """
+    """Return True if each slot has a name of its kind; a zone may also be of one of the sites."""
     room = bare(slots.get("room", ""))
     if room and not is_room(room) and not (kind in _ZONE_KINDS and room in sites):
         return False

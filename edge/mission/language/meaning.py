@@ -31,44 +31,30 @@ from edge.mission.logic.ltl import Formula, always, ap, implies, neg, next_, wea
 
 @dataclass(slots=True)
 class ClauseMeaning:
-    """Goals and rules of a clause, or of several clauses joined by "and".
+    """Goals and rules of a clause, or of several clauses joined by "and"."""
 
-    Attributes:
-        goals: goals to achieve in any order.
-        targets: objects of the goals; "while avoiding" lasts until they are reached.
-        rules: formulas that hold from the start.
-        bans: names not to be reached; their duration is decided when the sequence is complete.
-        withouts: (names, objects, token) of "go to the targets without the names", if more follows.
-            Unless the sequence later asks for the names, the user is asked if the ban is permanent.
-        waits: (names, objects): none of the names before the objects; also in `rules`.
-        limits: (names, n, token): at most n separate visits to the names, in a sequence until the
-            next step. The token is that of "not again", which may apply only on the way to
-            `targets`; else None.
-        listed: True if the goals are a list without "and".
-        follows: True if the clause comes after the step before it.
-        repeats: True if the clause asks for the same visit as the last one.
-        commas: True if the orders are joined only by commas.
-        returns: True if the clause goes back to an earlier goal.
-        anchors: objects after which the goals come.
-        each: limit of visits to each place in the entire instruction.
-        strictly: True if the order of the entire instruction is strict.
-    """
-
-    goals: list[Goal] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)  # goals to achieve in any order
+    # objects of the goals; "while avoiding" lasts until they are reached
     targets: NounPhrase = field(default_factory=lambda: NounPhrase(()))
-    rules: list[Formula] = field(default_factory=list)
+    rules: list[Formula] = field(default_factory=list)  # formulas that hold from the start
+    # names not to be reached; their duration is decided when the sequence is complete
     bans: list[tuple[str, ...]] = field(default_factory=list)
+    # (names, objects, token) of "go to the targets without the names", if more follows. Unless the
+    # sequence later asks for the names, the user is asked if the ban is permanent
     withouts: list[tuple[tuple[str, ...], NounPhrase, Token]] = field(default_factory=list)
+    # (names, n, token): at most n separate visits to the names, in a sequence until the next step.
+    # The token is that of "not again", which may apply only on the way to `targets`; else None
     limits: list[tuple[tuple[str, ...], int, Token | None]] = field(default_factory=list)
+    # (names, objects): none of the names before the objects; also in `rules`
     waits: list[tuple[tuple[str, ...], NounPhrase]] = field(default_factory=list)
-    listed: bool = True
-    follows: bool = False
-    repeats: bool = False
-    commas: bool = False
-    returns: bool = False
-    anchors: list[NounPhrase] = field(default_factory=list)
-    each: int | None = None
-    strictly: bool = False
+    listed: bool = True  # True if the goals are a list without "and"
+    follows: bool = False  # True if the clause comes after the step before it
+    repeats: bool = False  # True if the clause asks for the same visit as the last one
+    commas: bool = False  # True if the orders are joined only by commas
+    returns: bool = False  # True if the clause goes back to an earlier goal
+    anchors: list[NounPhrase] = field(default_factory=list)  # objects after which the goals come
+    each: int | None = None  # limit of visits to each place in the entire instruction
+    strictly: bool = False  # True if the order of the entire instruction is strict
 
     @property
     def loose(self) -> bool:
@@ -101,10 +87,7 @@ class ClauseMeaning:
 def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) -> ClauseMeaning:
     """Return the meaning of a clause.
 
-    Args:
-        clause: the clause.
-        reader: the token reader.
-        times: number of visits that were asked for so far, by name, for "do not visit it again".
+    `times` is the number of visits so far, by name, for "do not visit it again".
 
     Raises:
         TranslationError: parts of the clause do not fit together.
@@ -114,18 +97,16 @@ def meaning_of(clause: Clause, reader: TokenReader, times: Mapping[str, int]) ->
     elif clause.only and clause.conditions:
         clause.conditions = [replace(condition, only=True) for condition in clause.conditions]
     elif clause.only and not clause.count and not clause.negated:
-        reader.refuse_finally(
-            "'only' needs a number or a condition; say what to avoid", clause.token
-        )
+        hint = "'only' needs a number or a condition; say what to avoid"
+        reader.refuse_finally(hint, clause.token)
     if clause.targets is None:
         return _goal_of_until(clause, reader)
     if clause.instant and not clause.conditions:
         reader.refuse("'in the next step' is not possible here", clause.instant)
     again = clause.again and not (clause.negated or clause.count or clause.conditions)
     if again and not clause.returns and not times.keys() & set(clause.targets.names):
-        reader.refuse(
-            "this was not asked for before, so 'again' is unclear; say how often", clause.token
-        )
+        hint = "this was not asked for before, so 'again' is unclear; say how often"
+        reader.refuse(hint, clause.token)
     if clause.targets.every and (meaning := _meaning_of_every(clause, clause.targets, reader)):
         return meaning
     # One object has no order.
@@ -270,12 +251,9 @@ def _meaning_of_order(
     if clause.count and [c for c in clause.conditions if c.kind in ("until", "before")]:
         return _meaning_of_count_until(clause, targets, clause.count, reader, times)
     if clause.count and len(targets.groups) > 1 and clause.order:  # "a, b in order, once each"
-        most = clause.count.most
-        meaning.goals.append(
-            steps([visits(NounPhrase((g,)), clause.count.least) for g in targets.groups])
-        )
-        if most == 1:
-            meaning.each = 1
+        least = clause.count.least
+        meaning.goals.append(steps([visits(NounPhrase((g,)), least) for g in targets.groups]))
+        meaning.each = 1 if clause.count.most == 1 else None
         meaning.targets = targets
     elif clause.count:
         _add_count(clause, targets, clause.count, meaning, times)
@@ -378,9 +356,8 @@ def _add_condition(
     if clause.next_step and not answers:
         reader.refuse_finally("say 'whenever …, you must … right after that'", condition.token)
     if kind == "when" and condition.denied:
-        reader.refuse_finally(
-            "a condition that something never happens is not possible", condition.token
-        )
+        hint = "a condition that something never happens is not possible"
+        reader.refuse_finally(hint, condition.token)
     if set(when.names) & set(targets.names) and not answers:
         reader.refuse_finally("nothing comes before or after itself", condition.token)
     if kind == "before" and condition.only and not condition.denied:
@@ -390,9 +367,8 @@ def _add_condition(
         meaning.targets = when  # "go through the hallway until you reach the bed"
         return
     if kind == "until" and not condition.denied:
-        reader.refuse(
-            "'until' is not possible for a visit; say what comes after what", condition.token
-        )
+        hint = "'until' is not possible for a visit; say what comes after what"
+        reader.refuse(hint, condition.token)
     if condition.denied and kind != "after":  # "visit x, but not before y"
         meaning.rules += held_until(targets.names, when)
     elif kind == "unless":
@@ -400,9 +376,8 @@ def _add_condition(
     elif kind == "before" and (clause.mood != "can" or condition.only):
         way = "in order"  # "visit x, but visit y before that": y, then x
         if not condition.referred or clause.mood == "can":
-            pick = 0
-            if _is_rule(clause, condition, reader):
-                pick = reader.pick(condition.token, len(_BEFORE_READINGS))
+            is_rule = _is_rule(clause, condition, reader)
+            pick = reader.pick(condition.token, len(_BEFORE_READINGS)) if is_rule else 0
             way = _BEFORE_READINGS[pick]
         if way != "in order":
             meaning.rules += held_until(when.names, targets)

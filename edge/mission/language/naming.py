@@ -188,9 +188,7 @@ def _canonical(reader: TokenReader, text: str, token: Token) -> str:
 def number_ahead(reader: TokenReader, last: Sequence[Sequence[str]]) -> Token | None:
     """Return the token that joins "1" and "2" in "landmarks 1 and 2"; None for no such list.
 
-    Args:
-        reader: the token reader.
-        last: groups of the list's element before this token; here it has one name.
+    `last` has the groups of the list's element before this token; here it has one name.
     """
     head = _numbered_head(last[-1][-1])
     ahead = 1 if reader.is_at("comma") else 0

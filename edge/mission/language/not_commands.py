@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from edge.mission.language.clause_parts import Clause
 from edge.mission.language.lexicon import AVOIDING, PAST
-from edge.mission.language.tokens import Token, TokenReader
+from edge.mission.language.tokens import PAST_TENSE, REASONS, Token, TokenReader
 
 _ASKING = ("did", "does", "has", "had", "is", "are", "am", "was", "were")  # begin a question
 _MAY_I = ("i", "we")  # pronouns of "may I"
@@ -38,12 +38,10 @@ def refuse_past_tense(reader: TokenReader, begin: int, verb: Token, clause: Clau
     past = verb.text.split()[0] in PAST or verb.text == "been" or texts[-1:] == ["been"]
     clause.done = past and bool(set(_HAVING) & set(texts[-3:]))
     if past and not clause.done and not any(token.kind == "be" for token in before):
-        reader.refuse_finally(
-            "this describes the past; say what to do", before[0] if before else verb
-        )
+        reader.refuse_finally(PAST_TENSE, before[0] if before else verb)
     duties = [t for t in before if t.kind in ("must", "ensure") and t.text not in _HAVING]
     if clause.done and (set(_REPROACH) & set(texts) or not duties):
-        reader.refuse_finally("this describes the past; say what to do", before[0])
+        reader.refuse_finally(PAST_TENSE, before[0])
 
 
 def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
@@ -55,9 +53,7 @@ def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
         if clause.next_step and not clause.conditions:
             reader.refuse_finally("say directly what not to do", clause.token)
         if clause.mood == "can" and clause.verb in AVOIDING and "anywhere" not in clause.verb:
-            reader.refuse_finally(
-                "this is optional and asks for nothing; leave it out", clause.token
-            )
+            reader.refuse_finally(REASONS["needless"], clause.token)
         if clause.ends or clause.verb.startswith(("end ", "finish", "conclude ")):
             reader.refuse_finally("say where the mission ends", clause.token)
         if clause.count and clause.targets and clause.targets.names == ("room",):
@@ -80,8 +76,7 @@ def refuse_unclear(clause: Clause, reader: TokenReader) -> None:
         reader.refuse_finally("say what to do then, as in 'go to the bed'", conditional[0].token)
     groups = clause.targets.groups if clause.targets else ()
     if clause.count and clause.count.least > 1 and (clause.order and len(groups) > 1):
-        reader.refuse_finally(
-            "unclear: this number for the entire list, or for each? use two sentences", clause.token
-        )
+        hint = "unclear: this number for the entire list, or for each? use two sentences"
+        reader.refuse_finally(hint, clause.token)
     if any(c.recurring for c in conditional) and (len(clause.conditions) > 1 or clause.avoiding):
         reader.refuse_finally("use two sentences", conditional[0].token)

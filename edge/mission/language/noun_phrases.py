@@ -61,22 +61,14 @@ class NounPhrase:
 
 @dataclass(slots=True)
 class Antecedents:
-    """The antecedents of pronouns.
+    """The antecedents of pronouns."""
 
-    Attributes:
-        named: the objects named last.
-        asked: the objects of the last goal.
-        previous: the objects of the goal before it.
-        every: all goals so far, in order.
-        mentioned: all names so far, in any role.
-        several: names in the plural, with their tokens.
-    """
-
-    named: NounPhrase | None = None
-    asked: NounPhrase | None = None
-    previous: NounPhrase | None = None
-    every: tuple[tuple[str, ...], ...] = ()
-    mentioned: dict[str, None] = field(default_factory=dict)
+    named: NounPhrase | None = None  # the objects named last
+    asked: NounPhrase | None = None  # the objects of the last goal
+    previous: NounPhrase | None = None  # the objects of the goal before it
+    every: tuple[tuple[str, ...], ...] = ()  # all goals so far, in order
+    mentioned: dict[str, None] = field(default_factory=dict)  # all names so far, in any role
+    # names in the plural, with their tokens
     several: dict[str, Token] = field(default_factory=dict)
 
     def ask(self, targets: NounPhrase) -> None:

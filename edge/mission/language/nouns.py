@@ -18,23 +18,21 @@ from edge import names, number_words
 # Nouns and other words, by kind; "|" stands for a space within an entry.
 _PLACES = """
     apartment attic balcony basement bathroom bedroom cellar classroom conservatory corridor
-    courtyard cubicle den driveway elevator entrance entry exit fence floor foyer garage garden
-    gate gym hall hallway house kitchen laundry lawn lift living|room dining|room meeting|room
+    courtyard cubicle den driveway elevator entrance entry exit fence floor foyer garage garden gate
+    gym hall hallway house kitchen laundry lawn lift living|room dining|room meeting|room
     conference|room waiting|room guest|room storage|room library lobby lounge lab laboratory
     landmark nursery office pantry patio path pavement playroom pool porch reception restroom road
     roof room shed shop sidewalk stair stairs staircase station storeroom street studio study
-    terrace aisle bay ward suite sector lane terminal cell block slot level
-    storey
-    kitchenette washroom canteen stockroom mailroom cloakroom ballroom boardroom darkroom showroom
-    staffroom lunchroom guestroom stairwell sunroom mezzanine sluice loft carport parlor parlour
-    workroom hideout
-    toilet|room wall waypoint wc workshop yard zone area region
-    airport bakery bank bar bridge building bus|stop cafe car|park castle cathedral cemetery church
-    cinema college court crossing crosswalk cafeteria clinic embassy farm field fountain forest
-    hospital hotel inn junction lake mall market memorial monument museum park parking|lot
-    parking|space pharmacy pier platform playground plaza post|office pub restaurant river school
-    square stadium store supermarket temple theater theatre tower town|hall train|station tunnel
-    university warehouse zoo passage passageway doorway archway
+    terrace aisle bay ward suite sector lane terminal cell block slot level storey kitchenette
+    washroom canteen stockroom mailroom cloakroom ballroom boardroom darkroom showroom staffroom
+    lunchroom guestroom stairwell sunroom mezzanine sluice loft carport parlor parlour workroom
+    hideout toilet|room wall waypoint wc workshop yard zone area region airport bakery bank bar
+    bridge building bus|stop cafe car|park castle cathedral cemetery church cinema college court
+    crossing crosswalk cafeteria clinic embassy farm field fountain forest hospital hotel inn
+    junction lake mall market memorial monument museum park parking|lot parking|space pharmacy pier
+    platform playground plaza post|office pub restaurant river school square stadium store
+    supermarket temple theater theatre tower town|hall train|station tunnel university warehouse zoo
+    passage passageway doorway archway
 """
 _OBJECTS = """
     apple aquarium ashtray bag baggage banana banner barbecue barrel basket bat battery beam bedside
@@ -48,15 +46,14 @@ _OBJECTS = """
     horse hose hydrant fire|hydrant ipad iron ironing|board jacket jar jug kettle key keys kite
     knife ladder lamp|post laptop lever lighter lightswitch lock locker machine magazine mailbox mat
     mattress microwave mop motorcycle motorbike mouse nail newspaper notebook orange oven paint
-    pallet pan panel paper parcel package pen pencil pet phone|booth pillar pipe pizza plant
-    plunger pole pot potato purse puzzle rabbit rack racket radiator radio rail refrigerator ring
-    robot rock rope router rug safe salt sandwich saw scale scissors scooter screen screwdriver
-    sculpture seat sheep shirt shoe sign stop|sign skateboard skis snowboard soap sock speaker spoon
-    sponge stapler statue stick stone sunglasses surfboard swing switch tank tap tape tent tie
-    tissue toolbox tool toothbrush toy tractor traffic|light trailer train tray tree tricycle
-    trolley truck typewriter vehicle van vent vending|machine violin walker wallet watch
-    water|cooler water|dispenser whiteboard blackboard wheel wheelchair wine wire workbench zebra
-    elephant bear till
+    pallet pan panel paper parcel package pen pencil pet phone|booth pillar pipe pizza plant plunger
+    pole pot potato purse puzzle rabbit rack racket radiator radio rail refrigerator ring robot rock
+    rope router rug safe salt sandwich saw scale scissors scooter screen screwdriver sculpture seat
+    sheep shirt shoe sign stop|sign skateboard skis snowboard soap sock speaker spoon sponge stapler
+    statue stick stone sunglasses surfboard swing switch tank tap tape tent tie tissue toolbox tool
+    toothbrush toy tractor traffic|light trailer train tray tree tricycle trolley truck typewriter
+    vehicle van vent vending|machine violin walker wallet watch water|cooler water|dispenser
+    whiteboard blackboard wheel wheelchair wine wire workbench zebra elephant bear till
     charging|station charger dock docking|station
 """
 _EVERYDAY = """
@@ -117,28 +114,27 @@ _EVERYDAY = """
     seesaw sewing|machine shampoo shark|toy sharps|bin sharps|container shaver shawl shears shield
     shin shipping|box shoes shopping|bag shopping|basket shopping|cart shopping|trolley shorts
     shovel shower|chair shower|curtain shower|head shrink|wrap sieve silverware skate skates
-    skipping|rope
-    skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm smoke|detector snack
-    snake snorkel snowman snow|globe soccer|ball socket socks soda soldering|iron spade sparkler
-    spatula spectacles sphygmomanometer spice|rack spider spill spill|kit spinner spool spray
-    spray|bottle
-    spring sprinkler squeegee squirrel stack stamp stencil stepladder step|ladder step|stool stereo
-    stethoscope sticker stickers stickman stocking stockings stopwatch storage|box storybook
-    story|book strainer strap strapping|machine straw strawberry stretcher stretch|wrap string
-    stroller stuffed|animal suction|machine sugar sugar|bowl suit sunhat sunscreen sweater
-    sweatshirt swimsuit sword syringe syringes syrup t-shirt tablecloth tablet tablets tambourine
-    tape|dispenser tape|gun tape|measure tarp tea teabag teacup teapot tea|cup tea|kettle tea|towel
-    telescope tennis|ball tennis|racket thermometer thermos thermostat thimble tiara ticket tie|rack
-    tiger|toy tights timer tin tire tissues tissue|box toaster|oven toilet|brush toilet|paper tomato
-    tongs toolkit tool|box tool|kit toothpaste toothpick torch toys toy|box toy|car toy|kitchen
-    toy|robot toy|train toy|truck track|suit traffic|cone trampoline tray|table tripod trolley|cart
-    trophy trousers trowel trumpet tshirt tuba tube tumbler turntable turtle tuxedo tv|remote
-    tweezers type|writer ukulele ultrasound ultrasound|machine uniform urinal usb|stick ventilator
-    vest videotape vinegar vise vital|signs|monitor waffle wagon walkie|talkie walking|aid
-    walking|frame walking|stick washcloth washing|basket washing|line waste|paper watering|can
-    watering|pot watermelon water|bottle water|jug wax weight weights wellies wet|floor|sign
-    wheelbarrow whisk whistle wig windchime wind|chime wiper wok wool wreath wrench x-ray|machine
-    xylophone yarn yo-yo yoga|mat yogurt zipper
+    skipping|rope skirt sled sledge sleeping|bag slide sling slipper slippers smoke|alarm
+    smoke|detector snack snake snorkel snowman snow|globe soccer|ball socket socks soda
+    soldering|iron spade sparkler spatula spectacles sphygmomanometer spice|rack spider spill
+    spill|kit spinner spool spray spray|bottle spring sprinkler squeegee squirrel stack stamp
+    stencil stepladder step|ladder step|stool stereo stethoscope sticker stickers stickman stocking
+    stockings stopwatch storage|box storybook story|book strainer strap strapping|machine straw
+    strawberry stretcher stretch|wrap string stroller stuffed|animal suction|machine sugar
+    sugar|bowl suit sunhat sunscreen sweater sweatshirt swimsuit sword syringe syringes syrup
+    t-shirt tablecloth tablet tablets tambourine tape|dispenser tape|gun tape|measure tarp tea
+    teabag teacup teapot tea|cup tea|kettle tea|towel telescope tennis|ball tennis|racket
+    thermometer thermos thermostat thimble tiara ticket tie|rack tiger|toy tights timer tin tire
+    tissues tissue|box toaster|oven toilet|brush toilet|paper tomato tongs toolkit tool|box tool|kit
+    toothpaste toothpick torch toys toy|box toy|car toy|kitchen toy|robot toy|train toy|truck
+    track|suit traffic|cone trampoline tray|table tripod trolley|cart trophy trousers trowel trumpet
+    tshirt tuba tube tumbler turntable turtle tuxedo tv|remote tweezers type|writer ukulele
+    ultrasound ultrasound|machine uniform urinal usb|stick ventilator vest videotape vinegar vise
+    vital|signs|monitor waffle wagon walkie|talkie walking|aid walking|frame walking|stick washcloth
+    washing|basket washing|line waste|paper watering|can watering|pot watermelon water|bottle
+    water|jug wax weight weights wellies wet|floor|sign wheelbarrow whisk whistle wig windchime
+    wind|chime wiper wok wool wreath wrench x-ray|machine xylophone yarn yo-yo yoga|mat yogurt
+    zipper
 """
 _PEOPLE = """
     mom mum mother dad father baby boy girl guest guard nurse doctor patient worker customer visitor
@@ -153,28 +149,25 @@ _COLOURS = """
     cyan magenta turquoise maroon navy tan crimson scarlet olive lime
 """
 _QUALITIES = """
-    colored coloured dark light bright pale
-    large big huge small little tiny mini tall high short low long wide broad
-    narrow slim thin thick round square rectangular oval circular flat curved striped checkered
-    old new modern antique vintage broken dirty empty full open closed double single soft hard heavy
-    folding rocking sliding electric digital front back rear left right main upper lower top bottom
-    middle central inner outer north south east west northern southern eastern western potted
-    ground parked
+    colored coloured dark light bright pale large big huge small little tiny mini tall high short
+    low long wide broad narrow slim thin thick round square rectangular oval circular flat curved
+    striped checkered old new modern antique vintage broken dirty empty full open closed double
+    single soft hard heavy folding rocking sliding electric digital front back rear left right main
+    upper lower top bottom middle central inner outer north south east west northern southern
+    eastern western potted ground parked
 """
 _PLAIN = """
-    left right straight forward forwards backwards ahead sideways together apart halfway
-    help want wish hope think know tell say ask give put set let try hold carry lift push pull throw
-    drop sing dance sleep eat drink cook guard fix build feel deliver hand hang complete continue
-    separated separate exceed prevents happen
-    hour hours minute minutes second seconds moment day days week night noon midnight morning
-    evening afternoon o'clock oclock pm am time times dinner lunch breakfast
-    whether while since as so such other others another same different few several many much enough
-    half quarter often util
-    side end middle edge kind sort type reason idea question answer order turn turns response
-    predecessor successor former latter remaining
-    nice good bad great fine free ready done able sure careful safely
-    metre metres meter meters feet home halt possible
-    keep stray straying stick sticking protect defend forget miss spin wander bring spend hurry
+    left right straight forward forwards backwards ahead sideways together apart halfway help want
+    wish hope think know tell say ask give put set let try hold carry lift push pull throw drop sing
+    dance sleep eat drink cook guard fix build feel deliver hand hang complete continue separated
+    separate exceed prevents happen hour hours minute minutes second seconds moment day days week
+    night noon midnight morning evening afternoon o'clock oclock pm am time times dinner lunch
+    breakfast whether while since as so such other others another same different few several many
+    much enough half quarter often util side end middle edge kind sort type reason idea question
+    answer order turn turns response predecessor successor former latter remaining nice good bad
+    great fine free ready done able sure careful safely metre metres meter meters feet home halt
+    possible keep stray straying stick sticking protect defend forget miss spin wander bring spend
+    hurry
 """
 
 
@@ -221,18 +214,7 @@ NUMERALS = (*number_words.ORDINALS, "last")
 """Ordinal numbers in order, and "last"."""
 ORDINALS = frozenset(NUMERALS)
 """The same as a set."""
-_NAMED_BY_CONTENT = (
-    "shop",
-    "store",
-    "station",
-    "stop",
-    "room",
-    "market",
-    "museum",
-    "lot",
-    "stand",
-    "park",
-)
+_NAMED_BY_CONTENT = split_entries("shop store station stop room market museum lot stand park")
 """Places that are named after their content: "coffee shop", "printer room"."""
 # Further objects that lead to a place.
 _WAYS = ("door", "ladder", "ramp", "escalator", "way", "passage", "doorway")

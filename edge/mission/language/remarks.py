@@ -49,10 +49,8 @@ The "as" of "as soon as", "as far as" and "as long as" begins no reason."""
 def is_remark(clause: str, states: bool = False, first: bool = False) -> bool:
     """Return True for a clause that gives no order: "I heard a noise".
 
-    Args:
-        clause: one clause, without the marks around it.
-        states: True if a clause about a state ("the isolation is over") also counts.
-        first: True if the clause begins the text; then an assent ("all clear") also counts.
+    With `states`, one about a state ("the isolation is over") also counts; with `first`, at the
+    beginning of the text, an assent ("all clear").
     """
     if first_match(_templates(IDIOMS + (ASSENTS if first else "")), clause) is not None:
         return True

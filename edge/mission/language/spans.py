@@ -58,3 +58,13 @@ def seconds_of(span: str) -> float:
     if value is None:
         value = float(size) if size[0].isdigit() else float(number_of(size) or 0)
     return (value + 0.5 * bool(found["more"])) * _UNITS_S[found["unit"].lower()]
+
+
+def shown_s(seconds: float) -> str:
+    """Return a duration for people.
+
+    >>> shown_s(30.0), shown_s(600.0), shown_s(90.0)
+    ('30 s', '10 min', '90 s')
+    """
+    minutes, rest = divmod(seconds, 60)
+    return f"{minutes:.0f} min" if minutes and not rest else f"{seconds:.0f} s"

@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 from edge import number_words
 from edge.mission.language.everyday_words import ARTICLE, NAME, phrase_of
-from edge.mission.language.lexicon import TABLE, WORD, expand_word
+from edge.mission.language.lexicon import TABLE
 from edge.mission.language.remarks import SUBORDINATE, is_remark
 from edge.mission.language.spans import number_of
+from edge.mission.language.spelling import WORD, expand_word
 from edge.mission.language.tokens import MAX_CHARS, STRAIGHT, not_understood
 
 _QUOTED = re.compile(r'"[^"]*"')
 _FIRST_MARK = 0xE000  # private characters stand for quotations
 # Spelling of speech → full words.
 _SPOKEN = {"its": "it is", "u": "you", "id": "i would", "till": "until",
-           "whichever's": "whichever is", "wanna": "want to", "gonna": "going to",
-           "gotta": "must"}  # fmt: skip
+           "whichever's": "whichever is", "gotta": "must"}  # fmt: skip
 # "the door's painted" has "is" only at the end of a clause: "the robot's painted door" is the
 # robot's. "room 3's painted" and the listed words have it anywhere.
 _APOSTROPHE_IS = re.compile(
@@ -95,18 +95,12 @@ _REFERS = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class TidySpeech:
-    """An utterance without what speech adds to it.
+    """An utterance without what speech adds to it."""
 
-    Attributes:
-        text: the rest, in one line. A private Unicode character stands for each quotation.
-        reasons: the clauses that were left out because they give no order.
-        repaired: True if the speaker corrected or repeated words.
-        quoted: the quotations in double quotes, in the order of their private characters.
-    """
-
-    text: str
-    reasons: tuple[str, ...] = ()
-    repaired: bool = False
+    text: str  # the rest, in one line. A private Unicode character stands for each quotation
+    reasons: tuple[str, ...] = ()  # the clauses that were left out because they give no order
+    repaired: bool = False  # True if the speaker corrected or repeated words
+    # the quotations in double quotes, in the order of their private characters
     quoted: tuple[str, ...] = ()
 
     def with_quotations(self, text: str) -> str:
@@ -227,11 +221,8 @@ def _find_replaced(before: str, after: str) -> int | None:
     name = re.match(rf"{NAME}$", _CLAUSE_END.split(after)[0].strip(), re.I)
     articles = list(re.finditer(rf"\b{ARTICLE} ", before, re.I))
     if name and articles and re.fullmatch(NAME, before[articles[-1].start() :], re.I):
-        return (
-            articles[-1].end()
-            if not re.match(rf"{ARTICLE} ", after, re.I)
-            else articles[-1].start()
-        )
+        has_article = re.match(rf"{ARTICLE} ", after, re.I)
+        return articles[-1].start() if has_article else articles[-1].end()
     return None
 
 

@@ -10,7 +10,8 @@ from typing import NoReturn
 from edge import number_words
 from edge.errors import UserError
 from edge.mission.language import nouns
-from edge.mission.language.lexicon import LONGEST, TABLE, WORD, expand_word
+from edge.mission.language.lexicon import LONGEST, TABLE
+from edge.mission.language.spelling import WORD, expand_word
 from edge.text import one_line
 
 MAX_CHARS = 10_000
@@ -31,6 +32,12 @@ REASONS = {
     "mark": "this character is not allowed in an instruction",
 }
 """Reasons to refuse tokens, by kind."""
+
+ONE_ROBOT = "an instruction is for one robot only"
+ONLY_REACHED = "the state of an object cannot be used, only that it is reached"
+PAST_TENSE = "this describes the past; say what to do"
+NONE_OR_NOT_ALL = "unclear: none of them, or not all? say for each if to avoid it"
+"""Hints of refusals by several parsers."""
 
 _DRIVEN = ("car", "vehicle")  # after "the", they may mean the robot or an object
 _ARTICLES = ("a", "an", "any", "my", "our", "your", "some", "another")
@@ -70,6 +77,11 @@ def not_understood(part: str, position: int, hint: str) -> TranslationError:
     shown = one_line(part, _SHOWN) or " ".join(f"U+{ord(c):04X}" for c in part[:8])
     what = f"did not understand {shown!r}" if part.strip() else "it ends too early"
     return TranslationError(f"instruction, character {position}: {what}: {hint}", part, position)
+
+
+def unclear(part: str, hint: str) -> UnclearError:
+    """Return the error for a part of an instruction that is unclear."""
+    return UnclearError(f"instruction: {one_line(part)!r}: {hint}", part.strip())
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,25 +17,11 @@ from edge.mission.language.tokens import REASONS, Token, TokenReader
 
 # Reasons of a refusal.
 _WHERE = "objects differ by kind, colour and size, not by place; give only the name"
-_WHICH = "the camera cannot see which one this is; give its kind, colour or size"
-_SPOT = "the robot can reach objects, not places near them; name the object"
-_EXPLORE = "the robot cannot search a place; say which object to find there"
 _TIME = "times and distances cannot be used; say only what to reach"
-_RIDE = "how to go cannot be chosen; say only where to go"
-_IF_POSSIBLE = "unclear if it must be done; leave out the condition"
 _DENIED = "only reaching objects can be forbidden"
-_THAT = "say 'after the …'"
-_NOWHERE = "say what to visit, and what to avoid"
-_NOR = "'nor' needs 'not' or 'neither' before it"
 _STAY = REASONS["stay"]
-_ROUND_IT = "say what to avoid, or what to go through"
-_LEFT_OUT = "say 'avoid …', or where to go"
-_LAST = "the camera cannot see which one is the last; give its kind, colour or size"
-_ASKED = "not an instruction; say for example 'visit the bed'"
 _OTHERS = "not an instruction for the robot"
 _SHUN = "unclear: avoid it or visit it? say which"
-_HOW_LONG = "unclear how long to avoid it; use a separate sentence"
-_EACH = "give the full name of each, as in 'gate a or gate b'"
 
 _AT_TIMES = ("for", "in", "after", "before", "at", "within", "until")  # prepositions of times
 _LEAVE = nouns.split_entries(
@@ -117,38 +103,38 @@ def _reason(reader: TokenReader, denied: bool) -> str:
     if _is_leaving(reader, denied) or _is_staying(reader, denied):
         return _STAY
     if token.text == "nor" and not any(t.kind in _DENYING for t in reader.tokens[: reader.at]):
-        return _NOR
+        return "'nor' needs 'not' or 'neither' before it"
     if token.text == "nowhere" and after.kind == "but":
-        return _NOWHERE
+        return "say what to visit, and what to avoid"
     if token.kind == "around" and denied:
-        return _ROUND_IT  # "go around it" means "avoid it"
+        return "say what to avoid, or what to go through"  # "go around it" means "avoid it"
     if hint := _handling_reason(reader, denied) or _no_order_reason(reader):
         return hint
     if token.kind == "avoid" and after.kind == "neither":
         return _SHUN
     if _is_trailing_always(reader):
-        return _HOW_LONG
+        return "unclear how long to avoid it; use a separate sentence"
     if _is_lone_letter(reader):
-        return _EACH
+        return "give the full name of each, as in 'gate a or gate b'"
     if token.text == "last" and before and before.kind == "article" and _name_at(reader, 1):
-        return _LAST
+        return "the camera cannot see which one is the last; give its kind, colour or size"
     if _is_time(reader):
         return _TIME
     if token.text in BEYOND_NAMES and token.kind == "word":
-        return _WHICH
+        return "the camera cannot see which one this is; give its kind, colour or size"
     if token.text in _SPOTS and _is_location(reader, 1):
-        return _SPOT
+        return "the robot can reach objects, not places near them; name the object"
     starts = before is None or before.kind == "stop"
     if starts and token.text == "after that" and after.kind == "word" and len(after.text) > 1:
-        return _THAT  # "After that chair, go to the bed."
+        return "say 'after the …'"  # "After that chair, go to the bed."
     where = _is_location(reader, 0) or token.text == "on the road"
     if where and _name_before(reader):
         return _WHERE
     if token.text == "by" and after.text in _VEHICLES:
-        return _RIDE
+        return "how to go cannot be chosen; say only where to go"
     if _is_search(reader):
-        return _EXPLORE
-    return _IF_POSSIBLE if _is_soft(reader) else ""
+        return "the robot cannot search a place; say which object to find there"
+    return "unclear if it must be done; leave out the condition" if _is_soft(reader) else ""
 
 
 def _handling_reason(reader: TokenReader, denied: bool) -> str:
@@ -165,7 +151,7 @@ def _handling_reason(reader: TokenReader, denied: bool) -> str:
         ahead += 1
     first = token.text.split()[0]
     if first in ("pass", "passing", "cross", "crossing") and reader.peek(1).text in ("up", "out"):
-        return _LEFT_OUT  # "pass up the sofa"
+        return "say 'avoid …', or where to go"  # "pass up the sofa"
     handles = first.startswith(_HANDLED) and _is_object(reader, ahead)
     opens = first.startswith(_OPENS) and reader.is_at("article", ahead=ahead)
     return _DENIED if denied and (handles or opens) else ""
@@ -192,7 +178,7 @@ def _no_order_reason(reader: TokenReader) -> str:
         return ""
     sees = token.kind == "can" and reader.is_at("you", ahead=1) and reader.peek(2).text == "see"
     must = token.text == "must" and reader.is_at("you", ahead=1)
-    return _ASKED if sees or must else ""
+    return "not an instruction; say for example 'visit the bed'" if sees or must else ""
 
 
 def _is_lone_letter(reader: TokenReader) -> bool:
@@ -206,16 +192,8 @@ def _is_lone_letter(reader: TokenReader) -> bool:
         word.kind == "word" and nouns.is_noun(word.text) and _is_letter(follower)
         for word, follower in itertools.pairwise(before)
     )
-    return lettered and before[-1].kind in (
-        "and",
-        "or",
-        "then",
-        "to",
-        "comma",
-        "but",
-        "not",
-        "avoid",
-    )
+    joints = ("and", "or", "then", "to", "comma", "but", "not", "avoid")
+    return lettered and before[-1].kind in joints
 
 
 def _is_letter(token: Token) -> bool:
@@ -241,11 +219,8 @@ def _is_soft(reader: TokenReader) -> bool:
     if not reader.is_at("when"):
         return False
     willing = reader.is_at("you", ahead=1) and reader.peek(2).text in ("can", "could", "want")
-    return (
-        willing
-        or _ends_clause(reader, 1)
-        or reader.peek(1).text in ("possible", "necessary", "needed")
-    )
+    polite = reader.peek(1).text in ("possible", "necessary", "needed")
+    return willing or polite or _ends_clause(reader, 1)
 
 
 def _previous(reader: TokenReader) -> Token | None:
@@ -318,11 +293,8 @@ def _name_before(reader: TokenReader) -> Token | None:
     if before.kind == "number" and begin > 1:
         begin -= 1
     end, found = begin, None
-    while (
-        begin
-        and end - begin < _MOST_NAME_WORDS
-        and reader.tokens[begin - 1].kind in ("word", "group")
-    ):
+    earliest = max(0, begin - _MOST_NAME_WORDS)
+    while begin > earliest and reader.tokens[begin - 1].kind in ("word", "group"):
         begin -= 1
         if _is_known([token.text for token in reader.tokens[begin:end]]):
             found = reader.tokens[begin]

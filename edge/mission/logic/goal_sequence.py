@@ -8,15 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from edge.mission.logic.ltl import (
-    Formula,
-    conj,
-    disj,
-    eventually,
-    next_,
-    postorder,
-    propositions,
-)
+from edge.mission.logic.ltl import Formula, conj, disj, eventually, next_, postorder, propositions
 
 
 class NotASequenceError(ValueError):

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import yaml
 
-from edge.mission.language.lexicon import expand_word
 from edge.mission.language.prefix_notation import MOST_NAMES, NAMES, REFUSED
+from edge.mission.language.spelling import expand_word
 
 PHRASES = Path(__file__).with_name("phrases.yaml")
 LETTERS = "abcde"

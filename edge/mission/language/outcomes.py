@@ -13,64 +13,43 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
-from edge.mission.language.everyday_words import (
-    NAME,
-    bare,
-    each_kind,
-    is_room,
-    phrase_of,
-    refuse_each,
-)
+from edge.mission.language.areas import AREA, JOINT
+from edge.mission.language.everyday_words import NAME, phrase_of
 from edge.mission.language.lexicon import TABLE
 from edge.mission.language.templates import compile_templates
-from edge.mission.language.tokens import UnclearError
+from edge.mission.language.tokens import UnclearError, unclear
 
 Outcome = Literal["found", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeCondition:
-    """The outcome of an order, in the words of a person.
+    """The outcome of an order, in the words of a person."""
 
-    Attributes:
-        outcome: "found" if the order succeeded, "failed" if not.
-        is_object: True for an object ("it is not there"), False for a place ("you can not get in"),
-            None for either ("otherwise").
-        name: its name with the article; "" for the last goal of the order ("it").
-        at: " in the kitchen": the object is there or not; "" if no place is given.
-        there: True if the object is at the place of the order.
-        presumes: True if the condition also says what to do: "if you can not find the bed".
-        state: True if it is a state of a place: "if it is blocked".
-    """
-
-    outcome: Outcome
+    outcome: Outcome  # "found" if the order succeeded, "failed" if not
+    # True for an object ("it is not there"), False for a place ("you can not get in"), None for
+    # either ("otherwise")
     is_object: bool | None = None
-    name: str = ""
-    at: str = ""
-    there: bool = False
+    name: str = ""  # its name with the article; "" for the last goal of the order ("it")
+    at: str = ""  # " in the kitchen": the object is there or not; "" if no place is given
+    there: bool = False  # True if the object is at the place of the order
+    # True if the condition also says what to do: "if you can not find the bed"
     presumes: bool = False
-    state: bool = False
+    state: bool = False  # True if it is a state of a place: "if it is blocked"
 
 
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """An order, and what to do after each of its outcomes.
+    """An order, and what to do after each of its outcomes."""
 
-    Attributes:
-        order: the order whose last goal has the outcome; "" if the condition presumes it.
-        found: what to do if it succeeds; None: nothing more.
-        failed: what to do if it fails; None: the mission fails, or with `found`, nothing more.
-        after: what to do in the end, whatever the outcome; "": nothing.
-        both: True if the text says what to do after both outcomes.
-        may_drive: True if the text may also be read as orders to drive: "…, then in the hall, …".
-    """
-
-    order: str
+    order: str  # the order whose last goal has the outcome; "" if the condition presumes it
     condition: OutcomeCondition
-    found: Branches | str | None
+    found: Branches | str | None  # what to do if it succeeds; None: nothing more
+    # what to do if it fails; None: the mission fails, or with `found`, nothing more
     failed: Branches | str | None
-    after: str = ""
-    both: bool = False
+    after: str = ""  # what to do in the end, whatever the outcome; "": nothing
+    both: bool = False  # True if the text says what to do after both outcomes
+    # True if the text may also be read as orders to drive: "…, then in the hall, …"
     may_drive: bool = False
 
     @property
@@ -108,8 +87,10 @@ _PARTS = {
         reach {them}|reach there|enter [it|there|that room])
         """,
 }
-# Kind of target → templates, one for each line. True: an object; False: a place; None: either.
-_FAILED: dict[bool | None, str] = {
+# Outcome → kind of target → templates, one for each line. True: an object; False: a place; None:
+# either.
+_TEMPLATES: dict[Outcome, dict[bool | None, str]] = {
+  "failed": {
     True: """
         {if} {it} {is} {gone} {either}
         {if} {it} {is} not {at} {either}
@@ -136,8 +117,8 @@ _FAILED: dict[bool | None, str] = {
             you can not [do (it|that)]|you have no luck)
         (failing that|or otherwise|otherwise|else|if else)
     """,
-}
-_FOUND: dict[bool | None, str] = {
+  },
+  "found": {
     True: """
         {if} {it} {is} {there} {either}
         {if} <object> {is} {there} {either}
@@ -151,7 +132,8 @@ _FOUND: dict[bool | None, str] = {
         {if} (so|yes|you (do|did|have)|it (is|was)|there (is|are)|they are|found|successful|
             that works [out]|you succeed)
     """,
-}
+  },
+}  # fmt: skip
 _TRIGGER = re.compile(
     r"(?<![^\s,;.!?:-])(?P<word>if|in case|in the event|supposing|failing that|otherwise|else"
     r"|(?:or else|(?:and )?then)(?= (?P<area>\w+ .*)))\b",
@@ -165,8 +147,7 @@ _ASKED = re.compile(
 _LIMITED = re.compile(r"\b(?:only|even|as|except|not|unless)$", re.I)
 _WHAT_ELSE = re.compile(r"(?:thing|where|one|body|or|who|what|how)$", re.I)
 _ENDS_CLAUSE = re.compile(r"[,;.!?:-]$|\b(?:and|but|or)$", re.I)
-_JOINT = r"(?:[\s,;.!?:-]|\b(?:and|but|or|then|so)(?=[\s,]|$))+"
-_JOINTS = re.compile(rf"{_JOINT}$", re.I)
+_JOINTS = re.compile(rf"{JOINT}$", re.I)
 _BOUND = re.compile(
     r"[,;.!?:-]\s*(?:(?:and|but|or|then|so)\s+)*$|(?:^|\s)(?:and|but|or|then|so)\s+$", re.I
 )
@@ -188,28 +169,8 @@ _AFTER = re.compile(
     r"\s+(?P<rest>.+)$",
     re.I,
 )
-_FOR_IT = r"(?:\s+(?:for\s+(?:it|them|one|him|her)|again|also|too|as well|next))*"
 _NEEDS_VERB = re.compile(r"\b(?:can not|have|do|did|is|are|was)$", re.I)
 _RELATION = re.compile(rf"\s+{phrase_of('relation')}\s", re.I)
-_AREA = re.compile(
-    r"(?:(?:go|then|also|and|next)\s+)*"
-    rf"(?:(?P<verb>look|search|try|check|hunt|(?:have|take) a look){_FOR_IT}\s+)?"
-    rf"(?:(?P<relation>{phrase_of('relation')})\s+)?(?P<anchor>{NAME}){_FOR_IT}"
-    r"(?=[,.;!?]|$|\s+(?:and|then|or)\b)",
-    re.I,
-)
-_FIND_IT = re.compile(
-    rf"^(?:(?:go|and|look)\s+)*(?:find|for|search for|locate|hunt for)\s+(?:it|them|one)"
-    rf"(?=\s+{phrase_of('relation')}\s)",
-    re.I,
-)
-_GO_AND_LOOK = re.compile(
-    rf"^(?:go|drive|head) (?:over )?(?:to|in|into) (?P<room>{NAME}),? and (?:then )?"
-    r"(?:look|search|check)(?: for (?:it|them|one))?(?: in)?(?: there)?"
-    r"(?=[,.;!?]|$| (?:and|then)\b)",
-    re.I,
-)
-_SEARCHED = re.compile(rf"\b(?:find|look for|search for|locate)\s+(?P<object>{NAME})", re.I)
 _IN_CLAUSE = r"(?:(?! and )[^,;.!?])*"
 # "search the hall for the mug", "look for the mug in the hall", "find the mug in the hall or else"
 _SEARCHES = re.compile(
@@ -222,14 +183,12 @@ _SEARCHES = re.compile(
 
 @cache
 def _conditions() -> list[tuple[re.Pattern[str], Outcome, bool | None]]:
-    found: list[tuple[re.Pattern[str], Outcome, bool | None]] = []
-    table: tuple[tuple[Outcome, dict[bool | None, str]], ...] = (
-        ("failed", _FAILED), ("found", _FOUND),
-    )  # fmt: skip
-    for outcome, rows in table:
-        for is_object, lines in rows.items():
-            found += [(one, outcome, is_object) for one in compile_templates(lines, _PARTS)]
-    return found
+    return [
+        (pattern, outcome, is_object)
+        for outcome, rows in _TEMPLATES.items()
+        for is_object, lines in rows.items()
+        for pattern in compile_templates(lines, _PARTS)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,15 +277,11 @@ def _refuse_other_subject(text: str, first: _Match, second: _Match) -> None:
     is_object = second.condition.is_object
     missed = first.condition.outcome == "failed"
     drives = (is_object is False or missed) and is_object is not None and _DRIVES.search(between)
-    searches = (is_object is not None or (missed and second.is_bare)) and _SEARCH_VERB.search(
-        between
-    )
+    may_search = is_object is not None or (missed and second.is_bare)
+    searches = may_search and _SEARCH_VERB.search(between)
     if re.search(r"\b(?:that|this)\b", phrase, re.I) or drives or searches:
-        part, hint = (
-            phrase.strip(),
-            "unclear which of the orders this is about; say first what to do if it is there",
-        )
-        raise UnclearError(f"instruction: {part!r}: {hint}", part)
+        hint = "unclear which of the orders this is about; say first what to do if it is there"
+        raise unclear(phrase, hint)
 
 
 def _order(text: str) -> str:
@@ -350,7 +305,7 @@ def _matches(text: str) -> list[_Match]:
         if found and begin < found[-1].end:
             continue
         if trigger["area"]:  # "look for the mug in the hall, then in the kitchen"
-            area = _AREA.match(trigger["area"])
+            area = AREA.match(trigger["area"])
             if area is None or area["verb"] or not area["relation"] or area[0].startswith("go "):
                 continue
             if not found and _SEARCHES.search(text[: trigger.end()]):
@@ -396,9 +351,8 @@ def _condition_at(text: str, begin: int) -> _Match | None:
     state = is_object is False and re.search(r" (?:is|are|was|were) ", phrase, re.I) is not None
     presumes = bool(name) and (bool(at) or (outcome == "failed" and not state))
     rest = spaced[match.end() :]
-    is_area = (
-        bool(there) and is_object and _RELATION.match(rest)
-    )  # "if it is not there in the hall"
+    # "if it is not there in the hall"
+    is_area = bool(there) and is_object and _RELATION.match(rest)
     is_report = outcome == "found" or is_object is not None
     if is_report and not (is_area or _is_followed_by_order(rest)):
         return None  # "if you enter the hall", "if you have been to the bed", "if it is not free"
@@ -412,48 +366,6 @@ def _is_followed_by_order(text: str) -> bool:
     """Return True if a clause ends before a text, or an order begins with it."""
     word = re.match(r" (?:then |please |just )*(\w+)", text)
     is_order = word is not None and TABLE.get((word[1].lower(),)) in ("verb", "and", "or")
-    area = _AREA.match(text.strip())
+    area = AREA.match(text.strip())
     is_area = area is not None and area["verb"] is not None
     return word is None or is_order or is_area or _RETURNS.match(word[1]) is not None
-
-
-def areas_of(text: str, noun: str) -> tuple[list[str], str]:
-    """Return the orders to look for an object in one place after another, and the rest of a text.
-
-    Example:
-        >>> areas_of("look in the office, then in the hall, and come back", "the mug")
-        (['find the mug in the office', 'find the mug in the hall'], 'come back')
-
-    Args:
-        text: an order after a search that failed.
-        noun: the object that is searched for, with its article.
-    """
-    orders: list[str] = []
-    text = _GO_AND_LOOK.sub(r"look in \g<room>", _FIND_IT.sub("look", text))
-    at = 0
-    while found := _AREA.match(text, at):
-        relation, verb = found["relation"], (found["verb"] or "try").lower()
-        anchor = found["anchor"]
-        is_order = not found["verb"] and TABLE.get((anchor.split()[0].lower(),)) == "verb"
-        in_room = verb in ("try", "check", "search") and is_room(bare(anchor)) and not is_order
-        if each_kind(anchor) and not is_order:
-            if each_kind(anchor) != "room":
-                refuse_each(anchor)
-            orders.append(f"find {noun}")
-        elif not (relation or in_room):
-            if found["verb"] and not relation:
-                part = found[0].strip()
-                hint = "say 'look on the …' or 'look in the …'"
-                raise UnclearError(f"instruction: {part!r}: unclear where to look; {hint}", part)
-            break
-        else:
-            orders.append(f"find {noun} {relation or 'in'} {anchor}")
-        joint = re.compile(_JOINT, re.I).match(text, found.end())
-        at = joint.end() if joint else found.end()
-    return orders, text[at:].strip(" ,.;!?")
-
-
-def searched_object(text: str) -> str:
-    """Return the object that an order searches for; "" if there is none."""
-    found = _SEARCHED.search(text)
-    return found["object"] if found else ""
