@@ -80,17 +80,18 @@ def check_mission(config: Config) -> Iterator[Finding]:
     """Check that the mission is understood and possible, and the checkpoint can be written."""
     from edge.host.checkpoint import CheckpointWriter
     from edge.mission.checkpoint import MISSION
-    from edge.mission.spec import prepare
+    from edge.tasks.mission_spec import prepare_mission
 
     try:
-        spec = prepare(config.mission)
+        spec = prepare_mission(config)
         if config.mission.checkpoint is not None:
             CheckpointWriter(resources.expand(config.mission.checkpoint), MISSION).close()
     except UserError as error:
         yield finding_of(error, todo="see `edge mission explain`")
     else:
         translation = spec.translation
-        yield ok(f"mission: {translation.understood} [{one_line(translation.formula)}]")
+        formula = f" [{one_line(translation.formula)}]" if spec.steps is None else ""
+        yield ok(f"mission: {translation.understood}{formula}")
 
 
 def check_tasks(config: Config) -> Iterator[Finding]:

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from edge.mission.planning.plan import MissionKnowledge
     from edge.mission.planning.planner import make_planner
     from edge.mission.readings import AmbiguousInstructionError
-    from edge.mission.spec import prepare
+    from edge.tasks.mission_spec import prepare_mission
 
     drawing = resources.expand(args.draw) if args.draw else None
     if drawing is not None and drawing.suffix not in _DRAWINGS:
@@ -40,9 +40,9 @@ def run(args: argparse.Namespace) -> int:
         require_extra("lab")
     config = load(args.config)
     mission = config.mission
-    text, formula = (None, args.text) if args.formula else (args.text, None)
+    wording = "formula" if args.formula else "instruction"
     try:
-        spec = prepare(mission, text, formula, args.reading)
+        spec = prepare_mission(config, **{wording: args.text}, reading=args.reading)
     except AmbiguousInstructionError as error:
         several = len(error.readings) > 1
         ways = f"it can be read in {len(error.readings)} ways" if several else "it may mean:"
@@ -51,6 +51,13 @@ def run(args: argparse.Namespace) -> int:
             print(f"word:        {doubt}")
         _print_readings([reading.english for reading in error.readings])
         print(f"choose:      --reading {'N' if several else 1}{_default_reading(error.implied)}")
+        return 0
+    if spec.steps is not None:
+        steps = ", then ".join(step.said for step in spec.steps)
+        print(f"path:        {one_line(steps, _LIST_CHARS)}")
+        print(f"by:          {spec.translation.backend}")
+        objects = dict.fromkeys(name for step in spec.steps for name in step.names)
+        print(f"targets:     {one_line(', '.join(objects) or 'none', _LIST_CHARS)}")
         return 0
     translation = spec.translation
     planner = make_planner(mission.planner, spec.automaton, translation.instruction)

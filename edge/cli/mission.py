@@ -239,7 +239,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "target": _format_key("target"),
     "why": _format_key("why"),
     "plan": _format_key("plan", ", then "),
-    "seen": _format_key("detected"),
+    "known": _format_key("detected"),
     "reached": _format_key("reached"),
     "failed": _format_key("failed"),
     "forbidden": _format_key("forbidden"),

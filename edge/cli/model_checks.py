@@ -132,10 +132,10 @@ def _server_finding(name: str, url: str) -> Finding:
 
 def _targets(config: Config) -> tuple[str, ...]:
     """Return the targets of the mission; of a refused mission only `mission.target`."""
-    from edge.mission.spec import prepare
+    from edge.tasks.mission_spec import prepare_mission
 
     try:
-        return prepare(config.mission).prompts
+        return prepare_mission(config).prompts
     except UserError:
         return (config.mission.target,)
 

@@ -124,8 +124,8 @@ class MissionConfig(Section):
             command line gives a mission.
         search_limit_s: a target that is searched for this time without success counts as failed;
             the mission may reach another one instead. null: no limit.
-        time_limit_s: the mission fails after this time.
-        path_limit_m: the mission fails after this driven distance.
+        time_limit_s: the mission fails after this time, without waits, explorations and tours.
+        path_limit_m: the mission fails after this driven distance, without explorations and tours.
         reach_m: the target is reached if the robot stops within this distance of its surface and
             the detector confirms it.
         verify_s: an object that is not confirmed after this time nearby is rejected.

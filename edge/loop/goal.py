@@ -287,9 +287,6 @@ class GoalTracker:
                 self.chooser.discard(now_ns)
         elif status is not None and state == "failed":
             self._event(f"goal failed: {status.reason or 'no reason given'}", now_ns)
-            if goal.kind == "instance":
-                at_m = (goal.pose.x_m, goal.pose.y_m)
-                self.chooser.search.mark_missed(goal.candidate_id, at_m)
             self.chooser.discard(now_ns)
         elif goal.kind == "frontier" and (
             state == "reached"

@@ -297,9 +297,13 @@ class GoalChooser:
         # Near enough to have reached it.
         stop_m = min(self.config.mission.reach_m - _STOP_SHORT_M, STOP_M[-1])
         tracks, hits = self._tracker.tracks, self.config.perception.confirm_hits
-        instances = InstanceQueries(
-            self._tracker.get, search.missed_from, lambda id: tracks[id].only_viewpoint(hits)
-        )
+
+        def only_viewpoint(instance_id: int) -> tuple[float, float] | None:
+            if search.has_failed(instance_id):
+                return None
+            return tracks[instance_id].only_viewpoint(hits)
+
+        instances = InstanceQueries(self._tracker.get, search.missed_from, only_viewpoint)
         chosen = choose(context, score, order, current, policy.switch_margin, instances, stop_m)
         goal, peak, unchanged = chosen or (None, 0.0, False)
         if tracked is not None and tracked.goal.kind == "frontier" and not unchanged:

@@ -138,6 +138,10 @@ class SearchState:
             for missed_id, place_m in self._missed
         )
 
+    def has_failed(self, instance_id: int) -> bool:
+        """Return True if a goal at an instance failed."""
+        return self._failures[instance_id] > 0
+
     def count_failure(self, instance_id: int) -> int:
         """Count a failed goal at an instance; return the number of failures before, at most 6."""
         self._failures[instance_id] += 1

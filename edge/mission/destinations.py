@@ -262,10 +262,13 @@ def _room_of(text: str, site: Site) -> RoomTarget | None:
     return target if by_number or by_person or kind in RECOGNISED_KINDS else None
 
 
-def is_timed(destination: Destination | None) -> bool:
-    """Return True if a destination ends by a time of its own, or when a person says so."""
-    explores = isinstance(destination, ExploreTarget) and destination.limit_s is not None
-    return explores or isinstance(destination, WaitTarget)
+def has_own_end(destination: Destination | None) -> bool:
+    """Return True if a destination ends by itself, so that the limits of a search do not apply.
+
+    An exploration and a tour end when nothing is left, or after their time. A wait ends after its
+    time, or when a person says so.
+    """
+    return isinstance(destination, (ExploreTarget, EveryRoomTarget, WaitTarget))
 
 
 def with_caller(site: Site, pose: SE2 | None) -> Site:

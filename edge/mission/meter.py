@@ -12,8 +12,8 @@ class MissionMeter:
 
     Attributes:
         elapsed_s: time since the first observation.
-        exempt_s: part of `elapsed_s` that does not count towards the limit: targets with their own
-            duration, and in a mission that repeats, earlier rounds.
+        exempt_s: part of `elapsed_s` that does not count towards the limit: targets that end by
+            themselves, and in a mission that repeats, earlier rounds.
         exempt_m: the same for `path_m`.
         pursued_s: for each target, the time for which it was pursued since it was last reached,
             failed or seen again.
@@ -45,7 +45,7 @@ class MissionMeter:
             pose: None while the pose is unknown; time counts in any case.
             now_ns: time of the loop.
             target: the pursued target; None if none is pursued, so that nothing counts.
-            exempt: True if the target has its own duration.
+            exempt: True if the target ends by itself.
             searching: False if the sensors see nothing. The time then does not count as search.
         """
         passed_s = 0.0 if self._last_ns is None else max(0, now_ns - self._last_ns) * 1e-9

@@ -8,7 +8,13 @@ from typing import Literal
 
 from edge.config import MissionConfig
 from edge.geometry import SE2
-from edge.mission.destinations import Destination, FailureTarget, PlaceTarget, RoomTarget, is_timed
+from edge.mission.destinations import (
+    Destination,
+    FailureTarget,
+    PlaceTarget,
+    RoomTarget,
+    has_own_end,
+)
 from edge.mission.logic.automaton import NOTHING
 from edge.mission.meter import MissionMeter
 from edge.mission.planning.plan import Planner, TargetPlan
@@ -162,8 +168,8 @@ class MissionRun:
     def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
         """Count time and path; see `MissionMeter.add`."""
         target = self.target if self.active else None
-        is_timed_target = is_timed(self.destinations.get(self.target))
-        self.meter.add(pose, now_ns, target, is_timed_target, searching)
+        exempt = has_own_end(self.destinations.get(self.target))
+        self.meter.add(pose, now_ns, target, exempt, searching)
 
     def check_limits(self, now_ns: int) -> None:
         """End at the end of the repetition; fail at the time or path limit of the mission.
@@ -183,8 +189,8 @@ class MissionRun:
             self.finish("failed", f"time limit of {c.time_limit_s:g} s", now_ns)
         elif path_m > c.path_limit_m:
             self.finish("failed", f"path limit of {c.path_limit_m:g} m", now_ns)
-        elif is_timed(self.destinations.get(self.target)):
-            pass  # it ends by a time of its own
+        elif has_own_end(self.destinations.get(self.target)):
+            pass
         elif self.pursued_now_s > (c.search_limit_s or math.inf):
             missed = "did not get to" if self.target in self.sets.detected else "no"
             self.abandon_target(f"{missed} {self.target} within {c.search_limit_s:g} s", now_ns)
@@ -192,12 +198,17 @@ class MissionRun:
     # -- events -------------------------------------------------------------------------------
 
     def on_detections(self, newest: Mapping[str, int], now_ns: int, keep: bool = False) -> None:
-        """Update the set D, and plan again if it changes; see `TargetSets.on_detections`."""
+        """Update the set D, and plan again if it changes; see `TargetSets.on_detections`.
+
+        The log has objects and rooms, but not places and routines, which are known from the start.
+        """
         if self.done or (new := self.sets.on_detections(newest, keep)) is None:
             return
         for label in sorted(new - frozenset(self.sets.reached)):
             self.meter.pursued_s[label] = 0.0
-            self.log_event(now_ns, "seen", label, f"seen: {label}")
+            destination = self.destinations.get(label)
+            if destination is None or isinstance(destination, RoomTarget):
+                self.log_event(now_ns, "seen", label, f"seen: {label}")
         self.replan(now_ns)
 
     def on_reached(self, evidence: str, now_ns: int, result: str = "") -> None:

@@ -48,10 +48,9 @@ class InstanceQueries(NamedTuple):
 
     Attributes:
         get: returns the instance, or None if it is gone.
-        missed_from: returns True if the instance was out of reach from a place (x, y), or if the
-            controller did not get there.
-        only_viewpoint: returns the place (x, y) that an instance was confirmed from, if there was
-            only one.
+        missed_from: returns True if the instance was out of reach from a place (x, y).
+        only_viewpoint: returns the only place (x, y) that an instance was confirmed from. None: it
+            has several, or a goal at it failed.
     """
 
     get: Callable[[int], Instance | None]

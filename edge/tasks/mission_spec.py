@@ -1,4 +1,8 @@
-"""Preparation of every mission before it runs: a task in words, or a target or formula."""
+"""Preparation of every mission before it runs: a task in words, or a target or formula.
+
+An instruction that no mission can mean, but that describes a path ("turn left", "go past the right
+of the sofa"), becomes a task.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,23 @@ import re
 from typing import Any
 
 from edge import names
-from edge.config import Config, WriterModel
+from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
+from edge.mission.destinations import destination_of
 from edge.mission.instructions import MissionError
+from edge.mission.language.intents import NoMissionError
 from edge.mission.logic import ltl
+from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare, spec_of_task
 from edge.mission.task_step import TaskStep
-from edge.mission.translate import Translation
+from edge.mission.translate import Translation, TranslationError
 from edge.tasks.prompt import MOST_INSTRUCTION_CHARS
-from edge.tasks.reading import named_objects, task_steps
+from edge.tasks.reading import (
+    begins_with_path_word,
+    describes_path,
+    named_objects,
+    task_steps,
+)
 
 _NO_SITE = Site()  # without places
 _MOST_WORDS = 4
@@ -37,7 +49,38 @@ def prepare_mission(
     """
     if task is not None:
         return prepare_task(config, task)
-    return prepare(config.mission, site=site, **mission)
+    try:
+        return prepare(config.mission, site=site, **mission)
+    except (AmbiguousInstructionError, NoMissionError):
+        raise
+    except TranslationError as error:
+        instruction = mission.get("instruction") or config.mission.instruction
+        only_words = not any(mission.get(name) for name in ("formula", "reading", "repeat"))
+        is_english = not isinstance(config.mission.translator, TranslatorLtl)
+        if instruction is None or not only_words or not is_english:
+            raise
+        _check_path(instruction, site, error)
+        return prepare_task(config, instruction)
+
+
+def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
+    """Check that an instruction describes a path past known objects, by its grammar alone.
+
+    A task searches for an object of each name, so a place or a room is none.
+
+    Raises:
+        TranslationError: it does not. It is `error`, the reason why this is no mission, or the
+            fault of the path if the mission's parser stopped at a word about paths ("go left").
+    """
+    try:
+        is_path, objects = describes_path(instruction), named_objects(instruction)
+    except TranslationError as path_error:
+        rest = instruction[max(error.position - 1, 0) :] or instruction.split()[-1]
+        raise (path_error if begins_with_path_word(rest) else error) from None
+    if not is_path or not all(
+        names.is_known(name) and destination_of(name, site) is None for name in objects
+    ):
+        raise error
 
 
 def prepare_task(config: Config, task: str) -> MissionSpec:

@@ -33,8 +33,8 @@ PHRASES: dict[str, str] = {
     "reach": "approach|reach|visit|head for|make for",
     "leave": "leave|keep",
     "follow": "follow",
-    "circle": "circle|encircle|once around|once round|in a circle around|all the way around|"
-    "a circle around|a full circle around|a lap around",
+    "circle": "circle|circle around|circle round|encircle|once around|once round|"
+    "in a circle around|all the way around|a circle around|a full circle around|a lap around",
     "clockwise": "clockwise",
     "counterclockwise": "counterclockwise|anticlockwise|counter clockwise|anti clockwise",
     "across": "cross|across|cross over|over to the other side of|to the other side of|"

@@ -311,3 +311,21 @@ def named_objects(instruction: str) -> tuple[str, ...]:
     ('van', 'car')
     """
     return tuple(dict.fromkeys(name for step in task_steps(instruction) for name in step.names))
+
+
+def describes_path(instruction: str) -> bool:
+    """Return True if an instruction says how to drive: a turn, a side, a distance, a way around.
+
+    Raises:
+        TranslationError: the instruction is not understood.
+
+    >>> describes_path("go past the van, then to the car"), describes_path("go to the van")
+    (True, False)
+    """
+    steps = _read_steps(instruction, lambda number: UnseenScene())
+    return any(step.kind != "to" or step.side or step.distance_m for step in steps)
+
+
+def begins_with_path_word(text: str) -> bool:
+    """Return True if a text begins with a word about paths: "left", "past the sofa"."""
+    return tokenise(text)[0].kind in (*_TURN_SIDES, *RELATIONS) and not text.startswith("to ")

@@ -129,6 +129,22 @@ def test_limits_end_a_mission_with_the_reason(settings, steps, reason):
     assert reason in status.reason
 
 
+@pytest.mark.parametrize("target", ["explored", "explored kitchen", "every room", "wait 1 min"])
+def test_the_limits_do_not_apply_to_a_target_that_ends_by_itself(target):
+    mission = begun(f'F "{target}" & F chair', time_limit_s=10, path_limit_m=3, search_limit_s=5)
+    mission.on_detections({target: 1}, 0)
+    assert mission.target == target
+    for t in range(1, 12):
+        mission.observe(SE2(0.4 * t, 0, 0), t * S)
+        mission.check_limits(t * S)
+    assert mission.target == target
+    mission.on_reached("", 11 * S)
+    for t in range(12, 18):
+        mission.observe(SE2(4.4, 0, 0), t * S)
+        mission.check_limits(t * S)
+    assert mission.reason == "no chair within 5 s"
+
+
 def test_time_passes_without_a_pose_but_not_while_paused():
     mission = begun(time_limit_s=10)
     mission.observe(None, 4 * S)

@@ -6,9 +6,14 @@ import pytest
 from simulated import simulated
 
 from edge.errors import UserError
+from edge.geometry import SE2
+from edge.memory import Place, Site
+from edge.mission.repetition import Repetition
+from edge.mission.translate import TranslationError
 from edge.tasks.mission_spec import prepare_mission, prepare_task
 
 RULES = simulated({"mission": {"target": "bed", "max_targets": 3}})
+BENCH = Site((Place("bench", SE2(1.0, 2.0, 0.0)),))
 MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target": "bed"}})
 
 
@@ -61,3 +66,49 @@ def test_an_invalid_task_is_refused_in_one_line(config, task, said):
 def test_without_a_task_a_mission_is_prepared():
     assert prepare_mission(RULES).steps is None
     assert prepare_mission(RULES, formula="F sofa").targets == ("sofa",)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "said"),
+    [
+        ("turn left, then go to the bed", ["turn left", "go to the bed"]),
+        ("please stop 2 m before the sofa", ["stop 2 m before the sofa"]),
+        ("circle around the sofa", ["circle around the sofa"]),
+        ("go past the right of the bench", ["go past the right of the bench"]),
+        ("go to the bed", None),
+    ],
+)
+def test_an_instruction_about_a_path_becomes_a_task(instruction, said):
+    spec = prepare_mission(RULES, instruction=instruction)
+    assert (spec.steps and [step.said for step in spec.steps]) == said
+    assert spec.translation.instruction == instruction
+    configured = simulated({"mission": {"instruction": instruction}})
+    assert prepare_mission(configured).targets == spec.targets
+    assert prepare_mission(configured, formula="F bed").steps is None
+
+
+@pytest.mark.parametrize(
+    ("request_fields", "reason"),
+    [
+        ({"instruction": "go left"}, "expected where: to, past, around"),
+        ({"instruction": "go straight"}, "say how far"),
+        ({"instruction": "turn left at the dokk"}, "did not understand 'left'"),
+        (
+            {"instruction": "go past the right of the bench", "site": BENCH},
+            "'the right of \"bench\"'",
+        ),
+        ({"instruction": "go to the kitchen, then turn left"}, "did not understand 'left'"),
+        ({"instruction": "go to the sofa exactly"}, "did not understand 'exactly'"),
+        ({"instruction": "turn left", "repeat": Repetition(2)}, "did not understand 'left'"),
+        ({"instruction": "dance past the sofa"}, "'dance': the robot answers"),
+    ],
+)
+def test_an_instruction_that_is_neither_mission_nor_path_is_refused(request_fields, reason):
+    with pytest.raises(TranslationError, match=reason):
+        prepare_mission(RULES, **request_fields)
+
+
+def test_a_formula_is_no_path():
+    config = simulated({"mission": {"translator": {"kind": "ltl"}}})
+    with pytest.raises(UserError):
+        prepare_mission(config, instruction="turn left")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -85,7 +85,7 @@ DEAD = TargetPlan(
 _TARGET_PHRASES = {
     "nothing": "{} comes first",
     "failed": "{} failed",
-    "seen": "{} was seen",
+    "seen": "{} needs no search",
     "reached": "{} was reached before",
     "unknown": "{} has to be found",
 }
@@ -112,32 +112,36 @@ def explain(
     target: str,
     options: Sequence[tuple[str, float]],
     knowledge: MissionKnowledge,
-    text: Callable[[float], str],
+    in_metres: bool,
 ) -> str:
-    """Return the status and cost of the target, and the best other choice, in one line.
+    """Return the status of the target, and the best other choice, in one line.
+
+    With costs in metres, it has the cost to the end of the mission of both.
 
     >>> known = MissionKnowledge(detected=frozenset({"sofa"}))
-    >>> explain("sofa", [("sofa", 1.01), ("chair", 2.0)], known, "{:.2f}".format)
-    'sofa was seen: 1.01 to the end; chair would have to be found: 2.00'
+    >>> explain("sofa", [("sofa", 1.0), ("chair", 2.0)], known, in_metres=True)
+    'sofa needs no search: 1.0 m to the end; chair would have to be found: 2.0 m'
     """
     cost = dict(options)
     words = _TARGET_PHRASES[status(target, knowledge)].format(step_text(target))
-    words = f"{words}: {text(cost[target])} to the end"
+    if in_metres:
+        words = f"{words}: {cost[target]:.1f} m to the end"
     second = next((name for name, _ in options if name != target), None)
     if second is None:
-        return f"{words}; nothing else can come first"
+        return words
     kind = status(second, knowledge)
     other = _OTHER_PHRASES[kind].format(step_text(second))
     if kind == "failed":
         return f"{words}; {other}"
     if abs(cost[second] - cost[target]) < _SAME_COST:
         return f"{words}; {step_text(second)} first would cost the same"
-    return f"{words}; {other}: {text(cost[second])}"
+    return f"{words}; {other}: {cost[second]:.1f} m" if in_metres else f"{words}; {other}"
 
 
-def explain_hysteresis(current: str, best: str, gain: str, margin: str) -> str:
+def explain_hysteresis(current: str, best: str, gain_m: float, margin_m: float) -> str:
     """Return why the current target is kept although another one is slightly better."""
-    return f"{current} is kept: {step_text(best)} first would save {gain}, not more than {margin}"
+    saves = f"{step_text(best)} first would save {gain_m:.1f} m, not more than {margin_m:.1f} m"
+    return f"{current} is kept: {saves}"
 
 
 def explain_blocked(needed: Sequence[str]) -> str:

@@ -104,11 +104,10 @@ class VitlPlanner:
             first = self._column_to_pursue(ranked, cost, current)
         path = self._follow(first, state)
         if first == best:
-            reason = explain(path[0], options, knowledge, self._cost_text)
+            reason = explain(path[0], options, knowledge, self._by_distance)
         else:
-            gain = self._cost_text(self._as_weight(cost[first] - cost[best]))
-            margin = self._cost_text(REPLAN_MARGIN_M)
-            reason = explain_hysteresis(path[0], names[best], gain, margin)
+            gain_m = self._as_weight(cost[first] - cost[best])
+            reason = explain_hysteresis(path[0], names[best], gain_m, REPLAN_MARGIN_M)
         return TargetPlan(
             path[0] or None, path, self._as_weight(cost[first]), True, (), reason, options
         )
@@ -137,9 +136,6 @@ class VitlPlanner:
         """Return an integer cost as the sum of eq. 2, with `W_FAIL` for each failed edge."""
         failed, rest = divmod(cost, int(kernels.FAILED))
         return failed * W_FAIL + rest / kernels.SCALE
-
-    def _cost_text(self, cost: float) -> str:
-        return f"{cost:.1f} m" if self._by_distance else f"{cost:.2f}"
 
     def _weigh(self, knowledge: MissionKnowledge) -> None:
         """Write the weights (eq. 1, or metres) to `_weight`."""
