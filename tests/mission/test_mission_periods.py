@@ -22,6 +22,8 @@ CONFIG = MissionConfig(translator=TranslatorGrammar())
          'F (kitchen & F "wait 60 min")', None),
         ("can you patrol the house every half hour for 8 hours?",
          'F ("every room" & F "wait 30 min")', 28800.0),
+        ("every hour for 2 h, go to the bed, then to the sofa",
+         'F (bed & F (sofa & F "wait 60 min"))', 7200.0),
         ("every minute go to the bed, then to the sofa",
          'F (bed & F (sofa & F "wait 1 min"))', None),
         ("patrol the bed and the sofa every 90 seconds",

@@ -13,7 +13,9 @@ _PERIOD = (
     r"(?P<hourly>hourly|(?:once )?(?:an|each) hour)\b)"
 )
 _ENDLESS = r"(?:forever|until (?:told|(?:i|we) (?:tell you|say)(?: to stop| so)?))"
-_FIRST = re.compile(rf"^\s*{_PERIOD}\s*,?\s*(?P<order>\S.*)$", re.I | re.S)
+_FIRST = re.compile(
+    rf"^\s*{_PERIOD}(?: for (?P<limit>{DURATION}))?\s*,?\s*(?P<order>\S.*)$", re.I | re.S
+)
 _LAST = re.compile(
     rf"^(?P<order>.*\S)\s*,?\s+{_PERIOD}"
     rf"(?:,?\s+for (?P<limit>{DURATION})|,?\s+{_ENDLESS})?[\s.!?]*$",
@@ -56,6 +58,5 @@ def split_period(instruction: str) -> Period | None:
         raise unclear(said, f"unclear which orders it repeats; begin with it: '{said}, go …'")
     if span in ("hour", "minute"):
         span = f"one {span}"
-    limit = found.groupdict().get("limit")
-    wait_s = seconds_of(span.replace("other", "two"))
-    return Period(found["order"], wait_s, seconds_of(limit) if limit else None)
+    limit_s = seconds_of(found["limit"]) if found["limit"] else None
+    return Period(found["order"], seconds_of(span.replace("other", "two")), limit_s)
