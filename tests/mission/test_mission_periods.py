@@ -57,5 +57,13 @@ def test_a_period_of_something_else_is_refused(instruction, reason):
         prepare(CONFIG, instruction, site=SITE)
 
 
-def test_every_room_is_no_period():
-    assert prepare(CONFIG, "visit every room", site=SITE).translation.repeat is None
+@pytest.mark.parametrize(
+    ("instruction", "repeat"),
+    [
+        ("visit every room", None),
+        ("explore the house for an hour", None),
+        ("guard the house for an hour", Repetition(limit_s=3600.0)),
+    ],
+)
+def test_a_time_or_every_room_is_no_period(instruction, repeat):
+    assert prepare(CONFIG, instruction, site=SITE).translation.repeat == repeat

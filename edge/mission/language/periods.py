@@ -10,7 +10,7 @@ from edge.mission.language.tokens import unclear
 
 _PERIOD = (
     rf"\b(?:(?:once |again )?every (?P<span>{DURATION}|(?:other )?(?:hour|minute)\b)|"
-    r"(?P<hourly>hourly|(?:once )?(?:an|each) hour)\b)"
+    r"(?:hourly|once an hour|each hour)\b)"
 )
 _ENDLESS = r"(?:forever|until (?:told|(?:i|we) (?:tell you|say)(?: to stop| so)?))"
 _FIRST = re.compile(
