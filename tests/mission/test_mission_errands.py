@@ -22,6 +22,7 @@ PLACES = ["dock", "loading bay 2"]
     [
         ("", ""),
         ("go to the bed", "go to the bed"),
+        ("check all the windows", "check all the windows"),
         ("go to the dock of the bay", 'go to "dock" of the bay'),
         # Places and poses.
         ("return to the dock", 'go to "dock"'),

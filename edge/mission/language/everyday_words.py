@@ -269,7 +269,7 @@ _ROOM_HEAD = re.compile(
     "|toilet",
     re.I,
 )
-_ARTICLED = re.compile(rf"^(?:all )?(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?", re.I)
+_ARTICLED = re.compile(rf"^(?:{ARTICLE} )?(?:(?:pair|kind|sort|bit|piece) of )?", re.I)
 
 
 def is_room(name: str) -> bool:
