@@ -115,18 +115,11 @@ class KnownRoom:
 
 
 def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
-    """Return the driving distance from every cell to the nearest goal cell.
+    """Return the driving distance [m] from every cell to the nearest goal cell.
 
-    A cell where the robot does not fit, such as one next to a wall, gets the distance of the
-    nearest cell where it does.
-
-    Args:
-        world: its floor plan is used.
-        goal: (rows, columns) bool; None: there is no goal.
-        robot_radius_m: radius of the robot's footprint.
-
-    Returns:
-        (rows, columns) float64 in metres; `FAR_M` everywhere if no path leads to a goal.
+    `goal` is (rows, columns) bool; None: there is no goal. Without a path to a goal, the distance
+    is `FAR_M`. A cell where the robot does not fit, such as one next to a wall, gets the distance
+    of the nearest cell where it does.
     """
     ends = np.zeros(world.plan.grid.cells.shape, bool) if goal is None else goal
     distance_m = geodesic.distance_to(world.plan, ends, robot_radius_m)

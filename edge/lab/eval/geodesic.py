@@ -77,12 +77,9 @@ def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> floa
 
 @jit
 def any_within(xy_m, points_m, within_m):
-    """Return True for each place that has any of the points within `within_m`, (n,) bool.
+    """Return (n,) bool: True for each place that has any of the points within `within_m`.
 
-    Args:
-        xy_m: (n, 2) float64 places.
-        points_m: (k, 2) float32.
-        within_m: the distance.
+    The places `xy_m` are (n, 2) float64, and the points (k, 2) float32.
     """
     near = np.zeros(len(xy_m), np.bool_)
     for i in range(len(xy_m)):
@@ -98,9 +95,7 @@ def any_within(xy_m, points_m, within_m):
 def relax(free, distance):
     """Relax every free cell from its neighbours, in both directions. Return True if any changed.
 
-    Args:
-        free: (rows, columns) bool.
-        distance: (rows, columns) float64 in cells, changed in place.
+    `free` is (rows, columns) bool; `distance`, float64 in cells, is changed in place.
     """
     rows, cols = free.shape
     changed = False

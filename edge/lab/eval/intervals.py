@@ -70,10 +70,8 @@ def intervals_note(worlds: np.ndarray, noun: str = "world") -> str:
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     """Return a ratio of sums over independent pairs, with its interval by the delta method.
 
-    Args:
-        numerators: (n,), one value per task.
-        denominators: (n,), of the same tasks. Pairing matters: the effect of a task's difficulty on
-            both cancels out.
+    Both arrays have one value per task, (n,). Pairing matters: the effect of a task's difficulty on
+    both cancels out.
     """
     n = len(numerators)
     if n == 0 or denominators.sum() == 0:
@@ -93,23 +91,17 @@ def bootstrap(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> list[Interval]:
-    """Return ratios of sums over clustered data, with intervals from resampled clusters.
+    """Return k ratios of sums over clustered data, with intervals from resampled clusters.
 
-    For a mean, the numerators are the values and the denominators are 1. For a paired difference,
-    the numerators are the differences. The quantiles are those of the expanded percentile interval
-    (Hesterberg 2015, "What teachers should know about the bootstrap"), which is not too narrow for
-    a few clusters. All rows use the same resamples.
+    Numerators and denominators are (k, n) float64, one row per ratio. An entry outside a row's
+    ratio is 0 in both. `cluster`, (n,) int, is the same number for entries that are not
+    independent. For a mean, the numerators are the values and the denominators are 1. For a paired
+    difference, the numerators are the differences.
 
-    Args:
-        numerators: (k, n) float64, one row per ratio.
-        denominators: (k, n) float64. An entry outside a row's ratio is 0 in both arrays.
-        cluster: (n,) int; entries that are not independent have the same number.
-        resamples: number of resamples.
-        seed: of the resamples.
-
-    Returns:
-        k intervals. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
-        sum to 0.
+    The quantiles are those of the expanded percentile interval (Hesterberg 2015, "What teachers
+    should know about the bootstrap"), which is not too narrow for a few clusters. All rows use the
+    same resamples. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
+    sum to 0.
     """
     k = len(numerators)
     numbers, index = np.unique(cluster, return_inverse=True)

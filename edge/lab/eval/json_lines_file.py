@@ -60,16 +60,10 @@ def read_lines(
     line_advice: str = "",
     complete: bool = True,
 ) -> list[T]:
-    """Read the items of a file.
+    """Read the items of a file of at most `max_bytes`.
 
-    Args:
-        path: the file.
-        max_bytes: size limit of the file.
-        parse: the parser of a line.
-        what: name of an item with its article, for messages.
-        advice: advice to the user, for messages.
-        line_advice: advice if a line is not an item; "" for `advice`.
-        complete: False: ignore a last line without its end.
+    `what` is the name of an item with its article, for messages; `line_advice` replaces `advice` if
+    a line is not an item. If not `complete`, a last line without its end is ignored.
 
     Raises:
         FileError: the file cannot be read.

@@ -42,11 +42,9 @@ def trajectory_scores(
 ) -> TrajectoryScores:
     """Return all of OpenNav's scores of one trajectory (tables I and II).
 
-    Args:
-        path_m: (n, 2) float64 in `map`, n >= 1. If the trajectory was refused: the robot's place.
-        reference_m: (m, 2) float64 in `map`, m >= 1.
-        occupancy: int8 cells, 100 for occupied.
-        clearance_m: distance that counts as a collision; the robot's radius.
+    Both trajectories are (n, 2) float64 in `map`, n >= 1; a refused one is the robot's place. The
+    occupancy has int8 cells, 100 for occupied. An obstacle within `clearance_m`, the robot's
+    radius, is a collision.
     """
     error_m = navigation_error_m(path_m, reference_m)
     return TrajectoryScores(
@@ -91,14 +89,8 @@ def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
 def ndtw(path_m: np.ndarray, reference_m: np.ndarray) -> float:
     """Return the normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
 
+    It is in (0, 1], and 1 for the same trajectory. Both are compared at points `SPACING_M` apart.
     d_th, the distance at which a robot has reached a place, is `REACHED_M`.
-
-    Args:
-        path_m: (n, 2) float64, n >= 1; compared at points `SPACING_M` apart.
-        reference_m: (m, 2) float64, m >= 1; likewise.
-
-    Returns:
-        A number in (0, 1]; 1 for the same trajectory.
 
     Example:
         >>> path = np.array([(0.0, 0.0), (1.0, 0.0)])
@@ -137,13 +129,7 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
 
 
 def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
-    """Count the stretches of a path within `clearance_m` of any obstacle point.
-
-    Args:
-        path_m: (n, 2) float64.
-        solid_m: (m, 2) float64, the obstacle points.
-        clearance_m: the distance.
-    """
+    """Count the stretches of a path within `clearance_m` of any of the obstacle points (m, 2)."""
     points = resample(_points(path_m), 0.05)  # 5 cm apart
     away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
     touches = np.append(False, away_m < clearance_m)

@@ -219,12 +219,9 @@ def compare(
 ) -> Comparison:
     """Compute all figures. The same outcomes always give the same figures.
 
-    Args:
-        outcomes: the outcomes.
-        baseline: name of an arm; None: the first.
-        left_m: (A, E) metres left to drive when the target was first seen, NaN if unknown or never
-            (`worlds.fill_left_at_sight_m`). `outcomes["left_m"]` are those left at the end.
-        resamples: number of bootstrap resamples.
+    The baseline is the first arm if none is named. `left_m` is (A, E): metres left to drive when
+    the target was first seen, NaN if unknown or never (`worlds.fill_left_at_sight_m`).
+    `outcomes["left_m"]` are those left at the end.
 
     Raises:
         UserError: there is no such arm.

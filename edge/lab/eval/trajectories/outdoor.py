@@ -143,9 +143,7 @@ def _gaps_m(
 def _scan(shape: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Return the points that the LiDAR at the origin of `map` sees, (n, 3) float32.
 
-    Args:
-        shape: (p,) uint8, shape of each primitive.
-        boxes: (p, 8) float64, see `_box_row`.
+    Each primitive has its shape in (p,) uint8, and its `_box_row` in (p, 8) float64.
     """
     low, high = ELEVATION_RAD
     elevation = np.linspace(low, high, RINGS)[:, None]
