@@ -21,13 +21,9 @@ JPEG_QUALITY = 85
 def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
     """Return a document in the reports' style, with a footer that names version and machine.
 
-    Args:
-        title: plain text.
-        body: markup with all text escaped.
-        machine: plain text.
-        style: CSS rules in addition to the reports' own.
-        script: JavaScript that may run. The document's security policy has its hash, so no other
-            script can run.
+    Title and machine are plain text; the body is markup with all text escaped. The style is added
+    to the reports' own. The document's security policy has the hash of the script, so no other
+    script can run.
     """
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     if script:
@@ -45,12 +41,9 @@ def document(title: str, body: str, machine: str, style: str = "", script: str =
 
 
 def image_figure(rgb: np.ndarray, caption: str, marks: str = "") -> str:
-    """Return an image as JPEG with a caption below.
+    """Return an image (h, w, 3) uint8 as JPEG, with a plain text below.
 
-    Args:
-        rgb: (h, w, 3) uint8.
-        caption: plain text.
-        marks: SVG on top of the image, in its pixels.
+    `marks` are SVG on top of the image, in its pixels.
     """
     h, w = rgb.shape[:2]
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)

@@ -90,17 +90,11 @@ def scene_page(
     facts: Sequence[tuple[str, str]] = (),
     ground_m: float = 0.0,
 ) -> str:
-    """Return the page as HTML.
+    """Return the page as HTML. All text arguments are plain text.
 
-    Args:
-        title: plain text, like all other text arguments.
-        scene: ground and objects.
-        lines: trajectories.
-        machine: text for the footer.
-        refined: trajectory that the slider follows.
-        cloud_m: (n, 3) float32 in `map`, all points; the objects' own points are always drawn.
-        facts: (name, value) pairs, under the picture.
-        ground_m: height of the ground in `map`.
+    The slider follows the refined trajectory. `cloud_m` has all points, (n, 3) float32 in `map`;
+    the objects' own points are always drawn. The facts, pairs of name and value, are under the
+    picture. `ground_m` is the height of the ground in `map`.
     """
     labels = list(dict.fromkeys(item.label for item in scene.objects.values()))
     poses, pose_texts = _poses_with_text(refined)
@@ -160,13 +154,8 @@ def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
 def _cloud(scene: Scene, labels: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
     """Return one point per voxel, with its kind and the colours of the kinds.
 
-    Points of objects have kinds from 1 on, by label; after eight, labels share kinds. Other points
-    have kind 0.
-
-    Args:
-        scene: objects with their points.
-        labels: the labels of all objects, each once.
-        cloud_m: (n, 3) all other points; None for none.
+    Points of objects have kinds from 1 on, by label; after eight, labels share kinds. Other points,
+    `cloud_m` (n, 3), have kind 0. `labels` are those of all objects, each once.
     """
     points, kind = [np.empty((0, 3), np.float32)], [np.empty(0, np.uint8)]
     for item in scene.objects.values():

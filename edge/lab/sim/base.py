@@ -156,15 +156,11 @@ class World(Protocol):
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """Render an image into the given buffers.
+        """Render an image into the given buffers, from a pose of the camera's optical frame.
 
-        Args:
-            camera: intrinsics.
-            T_map_camera: (4, 4) pose of the camera's optical frame.
-            out_rgb: (h, w, 3) uint8. With None nothing is shaded, which takes half the time;
-                depth and ids are the same.
-            out_depth_m: (h, w) float32 z-depth, NaN for nothing.
-            out_ids: (h, w) uint16 object ids, 0 for structure.
+        Depth (h, w) float32 is NaN for nothing, and ids (h, w) uint16 are 0 for structure. Without
+        `out_rgb`, (h, w, 3) uint8, nothing is shaded, which takes half the time; the rest is the
+        same.
         """
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:

@@ -50,14 +50,11 @@ class Primitive:
 class BoxWorld:
     """World of primitives (see `edge.lab.sim.base.World`), whose objects can move.
 
-    All arrays have one entry for each of the p primitives, in the same order.
+    It is made from the primitives of the building, and each object with its own, in `map`. The
+    floor plan has all that is lower than `robot_height_m`. The camera measures depths in
+    `depth_range_m`.
 
-    Args:
-        structure: primitives of the building, in `map`.
-        furniture: each object with its primitives, in `map`.
-        start: pose at which the robot starts.
-        robot_height_m: the floor plan has all that is lower.
-        depth_range_m: smallest and largest depth that the camera measures.
+    All arrays have one entry for each of the p primitives, in the same order.
 
     Attributes:
         owner: (p,) uint16, id of the object that the primitive is part of, 0 = structure.

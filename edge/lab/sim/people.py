@@ -95,17 +95,8 @@ def person_clearance_m(people: Sequence[Person], x_m: float, y_m: float) -> floa
 class PeopledWorld:
     """World with people and moving doors in it; see `edge.lab.sim.base.World`.
 
-    They depend only on `sim.seed`, simulated time and the robot's poses.
-
-    Args:
-        world: the world without people; it is not changed.
-        config: gives `sim.people`, the robot and the camera.
-        start: pose at which the robot starts.
-        doors: the doors that move.
-
-    Attributes:
-        people: the people.
-        doors: see `Args`.
+    They depend only on `sim.seed`, simulated time and the robot's poses. The world without people
+    is not changed.
 
     Raises:
         WorldError: no free floor for people.

@@ -75,10 +75,7 @@ class RoomReachability:
     """Checks that a robot can reach all doors and objects of a room.
 
     It uses a raster of the places for the robot's centre: the floor without a border of
-    `PASSAGE_M`.
-
-    Args:
-        rect: the room, to the middle of its walls.
+    `PASSAGE_M`. The room's rectangle reaches to the middle of its walls.
     """
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
