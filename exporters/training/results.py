@@ -20,11 +20,7 @@ MODELS = Path(__file__).parents[2] / "models"
 def auc(score: np.ndarray, right: np.ndarray) -> float:
     """Return the area under the ROC curve: P(a right one scores above a wrong one).
 
-    Ties count half. NaN if all are right, or none is.
-
-    Args:
-        score: (n,) float.
-        right: (n,) 1 for right, 0 for wrong.
+    Ties count half. NaN if all are right, or none is. `right` is 1 for right, 0 for wrong.
     """
     _, order, counts = np.unique(score, return_inverse=True, return_counts=True)
     rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]  # from 1; equal scores share the mean

@@ -62,13 +62,7 @@ class Batch:
 def cut(
     rgb: np.ndarray, boxes: np.ndarray, hw: tuple[int, int], rng: np.random.Generator | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Resize an image; with `rng`, take a random crop of it, sometimes mirrored.
-
-    Args:
-        rgb: (256, 320, 3) uint8.
-        boxes: (o, 4), x0, y0, x1, y1 in px.
-        hw: new height and width.
-        rng: None for no augmentation.
+    """Resize an image (256, 320, 3) uint8; with `rng`, take a random crop, sometimes mirrored.
 
     Returns:
         The image (h, w, 3) uint8, boxes (o, 4) in it, and the share of each box that is left.
@@ -106,11 +100,8 @@ def cut(
 def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, int, int]:
     """Return first and last pixel of a view along one axis: in the image, then in the crop.
 
-    Args:
-        start: first pixel of the view in the image; negative if the view is larger.
-        length: length of the view.
-        full: length of the image.
-        size: length of the crop.
+    The view has this start and length in the image, which is `full` long; the crop has `size`
+    pixels. The start is negative if the view is larger than the image.
     """
     if length <= full:
         return round(start), min(full, round(start + length)), 0, size
@@ -195,14 +186,7 @@ def batches(
     """Yield the batches from number `first` on, made in advance in a thread.
 
     Each batch has its own random generator, so a run that continues from a checkpoint gets the same
-    batches.
-
-    Args:
-        frames: all images.
-        batch: images in a batch.
-        steps: ((height, width), number of plain phrases) of each batch.
-        seed: seed of the run.
-        first: number of the first batch to yield.
+    batches. `steps` has ((height, width), number of plain phrases) of each.
     """
 
     def make(step: int) -> Batch:

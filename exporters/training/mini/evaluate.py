@@ -219,18 +219,11 @@ def _match(
     does_count: np.ndarray,
     category: int,
 ) -> list[tuple[float, int]]:
-    """Match the boxes with the objects of a category in one image.
+    """Match the boxes (a, 4) with the objects (o,) of a category in one image.
 
-    Of overlapping boxes, the one with the highest score is a detection. Detections on objects that
-    do not count are left out. So are detections on objects for which the category is UNSURE, such
-    as an armchair for the category chair.
-
-    Args:
-        boxes: (a, 4) boxes of the detector.
-        scores: (a,) their scores for the category.
-        objects: (o,) `views.OBJECT`.
-        does_count: see `_does_count`.
-        category: from 1.
+    Of overlapping boxes, the one with the highest score for the category is a detection. Detections
+    on objects that do not count (see `_does_count`) are left out. So are detections on objects for
+    which the category is UNSURE, such as an armchair for the category chair.
 
     Returns:
         The score of each detection, and 1 if it is right, 0 if it is wrong.
@@ -263,9 +256,7 @@ def _match(
 def _average_precision(found: list[tuple[float, int]], count: int) -> float:
     """Return the area under the precision envelope over recall (COCO's, without the 101 points).
 
-    Args:
-        found: score of each detection, and 1 if it is right, 0 if it is wrong.
-        count: number of objects.
+    `found` is from `_match`, and `count` the number of objects.
     """
     if not found:
         return 0.0
