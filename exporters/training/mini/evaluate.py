@@ -10,7 +10,6 @@ Third, the latency.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections import defaultdict
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from onnxruntime import InferenceSession
 
+from edge.cli.options import Parser
 from edge.config import PerceptionConfig
 from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError, exit_on_user_error
@@ -294,21 +294,16 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, measure a model, and print its figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.mini.evaluate",
-        description="measure the small detector on images of houses that it was not trained on",
-    )
-    parser.add_argument("model", type=Path, help="the detector's ONNX file")
-    parser.add_argument(
-        "--text",
-        type=Path,
-        help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)",
-    )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        help="folder to keep the rendered images in (default: they are deleted)",
-    )
+    # fmt: off
+    parser = Parser(prog="python -m exporters.training.mini.evaluate", description="measure the "
+                    "small detector on images of houses that it was not trained on")
+    option = parser.add_argument
+    option("model", type=Path, help="the detector's ONNX file")
+    option("--text", type=Path,
+           help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)")
+    option("--data", type=Path,
+           help="folder to keep the rendered images in (default: they are deleted)")
+    # fmt: on
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
     with tempfile.TemporaryDirectory() as scratch:
