@@ -257,7 +257,7 @@ def _clock(ns: int) -> str:
 
 def route(args: argparse.Namespace) -> int:
     """Handle `edge fleet router`; route messages until a signal comes."""
-    stop = stop_on_signals()
+    stop = stop_on_signals(args.with_parent)
     settings = ZenohConfig(endpoint=args.endpoint, file=args.file)
     with zenoh_session(settings, "route", stop):
         log.info("router: ready on %s", settings.address)
