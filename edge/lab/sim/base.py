@@ -36,7 +36,7 @@ class WorldObject:
         category: name in the world's file.
         center_m: centre of its box, in `map`.
         size_m: extents of the box along its own x, y, z.
-        footprint_m: (k, 2) float32 samples of the floor that it covers; None for the whole box.
+        footprint_m: (k, 2) float32 samples of the floor that it covers; None for the entire box.
     """
 
     id: int
@@ -79,7 +79,7 @@ class LidarRays:
 
     @classmethod
     def of(cls, lidar: Lidar) -> LidarRays:
-        """Return the rays of a configured LiDAR; a single ring lies at elevation 0."""
+        """Return the rays of a configured LiDAR; a single ring has elevation 0."""
         vfov = math.radians(lidar.vfov_deg)
         single = lidar.rings == 1
         el_min, step = (0.0, 1.0) if single else (-0.5 * vfov, vfov / (lidar.rings - 1))

@@ -99,7 +99,7 @@ class PlacedModel:
         return T
 
     def holds(self, x_m: float, y_m: float) -> bool:
-        """Return True if a point of `map` lies within its footprint."""
+        """Return True if a point of `map` is within its footprint."""
         x, y = self.to_local(x_m, y_m)
         return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
 

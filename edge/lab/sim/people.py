@@ -157,7 +157,7 @@ class PeopledWorld:
         np.fmin(out_ranges_m, self._ranges_m, out=out_ranges_m)
 
     def advance(self, dt_s: float, robot: SE2) -> None:
-        """Let people walk and doors move for `dt_s`. Nobody walks into the robot."""
+        """Let people walk and doors move for `dt_s`. No person walks into the robot."""
         for person in self.people:
             if not person.stands:
                 self._walk(person, dt_s, robot)

@@ -70,7 +70,7 @@ class ModelFolders:
         return next(self._inside([folder / file]), None)
 
     def _inside(self, paths: Iterable[Path]) -> Iterator[Path]:
-        """Yield those of the paths that exist and, links resolved, lie in the folders."""
+        """Yield those of the paths that exist and, links resolved, are in the folders."""
         for path in paths:
             try:
                 real = path.resolve()

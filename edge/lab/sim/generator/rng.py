@@ -78,7 +78,7 @@ class Rect:
         )
 
     def holds(self, other: Rect) -> bool:
-        """Return True if the other rectangle lies inside this one."""
+        """Return True if the other rectangle is inside this one."""
         return (
             self.x0 <= other.x0
             and self.y0 <= other.y0
