@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edge.jit import jit
-from edge.lab.sim.base import FloorPlan, WorldObject
+from edge.lab.sim.base import FloorPlan, WorldObject, box_distances_m
 
 
 def distance_field(
@@ -62,11 +62,7 @@ def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray
     """Return (n,) bool for (n, 2) places: True within `within_m` of the object's footprint."""
     if item.footprint_m is not None:
         return any_within(xy_m, item.footprint_m, within_m)
-    dx, dy = (xy_m - np.array(item.center_m[:2])).T
-    c, s = math.cos(item.yaw_rad), math.sin(item.yaw_rad)
-    along = np.maximum(np.abs(c * dx + s * dy) - 0.5 * item.size_m[0], 0.0)
-    across = np.maximum(np.abs(c * dy - s * dx) - 0.5 * item.size_m[1], 0.0)
-    return np.hypot(along, across) <= within_m
+    return box_distances_m(xy_m, item.center_m, item.size_m, item.yaw_rad) <= within_m
 
 
 def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:

@@ -91,7 +91,7 @@ class BoxWorld:
         self.shape = np.array([part.shape for part in parts], np.uint8)
         self.texture = np.array([part.texture for part in parts], np.uint8)
         self.color = np.array([part.color for part in parts], np.float32)
-        self.geometry = np.array([_geometry_row(part) for part in parts])
+        self.geometry = np.array([geometry_row(part) for part in parts])
         self.plan = self._floor_plan()
         self._hit_primitive = np.empty((0, 0), np.int32)  # (h, w), made at the first image
 
@@ -161,7 +161,7 @@ class BoxWorld:
         kernels.rasterise(self.shape, self.geometry, *heights, origin_m, CELL_M, occupied)
 
 
-def _geometry_row(part: Primitive) -> list[float]:
+def geometry_row(part: Primitive) -> list[float]:
     """Return a row of `BoxWorld.geometry`."""
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]
