@@ -14,6 +14,7 @@ from scipy.special import ndtr, stdtrit
 
 Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 RESAMPLES = 10_000  # of the bootstrap
+MIN_WORLDS = 10  # that are resampled
 _CHUNK = 500  # resamples at a time, which limits the memory of their weights
 
 
@@ -39,21 +40,17 @@ def wilson(successes: int, n: int) -> Interval:
     return Interval(successes / n, float(bounds.low), float(bounds.high))
 
 
-def clusters(worlds: np.ndarray, at_least: int = 10) -> tuple[np.ndarray, bool]:
-    """Return the clusters of episodes that the bootstrap resamples.
+def clusters(worlds: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return the clusters of episodes that the bootstrap resamples, by the world of each episode.
 
     They are the worlds, as the episodes of one world are not independent. With fewer than
-    `at_least` worlds, episodes are resampled. Such intervals do not generalise to other worlds.
-
-    Args:
-        worlds: (n,) str, the world of each episode.
-        at_least: fewest worlds to resample.
+    `MIN_WORLDS`, episodes are resampled. Such intervals do not generalise to other worlds.
 
     Returns:
         (n,) int, the cluster of each episode; and True if the clusters are worlds.
     """
     names, index = np.unique(worlds, return_inverse=True)
-    if len(names) >= at_least:
+    if len(names) >= MIN_WORLDS:
         return index.ravel(), True
     return np.arange(len(worlds)), False
 
