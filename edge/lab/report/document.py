@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Iterable
 from html import escape
 
 import cv2
@@ -53,6 +54,12 @@ def image_figure(rgb: np.ndarray, caption: str, marks: str = "") -> str:
         f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/>{marks}</svg>'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
+
+
+def pairs_section(title: str, pairs: Iterable[tuple[str, str]]) -> str:
+    """Return a section with a table of names and values, which are plain text."""
+    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in pairs)
+    return f'<section><h2>{escape(title)}</h2><table class="pairs">{rows}</table></section>'
 
 
 def data_url(kind: str, content: bytes) -> str:

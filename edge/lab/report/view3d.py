@@ -18,7 +18,7 @@ from importlib.resources import files
 import numpy as np
 
 from edge.lab.report import palette
-from edge.lab.report.document import document
+from edge.lab.report.document import document, pairs_section
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
 
@@ -114,7 +114,8 @@ def scene_page(
         f"<header><h1>{escape(title)}</h1></header>"
         '<section><canvas id="view" tabindex="0" role="img" '
         f'aria-label="{escape(title)}: a view in three dimensions"></canvas>'
-        f"{_controls(lines, pose_texts)}</section>{_facts(facts)}{_objects(scene)}"
+        f"{_controls(lines, pose_texts)}</section>"
+        f"{pairs_section('Trajectory', facts) if facts else ''}{_objects(scene)}"
     )
     return document(title, body, machine, STYLE, f"const DATA = {text};\n{viewer}")
 
@@ -237,13 +238,6 @@ def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
         f'{slider}<p class="note">Drag to turn, scroll to zoom, drag with Shift or the right '
         "button to move; arrow keys and + and − do too.</p>"
     )
-
-
-def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    if not facts:
-        return ""
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)
-    return f'<section><h2>Trajectory</h2><table class="pairs">{rows}</table></section>'
 
 
 def _objects(scene: Scene) -> str:

@@ -16,6 +16,8 @@ from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, Wor
 
 CELL_M = 0.025  # side of a cell of the floor plan
 _MARGIN_M = 0.5  # free border of the floor plan around all primitives
+_SLAB_M = 0.1  # thickness of floor and ceiling
+_CEILING = (244.0, 243.0, 240.0)  # its colour
 _SKY = np.array([205, 222, 238], np.uint8)  # colour of pixels that show nothing
 
 
@@ -159,6 +161,22 @@ class BoxWorld:
         """Set the cells to 1 that a primitive covers at the height of the robot."""
         heights = (FLOOR_CLEARANCE_M, self._robot_height_m)
         kernels.rasterise(self.shape, self.geometry, *heights, origin_m, CELL_M, occupied)
+
+
+def room_slabs(
+    rect: tuple[float, float, float, float],
+    color: tuple[float, float, float],
+    texture: int,
+    ceiling_m: float | None,
+) -> list[Primitive]:
+    """Return the floor of a rectangle (x0, y0, x1, y1), and its ceiling if that has a height."""
+    x0, y0, x1, y1 = rect
+    center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
+    parts = [Primitive(kernels.BOX, (*center, -0.5 * _SLAB_M), size, color, texture)]
+    if ceiling_m is not None:
+        above = (*center, ceiling_m + 0.5 * _SLAB_M)
+        parts.append(Primitive(kernels.BOX, above, size, _CEILING, shading.PAINT))
+    return parts
 
 
 def geometry_row(part: Primitive) -> list[float]:

@@ -206,14 +206,14 @@ def mission_run() -> RunRecord:
     found = flat_run()
     asked = "Go to the chair or the sofa, then to the tv."
     story = story_of(FORMULA, ("sofa", "tv"), STORY, asked)
-    found = [
+    objects = [
         instance(k, label, 0.9 - 0.1 * k, "reached" if label in ("sofa", "tv") else "tentative")
         for k, label in enumerate(("chair", "sofa", "tv", "bed"))
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]
     return replace(
         found, title=asked, targets=("chair", "sofa", "tv", "bed"), mission_facts=story,
-        instances=tuple(found), events=tuple(texts),
+        instances=tuple(objects), events=tuple(texts),
     )  # fmt: skip
 
 
