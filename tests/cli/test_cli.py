@@ -168,7 +168,7 @@ def test_a_missing_recording_is_an_error(capsys):
         ("bench", "--seconds", "soon"),
         ("record", "demo", "--out", "x", "--seconds", "nan"),
         ("eval", "episodes", "demo", "--starts", "0"),
-        ("eval", "episodes", "demo", "--jobs", "-1"),
+        ("eval", "episodes", "demo", "--workers", "-1"),
     ],
 )
 def test_an_invalid_number_is_a_usage_error(words, capsys):
