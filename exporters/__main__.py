@@ -27,6 +27,7 @@ import numpy as np
 import onnx
 import yaml
 
+from edge.cli.options import Parser
 from edge.host import resources
 from edge.host.files import replace_atomically, write_atomically
 from edge.models.make import TRAINED
@@ -279,71 +280,33 @@ def print_reports(reports: dict[str, Any]) -> None:
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, and export a folder, a vision-language model or a detector."""
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters", description="make the ONNX file of a model card from weights"
-    )
-    parser.add_argument(
-        "card",
-        metavar="NAME",
-        help="name of the model card, such as yolo-world-s-256x320-int8-cpu; with a folder as "
-        "--weights: name of the new cards",
-    )
-    parser.add_argument(
-        "--weights",
-        type=Path,
-        help="weights to export: a .pt file, or a model folder of Hugging Face (default: quantize "
-        "the FP32 file in --cache)",
-    )
-    parser.add_argument(
-        "--sha256", help="hash that a .pt or .ts file must have, if the card names none"
-    )
-    parser.add_argument(
-        "--precision",
-        nargs="+",
-        default=["fp32"],
-        metavar="P",
-        help="for a folder or a vision-language model: precisions to make (default: fp32)",
-    )
-    parser.add_argument("--family", help="for a folder: family of the new cards (default: NAME)")
-    parser.add_argument(
-        "--license", help="for a folder: license of the model (default: that of its README.md)"
-    )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        help="folder of images to calibrate the quantization with (fp32 needs none)",
-    )
-    parser.add_argument(
-        "--validation",
-        type=Path,
-        help="folder of other images to compare the new model with its original on (default: "
-        "every fourth calibration image)",
-    )
-    parser.add_argument(
-        "--vocabulary",
-        type=Path,
-        help="file of text embeddings (.npz) (default: the COCO names in --weights)",
-    )
-    parser.add_argument(
-        "--cache",
-        type=Path,
-        default=resources.models_dir(),
-        help="folder for the model files (default: %(default)s)",
-    )
-    cards = resources.data_dir("models")
-    parser.add_argument(
-        "--cards", type=Path, default=cards, help="folder of the model cards (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--update-card",
-        action="store_true",
-        help="write into the model card how closely the new model's outputs match the original's",
-    )
-    parser.add_argument(
-        "--no-gate",
-        action="store_true",
-        help="keep the model even if its outputs differ too much from the original's",
-    )
+    # fmt: off
+    parser = Parser(prog="python -m exporters",
+                    description="make the ONNX file of a model card from weights")
+    option = parser.add_argument
+    option("card", metavar="NAME", help="name of the model card, such as "
+           "yolo-world-s-256x320-int8-cpu; with a folder as --weights: name of the new cards")
+    option("--weights", type=Path, help="weights to export: a .pt file, or a model folder of "
+           "Hugging Face (default: quantize the FP32 file in --cache)")
+    option("--sha256", help="hash that a .pt or .ts file must have, if the card names none")
+    option("--precision", nargs="+", default=["fp32"], metavar="P", help="for a folder or a "
+           "vision-language model: precisions to make (default: fp32)")
+    option("--family", help="for a folder: family of the new cards (default: NAME)")
+    option("--license", help="for a folder: license of the model (default: that of its README.md)")
+    option("--calibration", type=Path,
+           help="folder of images to calibrate the quantization with (fp32 needs none)")
+    option("--validation", type=Path, help="folder of other images to compare the new model with "
+           "its original on (default: every fourth calibration image)")
+    option("--vocabulary", type=Path,
+           help="file of text embeddings (.npz) (default: the COCO names in --weights)")
+    option("--cache", type=Path, default=resources.models_dir(), help="folder for the model files")
+    option("--cards", type=Path, default=resources.data_dir("models"),
+           help="folder of the model cards")
+    option("--update-card", action="store_true", help="write into the model card how closely the "
+           "new model's outputs match the original's")
+    option("--no-gate", action="store_true",
+           help="keep the model even if its outputs differ too much from the original's")
+    # fmt: on
     args = parser.parse_args(argv)
     if args.weights is not None and args.weights.is_dir():
         export_folder(args)

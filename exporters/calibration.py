@@ -76,12 +76,9 @@ def tensor_session(model: onnx.ModelProto, names: list[str]) -> InferenceSession
 def collect_histograms(
     model: onnx.ModelProto, feeds: list[Feed], names: list[str] | None = None
 ) -> dict[str, Histogram]:
-    """Return histograms of tensors and of the inputs, over all feeds (two passes).
+    """Return histograms of the named tensors (None: all) and of the inputs, over all feeds.
 
-    Args:
-        model: model to run.
-        feeds: inputs, one for each image.
-        names: intermediate tensors; None for all of them.
+    The model runs twice on each feed, the inputs of one image.
     """
     names = float_tensors(model) if names is None else names
     session = tensor_session(model, names)

@@ -143,9 +143,7 @@ def _family(folder: Path) -> Family:
 def export(args: Any) -> dict[str, EmbeddingReport | None]:
     """Make all files and cards that were asked for; return the parity by card, None if unknown.
 
-    Args:
-        args: card (the name), weights (the folder), precision, calibration, validation, cache,
-            family, license, no_gate: see `exporters.__main__`.
+    `exporters.__main__` explains the arguments.
 
     Raises:
         ExportError: the folder or the images cannot be used, or a parity misses its limits.
@@ -378,12 +376,9 @@ def make_text_encoder(
 ) -> EmbeddingReport:
     """Make the file and the sidecar of a detector's text encoder.
 
-    Args:
-        card: its text card; a precision other than FP32 is made from the FP32 file in the cache.
-        tower: the original.
-        tokens: (n, context) int64, texts to trace, calibrate and compare with.
-        weights_sha256: hash of the original weights.
-        args: cache, no_gate: see `exporters.__main__`.
+    Its text card is `card`; a precision other than FP32 is made from the FP32 file in the cache.
+    `tower` is the original, and `tokens` (n, context) int64 are texts to trace, calibrate and
+    compare with.
 
     Raises:
         ExportError: the parity misses its limits.

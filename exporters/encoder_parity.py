@@ -51,13 +51,10 @@ class EmbeddingReport(Report):
 def compare(
     reference: np.ndarray, candidate: np.ndarray, others: np.ndarray | None = None
 ) -> EmbeddingReport:
-    """Compare embeddings of the same inputs by two encoders, (n, d) each.
+    """Compare embeddings (n, d) of the same inputs by the original encoder and by a new one.
 
-    Args:
-        reference: (n, d) embeddings by the original encoder.
-        candidate: (n, d) embeddings by the new one.
-        others: (m, d) embeddings by the encoder of the other kind. The inputs are ranked by their
-            likeness to each of these, as VLFM ranks views by a text.
+    `others` (m, d) are by the encoder of the other kind. The inputs are ranked by their likeness to
+    each of these, as VLFM ranks views by a text.
 
     Raises:
         ExportError: there are no inputs, or a row has no direction.

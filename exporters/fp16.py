@@ -47,11 +47,7 @@ def to_fp16(
 ) -> onnx.ModelProto:
     """Return the model in float16, except for the nodes `kept`; constants are clipped to its range.
 
-    Args:
-        model: the float32 model.
-        kept: names of nodes that stay in float32.
-        float16_io_prefixes: inputs and outputs whose name begins with one of these become float16
-            too.
+    Inputs and outputs whose name begins with one of `float16_io_prefixes` become float16, too.
     """
     from onnxruntime.transformers.float16 import convert_float_to_float16
     from onnxruntime.transformers.onnx_model import OnnxModel

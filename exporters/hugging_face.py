@@ -109,10 +109,8 @@ def license_of(folder: Path) -> str:
 def tokenizer_text(folder: Path, lowercase: bool = False) -> str:
     """Return the content of the folder's `tokenizer.json`.
 
-    Args:
-        folder: the model's folder.
-        lowercase: True if the model was trained on lower case. Some tokenizers leave this to code
-            of `transformers`; then it is added to the file.
+    Some models were trained on lower case, but leave this to code of `transformers`: `lowercase`
+    adds it to the file.
     """
     path = folder / TOKENIZER
     tokenizer = open_tokenizer(path)

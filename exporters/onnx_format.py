@@ -32,9 +32,7 @@ def check_format(path: Path) -> None:
 def cpu_session(model: Path | bytes, threads: int = 0) -> onnxruntime.InferenceSession:
     """Return a session on the CPU, for a file or its content; raise ExportError if it cannot load.
 
-    Args:
-        model: path or content of an ONNX file.
-        threads: number of threads; 0 for one per core.
+    With 0 threads, it has one per core.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.log_severity_level = threads, 3
@@ -53,12 +51,8 @@ def export_module(
 ) -> None:  # fmt: skip
     """Write a PyTorch module as ONNX.
 
-    Args:
-        module: module to trace.
-        out: file to write.
-        inputs: example tensors, by name.
-        outputs: names of the outputs.
-        free: axes of any length: input or output → axis → name of the axis.
+    The inputs are example tensors by name. `free` are the axes of any length: input or output →
+    axis → name of the axis.
     """
     with replace_atomically(out) as temporary:
         trace_module(module, temporary, inputs, outputs, free)

@@ -60,10 +60,8 @@ SENTENCE = "a photo of a {}"
 class Owlv2Detector(nn.Module):
     """OWLv2 with text embeddings as an input, and boxes and scores as outputs (`yolo_world`).
 
-    Args:
-        model: `Owlv2ForObjectDetection`.
-        mean: mean of each channel of the images that it takes, in 0 to 1.
-        std: standard deviation of each channel.
+    `mean` and `std` are those of each channel of the images that the `Owlv2ForObjectDetection`
+    takes, in 0 to 1.
     """
 
     def __init__(self, model: nn.Module, mean: list[float], std: list[float]) -> None:

@@ -86,13 +86,9 @@ def select_boxes(
 def compare(
     reference: Model, candidate: Model, images: Iterable[np.ndarray], txt_feats: np.ndarray
 ) -> ParityReport:
-    """Run both models over images and compare their detections.
+    """Run both models over images (1, 3, H, W), and compare their detections.
 
-    Args:
-        reference: the original.
-        candidate: the new model.
-        images: (1, 3, H, W) each.
-        txt_feats: (1, n, 512) embeddings of the prompts.
+    `txt_feats` are (1, n, 512) embeddings of the prompts.
 
     Raises:
         ExportError: a model returns values that are not finite.

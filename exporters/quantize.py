@@ -137,10 +137,7 @@ def activation_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Return the 8-bit range of every activation that needs one, by tensor name.
 
-    Args:
-        model: the float32 model.
-        feeds: inputs, one for each image.
-        tensors: see `collect_histograms`.
+    The arguments are those of `collect_histograms`.
     """
     histograms = collect_histograms(model, feeds, tensors)
     producer = {name: node.op_type for node in model.graph.node for name in node.output}
@@ -187,16 +184,10 @@ def _write_qdq(
     for_trt: bool,
     op_type: str | None,
 ) -> None:
-    """Write the model with pairs of quantize and dequantize nodes.
+    """Write the model, with rounded weights, with pairs of quantize and dequantize nodes.
 
-    Args:
-        model: FP32 model with rounded weights.
-        out: file to write.
-        feed: any input of the model.
-        overrides: see `_overrides`.
-        excluded: names of nodes that are not quantized.
-        for_trt: True for TensorRT, see the module.
-        op_type: quantize only inputs of nodes of this type; None for all.
+    `feed` is any input of the model; `overrides` are from `_overrides`. `excluded` names nodes that
+    are not quantized. Only inputs of nodes of `op_type` are quantized; None: all.
     """
     from onnxruntime.quantization import (
         CalibrationDataReader,

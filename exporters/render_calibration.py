@@ -7,7 +7,6 @@ The same seed gives the same images. Use another seed for the images of a parity
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from edge.cli.options import Parser
 from exporters.files import ExportError, exit_on_user_error
 
 SIZES_HW = ((256, 320), (480, 640))
@@ -192,18 +192,15 @@ def render_set(world: TexturedWorld, count: int, seed: int, out: Path) -> list[P
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.render_calibration",
-        description="render images of a textured world, to calibrate quantization with",
-    )
-    parser.add_argument("world", type=Path, help="mesh file of the world (.glb), z up, in m")
-    parser.add_argument(
-        "--count", type=int, default=60, help="number of images (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of the camera poses (default: %(default)s)"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder for the images (required)")
+    # fmt: off
+    parser = Parser(prog="python -m exporters.render_calibration", description="render images of "
+                    "a textured world, to calibrate quantization with")
+    option = parser.add_argument
+    option("world", type=Path, help="mesh file of the world (.glb), z up, in m")
+    option("--count", type=int, default=60, help="number of images")
+    option("--seed", type=int, default=1, help="seed of the camera poses")
+    option("--out", type=Path, required=True, help="folder for the images (required)")
+    # fmt: on
     args = parser.parse_args(argv)
     paths = render_set(load_world(args.world), args.count, args.seed, args.out)
     print(f"{len(paths)} images in {args.out}")

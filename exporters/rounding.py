@@ -43,11 +43,7 @@ def inputs_of_cells(
 ) -> np.ndarray:
     """Return the inputs that a convolution multiplies with its weights, for some output cells.
 
-    Args:
-        node: the convolution.
-        x: input (1, C, H, W).
-        kernel: (kh, kw).
-        cells: (k,) output cells, numbered row by row.
+    Its input `x` is (1, C, H, W), its kernel (kh, kw). The k cells are numbered row by row.
 
     Returns:
         (k, C·kh·kw), a row for each cell; C is the number of input channels.
@@ -123,11 +119,8 @@ def input_statistics(
 ) -> dict[str, list[InputStatistics]]:
     """Return the statistics of each layer's input, one for each group of channels, by node name.
 
-    Args:
-        model: the float32 model.
-        layers: `Conv` and `MatMul` nodes.
-        feeds: inputs, one for each image.
-        limits: largest magnitude of each tensor's symmetric 8-bit range, if known.
+    The layers are `Conv` and `MatMul` nodes. `limits` has the largest magnitude of each tensor's
+    symmetric 8-bit range, if known.
     """
     weights = {init.name: init for init in model.graph.initializer}
     names = sorted({node.input[0] for node in layers} - {model.graph.input[0].name})
@@ -170,12 +163,9 @@ def _round(values: np.ndarray, scale: np.ndarray | np.floating) -> np.ndarray:
 
 
 def gptq(weight: np.ndarray, moment: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return a weight as integer levels (rows, d), rounded by GPTQ.
+    """Return a weight (rows, d) as integer levels, rounded by GPTQ; a row is an output channel.
 
-    Args:
-        weight: (rows, d), a row for each output channel.
-        moment: (d, d), see `InputStatistics`.
-        scale: (rows, 1), step of each row.
+    `moment` (d, d) is that of `InputStatistics`, and `scale` (rows, 1) the step of each row.
     """
     diagonal = moment.diagonal()
     damping = DAMPING * diagonal.mean() + 1e-8
@@ -216,14 +206,10 @@ def round_weights(
 ) -> dict[str, np.ndarray]:
     """Put rounded weights into `model`, in place; return per-channel scales (rows,) by weight name.
 
-    Args:
-        model: the model.
-        layers: `Conv` nodes, and `MatMul` nodes with a constant (d, rows).
-        feeds: inputs, one for each image.
-        limits: largest magnitude of a tensor's symmetric 8-bit range. If a convolution's input has
-            one, its bias compensates the mean error of rounding weights and input (Nagel et al.
-            2019, "Data-free quantization through weight equalization and bias correction", sec.
-            4.2, with measured means).
+    The layers are `Conv` nodes, and `MatMul` nodes with a constant (d, rows). `limits` has the
+    largest magnitude of a tensor's symmetric 8-bit range. If a convolution's input has one, its
+    bias compensates the mean error of rounding weights and input (Nagel et al. 2019, "Data-free
+    quantization through weight equalization and bias correction", sec. 4.2, with measured means).
     """
     statistics = input_statistics(model, layers, feeds, limits or {})
     by_name = {init.name: init for init in model.graph.initializer}

@@ -22,17 +22,10 @@ def write_sidecar(
     weights_sha256: str | None,
     calibration_sha256: str | None = None,
 ) -> None:
-    """Write the sidecar of a model, with the digest that the service checks.
+    """Write the sidecar of the model `out`, with the digest that the service checks.
 
     The digest is not in the card, because the file depends on the calibration images and on the
-    tools' versions.
-
-    Args:
-        out: the model's file.
-        name: name of its card.
-        parity: figures of its parity; None if it was not measured.
-        weights_sha256: digest of the original weights; None if unknown.
-        calibration_sha256: digest of the calibration images; None without any.
+    tools' versions. Parity and digests are None if they are unknown.
     """
     content = {
         "name": name,

@@ -69,16 +69,9 @@ def compare_and_record(
 ) -> LetterReport:
     """Compare three files with the model that they were made from, and write their sidecars.
 
-    The model answers questions with letters; the files' answers are compared with its own.
-
-    Args:
-        files: for each network its file, and its weight files.
-        precision: precision of the files; selects the limits.
-        name: name of the card.
-        comparison: questions with the answers of that model.
-        against: name of the reference.
-        gate: if True, raise ExportError if the parity misses its limits.
-        digests: digest of the weights, and of the calibration images, if known.
+    Each network has its file, then its weight files. The model answers questions with letters; the
+    files' answers are compared with its own. `precision` selects the limits, and `against` names
+    the reference. The digests are those of the weights and of the calibration images, if known.
 
     Raises:
         ExportError: the parity misses its limits, and `gate` is True.

@@ -71,16 +71,11 @@ def questions(folder: Path, image_token: int) -> list[Question]:
 
 
 def position_ids_of(ids: np.ndarray, image: int, grid: np.ndarray | None, merge: int) -> np.ndarray:
-    """Return the position ids of tokens, (1, n) int64; with a grid (3, 1, n).
+    """Return the position ids of tokens (1, n), (1, n) int64; with a grid (3, 1, n).
 
-    With a grid, each token has three numbers (Qwen2-VL section 2.1): time, row and column.
-
-    Args:
-        ids: (1, n) tokens.
-        image: placeholder token of the image.
-        grid: (1, 3) number of frames, rows and columns of patches of the image; None for plain
-            positions.
-        merge: see `ReferenceModel`.
+    With a grid, each token has three numbers (Qwen2-VL section 2.1): time, row and column. The grid
+    is (1, 3): frames, rows and columns of patches of the image, whose placeholder token is `image`.
+    `merge` is that of `ReferenceModel`.
     """
     n = ids.shape[1]
     if grid is None:

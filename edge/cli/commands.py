@@ -92,16 +92,9 @@ def run_service(
 ) -> int:
     """Run the service until `stop` is set, and return the exit code (`edge.errors`).
 
-    A service that is stopped returns 0, even if its last mission failed. With `once`, the exit code
-    is that of the mission.
-
-    Args:
-        config: the configuration.
-        stop: ends the run when it is set.
-        once: end when the mission is over.
-        report: folder of the report; None: no report.
-        what: mission of the command line.
-        reload: how to reload the configuration; None: it is never reloaded.
+    A service that is stopped returns 0, even if its last mission failed. With `once`, it ends with
+    the mission, and the exit code is that of the mission. `report` is a folder, `what` the mission
+    of the command line. Without `reload`, the configuration is never reloaded.
 
     Raises:
         UserError: the report cannot be written, or something that the configuration names is
@@ -139,17 +132,10 @@ def _serve(
 ) -> RunResult:
     """Run the service until `stop` is set, or as the arguments say; return the results of the run.
 
-    Args:
-        config: the configuration.
-        stop: ends the run when it is set.
-        once: end when the mission is over.
-        what: mission of the command line.
-        reload: how to reload the configuration; None: it is never reloaded.
-        stay: keep the live view open after the end of the mission or recording, until `stop` is
-            set. The results are then those at the end of the mission or recording.
-        playback: recording to play instead of the configured source.
-        recorded: collect the data of a report.
-        latch: the stop of the robot; None: a stop ends with the run.
+    The arguments of `run_service` are the same here. With `stay`, the live view stays open after
+    the end of the mission or recording, until `stop` is set; the results are those at that end. A
+    `playback` replaces the configured source. `recorded` collects the data of a report. Without
+    `latch`, a stop of the robot ends with the run.
     """
     latch = latch or StopLatch()
     recorder, health = _recorder(config) if recorded else None, ServiceHealth(SystemdNotifier())
@@ -269,15 +255,8 @@ def run_demo(
 ) -> int:
     """Run simulated robot, reference controller and service on this machine.
 
-    The run ends with the mission; with a live view it ends when `stop` is set.
-
-    Args:
-        config: the configuration.
-        stop: ends the run when it is set.
-        report: folder of the report.
-        what: mission of the command line.
-        live: port of the live view. 0: `http.port`, else `LIVE_PORT`, else a free port. None: only
-            `http.port`.
+    The run ends with the mission; with a live view it ends when `stop` is set. `live` is the port
+    of the live view. 0: `http.port`, else `LIVE_PORT`, else a free port. None: only `http.port`.
     """
     config = with_free_port(config)
     if live is not None:
@@ -305,16 +284,9 @@ def run_play(
 ) -> int:
     """Play a recording of any robot into the service; print its content and the results.
 
-    Goals are chosen and shown, but nothing is published and nothing drives.
-
-    Args:
-        config: the configuration.
-        file: the recording (MCAP, rosbag2).
-        stop: ends the run when it is set.
-        rate: speed in multiples of real time; None: as fast as possible, without drops.
-        report: folder of the report; None: no report.
-        live: port of the live view, as in `run_demo`; None: no live view.
-        what: mission of the command line.
+    Goals are chosen and shown, but nothing is published and nothing drives. `rate` is a multiple of
+    real time; None: as fast as possible, without drops. `live` is as in `run_demo`, but None means
+    no live view.
 
     Raises:
         UserError: see `run_service`; or the recording cannot be read, or gives no observation.

@@ -23,10 +23,8 @@ _PART_CHARS = 60
 class ConsoleSink:
     """Sink that writes the status line: at most 5 Hz to a terminal, else every 5 s.
 
-    The period is in wall-clock time, since simulated time may be faster or slower.
-
-    Args:
-        stream: where to write; None: stderr.
+    The period is in wall-clock time, since simulated time may be faster or slower. The stream is
+    stderr if none is given.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:

@@ -88,7 +88,7 @@ def _add_episodes(  # type: ignore[no-untyped-def]
            "episodes that have an outcome there are not run again (default: nothing is written)")
     option("--report", type=Path, metavar="DIR", help="like --out; also write a web page with "
            "pictures for each episode to this folder")
-    option("--workers", "--jobs", type=count, default=workers, metavar="N",
+    option("--workers", type=count, default=workers, metavar="N",
            help="run in N processes of one thread each; 1: in this process")
     flag(group, "--processes",
          "run simulator, controller and service as separate processes that talk over Zenoh")
@@ -119,7 +119,7 @@ def _add_planning(kinds) -> None:  # type: ignore[no-untyped-def]
     option("--planners", metavar="NAME,NAME,…", help="planners to compare (default: all)")
     option("--episodes", type=count, default=1, metavar="N",
            help="number of runs for each mission and probability")
-    option("--jobs", type=count, default=cores(),
+    option("--workers", type=count, default=cores(),
            help="number of processes (default: one for each core)")
     option("--out", type=Path, default=Path("planning-report"), metavar="DIR",
            help="folder for plots and results.json (default: ./%(default)s)")

@@ -40,8 +40,7 @@ _CELL_CHARS = 40
 def fleet_settings(name: str) -> tuple[ZenohConfig, MissionConfig]:
     """Return the sections zenoh and mission of a configuration, or defaults for an endpoint.
 
-    Args:
-        name: a configuration, or the endpoint of a router such as `tcp/10.0.0.1:7447`.
+    An endpoint is that of a router, such as `tcp/10.0.0.1:7447`.
 
     Raises:
         ConfigError: the configuration cannot be read.
@@ -258,7 +257,7 @@ def _clock(ns: int) -> str:
 
 def route(args: argparse.Namespace) -> int:
     """Handle `edge fleet router`; route messages until a signal comes."""
-    stop = stop_on_signals()
+    stop = stop_on_signals(args.with_parent)
     settings = ZenohConfig(endpoint=args.endpoint, file=args.file)
     with zenoh_session(settings, "route", stop):
         log.info("router: ready on %s", settings.address)

@@ -134,12 +134,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def unit(config: Config, name: str, user: str | None) -> str:
-    """Return the text of the unit.
+    """Return the text of the unit; its folders below /var/lib and /var/cache have the same name.
 
-    Args:
-        config: the configuration; its `path` must be absolute.
-        name: name of the unit, and of its folders below /var/lib and /var/cache.
-        user: user of the service; None: a dynamic user of systemd (`DynamicUser`).
+    The configuration's `path` must be absolute. Without a user, the unit has a dynamic one of
+    systemd (`DynamicUser`).
 
     Raises:
         UserError: see `run`.

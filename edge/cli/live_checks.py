@@ -169,12 +169,7 @@ def _check_stamps(age_s: float, lag_s: float) -> Iterator[Finding]:
 
 
 def _describe_mount(T_base_sensor: np.ndarray, axis: np.ndarray) -> str:
-    """Return the position and direction of a sensor in words.
-
-    Args:
-        T_base_sensor: pose of the sensor, (4, 4), in m.
-        axis: direction in which the sensor looks, in the base frame, (3,).
-    """
+    """Return in words the position of a sensor, and the direction `axis` in which it looks."""
     x, y, z = T_base_sensor[:3, 3]
     pitch_deg = np.degrees(np.arcsin(np.clip(-axis[2], -1.0, 1.0)))
     yaw_deg = np.degrees(np.arctan2(axis[1], axis[0]))

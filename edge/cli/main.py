@@ -34,11 +34,7 @@ log = logging.getLogger("edge")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command `edge` and return its exit code.
-
-    Args:
-        argv: arguments, such as `["config", "demo"]`; None: those of the process.
-    """
+    """Run the command `edge` with these arguments, or the process's own; return its exit code."""
     args = make_parser().parse_args(argv)
     setup(args.log_level, args.log_json)
     # Python's last garbage collection at exit takes 0.3 s in a service.

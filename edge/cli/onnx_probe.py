@@ -75,10 +75,8 @@ def probe() -> ProbeResult | None:
 def _make_result(steps: list[dict[str, Any]], code: int, last_line: str) -> ProbeResult:
     """Return the result from the process's output, exit code and last line on stderr.
 
-    Args:
-        steps: as `_run_test` yields them: first the import, then each provider that ran the model.
-        code: exit code; -N: ended by signal N.
-        last_line: last line on stderr.
+    The steps are as `_run_test` yields them: first the import, then each provider that ran the
+    model. The exit code -N means that signal N ended it.
     """
     imported = steps[0] if steps else {"version": "", "providers": ()}
     ran = tuple(step["ran"] for step in steps[1:])

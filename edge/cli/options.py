@@ -60,10 +60,7 @@ def config_argument(command: argparse.ArgumentParser, default: str | None = None
 def lazy_handler(module: str, function: str = "run", extra: str = "") -> Handler:
     """Return a handler that imports its module when it is called.
 
-    Args:
-        module: name of the module.
-        function: name of the handler in the module.
-        extra: one of `EXTRAS`; the handler raises UnavailableError if a package of it is missing.
+    It raises UnavailableError if a package of `extra`, one of `EXTRAS`, is missing.
     """
 
     def handler(args: argparse.Namespace) -> int:
@@ -77,18 +74,10 @@ def dispatch_on_option(
     parser: argparse.ArgumentParser,
     option: str, on: Handler, on_only: tuple[str, ...], off: Handler, off_only: tuple[str, ...],
 ) -> Handler:  # fmt: skip
-    """Set the handler of a command: `on` if an option is given, else `off`.
+    """Set the handler of a command, and return it: `on` if an option is given, else `off`.
 
-    Args:
-        parser: parser of the command.
-        option: the option, or several: "--trace or --recover".
-        on: handler with the option.
-        on_only: options and arguments that are valid only with `option`.
-        off: handler without the option.
-        off_only: options and arguments that are valid only without `option`.
-
-    Returns:
-        The handler that was set.
+    `option` may name several: "--trace or --recover". `on_only` are the options and arguments that
+    are valid only with it, and `off_only` those that are valid only without it.
     """
 
     def handler(args: argparse.Namespace) -> int:

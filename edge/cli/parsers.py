@@ -180,6 +180,7 @@ def _add_fleet(commands) -> None:  # type: ignore[no-untyped-def]
                         help="Zenoh endpoint to listen on")
     router.add_argument("--file", metavar="FILE", help="Zenoh's own configuration file (JSON5), "
                         "such as config/secure/fleet-router.json5")
+    _add_parent_option(router)
     router.set_defaults(handler=lazy_handler("edge.cli.fleet", "route"))
 
 

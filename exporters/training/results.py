@@ -1,4 +1,4 @@
-"""Results of a training run: figures for the cards, and files and cards in `models/`."""
+"""Training commands: their common options, figures for cards, and files in `models/`."""
 
 from __future__ import annotations
 
@@ -11,20 +11,27 @@ from typing import Any
 import numpy as np
 import yaml
 
+from edge.cli.options import Parser
 from edge.host.files import replace_atomically
 
 MODELS = Path(__file__).parents[2] / "models"
 """Folder of the project's own models."""
 
 
+def training_parser(name: str, text: str, out: str) -> Parser:
+    """Return the parser of a training command, with the options that all have."""
+    parser = Parser(prog=f"python -m exporters.training.{name}", description=text)
+    option = parser.add_argument
+    option("--out", type=Path, required=True, help=f"folder for {out} (required)")
+    option("--models", type=Path, default=MODELS, help="folder for the model's files and its cards")
+    option("--seed", type=int, default=0, help="seed of the training and of its data")
+    return parser
+
+
 def auc(score: np.ndarray, right: np.ndarray) -> float:
     """Return the area under the ROC curve: P(a right one scores above a wrong one).
 
-    Ties count half. NaN if all are right, or none is.
-
-    Args:
-        score: (n,) float.
-        right: (n,) 1 for right, 0 for wrong.
+    Ties count half. NaN if all are right, or none is. `right` is 1 for right, 0 for wrong.
     """
     _, order, counts = np.unique(score, return_inverse=True, return_counts=True)
     rank = (np.cumsum(counts) - 0.5 * (counts - 1))[order]  # from 1; equal scores share the mean

@@ -168,7 +168,7 @@ def test_a_missing_recording_is_an_error(capsys):
         ("bench", "--seconds", "soon"),
         ("record", "demo", "--out", "x", "--seconds", "nan"),
         ("eval", "episodes", "demo", "--starts", "0"),
-        ("eval", "episodes", "demo", "--jobs", "-1"),
+        ("eval", "episodes", "demo", "--workers", "-1"),
     ],
 )
 def test_an_invalid_number_is_a_usage_error(words, capsys):
@@ -348,7 +348,7 @@ def test_a_closed_output_pipe_is_no_error():
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("replay x.mcap --trace --detect", "--detect: not allowed with --trace or --recover"),
         ("mission pause demo anna", "--robots: allowed only with --fleet"),
@@ -357,8 +357,8 @@ def test_a_closed_output_pipe_is_no_error():
         ("replay x.mcap --out y", "--out: allowed only with --trace or --recover"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(words, told, capsys):
+def test_options_that_do_not_go_together_are_refused(words, message, capsys):
     with pytest.raises(SystemExit) as caught:
         main(words.split())
     assert caught.value.code == os.EX_USAGE
-    assert capsys.readouterr().err.endswith(f"error: {told}\n")
+    assert capsys.readouterr().err.endswith(f"error: {message}\n")

@@ -140,5 +140,5 @@ def test_a_terminal_gets_one_line_that_fits(wall):
 )
 def test_the_status_line_shows_the_phase_of_a_task(task, line):
     status = MissionStatus("van", "searching", elapsed_s=12.3)
-    told = status_line(result(status=status, pose=SE2(0.0, 0.0, 0.0), task=lambda: task))
-    assert told.startswith(f"12.3s {line}")
+    output = status_line(result(status=status, pose=SE2(0.0, 0.0, 0.0), task=lambda: task))
+    assert output.startswith(f"12.3s {line}")

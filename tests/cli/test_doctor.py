@@ -71,11 +71,11 @@ def test_this_machine_runs_the_embedded_default(capsys):
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("warn", 0), ("fail", 1)])
 def test_only_a_failure_gives_exit_code_1(monkeypatch, capsys, level, code):
-    finding = Finding(level, "a thing", "do this")
+    finding = Finding(level, "a part", "do this")
     monkeypatch.setattr(doctor, "CHECKS", (lambda _: iter([finding]),))
     args = command()
     assert args.handler(args) == code
-    assert capsys.readouterr().out.splitlines()[0] == f"{level:4}  a thing — do this"
+    assert capsys.readouterr().out.splitlines()[0] == f"{level:4}  a part — do this"
 
 
 def test_a_check_that_breaks_is_a_finding(monkeypatch):

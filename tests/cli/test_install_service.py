@@ -33,7 +33,7 @@ def no_signal_handlers(monkeypatch):
 
 @pytest.fixture
 def anywhere(monkeypatch):
-    """Wherever these tests are run from, it can be read."""
+    """Let Python be readable, in any folder that these tests are run from."""
     monkeypatch.setattr(install_service, "_check_readable", lambda paths, user: None)
 
 
@@ -159,7 +159,7 @@ def test_a_configuration_unreadable_to_the_service_user_is_refused(private):
     ],
 )
 def test_unreadable_parts_of_the_installation_are_reported(private, monkeypatch, what, says):
-    """A pyenv's Python is in a home, wherever the environment that is linked to it is."""
+    """A pyenv's Python is in a home, even if the environment that is linked to it is not."""
     file = private.parent / "python3"
     file.touch()
     link = private.parent.parent / "link"

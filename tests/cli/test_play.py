@@ -38,8 +38,8 @@ def play(capsys):
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["--log-level", "error", "play", *map(str, words)])
-        told = capsys.readouterr()
-        return code, told.out, told.err
+        content = capsys.readouterr()
+        return code, content.out, content.err
 
     return run
 
@@ -54,14 +54,14 @@ def test_nothing_to_play_is_an_error_of_one_line(play, config, tmp_path):
 @pytest.mark.parametrize("pace", [("--fast",), ("--rate", "8")])
 def test_a_recording_is_played_and_its_inputs_are_listed(play, config, tmp_path, pace):
     folder, report = write_bag(tmp_path / "robot", plain()), tmp_path / "report"
-    code, told, _ = play(folder, config, *pace, "--report", report)
+    code, content, _ = play(folder, config, *pace, "--report", report)
     assert code == os.EX_OK
-    lines = [line.split() for line in told.splitlines()]
+    lines = [line.split() for line in content.splitlines()]
     assert ["odom", "/odom", str(N), "nav_msgs/msg/Odometry"] in lines  # played inputs
     assert ["odom", "/odom", str(N), "-"] in lines  # and their outcome
-    n = int(re.search(r"(\d+) observations", told)[1])
+    n = int(re.search(r"(\d+) observations", content)[1])
     assert n == N or (n > 0 and "--rate" in pace)  # this computer may be busy
-    assert int(told.partition("map: ")[2].split()[0]) > 0
+    assert int(content.partition("map: ")[2].split()[0]) > 0
     assert {path.name for path in report.iterdir()} == {"report.png", "report.html"}
 
 
@@ -73,11 +73,11 @@ def test_playing_publishes_nothing_and_writes_no_checkpoint(play, tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(json.dumps({**OURS, "mission": mission, "sinks": sinks}))
     robot = write_mcap(tmp_path / "robot.mcap", together(camera(n=90), odometry(n=90)))
-    code, told, _ = play(robot, path, "--fast", "--report", tmp_path)
+    code, content, _ = play(robot, path, "--fast", "--report", tmp_path)
     assert code == os.EX_OK
     page = (tmp_path / "report.html").read_text()
     assert "stuck: " not in page
-    assert "stopped while searching: chair" in told
+    assert "stopped while searching: chair" in content
     assert not kept.exists()
     assert not (tmp_path / "sink").exists()
 
@@ -94,9 +94,9 @@ def test_a_carmen_log_becomes_a_map(play, tmp_path):
         "perception": {**OURS["perception"], "back_projection": "cloud"},
     }
     path.write_text(json.dumps({**OURS, **mapping}))
-    code, told, _ = play(write_mcap(tmp_path / "robot.mcap", carmen(log)), path, "--fast")
+    code, content, _ = play(write_mcap(tmp_path / "robot.mcap", carmen(log)), path, "--fast")
     assert code == os.EX_OK
-    assert int(told.partition("map: ")[2].split()[0]) >= 8
+    assert int(content.partition("map: ")[2].split()[0]) >= 8
 
 
 def test_a_covered_camera_is_named_by_the_bench(config, tmp_path):

@@ -82,10 +82,10 @@ def test_from_a_published_folder_to_the_running_service(
     assert "my-vlm-fp32: ok (hashes of " in says(robot, "list", "--check", "my-vlm-fp32")
 
     how = ["--calibration", pictures, "--no-gate"]
-    told = says(
+    content = says(
         robot, "export", "--quantize", "my-vlm-fp32", "--precision", "q4", "int8", "q4f16", *how
     )
-    assert "my-vlm-q4 against my-vlm-fp32:" in told
+    assert "my-vlm-q4 against my-vlm-fp32:" in content
     made = yaml.safe_load((robot / "my-vlm-q4.yaml").read_text())
     assert made["derived_from"] == "my-vlm-fp32"
     assert made["decoder"] == {"file": "quantized/decoder_model_merged_q4.onnx"}

@@ -237,8 +237,8 @@ def test_missing_weights_are_an_error(folders, tmp_path, capsys):
 def test_a_foreign_tokenizer_is_an_error(folders, tmp_path, capsys, kind):
     folder = tiny_folders.write_vlm(tmp_path / kind, kind) if kind == "idefics3" else None
     folder = folder or shutil.copytree(folders[kind], tmp_path / kind)
-    told = (folder / "tokenizer.json").read_text()
-    (folder / "tokenizer.json").write_text(re.sub(r'("a": )\d+', r"\g<1>5000", told))
+    content = (folder / "tokenizer.json").read_text()
+    (folder / "tokenizer.json").write_text(re.sub(r'("a": )\d+', r"\g<1>5000", content))
     assert main(["x", "--weights", str(folder), "--cache", str(tmp_path / "cache")]) == 1
     assert (
         "tokenizer.json: has a token 5000, but the model only tokens 0 to "
@@ -257,7 +257,7 @@ def test_a_foreign_tokenizer_is_an_error(folders, tmp_path, capsys, kind):
 def test_a_preparation_of_images_that_the_service_lacks_is_refused(
     folders, tmp_path, changed, says
 ):
-    told = json.loads((folders["clip"] / "preprocessor_config.json").read_text())
-    (tmp_path / "preprocessor_config.json").write_text(json.dumps(told | changed))
+    content = json.loads((folders["clip"] / "preprocessor_config.json").read_text())
+    (tmp_path / "preprocessor_config.json").write_text(json.dumps(content | changed))
     with pytest.raises(ExportError, match=says):
         image_preprocess(tmp_path)

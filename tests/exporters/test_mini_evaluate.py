@@ -87,7 +87,7 @@ def test_a_second_box_is_wrong_and_a_maybe_is_ignored():
     boxes = np.array(
         [[0, 0, 40, 70], [0, -30, 40, 40], [100, 100, 140, 140], [200, 0, 240, 40]], np.float32
     )
-    assert overlaps(boxes[:1], boxes[1:2])[0] < IOU, "both stay, though they are on one thing"
+    assert overlaps(boxes[:1], boxes[1:2])[0] < IOU, "both stay, though they are on one object"
     scores = np.array([0.9, 0.8, 0.7, 0.6], np.float32)
     found = _match(boxes, scores, some, _does_count(some), CHAIR)
     assert found == [(pytest.approx(0.9), 1), (pytest.approx(0.8), 0), (pytest.approx(0.6), 0)]

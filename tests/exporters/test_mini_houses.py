@@ -42,9 +42,9 @@ def test_objects_stay_inside_the_house_and_below_the_ceiling(seed):
 def test_raised_objects_stand_on_a_support():
     raised = 0
     for seed in range(6):
-        things = random_house(seed)[0].objects
-        supports = [t for t in things if t.category in SUPPORTS]
-        for obj in things:
+        objects = random_house(seed)[0].objects
+        supports = [t for t in objects if t.category in SUPPORTS]
+        for obj in objects:
             if obj.z_m > 0 and obj.category != "picture":
                 raised += 1
                 assert any(_carries(support, obj) for support in supports)

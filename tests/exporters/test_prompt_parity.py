@@ -115,9 +115,9 @@ class Both:
         if self.family in IMAGE_TOKEN:
             image = made.token_to_id(IMAGE_TOKEN[self.family])
             self._change(card.path / "config.json", image_token_id=image)
-        told = {"chat_template": template}
+        template_of = {"chat_template": template}
         own = card.path / "chat_template.json"
-        self._change(own if own.exists() else card.path / "tokenizer_config.json", **told)
+        self._change(own if own.exists() else card.path / "tokenizer_config.json", **template_of)
         pin(card)
         self.files = read_files(card)
         self.ours = Prompter(self.files)

@@ -10,7 +10,7 @@ from edge.mission.logic.ltl import propositions
 from exporters.training.translator.compose import Composer, delexicalised, load
 
 PHRASES = load()
-THINGS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
+OBJECTS = ("sofa", "bed", "oven", "chair", "desk", "lamp", "door", "window")
 
 
 def test_every_phrase_can_be_filled_in() -> None:
@@ -19,7 +19,7 @@ def test_every_phrase_can_be_filled_in() -> None:
     for family in PHRASES.families:
         assert all(token in OPERATORS or token in "abcde" for token in family.tokens)
         compile_formula(
-            formula_of(delexicalised(_said(family.letters), family.tokens).tokens, THINGS)
+            formula_of(delexicalised(_said(family.letters), family.tokens).tokens, OBJECTS)
         )
         for template in family.templates:
             words = composer.filled(template)

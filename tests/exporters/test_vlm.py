@@ -247,9 +247,9 @@ def test_a_card_names_every_file_and_each_has_its_hash(cache, kind):
         parts = [card[key] for key in ("vision_encoder", "embed_tokens", "decoder")]
         for part in (*parts, *card["others"]):
             path = cache / "models" / card["folder"] / part["file"]
-            told = json.loads(path.with_name(path.name + ".json").read_text())
-            assert told["sha256"] == sha256_of(path)
-            assert told["bytes"] == path.stat().st_size
+            content = json.loads(path.with_name(path.name + ".json").read_text())
+            assert content["sha256"] == sha256_of(path)
+            assert content["bytes"] == path.stat().st_size
         assert card["image_tokens"] > 0
 
 
@@ -336,8 +336,8 @@ def test_an_unavailable_precision_names_the_command_to_run(folders, tmp_path, ca
 
 
 def test_a_vocabulary_without_letters_is_an_error(folders, tmp_path):
-    told = json.loads((folders["idefics3"] / "tokenizer.json").read_text())
-    del told["model"]["vocab"]["C"]
-    (tmp_path / "tokenizer.json").write_text(json.dumps(told))
+    content = json.loads((folders["idefics3"] / "tokenizer.json").read_text())
+    del content["model"]["vocab"]["C"]
+    (tmp_path / "tokenizer.json").write_text(json.dumps(content))
     with pytest.raises(ExportError, match="no token for the letter 'C'"):
         questions(tmp_path, 5)

@@ -77,12 +77,12 @@ def write_siglip(folder: Path, seed: int = 0) -> Path:
 
 
 def _write_preprocessor(folder: Path, size: dict, crop: dict | None) -> None:
-    told = {
+    settings = {
         "do_resize": True, "size": size, "do_center_crop": crop is not None, "crop_size": crop,
         "do_rescale": True, "rescale_factor": 1 / 255, "do_normalize": True,
         "image_mean": [0.5, 0.4, 0.3], "image_std": [0.3, 0.4, 0.5],
     }  # fmt: skip
-    (folder / "preprocessor_config.json").write_text(json.dumps(told))
+    (folder / "preprocessor_config.json").write_text(json.dumps(settings))
     (folder / "README.md").write_text(README)
 
 
@@ -145,7 +145,7 @@ def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
             text_config={**text, "rope_parameters": rope}, vision_config=vision, **ids
         )
         model = getattr(transformers, f"{prefix}ForConditionalGeneration")(config)
-        told = {
+        settings = {
             "image_processor_type": "Qwen2VLImageProcessor", "patch_size": 4, "merge_size": 2,
             "temporal_patch_size": 2, "min_pixels": 64, "max_pixels": 2560, "resample": 3,
         }  # fmt: skip
@@ -160,15 +160,15 @@ def write_vlm(folder: Path, kind: str, seed: int = 0) -> Path:
             tie_word_embeddings=False, **ids,
         )  # fmt: skip
         model = getattr(transformers, f"{name}ForConditionalGeneration")(config)
-        told = {
+        settings = {
             "image_processor_type": "Idefics3ImageProcessor", "do_image_splitting": True,
             "size": {"longest_edge": 2 * SIDE}, "max_image_size": {"longest_edge": SIDE},
             "resample": 1,
         }  # fmt: skip
         (folder / "processor_config.json").write_text(json.dumps({"image_seq_len": 16}))
     _alive(model).save_pretrained(folder)
-    told |= {"image_mean": [0.5] * 3, "image_std": [0.5] * 3, "rescale_factor": 1 / 255}
-    (folder / "preprocessor_config.json").write_text(json.dumps(told))
+    settings |= {"image_mean": [0.5] * 3, "image_std": [0.5] * 3, "rescale_factor": 1 / 255}
+    (folder / "preprocessor_config.json").write_text(json.dumps(settings))
     (folder / "chat_template.jinja").write_text(TEMPLATE % IMAGE[kind])
     (folder / "README.md").write_text(README)
     return folder

@@ -8,9 +8,7 @@ from edge.lab.eval.rooms import RoomGoalOutcome, RoomVerdict, report
 
 
 def verdict(kinds=("kitchen",), share=1.0, also=("kitchen",), best="kitchen", typical=3):
-    return RoomVerdict(
-        "flat", 1, "kitchen", share, frozenset(also), tuple(kinds), best, 0.9, typical
-    )
+    return RoomVerdict(1, "kitchen", share, frozenset(also), tuple(kinds), best, typical)
 
 
 def values(text: str) -> list[str]:

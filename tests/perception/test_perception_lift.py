@@ -69,7 +69,7 @@ def test_too_few_returns_are_invalid_not_wrong(make_observation, box, depth_m):
 
 @pytest.mark.parametrize("base_m", [0.0, 0.4])
 def test_the_floor_in_front_is_left_out(make_observation, base_m):
-    """Camera at 0.6 m: rows below the horizon see the floor, nearer than the thing."""
+    """Camera at 0.6 m: rows below the horizon see the floor, nearer than the object."""
     seen = make_observation(depth_m=np.full((64, 80), 4.0, np.float32))
     camera = seen.camera
     rows = np.arange(64)

@@ -85,17 +85,14 @@ def _ratio(part: float, total: int) -> float | None:
 
 
 def match_to_truth(xyxy_px: np.ndarray, truth: GroundTruthBoxes, relation: np.ndarray) -> Tally:
-    """Match the boxes of one prompt in one image with the ground truth.
+    """Match the boxes of one prompt in one image, highest score first, with the ground truth.
 
     A box is a hit if it overlaps an object with the prompt's name by `MATCH_IOU`, and no earlier
     box has hit that object; of several, it takes the one with the largest overlap. A box without a
     hit is ignored if it is in an object of the prompt's name that does not count, or in an object
     that is a kind of the prompt. Otherwise it is a false detection.
 
-    Args:
-        xyxy_px: (n, 4) float32, highest score first.
-        truth: the objects in this image.
-        relation: (labels,) uint8, relation of each label to the prompt, such as `SAME_NAME`.
+    `relation` is (labels,) uint8: that of each label to the prompt, such as `SAME_NAME`.
     """
     named = relation[truth.label] == SAME_NAME
     wanted = named & truth.counts

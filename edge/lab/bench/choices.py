@@ -203,13 +203,10 @@ def _remaining_m(pictures: BenchFrames, view: MarkedView) -> list[float]:
 
 
 def correct_marks(remaining_m: np.ndarray) -> np.ndarray:
-    """Return which marks are correct, in the views where not all of them are.
+    """Return which marks are correct, in the views where not all of them are: (n, m) bool.
 
-    Args:
-        remaining_m: (n, m) remaining distance from each mark.
-
-    Returns:
-        (n, m) bool; all False for a view in which the marks do not differ.
+    `remaining_m` is the remaining distance from each mark, (n, m). A view in which the marks do not
+    differ has no correct one.
 
     >>> correct_marks(np.array([[2.0, 2.4, 9.0], [3.0, 3.0, 3.0], [np.inf] * 3])).tolist()
     [[True, True, False], [False, False, False], [False, False, False]]

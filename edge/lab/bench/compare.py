@@ -213,8 +213,7 @@ def _rounded(value: float | None) -> float | None:
 def latency_ms(stages_ns: np.ndarray) -> dict[str, dict[str, float]]:
     """Return min, p50 and p95 [ms] of each of `STAGES`, and of their sum as `all`.
 
-    Args:
-        stages_ns: (n, 3) int64, times of `STAGES` for each frame.
+    `stages_ns` is (n, 3) int64: the times of `STAGES` for each frame.
     """
     columns = np.column_stack([stages_ns, stages_ns.sum(axis=1)]) / 1e6
     return {

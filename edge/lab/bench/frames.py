@@ -98,12 +98,8 @@ def _truth(
 ) -> GroundTruthBoxes:
     """Return the box around the visible part of each object in the rig's last image.
 
-    Args:
-        rig: the camera; an object's id in `rig.ids` is its index + 1.
-        world: its objects.
-        labels: all labels, to which `GroundTruthBoxes.label` refers.
-        T_camera_map: (4, 4) transform to the camera's optical frame.
-        min_side_px: objects with a shorter side do not count.
+    An object's id in `rig.ids` is its index + 1, and `GroundTruthBoxes.label` an index of `labels`.
+    Objects with a side shorter than `min_side_px` do not count.
     """
     n = len(world.objects)
     box, pixels, distance = np.empty((n, 4), np.int32), np.empty(n, np.int32), np.empty(n, "f4")

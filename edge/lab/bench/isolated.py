@@ -22,9 +22,7 @@ from edge.text import one_line
 def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
     """Run in the child process: measure one job and write the result.
 
-    Args:
-        argv: paths of the job file and of the result file, both pickles.
-        measure: function that maps the job to its result.
+    The arguments are the paths of the job file and of the result file, both pickles.
 
     Returns:
         The exit status: 0, or 1 with one line on stdout that says why.
@@ -43,13 +41,10 @@ def main(argv: list[str], measure: Callable[[Any], Any]) -> int:
 
 
 def run_isolated(module: str, job: object, limit_s: float, origin: str = "") -> Any:
-    """Run a measurement in its own process.
+    """Run a measurement in its own process, for at most `limit_s`.
 
-    Args:
-        module: module to run; it must call `main`.
-        job: argument of its `measure` function; must be picklable.
-        limit_s: the process is killed after this time.
-        origin: origin of the limit, for the error message.
+    The module must call `main`; the job is the argument of its `measure`, and must be picklable. An
+    error message names the limit's `origin`.
 
     Returns:
         The result, or one line of text (str) that says why there is none.

@@ -81,13 +81,8 @@ def run_bench(
 ) -> dict[str, object]:
     """Run the service on a recording, for `seconds` from the first observation on.
 
-    Args:
-        config: configuration of the service.
-        recording: file to play.
-        seconds: length of the measurement.
-        stop: ends the run when set.
-        started_s: time that the interpreter took to start; counted as part of getting ready.
-        swap: model to swap to at half time, if any.
+    `started_s`, the time that the interpreter took to start, is part of getting ready. `swap` is a
+    model to swap to at half time.
 
     Returns:
         `table` (text), `latency` (the report as a dict), `counters`, and `verdicts`: name → (value,
@@ -181,14 +176,8 @@ def _stopwatch(
     """Return a function to call after every tick, which ends the measurement in time.
 
     It sets `stop` when `seconds` have passed since the first observation, when the recording is
-    over, or when the recording takes too long to start.
-
-    Args:
-        counters: the source's counters.
-        is_over: returns True if no more messages will come; its argument is True after the first
-            observation.
-        seconds: length of the measurement.
-        stop: event to set.
+    over, or when the recording takes too long to start. `is_over` returns True if no more messages
+    will come; its argument is True after the first observation.
     """
     end_s, seen = time.monotonic() + _PLAYER_S, False
 

@@ -80,8 +80,7 @@ def runs_on(card: DetectCard | DirectionsCard, provider: str) -> bool:
 def providers_here(asked: str | None) -> list[str]:
     """Return the names of `PROVIDERS` to use on this machine.
 
-    Args:
-        asked: comma-separated names; None for all that this machine has.
+    These are all that it has, or those asked for, with commas between.
 
     Raises:
         UserError: no package of `RUNTIMES` is installed, or none has a provider asked for.

@@ -57,12 +57,9 @@ _NOT_HASHED = {"path": True, "zenoh": True, "sim": {"world", "start", "lockstep"
 
 
 def make_arms(config: Config, settings_by_name: Mapping[str, Data]) -> list[ExperimentArm]:
-    """Check and build the arms.
+    """Check and build the arms of these settings, by name; without any, `config` is the only arm.
 
-    Args:
-        config: the configuration to change.
-        settings_by_name: the settings of each arm, by its name. The key `config` in an arm names
-            another configuration to change. Empty: the only arm is `config` itself.
+    The key `config` in an arm's settings names another configuration to change.
 
     Raises:
         ConfigError: an arm's settings do not give a valid configuration.

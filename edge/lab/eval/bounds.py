@@ -29,7 +29,30 @@ OUTSIDE_FACTOR = 1e-6
 """Factor on scores outside the target's rooms. They are then below all scores inside."""
 
 
-class KnownPlace:
+class _KnownTarget:
+    """A policy that knows, by target, the distance left to drive from each cell of the plan."""
+
+    def __init__(self, world: World, robot_radius_m: float) -> None:
+        self._world, self._radius_m = world, robot_radius_m
+        self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
+
+    def _left_at(self, context: PolicyInput) -> np.ndarray:
+        """Return the distance that is left from each candidate, (n,) float64."""
+        target = context.target
+        if target not in self._left_m:
+            goal = self._goal_cells(target)
+            self._left_m[target] = cost_to_goal_m(self._world, goal, self._radius_m)
+        return _values_at(self._world, self._left_m[target], context.candidates)
+
+    def _goal_cells(self, target: str) -> np.ndarray | None:
+        """Return (rows, columns) bool: True where the distance is 0; None: nowhere."""
+        raise NotImplementedError
+
+    def reset(self, why: Why) -> None:
+        """Do nothing: the policy has no state."""
+
+
+class KnownPlace(_KnownTarget):
     """Policy that drives the shortest path to the nearest target, as if its place were known.
 
     The cost of a frontier is the path to it, by the map, plus the path from there to the target, by
@@ -37,27 +60,14 @@ class KnownPlace:
     stop decision.
     """
 
-    def __init__(self, world: World, robot_radius_m: float) -> None:
-        self._world, self._radius_m = world, robot_radius_m
-        self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
-
     def score(self, context: PolicyInput) -> np.ndarray:
-        candidates, target = context.candidates, context.target
-        if target not in self._left_m:
-            self._left_m[target] = self._distance_field_m(target)
-        total_m = _path_m(candidates) + _values_at(self._world, self._left_m[target], candidates)
+        candidates = context.candidates
+        total_m = _path_m(candidates) + self._left_at(context)
         total_m[candidates.kind[: candidates.n] == SPIN] = 0.0  # a spin adds no path
         return _score_instances(self._world, context, 1.0 / (1.0 + total_m))
 
-    def reset(self, why: Why) -> None:
-        """Do nothing: the policy has no state."""
-
-    def _distance_field_m(self, target: str) -> np.ndarray:
-        """Return the distance to the nearest place that is near a target and in its room.
-
-        Returns:
-            (rows, columns) float64 on the plan's raster.
-        """
+    def _goal_cells(self, target: str) -> np.ndarray | None:
+        """Return the cells that are near a target and in its room."""
         plan, near = self._world.plan, None
         for item in objects_meant_by(self._world, target):
             close = geodesic.near(plan, [item], self._radius_m, REACHED_M)
@@ -65,10 +75,10 @@ class KnownPlace:
             if room is not None:
                 close &= inside(self._world, [room])
             near = close if near is None else near | close
-        return cost_to_goal_m(self._world, near, self._radius_m)
+        return near
 
 
-class KnownRoom:
+class KnownRoom(_KnownTarget):
     """Policy that drives to a room with a target and searches there as `search` does.
 
     Raises:
@@ -81,15 +91,11 @@ class KnownRoom:
                 f"{world.name}: the rooms of this world are not known, but KnownRoom needs them; "
                 "use ProcTHOR houses"
             )
-        self._world, self._radius_m = world, robot_radius_m
+        super().__init__(world, robot_radius_m)
         self._search = SearchPolicy(PolicySearch())
-        self._left_m: dict[str, np.ndarray] = {}  # distance fields by target
 
     def score(self, context: PolicyInput) -> np.ndarray:
-        candidates, target = context.candidates, context.target
-        if target not in self._left_m:
-            self._left_m[target] = self._distance_field_m(target)
-        left_m = _values_at(self._world, self._left_m[target], candidates)
+        candidates, left_m = context.candidates, self._left_at(context)
         outside_score = OUTSIDE_FACTOR / (1.0 + _path_m(candidates) + left_m)
         kind = candidates.kind[: candidates.n]
         outside_score[kind == SPIN] = OUTSIDE_FACTOR  # a spin adds no path
@@ -98,35 +104,20 @@ class KnownRoom:
         )
         return _score_instances(self._world, context, score)
 
-    def reset(self, why: Why) -> None:
-        """Do nothing: the policy has no state."""
-
-    def _distance_field_m(self, target: str) -> np.ndarray:
-        """Return the distance to the nearest room with a target.
-
-        Returns:
-            (rows, columns) float64 in metres on the plan's raster.
-        """
+    def _goal_cells(self, target: str) -> np.ndarray:
+        """Return the free cells of the rooms with a target."""
         targets = objects_meant_by(self._world, target)
         rooms = {room_of(self._world, item) for item in targets}
         target_rooms = sorted(room for room in rooms if room is not None)
-        free = self._world.plan.clearance_m > self._radius_m
-        return cost_to_goal_m(self._world, inside(self._world, target_rooms) & free, self._radius_m)
+        return inside(self._world, target_rooms) & (self._world.plan.clearance_m > self._radius_m)
 
 
 def cost_to_goal_m(world: World, goal: np.ndarray | None, robot_radius_m: float) -> np.ndarray:
-    """Return the driving distance from every cell to the nearest goal cell.
+    """Return the driving distance [m] from every cell to the nearest goal cell.
 
-    A cell where the robot does not fit, such as one next to a wall, gets the distance of the
-    nearest cell where it does.
-
-    Args:
-        world: its floor plan is used.
-        goal: (rows, columns) bool; None: there is no goal.
-        robot_radius_m: radius of the robot's footprint.
-
-    Returns:
-        (rows, columns) float64 in metres; `FAR_M` everywhere if no path leads to a goal.
+    `goal` is (rows, columns) bool; None: there is no goal. Without a path to a goal, the distance
+    is `FAR_M`. A cell where the robot does not fit, such as one next to a wall, gets the distance
+    of the nearest cell where it does.
     """
     ends = np.zeros(world.plan.grid.cells.shape, bool) if goal is None else goal
     distance_m = geodesic.distance_to(world.plan, ends, robot_radius_m)

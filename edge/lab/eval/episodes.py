@@ -171,16 +171,10 @@ def plan(
 ) -> list[Episode]:
     """Plan episodes: seeded starts for targets in worlds.
 
-    Args:
-        config: gives the robot and its sensors.
-        worlds: sections `sim.world`. Empty: the configuration's own world, which must have every
-            target and `starts` starts for each. In several worlds, a missing target is skipped.
-        targets: names of objects.
-        starts: number of starts for each target in each world.
-        seed: of the random starts.
-        min_distance_m: shortest allowed path from a start to its target.
-        per_world: at most this number of episodes in a world, drawn at random.
-        min_size_m: in several worlds, a name all of whose objects are smaller is no target.
+    `worlds` are sections `sim.world`. If there are none, the configuration's own world must have
+    every target and `starts` starts for each. In several worlds, a target is skipped if it is
+    missing, or if all its objects are smaller than `min_size_m`; at most `per_world` episodes of
+    each are kept, drawn at random. `min_distance_m` is the shortest allowed path from a start.
 
     Raises:
         UserError: a world cannot be loaded, or no episode is possible.
@@ -209,15 +203,10 @@ def plan_missions(
     seed: int,
     min_distance_m: float,
 ) -> list[Episode]:
-    """Plan seeded missions with several targets, each from its own start (ViTL V-D).
+    """Plan at most `count` seeded missions with several targets in each world (ViTL V-D).
 
-    Args:
-        config: gives the robot and its sensors.
-        worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names that missions may use, if the robot can get to such an object.
-        count: at most this number of missions in a world.
-        seed: of the random missions and starts.
-        min_distance_m: shortest allowed path of a mission.
+    Each has its own start, and a path of at least `min_distance_m`. It uses those of `targets` that
+    the robot can get to. Without `worlds` (sections `sim.world`), it is the configuration's own.
 
     Raises:
         UserError: a world cannot be loaded, or no mission is possible.

@@ -18,11 +18,8 @@ _compiled = lru_cache(maxsize=8192)(compile_formula)
 def distinguishing_trace(a: Formula, b: Formula, silent_end: bool = False) -> Trace | None:
     """Return a shortest trace that only one of the formulas accepts; None if they are equivalent.
 
-    Args:
-        a: a formula.
-        b: the other formula.
-        silent_end: compare the traces as if nothing more were ever reached after them. A formula
-            for infinite traces applies to a mission, which ends, in this way.
+    With `silent_end`, traces are compared as if nothing more were ever reached after them. A
+    formula for infinite traces applies to a mission, which ends, in this way.
 
     Raises:
         CompileError: an automaton grows beyond the compiler's limits.

@@ -185,13 +185,9 @@ def _seconds(case: dict[str, Any]) -> float:
 def _same_mission(case: dict[str, Any], got: Formula, patrol_s: float | None) -> bool:
     """Return True if formula and time agree; times are no part of the expected propositions.
 
-    A sequence counts, too, if it also forbids each stop before the one that comes first, as
-    "before you go to b, visit a" does.
-
-    Args:
-        case: the line of the file.
-        got: the formula, of one round of a patrol.
-        patrol_s: time of a patrol; 0.0 for none, None if it has no end.
+    A sequence counts, too, if it also forbids each stop before the one that comes first, as "before
+    you go to b, visit a" does. `got` is the formula of one round of a patrol, and `patrol_s` its
+    time: 0.0 for no patrol, None for one without an end.
     """
     expected = parse(case["formula"])
     # The times within the names of propositions, such as "wait for 5 minutes".

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edge.jit import jit
-from edge.lab.sim.base import FloorPlan, WorldObject
+from edge.lab.sim.base import FloorPlan, WorldObject, box_distances_m
 
 
 def distance_field(
@@ -62,11 +62,7 @@ def _is_near(item: WorldObject, xy_m: np.ndarray, within_m: float) -> np.ndarray
     """Return (n,) bool for (n, 2) places: True within `within_m` of the object's footprint."""
     if item.footprint_m is not None:
         return any_within(xy_m, item.footprint_m, within_m)
-    dx, dy = (xy_m - np.array(item.center_m[:2])).T
-    c, s = math.cos(item.yaw_rad), math.sin(item.yaw_rad)
-    along = np.maximum(np.abs(c * dx + s * dy) - 0.5 * item.size_m[0], 0.0)
-    across = np.maximum(np.abs(c * dy - s * dx) - 0.5 * item.size_m[1], 0.0)
-    return np.hypot(along, across) <= within_m
+    return box_distances_m(xy_m, item.center_m, item.size_m, item.yaw_rad) <= within_m
 
 
 def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> float:
@@ -77,12 +73,9 @@ def value_at(plan: FloorPlan, field: np.ndarray, x_m: float, y_m: float) -> floa
 
 @jit
 def any_within(xy_m, points_m, within_m):
-    """Return True for each place that has any of the points within `within_m`, (n,) bool.
+    """Return (n,) bool: True for each place that has any of the points within `within_m`.
 
-    Args:
-        xy_m: (n, 2) float64 places.
-        points_m: (k, 2) float32.
-        within_m: the distance.
+    The places `xy_m` are (n, 2) float64, and the points (k, 2) float32.
     """
     near = np.zeros(len(xy_m), np.bool_)
     for i in range(len(xy_m)):
@@ -98,9 +91,7 @@ def any_within(xy_m, points_m, within_m):
 def relax(free, distance):
     """Relax every free cell from its neighbours, in both directions. Return True if any changed.
 
-    Args:
-        free: (rows, columns) bool.
-        distance: (rows, columns) float64 in cells, changed in place.
+    `free` is (rows, columns) bool; `distance`, float64 in cells, is changed in place.
     """
     rows, cols = free.shape
     changed = False

@@ -27,12 +27,8 @@ _STOPS = 40  # number of random poses to drive to
 def house_drive(config: Config, seconds: float) -> Iterator[tuple[Topic, int, bytes]]:
     """Yield the messages of a robot that drives from room to room, in order of time.
 
-    Args:
-        config: its sensors and robot are used; the world is the built-in house.
-        seconds: simulated length.
-
-    Yields:
-        (topic, stamp in ns, CDR or JSON payload) of the camera and the odometry, each at its rate.
+    They are (topic, stamp in ns, CDR or JSON payload) of the camera and the odometry, each at its
+    rate. The world is the built-in house; the sensors and the robot are those of `config`.
     """
     sim = config.sim.model_copy(update={"world": WorldHouse(), "start": None})
     config = config.model_copy(update={"sim": sim})

@@ -14,6 +14,7 @@ from scipy.special import ndtr, stdtrit
 
 Z = 1.959963984540054  # quantile of the normal distribution for 95 %
 RESAMPLES = 10_000  # of the bootstrap
+MIN_WORLDS = 10  # that are resampled
 _CHUNK = 500  # resamples at a time, which limits the memory of their weights
 
 
@@ -39,21 +40,17 @@ def wilson(successes: int, n: int) -> Interval:
     return Interval(successes / n, float(bounds.low), float(bounds.high))
 
 
-def clusters(worlds: np.ndarray, at_least: int = 10) -> tuple[np.ndarray, bool]:
-    """Return the clusters of episodes that the bootstrap resamples.
+def clusters(worlds: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return the clusters of episodes that the bootstrap resamples, by the world of each episode.
 
     They are the worlds, as the episodes of one world are not independent. With fewer than
-    `at_least` worlds, episodes are resampled. Such intervals do not generalise to other worlds.
-
-    Args:
-        worlds: (n,) str, the world of each episode.
-        at_least: fewest worlds to resample.
+    `MIN_WORLDS`, episodes are resampled. Such intervals do not generalise to other worlds.
 
     Returns:
         (n,) int, the cluster of each episode; and True if the clusters are worlds.
     """
     names, index = np.unique(worlds, return_inverse=True)
-    if len(names) >= at_least:
+    if len(names) >= MIN_WORLDS:
         return index.ravel(), True
     return np.arange(len(worlds)), False
 
@@ -70,10 +67,8 @@ def intervals_note(worlds: np.ndarray, noun: str = "world") -> str:
 def ratio(numerators: np.ndarray, denominators: np.ndarray) -> Interval:
     """Return a ratio of sums over independent pairs, with its interval by the delta method.
 
-    Args:
-        numerators: (n,), one value per task.
-        denominators: (n,), of the same tasks. Pairing matters: the effect of a task's difficulty on
-            both cancels out.
+    Both arrays have one value per task, (n,). Pairing matters: the effect of a task's difficulty on
+    both cancels out.
     """
     n = len(numerators)
     if n == 0 or denominators.sum() == 0:
@@ -93,23 +88,17 @@ def bootstrap(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> list[Interval]:
-    """Return ratios of sums over clustered data, with intervals from resampled clusters.
+    """Return k ratios of sums over clustered data, with intervals from resampled clusters.
 
-    For a mean, the numerators are the values and the denominators are 1. For a paired difference,
-    the numerators are the differences. The quantiles are those of the expanded percentile interval
-    (Hesterberg 2015, "What teachers should know about the bootstrap"), which is not too narrow for
-    a few clusters. All rows use the same resamples.
+    Numerators and denominators are (k, n) float64, one row per ratio. An entry outside a row's
+    ratio is 0 in both. `cluster`, (n,) int, is the same number for entries that are not
+    independent. For a mean, the numerators are the values and the denominators are 1. For a paired
+    difference, the numerators are the differences.
 
-    Args:
-        numerators: (k, n) float64, one row per ratio.
-        denominators: (k, n) float64. An entry outside a row's ratio is 0 in both arrays.
-        cluster: (n,) int; entries that are not independent have the same number.
-        resamples: number of resamples.
-        seed: of the resamples.
-
-    Returns:
-        k intervals. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
-        sum to 0.
+    The quantiles are those of the expanded percentile interval (Hesterberg 2015, "What teachers
+    should know about the bootstrap"), which is not too narrow for a few clusters. All rows use the
+    same resamples. The bounds are NaN with fewer than two clusters; all is NaN if the denominators
+    sum to 0.
     """
     k = len(numerators)
     numbers, index = np.unique(cluster, return_inverse=True)

@@ -11,9 +11,7 @@ import numpy as np
 def json_data(value: Any, digits: int | None = None) -> Any:
     """Return data that `json.dumps` takes: named tuples become objects, inf and NaN null.
 
-    Args:
-        value: figures in dicts, lists and tuples.
-        digits: digits after the point to which numbers are rounded; None: all.
+    Numbers are rounded to `digits` after the point; None: not at all.
 
     Example:
         >>> json_data({"rate": (0.12345, float("nan"))}, digits=2)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -11,8 +13,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from edge.errors import FileError, UserError
 from edge.host.files import read_regular
+from edge.lab.eval.json_data import json_data
 from edge.text import one_line, read_json_object
 
+MAX_BYTES = 1 << 30
+"""Largest file of outcomes that is read."""
 T = TypeVar("T")
 Parser = Callable[[dict[str, Any]], T]
 """Makes an item from a JSON object. Raises KeyError, TypeError or ValueError if it cannot."""
@@ -60,16 +65,10 @@ def read_lines(
     line_advice: str = "",
     complete: bool = True,
 ) -> list[T]:
-    """Read the items of a file.
+    """Read the items of a file of at most `max_bytes`.
 
-    Args:
-        path: the file.
-        max_bytes: size limit of the file.
-        parse: the parser of a line.
-        what: name of an item with its article, for messages.
-        advice: advice to the user, for messages.
-        line_advice: advice if a line is not an item; "" for `advice`.
-        complete: False: ignore a last line without its end.
+    `what` is the name of an item with its article, for messages; `line_advice` replaces `advice` if
+    a line is not an item. If not `complete`, a last line without its end is ignored.
 
     Raises:
         FileError: the file cannot be read.
@@ -89,23 +88,31 @@ def to_line(data: dict[str, Any]) -> bytes:
 
 
 class JsonLinesFile(Generic[T]):
-    """JSON lines file: reads the lines that are there, then appends.
+    """JSON lines file of dataclass items: reads those that are there, then appends.
 
-    A last line without its end is removed.
+    A last line without its end is removed. With `digits`, numbers are rounded to that many digits
+    after the point, and those that are not finite become null. Without, these are refused.
 
     Attributes:
-        found: the items that were there at first.
+        known: all items by their key, of several with one key the last.
 
     Raises:
         FileError: the file cannot be read or written.
         UserError: the file has other content.
     """
 
-    def __init__(self, path: Path, parse: Parser[T], what: str, max_bytes: int) -> None:
-        self.path = path
+    def __init__(
+        self,
+        path: Path,
+        kind: type[T],
+        what: str,
+        key: Callable[[T], Any] = attrgetter("key"),
+        digits: int | None = None,
+    ) -> None:
+        self._path, self._key, self._digits = path, key, digits
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            content = read_regular(path, max_bytes) if path.exists() else b""
+            content = read_regular(path, MAX_BYTES) if path.exists() else b""
             complete = content[: content.rfind(b"\n") + 1]
             if len(complete) < len(content):  # a run was interrupted during a write
                 path.write_bytes(complete)
@@ -114,16 +121,21 @@ class JsonLinesFile(Generic[T]):
                 f"{path}: cannot be used: {error.strerror or error}; choose another --out"
             ) from None
         what = f"{what} of this version of edge"
-        self.found = parse_lines(path, complete, parse, what, "choose another --out")
+        found = parse_lines(path, complete, parser_of(kind), what, "choose another --out")
+        self.known = {key(item): item for item in found}
 
-    def append(self, line: bytes) -> None:
-        """Append a line, which must end with a newline.
+    def append(self, item: T) -> None:
+        """Append an item.
 
         Raises:
             FileError: the disk is full, or the folder is gone.
+            ValueError: a number is not finite.
         """
+        data = asdict(item)  # type: ignore[call-overload]
+        line = to_line(data if self._digits is None else json_data(data, self._digits))
         try:
-            with self.path.open("ab", buffering=0) as file:
+            with self._path.open("ab", buffering=0) as file:
                 file.write(line)
         except OSError as error:
-            raise FileError(f"{self.path}: cannot be written: {error.strerror or error}") from None
+            raise FileError(f"{self._path}: cannot be written: {error.strerror or error}") from None
+        self.known[self._key(item)] = item

@@ -118,10 +118,7 @@ def frames_in(folder: Path, labelled: bool = True) -> list[int]:
 def read_frame(folder: Path, number: int, labelled: bool = True) -> KittiFrame:
     """Read a frame with its camera, scan, labels and pose.
 
-    Args:
-        folder: of the sequence.
-        number: of the frame.
-        labelled: False: the labels are not read and may be missing.
+    Without `labelled`, the labels are not read and may be missing.
 
     Raises:
         KittiError: a file is missing or invalid.
@@ -306,12 +303,8 @@ def kitti_scene(
 ) -> Scene:
     """Build the scene of some frames of a sequence, at the time of the last.
 
-    Args:
-        folder: of the sequence.
-        numbers: of the frames.
-        pipeline: finds the objects; None: take them from the labels (`label_pipeline`).
-        by_labels: True: regions by the labels' kinds of ground; False: regions that are flat and
-            connected.
+    The objects come from `pipeline`; without one, from the labels (`label_pipeline`). The regions
+    are the labels' kinds of ground, or, if not `by_labels`, ground that is flat and connected.
 
     Raises:
         KittiError: see `read_frame`; or `numbers` is empty.

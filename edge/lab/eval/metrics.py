@@ -24,17 +24,11 @@ def episode_spl(success: np.ndarray, shortest_m: np.ndarray, path_m: np.ndarray)
 def episode_soft_spl(
     success: np.ndarray, shortest_m: np.ndarray, path_m: np.ndarray, left_m: np.ndarray
 ) -> np.ndarray:
-    """Return soft SPL (Datta et al. 2020): progress to the goal in place of success.
+    """Return soft SPL (Datta et al. 2020), in [0, 1]: progress to the goal in place of success.
 
-    Args:
-        success: bool, or 0 and 1.
-        shortest_m: geodesic distance from each start to the nearest place of success.
-        path_m: length of the driven path.
-        left_m: geodesic distance from the robot's end to the nearest place of success; taken as 0
-            for a success.
-
-    Returns:
-        Array of their common shape, in [0, 1]; NaN if `left_m` is NaN, except for a success.
+    `shortest_m` and `left_m` are geodesic distances to the nearest place of success, from the start
+    and from the robot's end. The latter is taken as 0 for a success. The result is NaN if it is
+    NaN.
     """
     left_m = np.where(np.asarray(success, bool), 0.0, np.asarray(left_m, np.float64))
     share = _share(left_m, shortest_m, 0.0)

@@ -108,13 +108,8 @@ def cost_to_go_cells(
 ) -> np.ndarray:
     """Return Dijkstra's distances over places and states, from the automaton's initial state.
 
-    Args:
-        automaton: of the mission.
-        near: by proposition, (rows, columns) bool: True where its step can be taken.
-        free: (rows, columns) bool: True where the robot can drive, 8-connected.
-
-    Returns:
-        (rows, columns) float64 in cells; inf if there is no path.
+    `near` has, by proposition, (rows, columns) bool: True where its step can be taken. `free` is
+    True where the robot can drive, 8-connected. Distances are in cells, inf without a path.
     """
     # By state: the distance that is left, and the edges into the state (state before, proposition).
     left = {s: np.full(free.shape, np.inf) for s in range(automaton.n_states)}

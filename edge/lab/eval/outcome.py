@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from edge.lab.eval.arms import ExperimentArm
 from edge.lab.eval.episodes import Episode, Length
-from edge.lab.eval.json_data import json_data
-from edge.lab.eval.json_lines_file import JsonLinesFile, parser_of, read_lines, to_line
+from edge.lab.eval.json_lines_file import MAX_BYTES, JsonLinesFile, parser_of, read_lines
 from edge.text import one_line
 
 OUTCOMES_NAME = "outcomes.jsonl"
-MAX_BYTES = 1 << 30
-"""Largest file of outcomes that is read."""
 TIMINGS = ("wall_s", "tick_ms", "score_ms")
 """Fields that depend on the computer and differ from run to run."""
 
@@ -139,9 +136,6 @@ def crashed_outcome(
     )  # fmt: skip
 
 
-_parse = parser_of(EpisodeOutcome)
-
-
 def read_outcomes(path: Path) -> list[EpisodeOutcome]:
     """Read the outcomes of a file, without a last line that was not written to its end.
 
@@ -151,27 +145,13 @@ def read_outcomes(path: Path) -> list[EpisodeOutcome]:
     """
     advice = "`edge eval episodes --out DIR` writes this file"
     return read_lines(
-        path, MAX_BYTES, _parse, "an outcome", advice, "remove the line", complete=False
-    )
+        path, MAX_BYTES, parser_of(EpisodeOutcome), "an outcome", advice, "remove the line",
+        complete=False,
+    )  # fmt: skip
 
 
-class OutcomeFile:
-    """`outcomes.jsonl` of a folder: reads what is there, then appends complete lines.
-
-    Raises:
-        FileError: the file cannot be read or written.
-        UserError: the file has other content.
-    """
+class OutcomeFile(JsonLinesFile[EpisodeOutcome]):
+    """`outcomes.jsonl` of a folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._file = JsonLinesFile(folder / OUTCOMES_NAME, _parse, "an outcome", MAX_BYTES)
-        self.known = {outcome.key: outcome for outcome in self._file.found}
-
-    def append(self, outcome: EpisodeOutcome) -> None:
-        """Append an outcome; numbers that are not finite become null.
-
-        Raises:
-            FileError: the disk is full, or the folder is gone.
-        """
-        self._file.append(to_line(json_data(asdict(outcome), digits=4)))
-        self.known[outcome.key] = outcome
+        super().__init__(folder / OUTCOMES_NAME, EpisodeOutcome, "an outcome", digits=4)

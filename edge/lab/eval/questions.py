@@ -30,11 +30,8 @@ def plan_questions(
 ) -> list[Episode]:
     """Plan an episode for each world: explore it, then ask for each target that is there.
 
-    Args:
-        config: gives the robot and its sensors.
-        worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names to ask for, if the robot can get to such an object.
-        seed: of the starts.
+    Targets that the robot cannot get to are not asked for. Without `worlds` (sections `sim.world`),
+    it is the configuration's own.
 
     Raises:
         UserError: no world has any of the targets.

@@ -30,13 +30,7 @@ class RecallCounter:
     def update(
         self, detections: Detections, boxes: np.ndarray, masks: Mapping[str, np.ndarray]
     ) -> None:
-        """Add one image.
-
-        Args:
-            detections: of the image.
-            boxes: (n, 5), of the image, see `visible_boxes`.
-            masks: by target, see `edge.lab.eval.ground_truth.object_mask`.
-        """
+        """Add one image, with its `visible_boxes`, and an `object_mask` by target."""
         found = detections.above(self._tau_det)
         labels = [detections.prompts[k] for k in found.class_id.tolist()]
         for target, mask in masks.items():
@@ -52,11 +46,8 @@ class RecallCounter:
 def visible_boxes(ids: np.ndarray, depth_m: np.ndarray, range_m: float, n: int) -> np.ndarray:
     """Return the box around what an image shows of each object, and its number of pixels.
 
-    Args:
-        ids: (h, w) uint16 object ids; those from n on are ignored.
-        depth_m: (h, w) float32, NaN = no return.
-        range_m: farther pixels are ignored.
-        n: number of object ids, with 0 for none.
+    `ids` is (h, w) uint16, of which 0 and those from n on are ignored. So are pixels farther away
+    than `range_m`, or without a depth; `depth_m` is (h, w) float32.
 
     Returns:
         (n, 5) int64 by id: x0, y0, x1, y1 (one beyond the last pixel), and the count.

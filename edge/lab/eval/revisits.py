@@ -40,15 +40,10 @@ class RevisitCounter:
         self, leg: Hashable, target: str, known_xy_m: np.ndarray, x_m: float, y_m: float,
         yaw_rad: float,
     ) -> None:  # fmt: skip
-        """Add one instant.
+        """Add one instant: the pose of the camera.
 
-        Args:
-            leg: differs in every leg, such as `MissionRun.retargets`.
-            target: of the leg.
-            known_xy_m: (n, 2) places of the target by the robot's map.
-            x_m: x of the robot.
-            y_m: y of the robot.
-            yaw_rad: viewing direction of the camera.
+        `leg` differs in every leg, such as `MissionRun.retargets`. `known_xy_m` are the (n, 2)
+        places of its target by the robot's map.
         """
         if leg != self._leg:
             self._leg, self._is_place_known = leg, False
@@ -101,19 +96,11 @@ class SeenFloor:
 
 @jit
 def mark_view(blocked, seen, x, y, yaw_rad, half_rad, reach):
-    """Mark the cells in view, and count the new ones and those seen before but not since.
+    """Mark the cells in view. Return how many are new, and how many were seen before but not since.
 
-    Args:
-        blocked: (h, w) bool; a blocked cell stops a ray and is not floor.
-        seen: (h, w) uint8, changed in place.
-        x: of the camera, in cells.
-        y: of the camera, in cells.
-        yaw_rad: viewing direction.
-        half_rad: half the field of view.
-        reach: range in cells.
-
-    Returns:
-        The number of new cells, and of those seen before but not since.
+    `blocked` is (h, w) bool: such a cell stops a ray and is not floor. `seen`, (h, w) uint8, is
+    changed in place. The camera's place and `reach`, its range, are in cells. `half_rad` is half
+    the field of view.
     """
     h, w = blocked.shape
     rays = int(2 * half_rad * reach) + 2  # at most a cell apart at the end of the range

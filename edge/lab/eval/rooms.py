@@ -40,19 +40,16 @@ class RoomVerdict:
         also: kinds of all true rooms with at least `_PART_SHARE` of the mapped floor.
         kinds: kinds that the robot reports; empty if none is certain.
         best: kind that the robot finds most likely, certain or not.
-        chance: probability of `best`.
         typical: number of kinds of objects seen in the mapped room that are typical of the true
             kind, such as a bed of a bedroom.
     """
 
-    world: str
     id: int
     truth: str
     share: float
     also: frozenset[str]
     kinds: tuple[str, ...]
     best: str
-    chance: float
     typical: int
 
 
@@ -88,17 +85,14 @@ def judge_rooms(world: World, memory: RoomMemory) -> list[RoomVerdict]:
         parts = np.flatnonzero(counts >= _PART_SHARE * len(cells)).tolist()
         also = frozenset(world.room_kinds[index] for index in parts)
         share = float(counts[largest] / len(cells))
-        verdicts.append(_verdict(world, room, world.room_kinds[largest], share, also))
+        verdicts.append(_verdict(room, world.room_kinds[largest], share, also))
     return verdicts
 
 
-def _verdict(
-    world: World, room: MappedRoom, truth: str, share: float, also: frozenset
-) -> RoomVerdict:
+def _verdict(room: MappedRoom, truth: str, share: float, also: frozenset) -> RoomVerdict:
     best = max(room.chance, key=lambda kind: room.chance[kind])
     typical = len(typical_classes(truth) & set(room.classes))
-    chance = room.chance[best]
-    return RoomVerdict(world.name, room.id, truth, share, also, room.kinds, best, chance, typical)
+    return RoomVerdict(room.id, truth, share, also, room.kinds, best, typical)
 
 
 def _loop(config: Config, world: World, instruction: str, sim: Data) -> ClosedLoop:

@@ -48,19 +48,12 @@ def run_all(
     on_outcome: OnOutcome = lambda number, total, outcome: None,
     stop: threading.Event | None = None,
 ) -> list[EpisodeOutcome]:
-    """Run every arm on every episode. Outcomes go to `out` as they come.
+    """Run every arm on every episode. Outcomes go to the folder `out` as they come.
 
-    Args:
-        arms: the arms.
-        episodes: the episodes.
-        out: a folder. Its outcomes are reused, except those of crashed episodes and of other
-            configurations. None: no file is written.
-        workers: number of processes that run episodes; 1: only this one.
-        processes: True: run over Zenoh, and start a simulator and a controller process for each
-            episode.
-        pages: folder for a report of each episode.
-        on_outcome: called with each new outcome.
-        stop: ends the run early.
+    Outcomes that are there are used again, except those of crashed episodes and of other
+    configurations. `workers` is the number of processes that run episodes; 1: only this one. With
+    `processes`, each episode runs over Zenoh, with a simulator and a controller process. `pages` is
+    a folder for a report of each episode. `stop` ends the run early.
 
     Returns:
         Outcomes in the order of episodes and arms; fewer if the run was stopped early.

@@ -56,17 +56,12 @@ def plan_sessions(
     min_distance_m: float,
     moved: float = 0.0,
 ) -> list[Episode]:
-    """Plan one session for each world. A world with too few goals is skipped with a warning.
+    """Plan one session of `count` goals for each world.
 
-    Args:
-        config: gives the robot and its sensors.
-        worlds: sections `sim.world`; empty: the configuration's own world.
-        targets: names of objects and kinds of rooms that goals may have.
-        count: number of goals of a session.
-        seed: of the goals and starts.
-        min_distance_m: shortest allowed path to a goal, from the start or from any place that
-            counts as at the last goal.
-        moved: share of the movable objects that are moved before each goal but the first.
+    A world with too few goals is skipped with a warning. `targets` are objects and kinds of rooms.
+    `min_distance_m` is the shortest allowed path to a goal, from the start or from any place that
+    counts as at the last goal. `moved` is the share of the movable objects that are moved before
+    each goal but the first. Without `worlds` (sections `sim.world`), it is the configuration's own.
 
     Raises:
         UserError: a world cannot be loaded, or no session is possible.

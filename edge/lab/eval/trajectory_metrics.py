@@ -16,6 +16,8 @@ from edge.trajectory.smoothing import resample
 
 SPACING_M = 0.5
 """NDTW compares points at this distance, however densely a trajectory was sampled."""
+FRECHET_M = 0.02
+"""The Fréchet distance compares points at this distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +44,9 @@ def trajectory_scores(
 ) -> TrajectoryScores:
     """Return all of OpenNav's scores of one trajectory (tables I and II).
 
-    Args:
-        path_m: (n, 2) float64 in `map`, n >= 1. If the trajectory was refused: the robot's place.
-        reference_m: (m, 2) float64 in `map`, m >= 1.
-        occupancy: int8 cells, 100 for occupied.
-        clearance_m: distance that counts as a collision; the robot's radius.
+    Both trajectories are (n, 2) float64 in `map`, n >= 1; a refused one is the robot's place. The
+    occupancy has int8 cells, 100 for occupied. An obstacle within `clearance_m`, the robot's
+    radius, is a collision.
     """
     error_m = navigation_error_m(path_m, reference_m)
     return TrajectoryScores(
@@ -65,40 +65,19 @@ def navigation_error_m(path_m: np.ndarray, reference_m: np.ndarray) -> float:
 
 
 def frechet_m(a_m: np.ndarray, b_m: np.ndarray) -> float:
-    """Return the Fréchet distance of two polylines (Alt & Godau 1995, section 3.1), within 0.1 mm.
+    """Return the Fréchet distance of two polylines (n, 2), n >= 1.
 
     It is the shortest leash with which a dog and its owner can walk along the two without going
-    back. Bisection finds it between the distance of the ends, a lower bound, and the discrete
-    Fréchet distance (Eiter & Mannila 1994), an upper bound.
-
-    Args:
-        a_m: (n, 2) float64, n >= 1.
-        b_m: (m, 2) float64, m >= 1.
+    back. They stop at points `FRECHET_M` apart, which makes it longer by less than that.
     """
-    a, b = _points(a_m), _points(b_m)
-    low, high = max(math.dist(a[0], b[0]), math.dist(a[-1], b[-1])), _discrete_frechet_m(a, b)
-    if low >= high or _is_long_enough(a, b, low):
-        return low
-    while high - low > 1e-4:
-        middle = 0.5 * (low + high)
-        if _is_long_enough(a, b, middle):
-            high = middle
-        else:
-            low = middle
-    return high
+    return _discrete_frechet_m(*(resample(_points(path_m), FRECHET_M) for path_m in (a_m, b_m)))
 
 
 def ndtw(path_m: np.ndarray, reference_m: np.ndarray) -> float:
     """Return the normalised dynamic time warping (Ilharco et al. 2019): exp(-DTW / (|R| d_th)).
 
+    It is in (0, 1], and 1 for the same trajectory. Both are compared at points `SPACING_M` apart.
     d_th, the distance at which a robot has reached a place, is `REACHED_M`.
-
-    Args:
-        path_m: (n, 2) float64, n >= 1; compared at points `SPACING_M` apart.
-        reference_m: (m, 2) float64, m >= 1; likewise.
-
-    Returns:
-        A number in (0, 1]; 1 for the same trajectory.
 
     Example:
         >>> path = np.array([(0.0, 0.0), (1.0, 0.0)])
@@ -137,13 +116,7 @@ def contacts(path_m: np.ndarray, occupancy: Grid, clearance_m: float = 0.0) -> i
 
 
 def point_contacts(path_m: np.ndarray, solid_m: np.ndarray, clearance_m: float) -> int:
-    """Count the stretches of a path within `clearance_m` of any obstacle point.
-
-    Args:
-        path_m: (n, 2) float64.
-        solid_m: (m, 2) float64, the obstacle points.
-        clearance_m: the distance.
-    """
+    """Count the stretches of a path within `clearance_m` of any of the obstacle points (m, 2)."""
     points = resample(_points(path_m), 0.05)  # 5 cm apart
     away_m, _ = cKDTree(solid_m.reshape(-1, 2)).query(points)
     touches = np.append(False, away_m < clearance_m)
@@ -212,79 +185,3 @@ def _warping_cost_m(reference, path):
             diagonal = row[j + 1]
             row[j + 1] = d + least
     return row[-1]
-
-
-@jit
-def _free(x, y, ax, ay, bx, by, leash):
-    """Return the part (from, to) of segment a-b within `leash` of (x, y).
-
-    0 is a and 1 is b. If no part is near enough, from > to.
-    """
-    dx, dy, ox, oy = bx - ax, by - ay, ax - x, ay - y
-    # Solve square t^2 + 2 half t + rest = 0 for the place t along the segment.
-    square, half, rest = dx * dx + dy * dy, dx * ox + dy * oy, ox * ox + oy * oy - leash * leash
-    # Rounding must not exclude a point at exactly the length of the leash.
-    slack = 1e-12 * (1.0 + leash * leash)
-    if square == 0.0:
-        return (0.0, 1.0) if rest <= slack else (1.0, 0.0)
-    discriminant = half * half - square * rest
-    if discriminant < -slack * square:
-        return 1.0, 0.0
-    root = math.sqrt(max(discriminant, 0.0))
-    low, high = max((-half - root) / square, 0.0), min((-half + root) / square, 1.0)
-    # A segment that only touches the circle counts as reached.
-    if low > high and low - high < 1e-9:
-        high = low
-    return low, high
-
-
-@jit
-def _is_long_enough(a, b, leash):
-    """Return True if a leash is long enough for two polylines.
-
-    Cell (i, j) of the free-space diagram holds all pairs of a point on segment i of `a` (its x) and
-    one on segment j of `b` (its y). A pair is free if the leash spans it. The leash is long enough
-    if a path through free pairs leads from the begins to the ends without going back.
-
-    `below[i]` is the reachable part of the lower side of cell (i, j), `left_low` to `left_high`
-    that of its left side; both from 0 to 1, and low > high if it is empty.
-    """
-    n, m = len(a), len(b)
-    if n == 1 or m == 1:
-        far = 0.0
-        for i in range(n):
-            for j in range(m):
-                far = max(far, math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]))
-        return far <= leash
-    for end in (0, -1):
-        if math.hypot(a[end, 0] - b[end, 0], a[end, 1] - b[end, 1]) > leash * (1.0 + 1e-12):
-            return False
-    below = np.empty((n - 1, 2))
-    joined = True  # all of the lower border before cell i is free
-    for i in range(n - 1):
-        low, high = _free(b[0, 0], b[0, 1], a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
-        joined = joined and low <= 0.0 and high >= 0.0
-        below[i, 0], below[i, 1] = (low, high) if joined else (1.0, 0.0)
-        joined = joined and high >= 1.0
-    on_left, left_low, left_high = True, 1.0, 0.0  # on_left: like `joined`, for the left border
-    for j in range(m - 1):
-        bx0, by0, bx1, by1 = b[j, 0], b[j, 1], b[j + 1, 0], b[j + 1, 1]
-        left_low, left_high = _free(a[0, 0], a[0, 1], bx0, by0, bx1, by1, leash)
-        on_left = on_left and left_low <= 0.0 and left_high >= 0.0
-        if not on_left:
-            left_low, left_high = 1.0, 0.0
-        on_left = on_left and left_high >= 1.0
-        for i in range(n - 1):
-            top_low, top_high = _free(bx1, by1, a[i, 0], a[i, 1], a[i + 1, 0], a[i + 1, 1], leash)
-            right_low, right_high = _free(a[i + 1, 0], a[i + 1, 1], bx0, by0, bx1, by1, leash)
-            from_left, from_below = left_low <= left_high, below[i, 0] <= below[i, 1]
-            # Free space in a cell is convex. From the left side, all of the top is reachable. From
-            # below, only the part to the right of the entry is. The right side is symmetric.
-            if not from_left:
-                top_low = max(top_low, below[i, 0]) if from_below else 2.0  # 2: empty
-            if not from_below:
-                right_low = max(right_low, left_low) if from_left else 2.0
-            below[i, 0], below[i, 1] = top_low, top_high
-            left_low, left_high = right_low, right_high
-    from_left, from_below = left_low <= left_high, below[-1, 0] <= below[-1, 1]
-    return (from_left and left_high >= 1.0) or (from_below and below[-1, 1] >= 1.0)

@@ -106,14 +106,11 @@ def score_for(count: WordCount, everything: WordCount, precision: float, least: 
 class LabelledImage:
     """The objects that one image of a world shows.
 
+    `labels` has the canonical name of each object id. An object farther away than `range_m` is no
+    view, and no box of it counts.
+
     Attributes:
         is_view: object id → True if enough of it is visible from near by.
-
-    Args:
-        ids: (h, w) uint16 object ids.
-        depth_m: (h, w) float32.
-        labels: canonical name of each object id.
-        range_m: an object farther away is no view, and no box of it counts.
     """
 
     def __init__(
@@ -201,15 +198,10 @@ class ObjectEvidence:
 def count_words(
     config: Config, world: World, detector: OnnxDetector, text: TextEncoder, poses: int, seed: int
 ) -> dict[str, WordCount]:
-    """Count the objects that the detector takes for each word of a world.
+    """Count the objects that the detector takes for each word of a world, in `poses` images.
 
-    Args:
-        config: camera, ranges and least score.
-        world: the world.
-        detector: looks for all words at once, but they compete only as in a search for one.
-        text: encoder of the detector's words. Names that it does not know are left out.
-        poses: number of images.
-        seed: of the poses.
+    It looks for all words at once, but they compete only as in a search for one. Names that the
+    text encoder does not know are left out.
     """
     rig, range_m = CameraRig(config, world), config.perception.confirm_range_m
     labels = {item.id: names.canonical(item.label) for item in world.objects}

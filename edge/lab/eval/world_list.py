@@ -34,10 +34,9 @@ _KEPT_WORLDS = 2  # in the cache
 def world_sections(specs: Sequence[str]) -> list[WorldSection]:
     """Return a section `sim.world` for each world that `--worlds` lists, in the same order.
 
-    Args:
-        specs: each has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated
-            houses by seed, both also with textured furniture, a built-in house or a house's file,
-            or a mesh with its objects.
+    Each spec has a form of `WORLD_FORMS`: houses of a ProcTHOR file by position, generated houses
+    by seed, both also with textured furniture, a built-in house or a house's file, or a mesh with
+    its objects.
 
     Raises:
         UserError: a spec has another form, or its range is empty.

@@ -12,10 +12,7 @@ _TOUCH_M = 1e-3  # a footprint that overlaps a zone by less only touches it
 
 
 class ZoneEntryCounter:
-    """Counter of entries of the robot's footprint, a disc, into keep-out zones.
-
-    Args:
-        zones_m: polygons, each (n, 2) float64.
+    """Counter of entries of the robot's footprint, a disc, into keep-out zones: (n, 2) polygons.
 
     Attributes:
         entries: number of entries so far. A start inside a zone is none.
@@ -47,12 +44,7 @@ class ZoneEntryCounter:
 
 
 def distance_m(corners_m: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
-    """Return the distance of points from a polygon, (n,) float64; 0 inside.
-
-    Args:
-        corners_m: (k, 2) float64.
-        xy_m: (n, 2) float64.
-    """
+    """Return the distance of points (n, 2) from a polygon (k, 2), (n,) float64; 0 inside."""
     after_m = np.roll(corners_m, -1, axis=0)
     inside = np.zeros(len(xy_m), bool)
     nearest = np.full(len(xy_m), np.inf)

@@ -10,13 +10,10 @@ _DETOUR_M = 1.0  # a path that is longer by more than this is a detour
 
 
 class ProgressMonitor:
-    """Checks that the rest of the path keeps getting shorter.
+    """Checks that the rest of the path gets shorter, at least once in `wait_s`.
 
     A longer path is a detour that a newer map has forced: it restarts the wait. At most `DETOURS`
     detours restart it, so that a robot that swings between two paths is detected too.
-
-    Args:
-        wait_s: time without progress that is allowed.
     """
 
     def __init__(self, wait_s: float) -> None:
@@ -42,10 +39,8 @@ class ProgressMonitor:
 class ContactDetector:
     """Detects that the robot pushes against something: it is commanded to drive, but does not move.
 
-    Args:
-        commanded_m: commanded distance without movement that counts as contact. It must be longer
-            than what a slow base is commanded until it starts to move.
-        moved_m: distance that counts as having moved.
+    A commanded distance of `commanded_m` without a movement of `moved_m` is contact. It must be
+    longer than what a slow base is commanded until it starts to move.
     """
 
     def __init__(self, commanded_m: float, moved_m: float) -> None:
@@ -60,10 +55,7 @@ class ContactDetector:
     def update(self, pose: SE2, v_mps: float, dt_s: float) -> bool:
         """Return True if the commanded distance since the last movement is `commanded_m` or more.
 
-        Args:
-            pose: robot pose after the step.
-            v_mps: speed that was commanded in the step, negative for backwards.
-            dt_s: length of the step.
+        `v_mps` was commanded in the step that led to this pose; it is negative for backwards.
         """
         last = self._moved_at
         has_moved = last is None or pose.distance_to(last.x_m, last.y_m) >= self._moved_m

@@ -76,11 +76,8 @@ class Recovery:
     The robot drives back along its trail, in reverse if this needs less turning. If it has not been
     `BACK_M` away, it backs up straight if the map is free there, else it turns.
 
-    Args:
-        pose: pose at which the robot is held up.
-        costmap: map to check the straight way on.
-        trail: the robot's trail. None: the way back did not move the robot. It then drives
-            away from the blocked cells around it, if the map is free there, else it turns.
+    The trail is None if the way back did not move the robot. It then drives away from the blocked
+    cells around it, if the map is free there, else it turns.
     """
 
     def __init__(

@@ -29,18 +29,10 @@ _WHITE = (255, 255, 255)
 def draw_trajectory(
     scene: Scene, coarse_m: np.ndarray | None, refined_m: np.ndarray | None, half_m: float
 ) -> np.ndarray | None:
-    """Return the scene's image with a trajectory in it.
+    """Return the scene's image with a trajectory in it, (h, w, 3) uint8; None if it has no image.
 
-    Args:
-        scene: image, camera and objects.
-        coarse_m: (n, 3) float64, points x, y, z in `map` of the coarse trajectory, drawn as a
-            dashed line; None for none.
-        refined_m: (n, 3) float64, points x, y, z in `map` of the refined trajectory, drawn as a
-            strip; None for none.
-        half_m: half the strip's width, the robot's radius.
-
-    Returns:
-        (h, w, 3) uint8; None if the scene has no image.
+    Points are (n, 3) float64 in `map`: the coarse trajectory becomes a dashed line, and the refined
+    one a strip, `half_m` (the robot's radius) to each side. None: there is no such trajectory.
     """
     if scene.rgb is None or scene.camera is None or scene.T_map_camera is None:
         return None
@@ -114,10 +106,8 @@ def _is_hidden(scene: Scene, point_m: np.ndarray, distance_m: float) -> bool:
 def _pixels(scene: Scene, points_m: np.ndarray, scale: float) -> np.ndarray:
     """Project the part of a polygon, a line or a point that is in front of the camera.
 
-    Args:
-        scene: camera and its pose.
-        points_m: (n, 3) in `map`: corners of a polygon, 2 ends of a line, or 1 point.
-        scale: enlargement of the image.
+    `points_m` (n, 3) in `map` are the corners of a polygon, 2 ends of a line, or 1 point. `scale`
+    enlarges the image.
 
     Returns:
         (k, 2) int32 pixels: the corners of the visible part. Both ends of a line, or the point;

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Iterable
 from html import escape
 
 import cv2
@@ -21,13 +22,9 @@ JPEG_QUALITY = 85
 def document(title: str, body: str, machine: str, style: str = "", script: str = "") -> str:
     """Return a document in the reports' style, with a footer that names version and machine.
 
-    Args:
-        title: plain text.
-        body: markup with all text escaped.
-        machine: plain text.
-        style: CSS rules in addition to the reports' own.
-        script: JavaScript that may run. The document's security policy has its hash, so no other
-            script can run.
+    Title and machine are plain text; the body is markup with all text escaped. The style is added
+    to the reports' own. The document's security policy has the hash of the script, so no other
+    script can run.
     """
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     if script:
@@ -45,12 +42,9 @@ def document(title: str, body: str, machine: str, style: str = "", script: str =
 
 
 def image_figure(rgb: np.ndarray, caption: str, marks: str = "") -> str:
-    """Return an image as JPEG with a caption below.
+    """Return an image (h, w, 3) uint8 as JPEG, with a plain text below.
 
-    Args:
-        rgb: (h, w, 3) uint8.
-        caption: plain text.
-        marks: SVG on top of the image, in its pixels.
+    `marks` are SVG on top of the image, in its pixels.
     """
     h, w = rgb.shape[:2]
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
@@ -60,6 +54,12 @@ def image_figure(rgb: np.ndarray, caption: str, marks: str = "") -> str:
         f'<image width="{w}" height="{h}" href="{data_url("jpeg", jpeg)}"/>{marks}</svg>'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
+
+
+def pairs_section(title: str, pairs: Iterable[tuple[str, str]]) -> str:
+    """Return a section with a table of names and values, which are plain text."""
+    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in pairs)
+    return f'<section><h2>{escape(title)}</h2><table class="pairs">{rows}</table></section>'
 
 
 def data_url(kind: str, content: bytes) -> str:

@@ -203,15 +203,8 @@ def _label(
     """Draw a label next to a point, inside the map and not over an earlier label.
 
     It takes the first of several positions that fits. If none fits, the label is left out unless it
-    is prominent.
-
-    Args:
-        axes: the map.
-        words: text of the label.
-        xy_m: the point.
-        colour: of the label's background.
-        taken: space of the labels drawn so far, in points; it is extended.
-        prominent: True for a large label that is always drawn.
+    is prominent, and then large. `taken` is the space of the labels so far, in points; it is
+    extended.
     """
     size = 10.5 if prominent else 8.0
     width, height = 0.57 * size * len(words) + 8, 1.5 * size  # estimated, in points

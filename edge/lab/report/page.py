@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from edge.errors import FileError
 from edge.host import resources
 from edge.host.files import make_writable, write_atomically
 from edge.lab.report import choices, palette, picture, story, tasks
-from edge.lab.report.document import data_url, document, image_figure
+from edge.lab.report.document import data_url, document, image_figure, pairs_section
 from edge.lab.report.record import Keyframe, RunRecord
 from edge.loop.latency import LatencyReport, StageLatency
 
@@ -271,12 +271,7 @@ def _facts(record: RunRecord) -> str:
         (f"{i.label} {i.id} ({i.state}, {i.hits} hits)", f"{i.score:.2f}") for i in record.instances
     ]
     sections = (("Run", run), ("Counters", counters), ("Instances", instances))
-    return "".join(_pairs(title, pairs) for title, pairs in sections if pairs)
-
-
-def _pairs(title: str, pairs: Iterable[tuple[str, str]]) -> str:
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in pairs)
-    return f'<section><h2>{escape(title)}</h2><table class="pairs">{rows}</table></section>'
+    return "".join(pairs_section(title, pairs) for title, pairs in sections if pairs)
 
 
 def _configuration(record: RunRecord) -> str:

@@ -56,14 +56,9 @@ def png(
 ) -> bytes:
     """Return the content of a PNG file: the scene and, next to it or below, the cost of each cell.
 
-    The scene shows regions, objects and their numbers. Both panels show the coarse and the refined
-    trajectory.
-
-    Args:
-        scene: regions and objects.
-        coarse_m: (n, 2) float64 in `map`; None for no trajectory.
-        refined: the refined trajectory; None for none.
-        costmap: map that it was refined on; None draws the scene only.
+    The scene shows regions, objects and their numbers. Both panels show the coarse trajectory, (n,
+    2) float64 in `map`, and the refined one, if there are any. Without the cost map that it was
+    refined on, there is one panel.
     """
     box = _shown_area(scene, coarse_m, refined)
     wide, high = box[1] - box[0], box[3] - box[2]

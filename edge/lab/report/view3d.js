@@ -1,6 +1,6 @@
 // A 3-D scene on a plain canvas, without WebGL, so that it looks the same on a computer without a
 // graphics card. The ground is looked up for each pixel, points go through a depth buffer, and
-// lines and text lie on top.
+// lines and text are on top.
 "use strict";
 
 const canvas = document.querySelector("#view");
@@ -199,7 +199,7 @@ function redraw() {
   });
 }
 
-// Shows the whole trajectory (all objects without one), or the view of the robot at the slider's
+// Shows the entire trajectory (all objects without one), or the view of the robot at the slider's
 // position.
 function look(name) {
   const level = DATA.ground.level;
@@ -211,8 +211,8 @@ function look(name) {
     Object.assign(eye, at, { pitch: 0.06, far, yaw: yaw + Math.PI });
     return;
   }
-  const things = DATA.lines.length ? [] : DATA.boxes.map((box) => box.at);
-  const points = [DATA.start, ...DATA.lines.flatMap((line) => line.points), ...things];
+  const centres = DATA.lines.length ? [] : DATA.boxes.map((box) => box.at);
+  const points = [DATA.start, ...DATA.lines.flatMap((line) => line.points), ...centres];
   const span = (k) => {
     const values = points.map((point) => point[k]);
     return [Math.min(...values), Math.max(...values)];

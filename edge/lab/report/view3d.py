@@ -18,7 +18,7 @@ from importlib.resources import files
 import numpy as np
 
 from edge.lab.report import palette
-from edge.lab.report.document import document
+from edge.lab.report.document import document, pairs_section
 from edge.tasks.refine import RefinedTrajectory
 from edge.tasks.scene import Scene, SceneObject
 
@@ -90,17 +90,11 @@ def scene_page(
     facts: Sequence[tuple[str, str]] = (),
     ground_m: float = 0.0,
 ) -> str:
-    """Return the page as HTML.
+    """Return the page as HTML. All text arguments are plain text.
 
-    Args:
-        title: plain text, like all other text arguments.
-        scene: ground and objects.
-        lines: trajectories.
-        machine: text for the footer.
-        refined: trajectory that the slider follows.
-        cloud_m: (n, 3) float32 in `map`, all points; the objects' own points are always drawn.
-        facts: (name, value) pairs, under the picture.
-        ground_m: height of the ground in `map`.
+    The slider follows the refined trajectory. `cloud_m` has all points, (n, 3) float32 in `map`;
+    the objects' own points are always drawn. The facts, pairs of name and value, are under the
+    picture. `ground_m` is the height of the ground in `map`.
     """
     labels = list(dict.fromkeys(item.label for item in scene.objects.values()))
     poses, pose_texts = _poses_with_text(refined)
@@ -120,7 +114,8 @@ def scene_page(
         f"<header><h1>{escape(title)}</h1></header>"
         '<section><canvas id="view" tabindex="0" role="img" '
         f'aria-label="{escape(title)}: a view in three dimensions"></canvas>'
-        f"{_controls(lines, pose_texts)}</section>{_facts(facts)}{_objects(scene)}"
+        f"{_controls(lines, pose_texts)}</section>"
+        f"{pairs_section('Trajectory', facts) if facts else ''}{_objects(scene)}"
     )
     return document(title, body, machine, STYLE, f"const DATA = {text};\n{viewer}")
 
@@ -160,13 +155,8 @@ def _ground(scene: Scene, ground_m: float) -> dict[str, object]:
 def _cloud(scene: Scene, labels: Sequence[str], cloud_m: np.ndarray | None) -> dict[str, object]:
     """Return one point per voxel, with its kind and the colours of the kinds.
 
-    Points of objects have kinds from 1 on, by label; after eight, labels share kinds. Other points
-    have kind 0.
-
-    Args:
-        scene: objects with their points.
-        labels: the labels of all objects, each once.
-        cloud_m: (n, 3) all other points; None for none.
+    Points of objects have kinds from 1 on, by label; after eight, labels share kinds. Other points,
+    `cloud_m` (n, 3), have kind 0. `labels` are those of all objects, each once.
     """
     points, kind = [np.empty((0, 3), np.float32)], [np.empty(0, np.uint8)]
     for item in scene.objects.values():
@@ -248,13 +238,6 @@ def _controls(lines: Sequence[Line], pose_texts: Sequence[str]) -> str:
         f'{slider}<p class="note">Drag to turn, scroll to zoom, drag with Shift or the right '
         "button to move; arrow keys and + and − do too.</p>"
     )
-
-
-def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    if not facts:
-        return ""
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts)
-    return f'<section><h2>Trajectory</h2><table class="pairs">{rows}</table></section>'
 
 
 def _objects(scene: Scene) -> str:

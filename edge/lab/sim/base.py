@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -36,7 +37,7 @@ class WorldObject:
         category: name in the world's file.
         center_m: centre of its box, in `map`.
         size_m: extents of the box along its own x, y, z.
-        footprint_m: (k, 2) float32 samples of the floor that it covers; None for the whole box.
+        footprint_m: (k, 2) float32 samples of the floor that it covers; None for the entire box.
     """
 
     id: int
@@ -60,6 +61,17 @@ class WorldObject:
         return math.hypot(a, b)
 
 
+def box_distances_m(
+    xy_m: np.ndarray, center_m: Sequence[float], size_m: Sequence[float], yaw_rad: float
+) -> np.ndarray:
+    """Return the planar distance of points (n, 2) from a box, (n,) float64; 0 inside."""
+    dx, dy = (xy_m - np.array(center_m[:2])).T
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    along = np.maximum(np.abs(c * dx + s * dy) - 0.5 * size_m[0], 0.0)
+    across = np.maximum(np.abs(c * dy - s * dx) - 0.5 * size_m[1], 0.0)
+    return np.hypot(along, across)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarRays:
     """Rays of a rotating LiDAR in its own frame.
@@ -79,14 +91,20 @@ class LidarRays:
 
     @classmethod
     def of(cls, lidar: Lidar) -> LidarRays:
-        """Return the rays of a configured LiDAR; a single ring lies at elevation 0."""
-        vfov = math.radians(lidar.vfov_deg)
-        single = lidar.rings == 1
-        el_min, step = (0.0, 1.0) if single else (-0.5 * vfov, vfov / (lidar.rings - 1))
-        el = (el_min + step * np.arange(lidar.rings))[:, None]
-        az = (-math.pi + 2 * math.pi / lidar.columns * np.arange(lidar.columns))[None]
+        """Return the rays of a configured LiDAR; a single ring has elevation 0."""
+        half_rad = 0.0 if lidar.rings == 1 else 0.5 * math.radians(lidar.vfov_deg)
+        return cls.between(-half_rad, half_rad, lidar.rings, lidar.columns, lidar.range_m)
+
+    @classmethod
+    def between(
+        cls, low_rad: float, high_rad: float, rings: int, columns: int, range_m: float
+    ) -> LidarRays:
+        """Return the rays of rings that are spread evenly between two elevations."""
+        step = 1.0 if rings == 1 else (high_rad - low_rad) / (rings - 1)
+        el = (low_rad + step * np.arange(rings))[:, None]
+        az = (-math.pi + 2 * math.pi / columns * np.arange(columns))[None]
         parts = (np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) + 0 * az)
-        return cls(np.stack(parts, axis=-1), el_min, step, lidar.range_m)
+        return cls(np.stack(parts, axis=-1), low_rad, step, range_m)
 
 
 class FloorPlan:
@@ -156,15 +174,11 @@ class World(Protocol):
         out_depth_m: np.ndarray,
         out_ids: np.ndarray,
     ) -> None:
-        """Render an image into the given buffers.
+        """Render an image into the given buffers, from a pose of the camera's optical frame.
 
-        Args:
-            camera: intrinsics.
-            T_map_camera: (4, 4) pose of the camera's optical frame.
-            out_rgb: (h, w, 3) uint8. With None nothing is shaded, which takes half the time;
-                depth and ids are the same.
-            out_depth_m: (h, w) float32 z-depth, NaN for nothing.
-            out_ids: (h, w) uint16 object ids, 0 for structure.
+        Depth (h, w) float32 is NaN for nothing, and ids (h, w) uint16 are 0 for structure. Without
+        `out_rgb`, (h, w, 3) uint8, nothing is shaded, which takes half the time; the rest is the
+        same.
         """
 
     def cast(self, fan: LidarRays, T_map_lidar: np.ndarray, out_ranges_m: np.ndarray) -> None:

@@ -16,6 +16,8 @@ from edge.lab.sim.base import FLOOR_CLEARANCE_M, FloorPlan, LidarRays, Room, Wor
 
 CELL_M = 0.025  # side of a cell of the floor plan
 _MARGIN_M = 0.5  # free border of the floor plan around all primitives
+_SLAB_M = 0.1  # thickness of floor and ceiling
+_CEILING = (244.0, 243.0, 240.0)  # its colour
 _SKY = np.array([205, 222, 238], np.uint8)  # colour of pixels that show nothing
 
 
@@ -50,14 +52,11 @@ class Primitive:
 class BoxWorld:
     """World of primitives (see `edge.lab.sim.base.World`), whose objects can move.
 
-    All arrays have one entry for each of the p primitives, in the same order.
+    It is made from the primitives of the building, and each object with its own, in `map`. The
+    floor plan has all that is lower than `robot_height_m`. The camera measures depths in
+    `depth_range_m`.
 
-    Args:
-        structure: primitives of the building, in `map`.
-        furniture: each object with its primitives, in `map`.
-        start: pose at which the robot starts.
-        robot_height_m: the floor plan has all that is lower.
-        depth_range_m: smallest and largest depth that the camera measures.
+    All arrays have one entry for each of the p primitives, in the same order.
 
     Attributes:
         owner: (p,) uint16, id of the object that the primitive is part of, 0 = structure.
@@ -94,7 +93,7 @@ class BoxWorld:
         self.shape = np.array([part.shape for part in parts], np.uint8)
         self.texture = np.array([part.texture for part in parts], np.uint8)
         self.color = np.array([part.color for part in parts], np.float32)
-        self.geometry = np.array([_geometry_row(part) for part in parts])
+        self.geometry = np.array([geometry_row(part) for part in parts])
         self.plan = self._floor_plan()
         self._hit_primitive = np.empty((0, 0), np.int32)  # (h, w), made at the first image
 
@@ -164,7 +163,23 @@ class BoxWorld:
         kernels.rasterise(self.shape, self.geometry, *heights, origin_m, CELL_M, occupied)
 
 
-def _geometry_row(part: Primitive) -> list[float]:
+def room_slabs(
+    rect: tuple[float, float, float, float],
+    color: tuple[float, float, float],
+    texture: int,
+    ceiling_m: float | None,
+) -> list[Primitive]:
+    """Return the floor of a rectangle (x0, y0, x1, y1), and its ceiling if that has a height."""
+    x0, y0, x1, y1 = rect
+    center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
+    parts = [Primitive(kernels.BOX, (*center, -0.5 * _SLAB_M), size, color, texture)]
+    if ceiling_m is not None:
+        above = (*center, ceiling_m + 0.5 * _SLAB_M)
+        parts.append(Primitive(kernels.BOX, above, size, _CEILING, shading.PAINT))
+    return parts
+
+
+def geometry_row(part: Primitive) -> list[float]:
     """Return a row of `BoxWorld.geometry`."""
     half = [0.5 * extent for extent in part.size_m]
     return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

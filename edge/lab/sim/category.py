@@ -38,13 +38,9 @@ class Category:
 
 
 def legs(height: float, size: float, material: str, inset: float = 0.08) -> tuple[tuple, ...]:
-    """Return the rows of four legs.
+    """Return the rows of four legs, up to `height`, with a square section of side `size`.
 
-    Args:
-        height: upper end of the legs; all values are fractions of the object's size.
-        size: side of a leg's square section.
-        material: of the legs.
-        inset: distance of a leg's middle from the object's sides.
+    The middle of a leg is `inset` from the object's sides. All are fractions of the object's size.
     """
     d = 0.5 - inset  # from the object's middle to a leg's
     return tuple(

@@ -61,7 +61,7 @@ class SlidingDoor:
     def advance(
         self, dt_s: float, robot: SE2, robot_radius_m: float, people_m: Iterable[np.ndarray]
     ) -> None:
-        """Open or close for `dt_s`. A door that is not shut yet does not close on anybody."""
+        """Open or close for `dt_s`. A door that is not shut yet does not close on a person."""
         self.clock_s = (self.clock_s + dt_s) % (self.open_s + self.shut_s)
         opens = self.clock_s < self.open_s or any(
             self.distance_m(xy_m[0], xy_m[1], self.width_m) < OPENS_M for xy_m in people_m

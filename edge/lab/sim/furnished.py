@@ -99,7 +99,7 @@ class PlacedModel:
         return T
 
     def holds(self, x_m: float, y_m: float) -> bool:
-        """Return True if a point of `map` lies within its footprint."""
+        """Return True if a point of `map` is within its footprint."""
         x, y = self.to_local(x_m, y_m)
         return abs(x) <= 0.5 * self.size_m[0] and abs(y) <= 0.5 * self.size_m[1]
 
@@ -139,11 +139,7 @@ def load_furnished(section: WorldFurnished, config: Config) -> MeshWorld:
 
 
 class Furnisher:
-    """Chooses and places the models of a house.
-
-    Args:
-        rng: draws all choices.
-    """
+    """Chooses and places the models of a house; `rng` draws all choices."""
 
     def __init__(self, models: tuple[CatalogueModel, ...], rng: PortableRng) -> None:
         self._rng = rng
@@ -158,10 +154,8 @@ class Furnisher:
     def furnish(self, boxes: BoxWorld, fronts_known: bool) -> list[PlacedModel]:
         """Return the models in place of the objects of a house, and small objects on them.
 
-        Args:
-            boxes: the house, with boxes as furniture.
-            fronts_known: True if its objects face along their own x axis. False if the file does
-                not give their fronts: they are then turned to the middle of the room.
+        If `fronts_known`, its objects face along their own x axis. If not (the file does not give
+        their fronts), they are turned to the middle of the room.
         """
         standing: list[PlacedModel] = []  # on the floor
         raised: list[PlacedModel] = []  # on a wall, or on other furniture
@@ -185,12 +179,10 @@ class Furnisher:
         return [*standing, *raised]
 
     def _replace(self, turns: list[WorldObject], hung: bool) -> PlacedModel | None:
-        """Return a model in place of an object; None if no model fits.
+        """Return a model in place of an object, on a wall if `hung`; None if no model fits.
 
-        Args:
-            turns: the object in each direction that it may face (a box turned by a quarter has
-                depth and width exchanged), the best direction first.
-            hung: True if it is on a wall.
+        `turns` is the object in each direction that it may face (a box turned by a quarter has
+        depth and width exchanged), the best direction first.
         """
         rng, item = self._rng, turns[0]
         same = self._models_named(item.label)
@@ -325,10 +317,8 @@ def _build(
 ) -> tuple[Faces, list[dict[str, Any]]]:
     """Return all triangles of the house, and its objects as `mesh.read_objects` returns them.
 
-    Args:
-        boxes: the house; only its walls, floors and ceilings are used.
-        placed: the furniture.
-        light: (3,) factors on red, green and blue.
+    Of the boxes, only walls, floors and ceilings are used. `light` (3,) are factors on red, green
+    and blue.
     """
     atlas = Atlas()
     node_names = ["structure"]

@@ -21,7 +21,7 @@ from edge.host import resources
 from edge.host.files import read_regular
 from edge.lab.sim import assemblies, kernels, shading
 from edge.lab.sim.base import WorldError, WorldObject
-from edge.lab.sim.boxworld import BoxWorld, Primitive
+from edge.lab.sim.boxworld import BoxWorld, Primitive, room_slabs
 from edge.text import bounded_repr
 
 HOUSES = Path(__file__).resolve().parent / "houses"
@@ -32,7 +32,6 @@ FLOORS = {
     "plain": shading.PLAIN,
 }
 """Texture of a floor by its name in the file."""
-_SLAB_M = 0.1  # thickness of floor and ceiling
 _SKIRTING = (232.0, 230.0, 224.0)  # colour of the board along the foot of a wall
 
 Point = tuple[float, float]
@@ -162,7 +161,12 @@ def load_house(section: WorldHouse, config: Config) -> BoxWorld:
 
 def build_house(house: House, config: Config) -> BoxWorld:
     """Return the world of a validated house."""
-    structure = [part for room in house.rooms for part in _room_parts(room, house)]
+    ceiling_m = house.wall_height_m if house.ceiling else None
+    structure = [
+        part
+        for room in house.rooms
+        for part in room_slabs(room.rect, room.color, FLOORS[room.floor], ceiling_m)
+    ]
     structure += [part for wall in house.walls for part in _wall_parts(wall, house)]
     furniture = [_object_parts(k + 1, item) for k, item in enumerate(house.objects)]
     camera = config.sensors.camera
@@ -177,18 +181,6 @@ def build_house(house: House, config: Config) -> BoxWorld:
         tuple((room.rect,) for room in house.rooms),
         tuple(room.name.rstrip("0123456789 ") for room in house.rooms),
     )
-
-
-def _room_parts(room: Room, house: House) -> list[Primitive]:
-    """Return the room's floor, and its ceiling if the house has one."""
-    x0, y0, x1, y1 = room.rect
-    center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
-    floor = (*center, -0.5 * _SLAB_M)
-    parts = [Primitive(kernels.BOX, floor, size, room.color, FLOORS[room.floor])]
-    if house.ceiling:
-        above = (*center, house.wall_height_m + 0.5 * _SLAB_M)
-        parts.append(Primitive(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
-    return parts
 
 
 def _wall_parts(wall: Wall, house: House) -> list[Primitive]:

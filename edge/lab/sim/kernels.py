@@ -98,7 +98,7 @@ def _corners(geometry, local, corners):
     """Fill `corners` (8, 3) with the corners of a primitive's box in the sensor's frame.
 
     `geometry` and `local` are as for `into_local`.
-    Bits 0, 1 and 2 of a corner's index say if it lies on the positive side in x, y and z.
+    Bits 0, 1 and 2 of a corner's index say if it is on the positive side in x, y and z.
     """
     for k in range(8):
         x = (geometry[HALF_X] if k & 1 else -geometry[HALF_X]) - local[0, 3]
@@ -177,7 +177,7 @@ def _draw(index, shape, geometry, local, rect, z_min, fx, fy, cx, cy, depth, pri
     """Draw one primitive into `depth` and `prim`: ray-test the pixels of its rectangle `rect`.
 
     `index` is the primitive's index, `geometry` its row, `local` its `into_local`. `tile_z`
-    is the largest depth in each tile. A tile is skipped if the primitive, nearest at `z_min`, lies
+    is the largest depth in each tile. A tile is skipped if the primitive, nearest at `z_min`, is
     behind all of it.
     """
     height, width = depth.shape

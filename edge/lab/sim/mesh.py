@@ -103,11 +103,7 @@ def read_objects(path: Path) -> list[dict[str, Any]]:
 class MeshWorld:
     """World of a textured mesh; see `edge.lab.sim.base.World`.
 
-    Args:
-        owner: (n,) uint16, id of the object that each triangle belongs to; 0 for the building.
-        config: robot and camera.
-        rooms: see `edge.lab.sim.base.World`.
-        room_kinds: see `edge.lab.sim.base.World`.
+    `owner` is (n,) uint16: the id of the object that each triangle belongs to; 0 for the building.
     """
 
     def __init__(

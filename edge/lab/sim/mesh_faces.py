@@ -113,11 +113,8 @@ def read_faces(scene: Any) -> Faces:
 def face_arrays(mesh: Any, T: np.ndarray, atlas: Atlas, node: int) -> tuple[np.ndarray, ...]:
     """Return the arrays of `Faces` from `triangles` to `node`, in this order, for one geometry.
 
-    Args:
-        mesh: the geometry (trimesh).
-        T: (4, 4) transform from the geometry's frame to `map`.
-        atlas: the geometry's texture is added to it.
-        node: index of the geometry's node.
+    `T` leads from the geometry's frame to `map`. The texture of the geometry (trimesh) is added to
+    the atlas.
     """
     count = len(mesh.faces)
     corners = mesh.vertices @ T[:3, :3].T + T[:3, 3]

@@ -1,7 +1,7 @@
 """Shading and rasterising of textured triangles, for `edge.lab.sim.mesh` (numba).
 
 A texel is a pixel of a texture. `uvs` are positions in a texture: s to the right, t down, 0 to 1.
-Textures lie one after another in `texels` (n, 3) uint8, each with all its smaller copies (halved
+Textures are one after another in `texels` (n, 3) uint8, each with all its smaller copies (halved
 until one texel is left). `levels` (m, 3) int64 holds offset, height, width of each copy.
 `first_level` (faces,) is the largest copy of a face's texture, and `level_count` the number of its
 copies.

@@ -95,17 +95,8 @@ def person_clearance_m(people: Sequence[Person], x_m: float, y_m: float) -> floa
 class PeopledWorld:
     """World with people and moving doors in it; see `edge.lab.sim.base.World`.
 
-    They depend only on `sim.seed`, simulated time and the robot's poses.
-
-    Args:
-        world: the world without people; it is not changed.
-        config: gives `sim.people`, the robot and the camera.
-        start: pose at which the robot starts.
-        doors: the doors that move.
-
-    Attributes:
-        people: the people.
-        doors: see `Args`.
+    They depend only on `sim.seed`, simulated time and the robot's poses. The world without people
+    is not changed.
 
     Raises:
         WorldError: no free floor for people.
@@ -166,7 +157,7 @@ class PeopledWorld:
         np.fmin(out_ranges_m, self._ranges_m, out=out_ranges_m)
 
     def advance(self, dt_s: float, robot: SE2) -> None:
-        """Let people walk and doors move for `dt_s`. Nobody walks into the robot."""
+        """Let people walk and doors move for `dt_s`. No person walks into the robot."""
         for person in self.people:
             if not person.stands:
                 self._walk(person, dt_s, robot)

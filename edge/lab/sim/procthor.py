@@ -22,10 +22,9 @@ from edge.host import resources
 from edge.host.files import open_regular
 from edge.lab.sim import kernels, shading
 from edge.lab.sim.base import WorldError, WorldObject
-from edge.lab.sim.boxworld import BoxWorld, Primitive
+from edge.lab.sim.boxworld import BoxWorld, Primitive, room_slabs
 
 _WALL_M = 0.1  # thickness of a wall
-_SLAB_M = 0.1  # thickness of floor and ceiling
 # Colour and texture of the floor by the kind of room; other rooms have wooden planks.
 _FLOORS = {
     "bathroom": ((196.0, 200.0, 204.0), shading.TILES),
@@ -101,14 +100,10 @@ def build_procthor(house: dict[str, Any], config: Config) -> BoxWorld:
 
 def _room_parts(room: dict[str, Any], ceiling_m: float) -> list[Primitive]:
     """Return floor and ceiling of a room: one box each for every rectangle of its polygon."""
-    color, texture = _FLOORS.get(room["category"], _WOOD)
-    parts = []
-    for x0, y0, x1, y1 in rectangles(room["polygon"]):
-        center, size = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), (x1 - x0, y1 - y0, _SLAB_M)
-        below, above = (*center, -0.5 * _SLAB_M), (*center, ceiling_m + 0.5 * _SLAB_M)
-        parts.append(Primitive(kernels.BOX, below, size, color, texture))
-        parts.append(Primitive(kernels.BOX, above, size, (244.0, 243.0, 240.0), shading.PAINT))
-    return parts
+    look = _FLOORS.get(room["category"], _WOOD)
+    return [
+        part for rect in rectangles(room["polygon"]) for part in room_slabs(rect, *look, ceiling_m)
+    ]
 
 
 def rectangles(polygon: list[list[float]]) -> list[tuple[float, float, float, float]]:

@@ -33,21 +33,11 @@ def rearrange(
     radius_m: float,
     goals: Sequence[str],
 ) -> list[str]:
-    """Move a share of the objects to free places on the floor.
+    """Move a share of the objects to free places on the floor; return the names of the moved ones.
 
     An object can move if it stands on the floor and carries nothing. It moves by 2 m or more, not
-    onto the robot. No passage with room for the robot is closed, and each goal stays reachable.
-
-    Args:
-        world: changed in place.
-        share: of the objects that can move, from 0 to 1.
-        rng: draws objects and places.
-        robot: pose of the robot.
-        radius_m: its radius.
-        goals: names of objects that must stay reachable.
-
-    Returns:
-        The names of the objects that moved. An object without a place stays.
+    onto the robot. An object without a place stays. No passage with room for the robot, which has
+    this radius, is closed, and each goal (by name) stays reachable.
     """
     loose = [item for item in world.objects if _is_loose(item, world.objects)]
     wanted, moved = round(share * len(loose)), []

@@ -29,7 +29,7 @@ class MotionState:
         bumped: True while the robot stands where it collided.
         path_m: distance truly driven.
         person_contacts: number of the collisions that were with a person. All are the robot's
-            fault: nobody walks into it.
+            fault: no person walks into it.
     """
 
     stamp_ns: int

@@ -43,15 +43,10 @@ def _check_above_floor(config: Config, key: str, z_m: float) -> None:
 class CameraRig:
     """Camera for colour, depth and object ids; its buffers are reused for every image.
 
-    Args:
-        config: camera settings and noise.
-        colour: if False, `rgb` is None, and an image takes half the time.
-        index: which camera of the robot; see `Observation.camera_index`.
-
     Attributes:
-        index: as in `Args`.
+        index: which camera of the robot; see `Observation.camera_index`.
         T_base_camera: (4, 4) pose of the camera on the robot.
-        rgb: (h, w, 3) uint8, the last image, or None.
+        rgb: (h, w, 3) uint8, the last image. Without colour it is None, in half the time.
         depth_m: (h, w) float32 z-depth of the last image, NaN for nothing.
         ids: (h, w) uint16, object ids in the last image, 0 for structure.
         rate_hz: images per second.

@@ -133,23 +133,11 @@ def shade(
     (half-Lambert). The floor next to obstacles, and the foot of upright faces, are darker, as in
     the shadow of a contact.
 
-    Args:
-        shape: see `edge.lab.sim.kernels`.
-        geometry: see `edge.lab.sim.kernels`.
-        color: (n, 3) float32 of each primitive, 0 to 255.
-        texture: (n,) uint8 of each primitive.
-        T_map_camera: (4, 4) pose of the camera.
-        fx: focal length [px].
-        fy: focal length [px].
-        cx: image centre [px].
-        cy: image centre [px].
-        depth: (h, w) float32 from `render_depth`.
-        prim: (h, w) int32 from `render_depth`.
-        clearance_m: (rows, columns) distance to the nearest obstacle on the floor plan.
-        origin_m: x and y of the floor plan's corner.
-        cell_m: cell size of the floor plan.
-        sky: (3,) uint8 colour of pixels that show nothing.
-        rgb: (h, w, 3) uint8, the result.
+    Each of the n primitives has its shape and geometry (`edge.lab.sim.kernels`), a colour (n, 3)
+    float32 of 0 to 255, and a texture (n,) uint8. Depth and primitive (h, w) of each pixel are from
+    `render_depth`. `clearance_m` is the distance to the nearest obstacle on the floor plan (rows,
+    columns), whose corner is `origin_m`. `sky` (3,) uint8 is the colour of pixels that show
+    nothing.
     """
     height, width = depth.shape
     local = np.empty((3, 4))

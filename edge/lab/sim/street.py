@@ -97,7 +97,7 @@ class Street:
     Attributes:
         start: the robot's start pose in the road's frame.
         width_m: from the farthest house on the right to the farthest on the left; centred.
-        grounds: areas of the ground; later ones lie on top of earlier ones.
+        grounds: areas of the ground; later ones are on top of earlier ones.
         objects: objects on the street and next to it, in the order of placing.
     """
 

@@ -12,15 +12,9 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from pathlib import Path
 
 from exporters.files import ExportError, at_least_one, exit_on_user_error
-
-# Defaults of the options.
-SEED = 0
-HOUSES, HELD_OUT_HOUSES = "0:130", "1000:1020"  # seeds
-CORES = 2
-STEPS = 1800
+from exporters.training.results import training_parser
 
 
 def seeds(option: str, text: str) -> list[int]:
@@ -44,35 +38,19 @@ def seeds(option: str, text: str) -> list[int]:
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, train, and publish the model."""
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.choice",
-        description="train the small model that chooses between frontiers, on generated houses",
+    # fmt: off
+    parser = training_parser(
+        "choice", "train the small model that chooses between frontiers, on generated houses",
+        "images and weights",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="folder for images and weights (required)"
-    )
-    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model "
-                        "file and its card (default: %(default)s)")  # fmt: skip
-    parser.add_argument(
-        "--seed", type=int, default=SEED, help="seed of the training (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--houses", default=HOUSES,
-        help="seeds of the houses to train on, such as 0:60 for 0 to 59 (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--held-out", default=HELD_OUT_HOUSES,
-        help="seeds of the houses to measure on, in the same form (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--steps", type=int, default=STEPS, help="training steps (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--cores",
-        type=int,
-        default=CORES,
-        help="number of processes that explore houses (default: %(default)s)",
-    )
+    option = parser.add_argument
+    option("--houses", default="0:130",
+           help="seeds of the houses to train on, such as 0:60 for 0 to 59")
+    option("--held-out", default="1000:1020",
+           help="seeds of the houses to measure on, in the same form")
+    option("--steps", type=int, default=1800, help="training steps")
+    option("--cores", type=int, default=2, help="number of processes that explore houses")
+    # fmt: on
     args = parser.parse_args(argv)
     at_least_one(args, "steps", "cores")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")

@@ -123,9 +123,8 @@ def scene_auc(views: Views, logits: Logits) -> float:
 def by_house(values: np.ndarray, houses: np.ndarray) -> Interval:
     """Return the mean over questions and its 95 % interval.
 
-    Args:
-        values: (n,) 1 for a correct answer, 0 for a wrong one, or a difference of two.
-        houses: (n,) seed of each question's house.
+    The values are 1 for a correct answer and 0 for a wrong one, or differences. `houses` has the
+    seed of each question's house.
     """
     cluster = np.unique(houses, return_inverse=True)[1]
     return bootstrap(values[None], np.ones((1, len(values))), cluster)[0]

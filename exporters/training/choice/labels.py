@@ -52,9 +52,8 @@ def is_asked(views: Views) -> np.ndarray:
 def directions(left_m: np.ndarray, else_m: np.ndarray) -> np.ndarray:
     """Return soft labels of the directions: the shorter the remaining way, the higher.
 
-    Args:
-        left_m: (…, m) remaining distance from each mark, inf if no path leads to the target.
-        else_m: (…) remaining distance from the best frontier without a mark.
+    The remaining distance is `left_m` (…, m) from each mark, and `else_m` (…) from the best
+    frontier without a mark; inf if no path leads to the target.
 
     Returns:
         (…, m + 1) float32 with a sum of 1, or 0 if nothing leads to the target; the last is

@@ -14,45 +14,29 @@ import argparse
 import logging
 import sys
 from functools import partial
-from pathlib import Path
 
 from exporters.files import at_least_one, exit_on_user_error
+from exporters.training.results import training_parser
 
-SEED, HOUSES, CORES = 0, 3000, 2  # defaults of the options
+HOUSES, CORES = 3000, 2  # defaults of the options
 
 
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, train, and publish the model."""
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.mini",
-        description="train the small detector on images of random houses",
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True,
-        help="folder for images and weights (required); 8.1 GB with the default number of houses",
-    )  # fmt: skip
-    parser.add_argument("--models", type=Path, default=Path("models"), help="folder for the model "
-                        "files and their cards (default: %(default)s)")  # fmt: skip
-    parser.add_argument(
-        "--seed", type=int, default=SEED, help="seed of houses and training (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--houses", type=int, default=HOUSES,
-        help="number of houses to train on, with 2.7 MB of images each (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--cores", type=int, default=CORES,
-        help="number of processes that render, and train without a GPU (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--device", help="device to train on, such as cpu or cuda (default: cuda if there is a GPU)"
-    )
-    parser.add_argument(
-        "--no-gate",
-        action="store_true",
-        help="publish the model even if its scores are below the required ones",
-    )
+    # fmt: off
+    parser = training_parser("mini", "train the small detector on images of random houses",
+                             "images and weights, 8.1 GB with the default number of houses")
+    option = parser.add_argument
+    option("--houses", type=int, default=HOUSES,
+           help="number of houses to train on, with 2.7 MB of images each")
+    option("--cores", type=int, default=CORES,
+           help="number of processes that render, and train without a GPU")
+    option("--device", help="device to train on, such as cpu or cuda (default: cuda if there is a "
+           "GPU)")
+    option("--no-gate", action="store_true",
+           help="publish the model even if its scores are below the required ones")
+    # fmt: on
     args = parser.parse_args(argv)
     at_least_one(args, "houses", "cores")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -83,7 +67,7 @@ def _train(args: argparse.Namespace) -> None:
     else:
         training.train(frames, plan, checkpoint, device)
     # The card holds the command, with the options that are not the defaults.
-    usual = {"seed": SEED, "houses": HOUSES, "cores": CORES}
+    usual = {"seed": 0, "houses": HOUSES, "cores": CORES}
     given = {name: getattr(args, name) for name in usual if getattr(args, name) != usual[name]}
     options = "".join(f" --{name} {value}" for name, value in given.items())
     command = f"python -m exporters.training.mini --out RUN{options}"

@@ -32,11 +32,11 @@ MIN_SIDE_PX = 8.0
 """Smaller objects (in an image of 320 columns) are not taught."""
 MIN_VISIBLE = 0.25
 """Objects with a smaller visible share are not taught."""
-WHOLE = 0.9
+MIN_COMPLETE = 0.9
 """If a smaller share of an object is in the crop, its size is unknown, and is not taught."""
 LEAST_IN_CROP = 0.3
 """If a smaller share of an object's box is in the crop, the object is not taught."""
-THINGS = 32
+MAX_OBJECTS = 32
 """Largest number of objects of an image."""
 ZOOM = (0.8, 1.6)
 """Range of the scale of a crop, relative to the entire image."""
@@ -62,13 +62,7 @@ class Batch:
 def cut(
     rgb: np.ndarray, boxes: np.ndarray, hw: tuple[int, int], rng: np.random.Generator | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Resize an image; with `rng`, take a random crop of it, sometimes mirrored.
-
-    Args:
-        rgb: (256, 320, 3) uint8.
-        boxes: (o, 4), x0, y0, x1, y1 in px.
-        hw: new height and width.
-        rng: None for no augmentation.
+    """Resize an image (256, 320, 3) uint8; with `rng`, take a random crop, sometimes mirrored.
 
     Returns:
         The image (h, w, 3) uint8, boxes (o, 4) in it, and the share of each box that is left.
@@ -106,11 +100,8 @@ def cut(
 def _span(start: float, length: float, full: int, size: int) -> tuple[int, int, int, int]:
     """Return first and last pixel of a view along one axis: in the image, then in the crop.
 
-    Args:
-        start: first pixel of the view in the image; negative if the view is larger.
-        length: length of the view.
-        full: length of the image.
-        size: length of the crop.
+    The view has this start and length in the image, which is `full` long; the crop has `size`
+    pixels. The start is negative if the view is larger than the image.
     """
     if length <= full:
         return round(start), min(full, round(start + length)), 0, size
@@ -159,20 +150,20 @@ def make_batch(
     n, k = len(indices), PHRASES + plain
     images = np.empty((n, *hw, 3), np.uint8)
     phrases = np.empty((n, k, 3), np.int64)
-    boxes = np.zeros((n, THINGS, 4), np.float32)
-    taught = np.zeros((n, THINGS), bool)
-    answers = np.zeros((n, THINGS, k), np.int8)
-    hard = np.zeros((n, THINGS, k), bool)  # see `Labels`
+    boxes = np.zeros((n, MAX_OBJECTS, 4), np.float32)
+    taught = np.zeros((n, MAX_OBJECTS), bool)
+    answers = np.zeros((n, MAX_OBJECTS, k), np.int8)
+    hard = np.zeros((n, MAX_OBJECTS, k), bool)  # see `Labels`
     min_side = MIN_SIDE_PX * max(0.75, hw[1] / WIDTH_PX)
     for i, index in enumerate(indices):
         objects = frames.objects_in(int(index))
         picture, moved, share = cut(frames.rgb[index], objects["box"], hw, rng)
         images[i] = tint(np.ascontiguousarray(picture), rng)
         side = np.minimum(moved[:, 2] - moved[:, 0], moved[:, 3] - moved[:, 1])
-        kept = np.flatnonzero(side > 2.0)[:THINGS]
+        kept = np.flatnonzero(side > 2.0)[:MAX_OBJECTS]
         objects, moved, share, side = objects[kept], moved[kept], share[kept], side[kept]
         # `objects` is a copy here, because `kept` is an array of indices.
-        objects["size"][~is_inside_image(objects) | (share < WHOLE), 1:] = looks.UNSURE
+        objects["size"][~is_inside_image(objects) | (share < MIN_COMPLETE), 1:] = looks.UNSURE
         is_taught = (side >= min_side) & (objects["visible"] * share >= MIN_VISIBLE)
         is_taught &= share >= LEAST_IN_CROP
         phrases[i] = sample_phrases(objects[is_taught], rng, plain)
@@ -195,14 +186,7 @@ def batches(
     """Yield the batches from number `first` on, made in advance in a thread.
 
     Each batch has its own random generator, so a run that continues from a checkpoint gets the same
-    batches.
-
-    Args:
-        frames: all images.
-        batch: images in a batch.
-        steps: ((height, width), number of plain phrases) of each batch.
-        seed: seed of the run.
-        first: number of the first batch to yield.
+    batches. `steps` has ((height, width), number of plain phrases) of each.
     """
 
     def make(step: int) -> Batch:

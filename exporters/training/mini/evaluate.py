@@ -10,7 +10,6 @@ Third, the latency.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections import defaultdict
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from onnxruntime import InferenceSession
 
+from edge.cli.options import Parser
 from edge.config import PerceptionConfig
 from edge.lab.bench.boxes import overlaps
 from exporters.files import ExportError, exit_on_user_error
@@ -219,18 +219,11 @@ def _match(
     does_count: np.ndarray,
     category: int,
 ) -> list[tuple[float, int]]:
-    """Match the boxes with the objects of a category in one image.
+    """Match the boxes (a, 4) with the objects (o,) of a category in one image.
 
-    Of overlapping boxes, the one with the highest score is a detection. Detections on objects that
-    do not count are left out. So are detections on objects for which the category is UNSURE, such
-    as an armchair for the category chair.
-
-    Args:
-        boxes: (a, 4) boxes of the detector.
-        scores: (a,) their scores for the category.
-        objects: (o,) `views.OBJECT`.
-        does_count: see `_does_count`.
-        category: from 1.
+    Of overlapping boxes, the one with the highest score for the category is a detection. Detections
+    on objects that do not count (see `_does_count`) are left out. So are detections on objects for
+    which the category is UNSURE, such as an armchair for the category chair.
 
     Returns:
         The score of each detection, and 1 if it is right, 0 if it is wrong.
@@ -263,9 +256,7 @@ def _match(
 def _average_precision(found: list[tuple[float, int]], count: int) -> float:
     """Return the area under the precision envelope over recall (COCO's, without the 101 points).
 
-    Args:
-        found: score of each detection, and 1 if it is right, 0 if it is wrong.
-        count: number of objects.
+    `found` is from `_match`, and `count` the number of objects.
     """
     if not found:
         return 0.0
@@ -303,21 +294,16 @@ def check_gate(held_out: Mapping[str, float], step: int, steps: int) -> None:
 @exit_on_user_error
 def main(argv: list[str] | None) -> None:
     """Parse the command line, measure a model, and print its figures."""
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.mini.evaluate",
-        description="measure the small detector on images of houses that it was not trained on",
-    )
-    parser.add_argument("model", type=Path, help="the detector's ONNX file")
-    parser.add_argument(
-        "--text",
-        type=Path,
-        help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)",
-    )
-    parser.add_argument(
-        "--data",
-        type=Path,
-        help="folder to keep the rendered images in (default: they are deleted)",
-    )
+    # fmt: off
+    parser = Parser(prog="python -m exporters.training.mini.evaluate", description="measure the "
+                    "small detector on images of houses that it was not trained on")
+    option = parser.add_argument
+    option("model", type=Path, help="the detector's ONNX file")
+    option("--text", type=Path,
+           help="the text encoder's ONNX file (default: mini-house-text.onnx next to the model)")
+    option("--data", type=Path,
+           help="folder to keep the rendered images in (default: they are deleted)")
+    # fmt: on
     args = parser.parse_args(argv)
     text = args.text or args.model.with_name("mini-house-text.onnx")
     with tempfile.TemporaryDirectory() as scratch:

@@ -89,11 +89,7 @@ def styles_of(category: str) -> tuple[str, ...]:
 
 
 def color_answers(rgb: np.ndarray) -> np.ndarray:
-    """Return (1 + colours,) int8, the answers for all colour words; entry 0, for no word, is YES.
-
-    Args:
-        rgb: (3,) the object's colour.
-    """
+    """Return (1 + colours,) int8, the answers for all colour words; entry 0 (no word) is YES."""
     distance = np.linalg.norm(_PALETTE_LAB - _lab(np.asarray(rgb)[None]), axis=1)
     near = NEARLY_AS_NEAR[0] * distance.min() + NEARLY_AS_NEAR[1]
     answers = np.where(distance <= near, UNSURE, NO).astype(np.int8)
@@ -112,9 +108,7 @@ def unsure_color() -> np.ndarray:
 def size_answers(style: str | None, category: str) -> np.ndarray:
     """Return (1 + sizes,) int8, the answers for all size words; entry 0, for no word, is YES.
 
-    Args:
-        style: size word that the object was made with; None for the usual size.
-        category: its category.
+    `style` is the size word that the object was made with; None for the usual size.
     """
     answers = np.zeros(1 + len(SIZES), np.int8)
     answers[0] = YES

@@ -74,11 +74,7 @@ def iou(a: Tensor, b: Tensor, complete: bool = False) -> Tensor:
 def assign(scores: Tensor, boxes: Tensor, anchors: Tensor, labels: Labels) -> tuple[Tensor, Tensor]:
     """Return the object that each anchor is assigned to, and the quality of the assignment.
 
-    Args:
-        scores: (b, a, k) in 0..1.
-        boxes: (b, a, 4) boxes of the anchors.
-        anchors: (a, 2) centres of the anchors [px].
-        labels: the objects.
+    The scores (b, a, k) are in 0..1. The anchors have boxes (b, a, 4) and centres (a, 2) [px].
 
     Returns:
         Index of the object (b, a) int64, -1 for none, and quality (b, a) in 0..1.

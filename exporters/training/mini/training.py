@@ -129,12 +129,7 @@ def train(
 ) -> Model:
     """Train, or continue from `checkpoint`; return the averaged weights.
 
-    Args:
-        frames: images to train on.
-        plan: length and learning rates.
-        checkpoint: file to continue from and to write.
-        device: as PyTorch names it.
-        share: (index of this process, number of processes); see `train_on_cores`.
+    `share` is (index of this process, number of processes); see `train_on_cores`.
 
     Raises:
         ExportError: `checkpoint` is of another run, or is no checkpoint.

@@ -83,10 +83,7 @@ def folds(n_houses: int) -> np.ndarray:
 def fit_near(samples: Samples, target: int, begin: np.ndarray | None = None) -> np.ndarray:
     """Return the weights of one target's model (`ObjectPrior.near_weight`), see `Fit.beta`.
 
-    Args:
-        samples: samples to fit to.
-        target: index of the target.
-        begin: start value, such as a fit to similar samples; saves most of the steps.
+    A start value `begin`, such as a fit to similar samples, saves most of the steps.
     """
     wanted = samples.wanted[:, target]
     near = samples.near[wanted].astype(np.float32)
@@ -253,11 +250,8 @@ def _logistic(
 ) -> np.ndarray:
     """Fit a logistic model by Newton's method, with a ridge on all weights but the bias (last).
 
-    Args:
-        near: (n, m) inputs.
-        found: (n,) 1 or 0, the outcome.
-        weight: (n,) weight of each sample.
-        begin: start value (m + 1,); None: zeros, and the bias from the share of the outcome.
+    Each of n samples has inputs (n, m), an outcome of 1 or 0, and a weight. The start value `begin`
+    is (m + 1,); None: zeros, and the bias from the share of the outcome.
     """
     x = np.hstack((near, np.ones((len(near), 1), np.float32)))
     share = np.average(found, weights=weight)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from exporters.files import at_least_one, exit_on_user_error, sha256_of
-from exporters.training.results import MODELS, publish
+from exporters.training.results import publish, training_parser
 
 NAME = "mini-translator"
 MANY = 7000
@@ -30,40 +30,19 @@ def main(argv: list[str] | None) -> None:
     """Parse the command line, train, and publish the model."""
     from exporters.training.translator.training import COMPOSED, PEOPLE
 
-    parser = argparse.ArgumentParser(
-        prog="python -m exporters.training.translator",
-        description="train the small model that translates instructions to formulas",
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoints (required)")
-    parser.add_argument(
-        "--lang2ltl",
-        type=Path,
-        help="also learn from Lang2LTL's set, its file symbolic_batch12_noperm.csv (default: not)",
-    )
-    parser.add_argument(
-        "--clean-up",
-        type=Path,
-        help="also learn from Clean-up World's set of instructions (default: not)",
-    )
-    parser.add_argument(
-        "--models", type=Path, default=MODELS,
-        help="folder for the model file and its card (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seed", type=int, default=0, help="seed of sentences and training (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--steps",
-        type=int,
-        default=COMPOSED.steps,
-        help="training steps on composed sentences (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--people-steps",
-        type=int,
-        default=PEOPLE.steps,
-        help="training steps after that, with sentences of people, too (default: %(default)s)",
-    )
+    # fmt: off
+    parser = training_parser("translator", "train the small model that translates instructions to "
+                             "formulas", "checkpoints")
+    option = parser.add_argument
+    option("--lang2ltl", type=Path, help="also learn from Lang2LTL's set, its file "
+           "symbolic_batch12_noperm.csv (default: not)")
+    option("--clean-up", type=Path,
+           help="also learn from Clean-up World's set of instructions (default: not)")
+    option("--steps", type=int, default=COMPOSED.steps,
+           help="training steps on composed sentences")
+    option("--people-steps", type=int, default=PEOPLE.steps,
+           help="training steps after that, with sentences of people, too")
+    # fmt: on
     args = parser.parse_args(argv)
     at_least_one(args, "steps", "people_steps")
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")

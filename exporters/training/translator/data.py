@@ -179,9 +179,7 @@ class Source:
 class Batcher:
     """Makes batches of pairs with similar lengths, and padded tensors of them.
 
-    Args:
-        vocabulary: tokens and their ids.
-        unknown_share: share of the words that are replaced by the token for unknown words.
+    `unknown_share` of the words are replaced by the token for unknown words.
     """
 
     def __init__(self, vocabulary: Vocabulary, unknown_share: float = 0.01) -> None:

@@ -62,13 +62,7 @@ def train(
 ) -> Translator:  # fmt: skip
     """Train, or continue from `checkpoint`; return the averaged weights.
 
-    Args:
-        phrases: tables of composed sentences.
-        human: human sentences.
-        vocabulary: tokens of the network.
-        plan: length and learning rates.
-        checkpoint: file to continue from and to write.
-        start: network to start from; None for a random one.
+    It learns composed and human sentences. It begins with the network `start`, or a random one.
 
     Raises:
         ExportError: `checkpoint` is of another run, or is no checkpoint.

@@ -160,9 +160,9 @@ def test_an_episode_sets_mission_and_start_of_the_configuration():
     there = Episode("a", {}, (1.0, 2.0, 0.5), "bed", None, 3.0)
     assert there.settings["mission"]["target"] == "bed"
     assert there.settings["mission"]["instruction"] is None
-    told = Episode("a", {}, (1.0, 2.0, 0.5), None, "go to the bed", 3.0)
-    assert told.settings["mission"]["instruction"] == "go to the bed"
-    assert told.settings["sim"]["start"] == [1.0, 2.0, 0.5]
+    with_text = Episode("a", {}, (1.0, 2.0, 0.5), None, "go to the bed", 3.0)
+    assert with_text.settings["mission"]["instruction"] == "go to the bed"
+    assert with_text.settings["sim"]["start"] == [1.0, 2.0, 0.5]
 
 
 # -- lists of worlds ------------------------------------------------------------------------------

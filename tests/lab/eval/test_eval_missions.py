@@ -18,14 +18,14 @@ from edge.mission.logic.automaton import compile_formula
 from edge.mission.logic.ltl import parse, propositions
 from edge.mission.spec import prepare
 
-THINGS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
+OBJECTS = ("bed", "chair", "house plant", "sofa", "television", "toilet", "oven", "armchair")
 
 
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_missions_name_two_to_four_objects(count):
-    drawn = draw_missions(THINGS[:count], 40, 1)
+    drawn = draw_missions(OBJECTS[:count], 40, 1)
     assert len(drawn) > 5
-    assert drawn == draw_missions(THINGS[:count], 40, 1)
+    assert drawn == draw_missions(OBJECTS[:count], 40, 1)
     assert len({mission.formula for mission in drawn}) == len(drawn)
     for mission in drawn:
         named = propositions(mission.formula)
@@ -34,7 +34,7 @@ def test_missions_name_two_to_four_objects(count):
 
 
 def test_the_service_reads_each_sentence_as_its_formula():
-    drawn = draw_missions(THINGS, 60, 2)
+    drawn = draw_missions(OBJECTS, 60, 2)
     assert {mission.family for mission in drawn} == {f.name for f in missions.FAMILIES}
     for mission in drawn:
         spec = prepare(simulated({"mission": {"instruction": mission.sentence}}).mission)

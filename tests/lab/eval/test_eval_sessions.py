@@ -105,8 +105,8 @@ def test_a_stop_ends_a_session(session, arms):
 def test_a_finished_session_is_not_run_again(session, arms, outcomes, tmp_path, monkeypatch):
     ran = iter(outcomes)
     monkeypatch.setattr("edge.lab.eval.workers.run_session", lambda *_: next(ran))
-    told = []
-    first = run_all(arms, [session], tmp_path, on_outcome=lambda *news: told.append(news[:2]))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    reported = []
+    first = run_all(arms, [session], tmp_path, on_outcome=lambda *news: reported.append(news[:2]))
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
     again = run_all(arms, [session], tmp_path)
     assert [outcome.key for outcome in first] == [outcome.key for outcome in again]

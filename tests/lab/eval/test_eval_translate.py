@@ -181,9 +181,9 @@ def test_run_writes_counts_and_failures(tmp_path: Path, capsys: pytest.CaptureFi
     failed = [row for row in rows if row["translator"] == "grammar"]
     assert [row["outcome"] for row in failed] == ["refused", "right if weak", "wrong", "asked"]
     assert failed[2]["differ_on"] == []
-    told = capsys.readouterr().out
-    assert "ViTL tasks, auto" in told
-    assert "100.0 %" in told
+    output = capsys.readouterr().out
+    assert "ViTL tasks, auto" in output
+    assert "100.0 %" in output
 
 
 class _Failing:

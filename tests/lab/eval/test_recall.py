@@ -40,7 +40,7 @@ CASES = {
     "found": ((SOFA,), (("sofa", 0.5, SOFA),), (1, 1)),
     "by another name for it": ((SOFA,), (("couch", 0.5, SOFA),), (1, 1)),
     "one of two": ((SOFA, FAR), (("sofa", 0.5, FAR),), (2, 1)),
-    "another thing": ((SOFA,), (("bed", 0.5, SOFA),), (1, 0)),
+    "another object": ((SOFA,), (("bed", 0.5, SOFA),), (1, 0)),
     "a weak box": ((SOFA,), (("sofa", 0.1, SOFA),), (1, 0)),
     "a box elsewhere": ((SOFA,), (("sofa", 0.5, (30, 10, 60, 30)),), (1, 0)),
     "a speck": (((1, 1, 9, 9),), (("sofa", 0.5, (1, 1, 9, 9)),), (0, 0)),

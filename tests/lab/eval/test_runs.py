@@ -135,17 +135,17 @@ def test_after_a_stop_nothing_begins_and_nothing_is_kept(config, tasks, tmp_path
 
 def test_an_interrupted_run_resumes(config, tmp_path):
     episodes, out = plan(config, [], ["bed", "sofa"], 1, 0, 2.0), tmp_path / "out"
-    stop, told = threading.Event(), []
+    stop, reported = threading.Event(), []
 
     def tell(number, total, outcome):
-        told.append((number, total, outcome.key))
+        reported.append((number, total, outcome.key))
         stop.set()
 
     arms = make_arms(config, ARMS)
     first = run_all(arms, episodes, out, on_outcome=tell, stop=stop)
-    assert [(number, total) for number, total, _ in told] == [(1, 4)]
-    rest = run_all(arms, episodes, out, on_outcome=lambda *news: told.append(news))
-    assert len({news[2] if i == 0 else news[2].key for i, news in enumerate(told)}) == 4
+    assert [(number, total) for number, total, _ in reported] == [(1, 4)]
+    rest = run_all(arms, episodes, out, on_outcome=lambda *news: reported.append(news))
+    assert len({news[2] if i == 0 else news[2].key for i, news in enumerate(reported)}) == 4
     assert len(first) == 1
     assert [(o.episode, o.arm) for o in rest] == [(e.id, c.name) for e in episodes for c in arms]
     assert read(out / "episodes.jsonl") == episodes
@@ -170,11 +170,11 @@ def test_changed_arms_and_crashes_are_run_again(config, tmp_path, monkeypatch):
 
 def test_a_mission_with_several_targets_is_judged_at_each(config):
     (there,) = plan(config, [], ["bed"], 1, 0, 2.0)
-    told = dataclasses.replace(
+    instructed = dataclasses.replace(
         there, target=None, instruction="go to the sofa, then go to the bed", shortest_m=4.0
     )
     (arm,) = make_arms(config, {})
-    outcome = run_episode(arm, told, in_process)
+    outcome = run_episode(arm, instructed, in_process)
     assert outcome.success, outcome.reason
     assert (outcome.target, outcome.distance_m) == (None, None)
     assert outcome.reason == "sofa, then bed"

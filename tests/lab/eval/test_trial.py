@@ -67,15 +67,15 @@ def test_the_command_leaves_pictures_page_and_trajectory(tmp_path, capsys):
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [*PICTURES, "trajectory.csv", "trajectory.json"]
     )
-    told = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
+    saved = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
     rows = list(csv.DictReader((out / "trajectory.csv").open(encoding="utf-8")))
-    assert len(rows) == len(told["poses"]) == len(told["times_s"]) > 20
+    assert len(rows) == len(saved["poses"]) == len(saved["times_s"]) > 20
     assert [float(rows[-1][key]) for key in ("x_m", "y_m", "z_m", "heading_rad")] == (
-        told["poses"][-1]
+        saved["poses"][-1]
     )
     assert float(rows[-1]["speed_mps"]) == 0.0
-    assert told["instruction"] == "go to the red car"
-    assert told["frame"] == "map"
+    assert saved["instruction"] == "go to the red car"
+    assert saved["frame"] == "map"
     for name in PICTURES[:3]:
         assert cv2.imread(str(out / name)).std() > 10.0
     assert "go to the red car" in (out / "scene.html").read_text(encoding="utf-8")
@@ -212,9 +212,9 @@ def test_a_recorded_street_with_its_frames(tmp_path, capsys, shared_dir):
     )
     code, out = trajectory(tmp_path, folder, "go to the truck", "--frames", "0", "2", "4")
     assert code == os.EX_OK
-    told = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
-    assert told["place"] == "semantic_kitti_05, frames 0, 2, 4"
-    assert np.hypot(*(np.array(told["poses"][-1][:2]) - (36.9, 6.2))) < 3.0
+    saved = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
+    assert saved["place"] == "semantic_kitti_05, frames 0, 2, 4"
+    assert np.hypot(*(np.array(saved["poses"][-1][:2]) - (36.9, 6.2))) < 3.0
     code, _ = trajectory(tmp_path, folder, "go to the truck", "--objects", "detector")
     assert code == os.EX_DATAERR
     assert "(sim) sees nothing in a real picture" in capsys.readouterr().err

@@ -140,8 +140,10 @@ def test_targets_are_matched_by_name_or_noun(tmp_path):
     ],
 )
 def test_narrower_kinds_count_as_for_the_service(target, labels):
-    things = [SimpleNamespace(label=name) for name in ("chair", "armchair", "desk", "dining table")]
-    world = SimpleNamespace(objects=things)
+    objects = [
+        SimpleNamespace(label=name) for name in ("chair", "armchair", "desk", "dining table")
+    ]
+    world = SimpleNamespace(objects=objects)
     assert [obj.label for obj in objects_meant_by(world, target)] == labels
 
 

@@ -164,7 +164,7 @@ def test_reaches_any_free_cell_among_random_boxes(seed):
 
 
 CLOSED_ROOM = wall(room(8.0, 4.0), 4.0, None)
-BESIDE = SE2(1.0, 2.0, 0.0)
+NEXT_TO = SE2(1.0, 2.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ BESIDE = SE2(1.0, 2.0, 0.0)
     ],
 )
 def test_a_goal_without_a_path_fails_after_a_wait(cells, goal, reason):
-    walk = Walk(BESIDE)
+    walk = Walk(NEXT_TO)
     if cells is not None:
         walk.map(cells)
     walk.goal(4, goal)
@@ -187,7 +187,7 @@ def test_a_goal_without_a_path_fails_after_a_wait(cells, goal, reason):
     assert walk.answers[-1] == GoalStatus(4, "failed", reason)
     waited_s = (walk.now_ns - begun_ns) / 1e9
     assert GIVE_UP_NS * 1e-9 <= waited_s <= GIVE_UP_NS * 1e-9 + 1.0
-    assert walk.pose == BESIDE
+    assert walk.pose == NEXT_TO
 
 
 def test_a_path_that_closes_is_planned_again_at_once():
@@ -279,7 +279,7 @@ def test_a_repeated_goal_is_answered_with_its_state():
 
 @pytest.mark.parametrize("bad", [SE2(math.nan, 0.0, 0.0), SE2(0.0, math.inf, 0.0)])
 def test_a_goal_that_is_not_finite_is_refused(bad):
-    walk = Walk(BESIDE)
+    walk = Walk(NEXT_TO)
     walk.goal(1, bad)
     assert walk.states == [(1, "failed")]
 

@@ -144,8 +144,8 @@ def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
     for k in range(0, end_ns // S):
         recorder.tick(result(detections=detections(k * S, rng, float(rng.uniform(0.05, 0.9)))))
     frontiers = np.array([(7.85, y) for y in np.arange(0.5, 3.3, 0.3)], dtype=np.float32)
-    things = [instance(i, name, 0.4 + 0.07 * i) for i, name in enumerate(FURNITURE)]
-    things[4] = instance(4, "chair", 0.83, "reached")
+    found = [instance(i, name, 0.4 + 0.07 * i) for i, name in enumerate(FURNITURE)]
+    found[4] = instance(4, "chair", 0.83, "reached")
     end = result(
         status=MissionStatus("chair", phase, reason, end_ns / S, 14.2),
         events=(
@@ -156,7 +156,7 @@ def flat_run(phase: str = "reached", reason: str = "") -> RunRecord:
         latency=latency().report,
         snapshot=lambda inflated: flat(),
         frontiers=lambda: frontiers,
-        instances=lambda: things,
+        instances=lambda: found,
     )
     return replace(
         recorder.record(end, {"frames dropped": 3, "bad messages": 0}), mission_facts=None
@@ -194,11 +194,11 @@ def story_of(
         facts().spec, automaton=automaton, targets=automaton.propositions,
         translation=Translation(instruction, parsed, "in words", "ltl"),
     )  # fmt: skip
-    told = tuple(
+    log = tuple(
         MissionEvent(round(t_s * S), kind, label, 0, text)  # the states are not looked at
         for t_s, kind, label, text in steps
     )
-    return replace(facts(), spec=spec, state=automaton.run(word), trace=word, plan=DEAD, log=told)
+    return replace(facts(), spec=spec, state=automaton.run(word), trace=word, plan=DEAD, log=log)
 
 
 def mission_run() -> RunRecord:
@@ -206,14 +206,14 @@ def mission_run() -> RunRecord:
     found = flat_run()
     asked = "Go to the chair or the sofa, then to the tv."
     story = story_of(FORMULA, ("sofa", "tv"), STORY, asked)
-    things = [
+    objects = [
         instance(k, label, 0.9 - 0.1 * k, "reached" if label in ("sofa", "tv") else "tentative")
         for k, label in enumerate(("chair", "sofa", "tv", "bed"))
     ]
     texts = [(t_s, text) for t_s, _, _, text in STORY]
     return replace(
         found, title=asked, targets=("chair", "sofa", "tv", "bed"), mission_facts=story,
-        instances=tuple(things), events=tuple(texts),
+        instances=tuple(objects), events=tuple(texts),
     )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ FORMULAS = {
     "twice": "F(a & X F a) & G(a -> WX !b)",
     "cycle": "G(a -> X F b) & F c",
     "twelve": "F(" + " | ".join(f"thing_{i}" for i in range(12)) + ")",
-    "forty": "F(" + " | ".join(f'"some thing number {i}"' for i in range(40)) + ") & !a",
+    "forty": "F(" + " | ".join(f'"some object number {i}"' for i in range(40)) + ") & !a",
     "hostile": f'F("{BAD}" & F "{"x" * 200}") & G !"$a^ & b"',
 }
 
@@ -145,7 +145,7 @@ def test_a_large_automaton_is_drawn_in_part(n, reached):
 def test_a_dense_automaton_is_drawn_with_few_arrows(n, k, ahead):
     delta = np.random.default_rng(n).integers(0, n, (n, k + 1)).astype(np.int32)
     accepting, left = np.arange(n) == n - 1, np.ones(n, np.int32)
-    propositions = tuple(f"thing {i}" for i in range(k))
+    propositions = tuple(f"object {i}" for i in range(k))
     dense = Automaton(parse("true"), propositions, delta, accepting, left)
     scene = make_automaton_graph(dense, 3, propositions[:ahead], propositions[:ahead])
     assert 5 < len(scene.nodes) <= MAX_PART

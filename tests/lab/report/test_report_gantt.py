@@ -60,7 +60,7 @@ def test_the_chart_shows_pursuits_switches_and_ends(long_run):
 
 
 def test_forty_targets_and_a_thousand_steps(run):
-    labels = [f"thing {k}" for k in range(50)]
+    labels = [f"object {k}" for k in range(50)]
     steps = [(0.1 * k, "target", labels[k % 50], "why " * 200) for k in range(1000)]
     record = with_steps(run, steps, "F a", tuple(labels))
     assert len(gantt.pursuit_intervals(record)) == 1000

@@ -37,9 +37,9 @@ def kind_of(room) -> str:
     return room.name.rpartition(" ")[0]
 
 
-def box_of(thing) -> Rect:
-    a, b = thing.size[1::-1] if thing.yaw_deg % 180 else thing.size[:2]
-    x, y = thing.at
+def box_of(placed) -> Rect:
+    a, b = placed.size[1::-1] if placed.yaw_deg % 180 else placed.size[:2]
+    x, y = placed.at
     return Rect(x - 0.5 * a, y - 0.5 * b, x + 0.5 * a, y + 0.5 * b)
 
 
@@ -47,8 +47,8 @@ def things_in(room, house):
     return [t for t in house.objects if Rect(*room.rect).grown(0.1).holds(box_of(t))]
 
 
-def standing(things):
-    return [t for t in things if t.z_m == 0 and t.category != "rug"]
+def standing(objects):
+    return [t for t in objects if t.z_m == 0 and t.category != "rug"]
 
 
 def test_a_seed_is_the_same_house_everywhere():
@@ -90,20 +90,20 @@ def test_objects_stand_on_a_support_and_never_overlap(seed):
     house = generated_house(seed)
     for a, b in combinations(standing(house.objects), 2):
         assert not box_of(a).meets(box_of(b))
-    for thing in house.objects:
-        assert thing.z_m + thing.size[2] < house.wall_height_m
-        if thing.z_m > 0 and thing.category != "picture":
-            below = [t for t in house.objects if t.z_m == 0 and t.size[2] == thing.z_m]
-            assert any(Rect(*_span(t)).holds(Rect(*_middle(thing))) for t in below)
+    for placed in house.objects:
+        assert placed.z_m + placed.size[2] < house.wall_height_m
+        if placed.z_m > 0 and placed.category != "picture":
+            below = [t for t in house.objects if t.z_m == 0 and t.size[2] == placed.z_m]
+            assert any(Rect(*_span(t)).holds(Rect(*_middle(placed))) for t in below)
 
 
-def _span(thing):
-    box = box_of(thing)
+def _span(placed):
+    box = box_of(placed)
     return box.x0, box.y0, box.x1, box.y1
 
 
-def _middle(thing):
-    x, y = thing.at
+def _middle(placed):
+    x, y = placed.at
     return x, y, x, y
 
 
@@ -120,8 +120,8 @@ def test_a_robot_gets_into_every_room_and_to_everything(seed):
         x0, y0, x1, y1 = room.rect
         inside = (xy > (x0, y0)).all(axis=1) & (xy < (x1, y1)).all(axis=1)
         assert inside.any(), room.name
-    for item, thing in zip(world.objects, house.objects, strict=True):
-        box = box_of(thing)
+    for item, placed in zip(world.objects, house.objects, strict=True):
+        box = box_of(placed)
         away = np.maximum(np.maximum((box.x0, box.y0) - xy, xy - (box.x1, box.y1)), 0.0)
         near = np.hypot(*away.T)
         assert item.distance_m(*xy[near.argmin()]) < 1.0, item.name

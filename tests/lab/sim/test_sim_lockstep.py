@@ -19,12 +19,12 @@ class Drive:
     def __init__(self, stop: threading.Event, steps: int) -> None:
         here = SE2(0.0, 0.0, 0.0)
         self.motion = MotionState(0, here, here, 0.0, 0.0, 0, False, 0.0)
-        self.told: list[tuple[float, float]] = []
+        self.received: list[tuple[float, float]] = []
         self._stop, self._steps = stop, steps
 
     def step(self, dt_s: float, v_mps: float, w_radps: float) -> None:
-        self.told.append((v_mps, w_radps))
-        if len(self.told) == self._steps:
+        self.received.append((v_mps, w_radps))
+        if len(self.received) == self._steps:
             self._stop.set()
 
 
@@ -49,6 +49,6 @@ def test_lockstep_holds_the_clock_until_an_answer_comes(monkeypatch, caplog, lat
     monkeypatch.setattr(process, "make_rigs", lambda *_: [])
     drive, bus = Drive(stop, 1), Bus(late)
     process.run_lockstep(simulated(), None, drive, bus, stop)
-    assert drive.told == [(0.5, 0.1)]
+    assert drive.received == [(0.5, 0.1)]
     assert bus.sent == late
     assert ("check that the controller runs" in caplog.text) == (late > 1)

@@ -39,14 +39,14 @@ def test_streets_of_a_seed_never_change():
 def test_streets_differ_in_grounds_and_objects():
     drawn = [street(seed) for seed in range(60)]
     assert {len(s.grounds) for s in drawn} == {3, 4, 5}
-    labels = {thing.label for s in drawn for thing in s.objects}
+    labels = {item.label for s in drawn for item in s.objects}
     assert labels == {"house", "car", "van", "tree", "pole", "trash can", "bench"}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_objects_do_not_overlap(seed):
     drawn = street(seed)
-    rects = [thing.rect for thing in drawn.objects]
+    rects = [item.rect for item in drawn.objects]
     robot = Rect(drawn.start.x_m - 1, drawn.start.y_m - 1, drawn.start.x_m + 1, drawn.start.y_m + 1)
     for k, rect in enumerate(rects):
         assert not any(rect.meets(other) for other in [robot, *rects[:k]])

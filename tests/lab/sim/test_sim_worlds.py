@@ -40,8 +40,8 @@ EMPTY_ROOM = {
 }  # fmt: skip
 
 
-def house_with(*things: dict) -> BoxWorld:
-    return build_house(House.model_validate({**EMPTY_ROOM, "objects": things}), simulated())
+def house_with(*objects: dict) -> BoxWorld:
+    return build_house(House.model_validate({**EMPTY_ROOM, "objects": objects}), simulated())
 
 
 def look(world, pose: SE2, width=96, height=64, pitch_rad=0.0, colour=True):
@@ -222,7 +222,7 @@ def test_procthor_houses_start_free_and_have_reachable_rooms(shared_dir: Path):
 
 def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
     text = (Path(__file__).resolve().parents[3] / "docs" / "worlds.md").read_text(encoding="utf-8")
-    house, things = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
+    house, objects = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
     (config,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     path = tmp_path / "houses.jsonl"
     path.write_text(json.dumps(json.loads(house)) + "\n")
@@ -231,11 +231,11 @@ def test_the_files_that_the_docs_describe_are_read(tmp_path: Path):
     assert (world.name, world.start) == ("demo", SE2(2.0, 1.0, 0.0))
     section = {"kind": "procthor", "file": str(path), "name": "my-house-0"}
     world = load_world(simulated({"sim": {"world": section}}))
-    assert [thing.label for thing in world.objects] == ["refrigerator"]
+    assert [item.label for item in world.objects] == ["refrigerator"]
     assert not collides(world, world.start.x_m, world.start.y_m, 0.2)
-    (tmp_path / "things.json").write_text(things)
-    (thing,) = read_objects(tmp_path / "things.json")
-    assert names.canonical(thing["category"]) == "sofa"
+    (tmp_path / "objects.json").write_text(objects)
+    (item,) = read_objects(tmp_path / "objects.json")
+    assert names.canonical(item["category"]) == "sofa"
 
 
 def test_procthor_errors_name_the_file_and_house(shared_dir: Path, tmp_path: Path):

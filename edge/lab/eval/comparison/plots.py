@@ -163,13 +163,8 @@ def _draw_forest(
 ) -> None:
     """Draw a dot with a whisker in each row, and write its value above it.
 
-    Args:
-        axes: where to draw.
-        found: the interval of each row.
-        arms: index of the arm of each row, which gives its colour.
-        scale: factor on the values.
-        digits: number of decimals.
-        sign: "+" writes the sign of positive values, too.
+    `arms` has the index of the arm of each row, which gives its colour. The values are multiplied
+    by `scale`. If `sign` is "+", positive values get their sign, too.
     """
     for row, (interval, arm) in enumerate(zip(found, arms, strict=True)):
         value, low, high = (scale * x for x in interval)

@@ -219,25 +219,21 @@ def compare(
 ) -> Comparison:
     """Compute all figures. The same outcomes always give the same figures.
 
-    Args:
-        outcomes: the outcomes.
-        baseline: name of an arm; None: the first.
-        left_m: (A, E) metres left to drive when the target was first seen, NaN if unknown or never
-            (`worlds.fill_left_at_sight_m`). `outcomes["left_m"]` are those left at the end.
-        resamples: number of bootstrap resamples.
+    The baseline is the first arm if none is named. `left_m` is (A, E): metres left to drive when
+    the target was first seen, NaN if unknown or never (`worlds.fill_left_at_sight_m`).
+    `outcomes["left_m"]` are those left at the end.
 
     Raises:
         UserError: there is no such arm.
     """
     base = baseline_of(outcomes, baseline)
     cluster, by_world = clusters(outcomes.world)
-    figures = _figures(outcomes, tuple(METRICS), cluster, resamples)
     others = [a for a in range(len(outcomes.arms)) if a != base]
     return Comparison(
         outcomes,
         base,
         "world" if by_world else "episode",
-        figures,
+        _figures(outcomes, cluster, resamples),
         tuple(pair(outcomes, a, base, resamples) for a in others),
         _groups(outcomes, resamples),
         {name: _failures(outcomes, a) for a, name in enumerate(outcomes.arms)},
@@ -246,15 +242,15 @@ def compare(
 
 
 def _figures(
-    outcomes: Outcomes, keys: Sequence[str], cluster: np.ndarray, resamples: int
+    outcomes: Outcomes, cluster: np.ndarray, resamples: int
 ) -> dict[str, dict[str, Estimate]]:
-    """Return the metrics of these keys, by arm, by metric."""
-    values = {key: _values(key, outcomes) for key in keys}
-    means = [key for key in keys if METRICS[key].how == "mean"]
+    """Return all metrics, by arm, by metric."""
+    values = {key: _values(key, outcomes) for key in METRICS}
+    means = [key for key in METRICS if METRICS[key].how == "mean"]
     intervals = arm_means([values[key] for key in means], cluster, resamples)
     figures: dict[str, dict[str, Estimate]] = {name: {} for name in outcomes.arms}
     for a, name in enumerate(outcomes.arms):
-        for key in keys:
+        for key in METRICS:
             counted = values[key][a][~np.isnan(values[key][a])]
             if METRICS[key].how == "median":
                 interval = (

@@ -210,13 +210,9 @@ def _figure(metric: ComparisonMetric, figure: Estimate, bounds: bool) -> str:
 
 
 def bounded(interval: Interval, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """Format `0.71 [0.66, 0.75]`; without bounds if there are none.
+    """Format `0.71 [0.66, 0.75]`, after scaling; without bounds if there are none.
 
-    Args:
-        interval: value and bounds.
-        digits: number of decimals.
-        scale: factor on the numbers.
-        sign: "+" writes the sign of positive numbers, too.
+    If `sign` is "+", positive numbers get their sign, too.
     """
     if math.isnan(interval.value):
         return DASH

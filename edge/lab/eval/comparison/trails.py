@@ -93,13 +93,8 @@ def figure(
 ) -> str:
     """Return the map of one episode with one arm, and its outcome below.
 
-    Args:
-        ground: background of the episode's world.
-        target: name of the episode's target; "" for a mission.
-        name: name of the arm.
-        arm: index of the arm, by which the page's script hides it.
-        outcome: None: the episode was not run.
-        spl: SPL, success weighted by path length, of the episode.
+    `target` is "" for a mission, and `outcome` None if the episode was not run. `arm` is the index
+    by which the page's script hides the map.
     """
     words = f"<b>{escape(one_line(name, 40))}</b>"
     if outcome is None:

@@ -134,12 +134,8 @@ def run_episode(
 ) -> EpisodeResult:
     """Ask the planner and attempt its target, until the run ends.
 
-    Args:
-        problem: the task.
-        p_obs: probability that an exploration finds its target.
-        choose: the planner.
-        draws: see `draws_of`; row i serves the i-th decision.
-        seen: bit mask of objects whose places are known from the start.
+    An exploration finds its target with probability `p_obs`. Row i of `draws` (see `draws_of`)
+    serves the i-th decision. `seen` is a bit mask of objects whose places are known from the start.
     """
     state, reached, order, current = 0, 0, (), NOTHING
     explorations = steps = 0

@@ -17,14 +17,10 @@ _DIRECT_COST, _WAIT_COST = 1e-5, 1e-6
 
 
 class Optimum:
-    """A planner that knows p_obs and the number of other objects.
+    """A planner that knows p_obs, the chance of an exploration, and the number of other objects.
 
     Targets are the formula's own objects, as for every planner. At p_obs < 1/6 it could gain by
     exploring for objects that the task does not name (see `edge.lab.eval.planning.executor`).
-
-    Args:
-        problem: the task; `value` grows as 2**k with its k objects.
-        p_obs: probability that an exploration finds its target.
 
     Attributes:
         value: (2**k, e + 1, n) float64, least expected cost by the set of known propositions (bit

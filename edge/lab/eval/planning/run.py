@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     tasks = generate(args.n, args.seed)
     print(report.tasks_line(tasks), flush=True)
     with ProgressBar("tasks", len(tasks)) as bar:
-        results = run_tasks(tasks, settings, args.jobs, bar.set_done)
+        results = run_tasks(tasks, settings, args.workers, bar.set_done)
     rows = report.rows_of(results)
     print(report.legend(results.planners), end="\n\n")
     print(report.table(rows), end="\n\n")

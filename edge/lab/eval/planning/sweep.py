@@ -82,10 +82,10 @@ class TaskBatch(NamedTuple):
 def run_tasks(
     tasks: Sequence[BenchmarkTask],
     settings: Settings,
-    jobs: int = 1,
+    workers: int = 1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> SweepResults:
-    """Run the comparison; the results do not depend on `jobs`.
+    """Run the comparison; the results do not depend on `workers`.
 
     Raises:
         CompileError: a formula is beyond the compiler's limits.
@@ -98,7 +98,7 @@ def run_tasks(
     )  # fmt: skip
     work = list(_batches(tasks, max(1, BATCH_EPISODES // settings.episodes)))
     done = 0
-    for batch, part in _run_all(work, settings, jobs):
+    for batch, part in _run_all(work, settings, workers):
         results.outcome[:, :, batch.rows], results.explorations[:, :, batch.rows] = part[:2]
         results.steps[:, :, batch.rows] = part[2]
         results.bound[batch.rows] = batch.problem.steps_left[0]
@@ -145,14 +145,14 @@ def run_batch(batch: TaskBatch, settings: Settings) -> np.ndarray:
 
 
 def _run_all(
-    work: list[TaskBatch], settings: Settings, jobs: int
+    work: list[TaskBatch], settings: Settings, workers: int
 ) -> Iterator[tuple[TaskBatch, np.ndarray]]:
     """Yield batches with their results, in the order of completion."""
-    if jobs == 1:
+    if workers == 1:
         yield from ((batch, run_batch(batch, settings)) for batch in work)
         return
     # A fork could copy locks that threads of the numerical libraries hold.
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ignore_interrupts)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), ignore_interrupts)
     try:
         with holding_interrupts():
             futures = {pool.submit(run_batch, batch, settings): batch for batch in work}
@@ -160,7 +160,7 @@ def _run_all(
             yield futures[future], future.result()
     except BrokenProcessPool:
         raise UserError(
-            "a process of the evaluation was killed, perhaps for lack of memory; give fewer --jobs"
+            "a process of the evaluation was killed, perhaps out of memory; give fewer --workers"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)

@@ -31,7 +31,7 @@ class ChildProcesses:
         return self._spawn(name, ["edge.cli", *arguments, *options], out)
 
     def start_module(self, name: str, module: str, *arguments: str) -> None:
-        """Start another module of the soak test."""
+        """Start a module, with this process's id as its last argument."""
         self._spawn(name, [module, *arguments, str(os.getpid())])
 
     def _spawn(

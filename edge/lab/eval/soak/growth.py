@@ -24,17 +24,13 @@ class Slope(NamedTuple):
 def slope_of(lives: Iterable[tuple[np.ndarray, np.ndarray]]) -> Slope | None:
     """Return the Theil-Sen slope: the median of the slopes between any two values.
 
+    A life of a process is (n,) seconds and (n,) values, in order of time. Values are compared only
+    within one life. Too few values have no slope.
+
     The interval is Sen's: two ranks of the sorted slopes, from the variance of Kendall's S.
 
     Samples of adjacent seconds are correlated, which would make the interval too narrow. So medians
-    over longer bins are compared, at most about `_BINS`. Values are compared only within one life
-    of a process.
-
-    Args:
-        lives: for each life of a process, (n,) seconds and (n,) values, in order of time.
-
-    Returns:
-        None if there are too few values.
+    over longer bins are compared, at most about `_BINS`.
     """
     thinned = [_bin_medians(*life) for life in _with_bin_length(lives)]
     slopes, variance = [np.zeros(0)], 0.0

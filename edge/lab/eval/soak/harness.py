@@ -173,9 +173,8 @@ class SoakHarness:
     def start_router(self) -> None:
         """Start the Zenoh router, if the configuration needs one."""
         if self.config.zenoh.mode == "client":
-            self.children.start_module(
-                "router", "edge.lab.eval.soak.router", self.config.zenoh.endpoint
-            )
+            command = ("fleet", "router", self.config.zenoh.endpoint, "--with-parent")
+            self.children.start_module("router", "edge.cli", "--log-level", "warning", *command)
 
     def start_controller(self) -> None:
         """Start the motion controller."""

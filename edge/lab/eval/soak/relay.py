@@ -35,10 +35,8 @@ _STAMPED = tuple(topic for topic in topics.PLAYED if topic.type != "json")
 class Relay:
     """Passes on messages until it is closed.
 
-    Args:
-        robot: the endpoint to which the simulator connects; the relay listens.
-        service: the endpoint of the service or its router.
-        stop: ends a wait for the service's endpoint.
+    It listens at the endpoint of `robot`, to which the simulator connects, and connects to that of
+    `service`, or its router. `stop` ends a wait for the latter.
 
     Attributes:
         alter: alters the sensors' messages; None: no change.

@@ -100,11 +100,9 @@ def episodes(
 ) -> Iterator[TrajectoryEpisode]:
     """Yield the episodes of the places that the command line names, in order.
 
-    Args:
-        specs: each has a form of `PLACE_FORMS`.
-        limit: at most this number of episodes for each.
-        pipeline: detection pipeline for frames of SemanticKITTI; None: objects come from the
-            labels. With a pipeline, other places are refused, as their objects are known.
+    Each spec has a form of `PLACE_FORMS`, and at most `limit` episodes. The pipeline finds the
+    objects in frames of SemanticKITTI; without one, they come from the labels. With a pipeline,
+    other places are refused, as their objects are known.
 
     Raises:
         UserError: a spec has another form or cannot be read.
@@ -220,10 +218,8 @@ def _sequence(folder: Path) -> str:
 def kitti_place(frame: kitti.KittiFrame, all_frames: Scene, solid_m: np.ndarray) -> ReferenceScene:
     """Return the labelled objects in a frame's picture, with the ground and occupancy around them.
 
-    Args:
-        frame: the frame.
-        all_frames: scene of all frames, for its ground.
-        solid_m: (n, 2) points of labelled objects in all frames, for the occupancy.
+    The ground is that of the scene of all frames, and the occupancy the points (n, 2) of labelled
+    objects in all frames.
     """
     seen = frame.observation
     T_map_lidar = seen.T_map_base @ seen.T_base_lidar

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 import cv2
@@ -12,8 +13,8 @@ import numpy as np
 
 from edge.errors import UserError
 from edge.geometry import Grid
-from edge.lab.eval.json_lines_file import JsonLinesFile, parser_of, to_line
-from edge.lab.eval.outcome import MAX_BYTES, OUTCOMES_NAME
+from edge.lab.eval.json_lines_file import JsonLinesFile
+from edge.lab.eval.outcome import OUTCOMES_NAME
 from edge.lab.eval.trajectories.episodes import TrajectoryEpisode
 from edge.lab.eval.trajectories.methods import MethodResult
 from edge.lab.eval.trajectories.references import Category
@@ -166,24 +167,19 @@ class ResultsFolder:
 
     def __init__(self, path: Path) -> None:
         self._episodes = JsonLinesFile(
-            path / EPISODES_NAME, parser_of(EpisodeFacts), "an episode", MAX_BYTES
+            path / EPISODES_NAME, EpisodeFacts, "an episode", attrgetter("id")
         )
-        self._outcomes = JsonLinesFile(
-            path / OUTCOMES_NAME, parser_of(TrajectoryOutcome), "an outcome", MAX_BYTES
-        )
-        self.facts = {facts.id: facts for facts in self._episodes.found}
-        self.outcomes = {outcome.key: outcome for outcome in self._outcomes.found}
+        self._outcomes = JsonLinesFile(path / OUTCOMES_NAME, TrajectoryOutcome, "an outcome")
+        self.facts, self.outcomes = self._episodes.known, self._outcomes.known
 
     def add(self, facts: EpisodeFacts) -> None:
         """Append an episode, if it is not there yet."""
         if facts.id not in self.facts:
-            self._episodes.append(to_line(asdict(facts)))
-            self.facts[facts.id] = facts
+            self._episodes.append(facts)
 
     def append(self, outcome: TrajectoryOutcome) -> None:
         """Append an outcome."""
-        self._outcomes.append(to_line(asdict(outcome)))
-        self.outcomes[outcome.key] = outcome
+        self._outcomes.append(outcome)
 
 
 @dataclass(frozen=True, eq=False)

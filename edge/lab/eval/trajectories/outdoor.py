@@ -27,8 +27,8 @@ from edge.lab.eval.trajectories.references import (
     possible_tasks,
 )
 from edge.lab.sim import kernels
-from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays
-from edge.lab.sim.boxworld import Primitive
+from edge.lab.sim.base import FLOOR_CLEARANCE_M, LidarRays, box_distances_m
+from edge.lab.sim.boxworld import Primitive, geometry_row
 from edge.lab.sim.generator.rng import PortableRng
 from edge.lab.sim.street import Street, StreetObject, solids, street
 from edge.tasks.ground import reachable
@@ -89,7 +89,7 @@ def outdoor_scene(this_street: Street) -> tuple[Scene, np.ndarray]:
     floor, standing = solids(this_street)
     parts = floor + [part for _, solid in standing for part in solid]
     shape = np.array([part.shape for part in parts], np.uint8)
-    boxes = np.array([_box_row(part) for part in parts])
+    boxes = np.array([geometry_row(part) for part in parts])
     cloud_m = _scan(shape, boxes)
     occupancy = _occupancy(shape, boxes)
     regions_grid = _regions_grid(this_street, occupancy)
@@ -131,31 +131,12 @@ def place_of(scene: Scene) -> ReferenceScene:
     return ReferenceScene(scene.pose, landmarks, scene.occupancy, drivable, ROBOT_M, TASK_M)
 
 
-def _gaps_m(
-    points_m: np.ndarray, position_m: np.ndarray, size_m: np.ndarray, heading_rad: float
-) -> np.ndarray:
-    """Return (n,): the distance of points (n, 2) from a box on the ground, 0 inside."""
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
-    local = np.abs((points_m - position_m[:2]) @ np.array([[c, -s], [s, c]]))
-    return np.hypot(*np.maximum(local - 0.5 * size_m[:2], 0.0).T)
-
-
 def _scan(shape: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Return the points that the LiDAR at the origin of `map` sees, (n, 3) float32.
 
-    Args:
-        shape: (p,) uint8, shape of each primitive.
-        boxes: (p, 8) float64, see `_box_row`.
+    Each primitive has its shape in (p,) uint8, and its `geometry_row` in (p, 8) float64.
     """
-    low, high = ELEVATION_RAD
-    elevation = np.linspace(low, high, RINGS)[:, None]
-    azimuth = (-math.pi + 2 * math.pi / COLUMNS * np.arange(COLUMNS))[None]
-    parts = (
-        np.cos(elevation) * np.cos(azimuth),
-        np.cos(elevation) * np.sin(azimuth),
-        np.sin(elevation) + 0 * azimuth,  # in the common shape
-    )
-    fan = LidarRays(np.stack(parts, axis=-1), low, (high - low) / (RINGS - 1), RANGE_M)
+    fan = LidarRays.between(*ELEVATION_RAD, RINGS, COLUMNS, RANGE_M)
     ranges_m = np.empty((RINGS, COLUMNS), np.float32)
     T_map_lidar = se3(0.0, 0.0, LIDAR_M)
     kernels.cast_fan(
@@ -198,7 +179,7 @@ def _object(
     nearest = {}
     for region in np.unique(regions.cells[can_reach & (regions.cells > 0)]).tolist():
         centres = regions.centres_m(*np.nonzero((regions.cells == region) & can_reach))
-        gaps = _gaps_m(centres, position_m, size_m, pose.yaw_rad)
+        gaps = box_distances_m(centres, position_m, size_m, pose.yaw_rad)
         nearest[region] = tuple(centres[int(np.argmin(gaps))].tolist())
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
     return SceneObject(
@@ -230,9 +211,3 @@ def _points_on(parts: Sequence[Primitive], cloud_m: np.ndarray) -> np.ndarray:
         size = np.linalg.norm(local, axis=1) if is_ellipsoid else local.max(axis=1, initial=0.0)
         on |= size <= 1.0
     return near[on]
-
-
-def _box_row(part: Primitive) -> list[float]:
-    """Return x, y, z, three half extents, cos(yaw) and sin(yaw) of a primitive."""
-    half = [0.5 * extent for extent in part.size_m]
-    return [*part.center_m, *half, math.cos(part.yaw_rad), math.sin(part.yaw_rad)]

@@ -45,14 +45,8 @@ def run_all(
 ) -> list[tuple[str, str, str]]:
     """Run methods on episodes. Outcomes on file are not run again; new ones are appended.
 
-    Args:
-        planned: the episodes.
-        names: of the methods.
-        config: names the writer.
-        folder: keeps the outcomes.
-        on_outcome: called with each new outcome.
-        stop: ends the run early, between two episodes.
-        seen_by: source of the scenes' objects; "" if they are known, or come from labels.
+    `config` names the writer, and `seen_by` the source of the scenes' objects: "" if they are
+    known, or come from labels. `stop` ends the run early, between two episodes.
 
     Returns:
         The keys of the outcomes.

@@ -61,14 +61,10 @@ class SceneCapture:
 def capture_kitti(
     folder: Path, numbers: Sequence[int], config: Config, words: Sequence[str] | None = None
 ) -> SceneCapture:
-    """Build the scene of some frames of a SemanticKITTI sequence.
+    """Build the scene of some frames of a SemanticKITTI sequence; without numbers, of the first.
 
-    Args:
-        folder: of the sequence.
-        numbers: of the frames; empty: the first frame.
-        config: gives the robot and the detector.
-        words: names that the detector looks for, in addition to the configured ones. The regions
-            are then flat, connected ground. None: objects and kinds of ground come from the labels.
+    The detector looks for `words`, in addition to the configured ones; the regions are then flat,
+    connected ground. Without words (None), objects and kinds of ground come from the labels.
 
     Raises:
         UserError: a frame cannot be read, or there is no detector.
@@ -101,12 +97,8 @@ def capture_kitti(
 def capture_street(seed: int, config: Config, words: Sequence[str] | None = None) -> SceneCapture:
     """Build the scene of a built-in street, as the configured camera and LiDAR see it at its start.
 
-    The kind of ground under each return is the street's own.
-
-    Args:
-        seed: of the street.
-        config: gives the sensors, the robot and the detector.
-        words: see `capture_kitti`; None: the objects come from the simulator.
+    The kind of ground under each return is the street's own. `words` are as in `capture_kitti`;
+    without them, the objects come from the simulator.
 
     Raises:
         UserError: there is no LiDAR, or no detector.
@@ -165,11 +157,8 @@ def detector_pipeline(
 ) -> Iterator[tuple[PerceptionPipeline, str]]:
     """Yield the detection pipeline of the configured detector, or a plugin, and its name.
 
-    Args:
-        config: names the detector and the segmenter, or a plugin in `tasks.pipeline`, and the model
-            for kinds of ground (`tasks.ground`).
-        words: names to look for, in addition to the detector's `background`.
-        truth: ground truth for a simulated detector; None: the pictures are real.
+    It looks for `words`, in addition to the detector's `background`. A simulated detector needs the
+    ground truth.
 
     Raises:
         UserError: there is no detector, or nothing to look for.

@@ -19,11 +19,7 @@ _TEXTURE_FOLDERS = (".", "../materials/textures", "../textures", "materials/text
 
 
 class ModelFolders:
-    """The folders that a world may read from; nothing outside of them is read.
-
-    Args:
-        folders: each has models, as one folder for each model.
-    """
+    """Folders that a world may read from, each with models as folders. No other file is read."""
 
     def __init__(self, folders: Iterable[Path]) -> None:
         self._folders = [folder.resolve() for folder in folders]
@@ -31,10 +27,9 @@ class ModelFolders:
     def find(self, uri: str, base: Path) -> Path | None:
         """Return the file or folder of a URI; None if it is in none of the folders.
 
-        Args:
-            uri: `model://NAME/…`, `package://…`, `file://…`, a path, or the address of a model,
-                which is looked up by its last part. Nothing is fetched.
-            base: folder of the file that has the URI.
+        A URI is `model://NAME/…`, `package://…`, `file://…`, a path, or the address of a model,
+        which is looked up by its last part. `base` is the folder of the file that has it. Nothing
+        is fetched.
         """
         scheme, _, path = unquote(uri.strip()).replace("\\", "/").rpartition("://")
         if scheme in ("http", "https"):
@@ -75,7 +70,7 @@ class ModelFolders:
         return next(self._inside([folder / file]), None)
 
     def _inside(self, paths: Iterable[Path]) -> Iterator[Path]:
-        """Yield those of the paths that exist and, links resolved, lie in the folders."""
+        """Yield those of the paths that exist and, links resolved, are in the folders."""
         for path in paths:
             try:
                 real = path.resolve()
@@ -86,11 +81,9 @@ class ModelFolders:
 
 
 def parse_xml(file: Path, content: bytes | None = None) -> ElementTree.Element:
-    """Return the root element of an XML file; document types and entities are refused.
+    """Return the root element of an XML file, or of its content if that is given.
 
-    Args:
-        file: the file, read unless `content` is given.
-        content: its content.
+    Document types and entities are refused.
 
     Raises:
         WorldError: the file cannot be read, or is not such XML.

@@ -50,7 +50,7 @@ class SdfReader:
     """Reads one world.
 
     Attributes:
-        problems: one line for each thing that was left out, and how often it was.
+        problems: one line for each part that was left out, and how often it was.
     """
 
     def __init__(self, folders: ModelFolders) -> None:

@@ -58,11 +58,7 @@ class SurfaceLook(NamedTuple):
 
 
 class ShapeLoader:
-    """Loads meshes and materials, each file once.
-
-    Args:
-        problems: gets one line for each thing that is missing.
-    """
+    """Loads meshes and materials, each file once. Each missing one adds a line to `problems`."""
 
     def __init__(self, folders: ModelFolders, problems: Counter[str]) -> None:
         self._folders, self._problems = folders, problems

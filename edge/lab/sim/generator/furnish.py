@@ -27,7 +27,7 @@ _ROOM_TRIES = 50  # furnishings to try for a room
 _LOW_M = 1.15
 """Objects that are lower than this may stand below a picture."""
 _ROUNDING_M = 0.011
-"""Objects may lie this much outside the walls, because positions are rounded."""
+"""Objects may be this much outside the walls, because positions are rounded."""
 
 Pose = tuple[float, float, int]
 """Centre x and y [m], and quarter turns from +x."""
@@ -75,10 +75,7 @@ class RoomReachability:
     """Checks that a robot can reach all doors and objects of a room.
 
     It uses a raster of the places for the robot's centre: the floor without a border of
-    `PASSAGE_M`.
-
-    Args:
-        rect: the room, to the middle of its walls.
+    `PASSAGE_M`. The room's rectangle reaches to the middle of its walls.
     """
 
     def __init__(self, rect: Rect, doors: list[Door]) -> None:
@@ -268,7 +265,7 @@ def _in_middle(room: RoomFurnisher, rule: FurnitureRule, size: Size) -> PosesToT
 
 
 def _anywhere(room: RoomFurnisher, rule: FurnitureRule, size: Size) -> PosesToTry:
-    """Yield poses in the whole room."""
+    """Yield poses in the entire room."""
     r, rng = room.inside, room.rng
     for _ in range(_TRIES):
         yield (rng.between(r.x0, r.x1), rng.between(r.y0, r.y1), rng.count(0, 3)), 0.0

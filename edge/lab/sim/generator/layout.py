@@ -180,7 +180,7 @@ def _in_block(rng: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
 
 
 def _along_hallway(rng: PortableRng, wanted: Wanted) -> list[tuple[str, Rect]]:
-    """Return rooms on both sides of a hallway; sometimes the living room lies across its end."""
+    """Return rooms on both sides of a hallway; sometimes the living room is across its end."""
     wanted = list(wanted)
     across = wanted.pop(0) if rng.chance(0.5) else None  # the living room is the first
     sides: tuple[list, list] = ([], [])  # rooms below the hallway (smaller y), and above it

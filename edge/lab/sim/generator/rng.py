@@ -78,7 +78,7 @@ class Rect:
         )
 
     def holds(self, other: Rect) -> bool:
-        """Return True if the other rectangle lies inside this one."""
+        """Return True if the other rectangle is inside this one."""
         return (
             self.x0 <= other.x0
             and self.y0 <= other.y0
@@ -88,24 +88,17 @@ class Rect:
 
 
 def wall_span_m(room: Rect, side: int) -> float:
-    """Return the length of a wall.
+    """Return the length of a wall: 0 at x0, 1 at y0, 2 at x1, 3 at y1.
 
-    Args:
-        room: the room.
-        side: the wall: 0 at x0, 1 at y0, 2 at x1, 3 at y1. It is also the quarter turns of
-            furniture that has its back to this wall.
+    This number is also the quarter turns of furniture that has its back to the wall.
     """
     return room.width_m if side % 2 else room.depth_m
 
 
 def at_wall(room: Rect, side: int, along_m: float, off_m: float) -> tuple[float, float]:
-    """Return x and y of a place in a room, relative to one of its walls.
+    """Return x and y of a place in a room, relative to one of its walls (see `wall_span_m`).
 
-    Args:
-        room: the room.
-        side: the wall, as in `wall_span_m`.
-        along_m: distance from the wall's end with the smaller coordinate.
-        off_m: distance from the wall.
+    `along_m` counts from the wall's end with the smaller coordinate, `off_m` from the wall.
     """
     return (
         (room.x0 + off_m, room.y0 + along_m),

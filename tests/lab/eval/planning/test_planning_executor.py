@@ -41,13 +41,13 @@ def luck(*rows: tuple[float, float]) -> np.ndarray:
 
 def say(*targets: int):
     """Return a planner that gives these answers in turn and records its inputs."""
-    todo, told = list(targets), []
+    todo, asked = list(targets), []
 
     def choose(situation):
-        told.append(situation)
+        asked.append(situation)
         return todo.pop(0) if todo else DONE
 
-    choose.told = told
+    choose.asked = asked
     return choose
 
 

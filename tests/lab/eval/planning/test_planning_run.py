@@ -27,7 +27,8 @@ def parsed(*argv: str) -> argparse.Namespace:
 def test_runs_and_writes(tmp_path, capsys):
     out = tmp_path / "new" / "folder"
     assert (
-        command.run(parsed("--n", "20", "--p-obs", "0.5,1", "--jobs", "1", "--out", str(out))) == 0
+        command.run(parsed("--n", "20", "--p-obs", "0.5,1", "--workers", "1", "--out", str(out)))
+        == 0
     )
     text = capsys.readouterr().out
     assert text.startswith("20 tasks, ")
@@ -50,7 +51,7 @@ def test_runs_and_writes(tmp_path, capsys):
         (("--n", "0"), "expected an integer from 1, got"),
         (("--episodes", "-1"), "expected an integer from 1, got"),
         (("--seed", "-1"), "expected an integer from 0 to 2**63 - 1, got -1"),
-        (("--jobs", "two"), "invalid"),
+        (("--workers", "two"), "invalid"),
     ],
 )
 def test_bad_options(argv, words, capsys):
@@ -75,7 +76,7 @@ def test_bad_input_is_an_error_of_one_line(tmp_path):
 def test_the_table_is_complete_if_a_file_cannot_be_written(tmp_path, capsys):
     (tmp_path / "results.json").mkdir()
     with pytest.raises(FileError) as caught:
-        command.run(parsed("--n", "1", "--p-obs", "1", "--jobs", "1", "--out", str(tmp_path)))
+        command.run(parsed("--n", "1", "--p-obs", "1", "--workers", "1", "--out", str(tmp_path)))
     assert str(caught.value).startswith(f"{tmp_path / 'results.json'}: cannot be written: ")
     assert str(caught.value).endswith("; for the files, run again with another folder")
     assert "100.00" in capsys.readouterr().out
@@ -110,7 +111,7 @@ def test_an_interrupt_ends_the_command_with_its_processes(tmp_path):
                 sys.exit(130)
         """)
     )
-    argv = ["--n", "60", "--episodes", "50", "--jobs", "2", "--out", str(tmp_path)]
+    argv = ["--n", "60", "--episodes", "50", "--workers", "2", "--out", str(tmp_path)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # A group of its own gets the signal, as a terminal's Ctrl-C goes to all of its processes.
     command = [sys.executable, script, *argv]

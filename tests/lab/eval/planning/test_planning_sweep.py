@@ -21,7 +21,7 @@ def same(a, b) -> bool:
 
 def test_processes_give_the_same_results():
     tasks = generate(12)
-    assert same(run_tasks(tasks, SETTINGS, jobs=2), run_tasks(tasks, SETTINGS))
+    assert same(run_tasks(tasks, SETTINGS, workers=2), run_tasks(tasks, SETTINGS))
 
 
 def test_batches_and_company_make_no_difference(monkeypatch):
@@ -35,4 +35,4 @@ def test_batches_and_company_make_no_difference(monkeypatch):
 
 def test_a_failure_in_a_process_ends_the_run():
     with pytest.raises(KeyError, match="nobody"):
-        run_tasks(generate(3), SETTINGS._replace(planners=("nobody",)), jobs=2)
+        run_tasks(generate(3), SETTINGS._replace(planners=("nobody",)), workers=2)

@@ -61,9 +61,9 @@ def test_a_complete_file_is_read_and_the_first_kept(tmp_path, drive):
         assert recordings.files == 1
     assert recordings.messages > 5
     files_of(path.parent)[0].unlink()
-    told = recordings.judge()
+    judged = recordings.judge()
     assert (tmp_path / FIRST).read_bytes() == drive
-    assert (told["ticks"], told["differing"], told["ended"]) == (5, 0, "")
+    assert (judged["ticks"], judged["differing"], judged["ended"]) == (5, 0, "")
     assert recordings.problem == ""
 
 
@@ -71,9 +71,9 @@ def test_a_cut_off_recording_is_replayed_to_its_end(tmp_path, drive):
     recordings = recorded(tmp_path)
     lay(tmp_path, drive[: len(drive) // 2], NAME + PARTIAL)
     recordings.check_next_file()
-    told = recordings.judge()
-    assert (told["files"], told["cut"]) == (1, 1)
-    assert told["ended"].endswith("cut off")
+    judged = recordings.judge()
+    assert (judged["files"], judged["cut"]) == (1, 1)
+    assert judged["ended"].endswith("cut off")
 
 
 def flipped(drive: bytes) -> bytes:

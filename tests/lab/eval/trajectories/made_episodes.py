@@ -18,21 +18,21 @@ from edge.lab.eval.trajectories.references import (
 ROBOT_M = 0.4
 
 
-def thing(number: int, label: str, x_m: float, y_m: float, look: str = "", side_m=(2.0, 2.0)):
+def landmark(number: int, label: str, x_m: float, y_m: float, look: str = "", side_m=(2.0, 2.0)):
     at = np.array([x_m, y_m])
     return Landmark(number, label, look, at, box_outline_m(at, np.array(side_m), 0.0))
 
 
-def place(*things: Landmark, walls=()) -> ReferenceScene:
+def place(*landmarks: Landmark, walls=()) -> ReferenceScene:
     """Ground of 40 m by 40 m in cells of 0.2 m, with objects and walls (x0, x1, y0, y1)."""
     grid = Grid(np.zeros((200, 200), np.int8), (-20.0, -20.0), 0.2)
     x, y = np.moveaxis(grid.centres_m(*np.indices((200, 200))), -1, 0)
-    ends = [(one.outline_m.min(axis=0), one.outline_m.max(axis=0)) for one in things]
+    ends = [(one.outline_m.min(axis=0), one.outline_m.max(axis=0)) for one in landmarks]
     boxes = [(low[0], high[0], low[1], high[1]) for low, high in ends]
     for x0, x1, y0, y1 in (*boxes, *walls):
         grid.cells[(x > x0) & (x < x1) & (y > y0) & (y < y1)] = 100
     drivable = np.ones(grid.cells.shape, bool)
-    return ReferenceScene(SE2(0.0, 0.0, 0.0), things, grid, drivable, ROBOT_M, (3.0, 18.0))
+    return ReferenceScene(SE2(0.0, 0.0, 0.0), landmarks, grid, drivable, ROBOT_M, (3.0, 18.0))
 
 
 def episode(
@@ -42,7 +42,7 @@ def episode(
     scene = street(*STREET, picture=True)
     reference_m = np.array([(0.0, 0.0), to_m])
     task = TrajectoryTask(kind, category, instruction, (1,), (reference_m[1:],), reference_m)
-    van = thing(1, "van", 8.0, 0.0, side_m=(4.0, 2.0))
+    van = landmark(1, "van", 8.0, 0.0, side_m=(4.0, 2.0))
     return TrajectoryEpisode("e", "streets", "w", task, scene, scene.occupancy, ROBOT_M, (van,))
 
 

@@ -32,10 +32,10 @@ def test_an_episode_is_whole(source, request):
         assert contacts(task.reference_m, one.truth, one.robot_m) == 0
         np.testing.assert_allclose(task.reference_m[0], (scene.pose.x_m, scene.pose.y_m))
         labels = [obj.label for obj in scene.objects.values()]
-        things = {obj.id: obj for obj in one.landmarks}
+        landmarks = {obj.id: obj for obj in one.landmarks}
         for number in task.landmarks:
-            assert things[number].label in labels
-            assert things[number].label in task.instruction
+            assert landmarks[number].label in labels
+            assert landmarks[number].label in task.instruction
 
 
 def test_occupied_cells_hold_points_of_labelled_objects(shared_dir):
@@ -71,10 +71,10 @@ def test_a_blind_detector_changes_the_scene_but_not_the_task(shared_dir):
 
     spec = [SOURCES["kitti"].format(shared_dir)]
     blind = PerceptionPipeline(lambda observation: ("car",), boxes, boxes_as_masks)
-    (told,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
+    (by_labels,), (seen,) = (list(episodes(spec, 1, chain)) for chain in (None, blind))
     assert asked == [named_objects(seen.task.instruction), ("car",)]
-    assert (seen.id, seen.task.instruction) == (told.id, told.task.instruction)
-    np.testing.assert_array_equal(seen.truth.cells, told.truth.cells)
-    assert told.scene.objects
+    assert (seen.id, seen.task.instruction) == (by_labels.id, by_labels.task.instruction)
+    np.testing.assert_array_equal(seen.truth.cells, by_labels.truth.cells)
+    assert by_labels.scene.objects
     assert not seen.scene.objects
     assert [region.label for region in seen.scene.regions.values()] == ["ground"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_episodes import ROBOT_M, place, thing
+from made_episodes import ROBOT_M, landmark, place
 
 from edge.lab.eval.trajectories.references import (
     ABOUT_M,
@@ -18,7 +18,7 @@ from edge.lab.eval.trajectories.references import (
 from edge.lab.eval.trajectory_metrics import contacts
 from edge.lab.sim.generator.rng import PortableRng
 
-CAR, VAN = thing(1, "car", 10.0, 0.0), thing(2, "van", 16.0, 3.0)
+CAR, VAN = landmark(1, "car", 10.0, 0.0), landmark(2, "van", 16.0, 3.0)
 
 
 def all_of(kind, *objects, walls=()):
@@ -39,26 +39,26 @@ def test_an_enclosed_robot_has_no_tasks(kind):
     ("others", "words"),
     [
         ([], "the car"),
-        ([thing(2, "van", 6, 4)], "the car"),
-        ([thing(2, "car", 6, 4, "blue")], "the red car"),
-        ([thing(2, "car", 6, 4, "red")], "the second car on the left"),
-        ([thing(2, "car", 6, -4, "red")], "the nearest car on the left"),
-        ([thing(2, "car", 13, 8, "red")], "the nearest car on the left"),
+        ([landmark(2, "van", 6, 4)], "the car"),
+        ([landmark(2, "car", 6, 4, "blue")], "the red car"),
+        ([landmark(2, "car", 6, 4, "red")], "the second car on the left"),
+        ([landmark(2, "car", 6, -4, "red")], "the nearest car on the left"),
+        ([landmark(2, "car", 13, 8, "red")], "the nearest car on the left"),
         # As far as the other, or too far away to count, or not: no name is clear.
-        ([thing(2, "car", 8.2, 5.8, "red")], None),
-        ([thing(2, "car", 6, 0, "red")], None),
-        ([thing(2, "car", -3, 4, "red")], None),
-        ([thing(k, "car", k, k, "red") for k in (2, 3, 4)], None),
+        ([landmark(2, "car", 8.2, 5.8, "red")], None),
+        ([landmark(2, "car", 6, 0, "red")], None),
+        ([landmark(2, "car", -3, 4, "red")], None),
+        ([landmark(k, "car", k, k, "red") for k in (2, 3, 4)], None),
     ],
 )
 def test_a_referring_expression_names_one_object(others, words):
-    red = thing(1, "car", 8.0, 6.0, "red")
+    red = landmark(1, "car", 8.0, 6.0, "red")
     assert referring_expression(place(red, *others), red) == words
 
 
 @pytest.mark.parametrize(("at", "label"), [((0.0, 9.0), "car"), ((2.0, 1.0), "car")])
 def test_objects_aside_or_too_near_are_no_destination(at, label):
-    assert all_of("to", thing(1, label, *at)) == []
+    assert all_of("to", landmark(1, label, *at)) == []
 
 
 def test_a_reference_stops_in_front_of_the_object():
@@ -97,10 +97,10 @@ def test_the_passing_side_is_the_one_in_the_instruction(kind):
         k = task.landmarks[0] - 1
         sign = 1.0 if f"the left of the {('car', 'van')[k]}" in task.instruction else -1.0
         first = (CAR, VAN)[k].at_m
-        beside = task.segments[0][-1 if kind == "past" else 1]
-        across = first[0] * (beside - first)[1] - first[1] * (beside - first)[0]
+        abeam = task.segments[0][-1 if kind == "past" else 1]
+        across = first[0] * (abeam - first)[1] - first[1] * (abeam - first)[0]
         assert sign * across > 0.0
-        assert np.hypot(*(task.reference_m - beside).T).min() < 0.2
+        assert np.hypot(*(task.reference_m - abeam).T).min() < 0.2
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -135,9 +135,9 @@ def test_a_late_answer_counts_as_a_failure(tmp_path):
     ],
 )
 def test_unknown_places_are_reported_in_one_line(spec, words):
-    with pytest.raises(UserError, match=words) as told:
+    with pytest.raises(UserError, match=words) as caught:
         next(episodes(["streets[0:1]", spec]))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_unknown_places_are_reported_in_one_line(spec, words):
 def test_options_that_are_wrong_are_reported_in_one_line(tmp_path, capsys, options, words):
     command = ["eval", "trajectories", "streets[0:1]", "--out", str(tmp_path), *options]
     assert main(command) != 0
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    output = capsys.readouterr().err
+    assert words in output
+    assert output.count("\n") == 1
 
 
 def test_a_place_that_is_known_is_seen_by_no_detector():

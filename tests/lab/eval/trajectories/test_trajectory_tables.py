@@ -93,9 +93,9 @@ def test_hostile_words_are_escaped_in_images():
 )
 def test_a_foreign_folder_is_reported_in_one_line(tmp_path, name, line):
     (tmp_path / name).write_bytes(line + b"\n")
-    with pytest.raises(UserError, match=f"{name}: line 1: not an") as told:
+    with pytest.raises(UserError, match=f"{name}: line 1: not an") as caught:
         ResultsFolder(tmp_path)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_outcomes_of_no_episode_are_reported():
