@@ -95,9 +95,11 @@ def translate(
         quoted, repeat = split_repetition(quote_places(text, _place_names(site)))
         translation = make_translator(config.translator).translate(quoted, reading, ask)
         return replace(with_failures(translation), repeat=repeat)
-    if (period := split_period(text)) is not None:
+    named = tidy_up(quote_places(text, _place_names(site)))
+    if (period := split_period(named.text)) is not None:
         try:
-            return _with_period(translate(config, period.order, site, reading, ask), period, text)
+            order = named.with_quotations(period.order)
+            return _with_period(translate(config, order, site, reading, ask), period, named, text)
         except NoMissionError:
             raise unclear(text, "only an order to drive can be repeated after a time") from None
     speech = tidy_up(text)
@@ -114,20 +116,23 @@ def translate(
     return _translate_plain(config, text, site, reading, ask)
 
 
-def _with_period(order: Translation, period: Period, text: str) -> Translation:
+def _with_period(order: Translation, period: Period, speech: TidySpeech, text: str) -> Translation:
     """Return an order that is repeated, with a wait at the end of each round."""
     if order.repeat not in (None, Repetition()):
         raise unclear(text, "unclear what is repeated how often; say only the time between rounds")
     goals, bans = split_bans(order.formula)
-    wait = ltl.eventually(ltl.ap(f"{WAIT} {shown_s(period.wait_s)}"))
+    seconds = period.wait_s
+    wait = f"{WAIT} {shown_s(seconds) if seconds.is_integer() else f'{seconds:g} s'}"
     try:
-        round_of_goals = then(*goals, wait) or wait
+        round_of_goals = then(*goals, ltl.eventually(ltl.ap(wait)))
     except NotASequenceError:
         raise unclear(text, "expected orders in a sequence, to repeat them") from None
+    assert round_of_goals is not None  # it has the wait
     formula = ltl.conj(round_of_goals, *bans)
+    notes = order.english.removeprefix(describe(order.formula)) + _note(speech.reasons, formula)
     return replace(
-        order, instruction=text, formula=formula, repeat=Repetition(limit_s=period.limit_s),
-        english=describe(formula) + order.english.removeprefix(describe(order.formula)),
+        order, instruction=text, formula=formula, english=describe(formula) + notes,
+        repeat=Repetition(limit_s=period.limit_s),
     )  # fmt: skip
 
 

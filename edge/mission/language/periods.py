@@ -5,58 +5,82 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from edge.mission.language import nouns
+from edge.mission.language.everyday_words import ARTICLE, MARK, is_room
 from edge.mission.language.spans import DURATION, seconds_of
 from edge.mission.language.tokens import unclear
 
 _PERIOD = (
-    rf"\b(?:(?:once |again )?every (?P<span>{DURATION}|(?:other )?(?:hour|minute)\b)|"
-    r"(?:hourly|once an hour|each hour)\b)"
+    rf"(?:(?:once |again )?every (?P<span>{DURATION}|(?:other )?(?:hour|minute)\b)(?: or so)?|"
+    r"(?P<hourly>hourly|(?:once )?(?:each|per|every) hour|once an hour)\b)"
 )
-_ENDLESS = r"(?:forever|until (?:told|(?:i|we) (?:tell you|say)(?: to stop| so)?))"
-_FIRST = re.compile(
-    rf"^\s*{_PERIOD}(?: for (?P<limit>{DURATION}))?\s*,?\s*(?P<order>\S.*)$", re.I | re.S
-)
+_LIMIT = rf",? for (?P<limit>{DURATION})"
+_ENDLESS = r",? (?:forever|until (?:told|(?:i|we) (?:tell you|say))(?: to stop| stop| so)?)"
+_BAN = r"(?P<ban>,? (?:(?:but|and) )?(?:avoid|stay|keep|never|do not|don't|without)\b[^.;]*)"
+_THANKS = r"(?:,? (?:please|thanks|thank you))?[\s.!?]*"
+_FIRST = re.compile(rf"\s*{_PERIOD}(?:{_LIMIT})?,? (?P<order>\S.*)", re.I | re.S)
 _LAST = re.compile(
-    rf"^(?P<order>.*\S)\s*,?\s+{_PERIOD}"
-    rf"(?:,?\s+for (?P<limit>{DURATION})|,?\s+{_ENDLESS})?[\s.!?]*$",
-    re.I | re.S,
+    rf"(?P<order>\S.*?),?\s+{_PERIOD}(?:{_LIMIT}|{_ENDLESS})?{_BAN}?{_THANKS}", re.I | re.S
 )
-_SEVERAL = re.compile(r"\b(?:then|after|before|first)\b", re.I)
+_DENIED = re.compile(r"(?:do not|don't|never|stop)\b", re.I)
+# The begin of a second order: "…, then go to the desk", "… and check the stove".
+_JOINT = re.compile(r"[.;]\s*(?=\S)|\b(?:then|after|before)\b|(?:,|\band\b)\s+(?P<next>\S+)", re.I)
 
 
 class Period(NamedTuple):
-    """An order without its period.
-
-    Attributes:
-        order: the order.
-        wait_s: time from the end of one round to the begin of the next.
-        limit_s: time after which all ends; None for no end.
-    """
+    """An order without its period."""
 
     order: str
-    wait_s: float
-    limit_s: float | None = None
+    wait_s: float  # from the end of one round to the start of the next
+    limit_s: float | None = None  # time after which all ends; None: no end
 
 
 def split_period(instruction: str) -> Period | None:
     """Return the parts of an order with a period; None if it has none.
 
+    Args:
+        instruction: an utterance that was tidied up; private characters stand for quotations.
+
     Raises:
-        UnclearError: the period may belong to the last of several orders only.
+        UnclearError: it is unclear which of several orders, or how often, the period repeats.
 
     >>> split_period("patrol the house every half hour for 8 hours")
     Period(order='patrol the house', wait_s=1800.0, limit_s=28800.0)
     >>> split_period("Every other hour, check the stove"), split_period("visit every room")
     (Period(order='check the stove', wait_s=7200.0, limit_s=None), None)
     """
-    found = _FIRST.match(instruction) or _LAST.match(instruction)
+    found = _FIRST.fullmatch(instruction) or _LAST.fullmatch(instruction)
     if found is None:
         return None
-    span = (found["span"] or "one hour").lower()
-    if found.re is _LAST and _SEVERAL.search(found["order"]):
-        said = f"every {span}"
+    span = "one hour" if found["hourly"] else found["span"].lower()
+    said = "every hour" if found["hourly"] else f"every {span}"
+    order, ban = found["order"], found.groupdict().get("ban") or ""
+    if _DENIED.match(order):
+        raise unclear(said, "only an order to drive can be repeated after a time")
+    if found.re is _FIRST and re.search(r"[.;]\s*\w", order):
+        raise unclear(said, "unclear which orders it repeats; say them in one sentence")
+    if found.re is _LAST and _has_several_orders(order):
         raise unclear(said, f"unclear which orders it repeats; begin with it: '{said}, go …'")
+    if split_period(order) is not None:
+        raise unclear(said, "unclear how often; say one time between two rounds")
     if span in ("hour", "minute"):
         span = f"one {span}"
+    wait_s = seconds_of(span.replace("other", "two"))
     limit_s = seconds_of(found["limit"]) if found["limit"] else None
-    return Period(found["order"], seconds_of(span.replace("other", "two")), limit_s)
+    if limit_s is not None and limit_s < wait_s:
+        raise unclear(said, "unclear how often, since all ends before the second round")
+    return Period(order + ban, wait_s, limit_s)
+
+
+def _has_several_orders(order: str) -> bool:
+    """Return True unless each part after the first is only the name of another object or place."""
+    for joint in _JOINT.finditer(order):
+        word = joint["next"]
+        if word is None or not (
+            re.fullmatch(ARTICLE, word, re.I)
+            or re.match(MARK, word)
+            or is_room(word.lower())
+            or nouns.is_noun(word.lower())
+        ):
+            return True
+    return False
