@@ -14,8 +14,9 @@ from edge.host import resources
 from edge.text import one_line
 
 if TYPE_CHECKING:
-    from edge.config import DetectorOnnx, DetectorSim
+    from edge.config import Config, DetectorOnnx, DetectorSim
     from edge.mission.logic.automaton import Automaton
+    from edge.mission.spec import MissionSpec
 
 _DRAWINGS = (".svg", ".png")
 _LIST_CHARS = 1000  # longest line of targets, plan or reading
@@ -53,11 +54,12 @@ def run(args: argparse.Namespace) -> int:
         print(f"choose:      --reading {'N' if several else 1}{_default_reading(error.implied)}")
         return 0
     if spec.steps is not None:
+        if drawing is not None:
+            raise UserError("--draw: a path in words has no automaton")
         steps = ", then ".join(step.said for step in spec.steps)
         print(f"path:        {one_line(steps, _LIST_CHARS)}")
         print(f"by:          {spec.translation.backend}")
-        objects = dict.fromkeys(name for step in spec.steps for name in step.names)
-        print(f"targets:     {one_line(', '.join(objects) or 'none', _LIST_CHARS)}")
+        _print_warnings(config, spec)
         return 0
     translation = spec.translation
     planner = make_planner(mission.planner, spec.automaton, translation.instruction)
@@ -72,12 +74,16 @@ def run(args: argparse.Namespace) -> int:
     print(f"automaton:   {spec.automaton.n_states} states")
     steps = ", then ".join(step or "nothing" for step in plan.steps)
     print(f"first plan:  {one_line(steps, _LIST_CHARS)}")
-    for warning in (*spec.warnings, *_unknown_words(config.perception.detector, spec.prompts)):
-        print(f"warning:     {one_line(warning, _LIST_CHARS)}")
+    _print_warnings(config, spec)
     if drawing is not None:
         _draw(drawing, spec.automaton, plan.steps)
         print(drawing)
     return 0
+
+
+def _print_warnings(config: Config, spec: MissionSpec) -> None:
+    for warning in (*spec.warnings, *_unknown_words(config.perception.detector, spec.prompts)):
+        print(f"warning:     {one_line(warning, _LIST_CHARS)}")
 
 
 def _unknown_words(detector: DetectorOnnx | DetectorSim, prompts: Sequence[str]) -> Iterator[str]:

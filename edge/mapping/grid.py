@@ -174,8 +174,13 @@ class RollingMap:
         return FREE if self.layers.raw[y % n, x % n] else UNKNOWN
 
     def is_floor_between(self, point_m: np.ndarray, other_m: np.ndarray) -> bool:
-        """Return True if at least half of the line between two points (x, y, …) is free floor."""
+        """Return True if at least half of the line between two points (x, y, …) is free floor.
+
+        Return False if one of them is outside the window.
+        """
         ends = np.stack((point_m[:2], other_m[:2])) / self.window.resolution_m
+        if not all(self.window.contains(math.floor(x), math.floor(y)) for x, y in ends):
+            return False
         steps = 2 + math.ceil(np.abs(ends[1] - ends[0]).max())
         x, y = np.floor(np.linspace(ends[0], ends[1], steps)).astype(np.int64).T % self.window.n
         return 2 * np.count_nonzero(self.layers.raw[y, x] == ly.FREE) >= steps

@@ -30,7 +30,7 @@ Surfaces are seen from some sides only, so it is more than 0. Nearer to a reache
 its name may be a part of it, and does not count as another one."""
 PART_M = 0.8
 """Largest planar distance between two surfaces of one object, without floor between them: the end
-of a sofa and a side of it, each seen alone."""
+of a sofa and a side of it, each seen alone. It is no larger than the larger surface."""
 MOST_DESCRIBED = 64
 """Largest number of labels whose descriptions are kept."""
 _CONTAINERS = """
@@ -244,7 +244,8 @@ class DescribedTargets:
     def _may_be_one(self, instance: Instance, other: Instance) -> bool:
         """Return True if two instances of a name may be parts of one object."""
         gap_m, row, other_row = least_gap(instance.points_m, other.points_m)
-        if gap_m <= TOUCHING_M or gap_m > PART_M:
+        surface_m = max(float(np.ptp(one.points_m[:, :2], 0).max()) for one in (instance, other))
+        if gap_m <= TOUCHING_M or gap_m > min(PART_M, surface_m):
             return gap_m <= TOUCHING_M
         return not self._is_floor_between(instance.points_m[row], other.points_m[other_row])
 

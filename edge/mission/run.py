@@ -168,7 +168,7 @@ class MissionRun:
     def observe(self, pose: SE2 | None, now_ns: int, searching: bool = True) -> None:
         """Count time and path; see `MissionMeter.add`."""
         target = self.target if self.active else None
-        exempt = has_own_end(self.destinations.get(self.target))
+        exempt = searching and has_own_end(self.destinations.get(self.target))
         self.meter.add(pose, now_ns, target, exempt, searching)
 
     def check_limits(self, now_ns: int) -> None:

@@ -12,9 +12,12 @@ from typing import Any
 from edge import names
 from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
-from edge.mission.destinations import destination_of
 from edge.mission.instructions import MissionError
+from edge.mission.language import nouns
+from edge.mission.language.everyday_words import is_room
 from edge.mission.language.intents import NoMissionError
+from edge.mission.language.places import quote_places
+from edge.mission.language.tokens import UnclearError
 from edge.mission.logic import ltl
 from edge.mission.readings import AmbiguousInstructionError
 from edge.mission.spec import MissionSpec, prepare, spec_of_task
@@ -25,12 +28,17 @@ from edge.tasks.reading import (
     begins_with_path_word,
     describes_path,
     named_objects,
+    noun_phrases,
     task_steps,
 )
 
 _NO_SITE = Site()  # without places
 _MOST_WORDS = 4
 """Largest number of words in a name that `known_names` looks for."""
+# Several objects of a kind, and a wait: a task has neither.
+_MORE_THAN_A_PATH = re.compile(
+    r"\b(?:all|every|each|both|another|other|any|some|people|wait)\b", re.I
+)
 
 
 def prepare_mission(
@@ -66,7 +74,7 @@ def prepare_mission(
 def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
     """Check that an instruction describes a path past known objects, by its grammar alone.
 
-    A task searches for an object of each name, so a place or a room is none.
+    A task searches for one object of each name, so a place or a room is none.
 
     Raises:
         TranslationError: it does not. It is `error`, the reason why this is no mission, or the
@@ -76,9 +84,15 @@ def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
         is_path, objects = describes_path(instruction), named_objects(instruction)
     except TranslationError as path_error:
         rest = instruction[max(error.position - 1, 0) :] or instruction.split()[-1]
-        raise (path_error if begins_with_path_word(rest) else error) from None
-    if not is_path or not all(
-        names.is_known(name) and destination_of(name, site) is None for name in objects
+        further = path_error.position >= error.position and not isinstance(error, UnclearError)
+        raise (path_error if further and begins_with_path_word(rest) else error) from None
+    named = [item.name for item in (*site.places, *site.room_names)]
+    if (
+        not is_path
+        or _MORE_THAN_A_PATH.search(instruction)
+        or quote_places(instruction, named) != instruction
+        or any(nouns.unknown_in(words) is not None for words in noun_phrases(instruction))
+        or not all(names.is_known(name) and not is_room(name) for name in objects)
     ):
         raise error
 

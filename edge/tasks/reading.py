@@ -35,6 +35,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 from edge.geometry import SE2
 from edge.mission.language.tokens import TokenReader
@@ -59,6 +60,11 @@ _TURN_SIDES = {
     "counterclockwise": "left", "clockwise": "right",
 }  # fmt: skip
 """Kind of token → side of a turn."""
+_ONLY_OF_PATHS = (
+    "past", "along", "around", "between", "left of", "right of", "in front of", "behind",
+    "straight", "circle", "halfway",
+)  # fmt: skip
+"""Kinds of words that missions do not have."""
 LIMITS = ("avoid", "keep to")
 """Kinds of words that restrict the entire path."""
 
@@ -326,6 +332,16 @@ def describes_path(instruction: str) -> bool:
     return any(step.kind != "to" or step.side or step.distance_m for step in steps)
 
 
+def noun_phrases(instruction: str) -> list[list[str]]:
+    """Return the words that name objects, without articles.
+
+    >>> noun_phrases("turn left at the red sofa, then go past the bed")
+    [['red', 'sofa'], ['bed']]
+    """
+    runs = groupby(tokenise(instruction), key=lambda token: token.kind == "word")
+    return [[token.text for token in run] for is_name, run in runs if is_name]
+
+
 def begins_with_path_word(text: str) -> bool:
     """Return True if a text begins with a word about paths: "left", "past the sofa"."""
-    return tokenise(text)[0].kind in (*_TURN_SIDES, *RELATIONS) and not text.startswith("to ")
+    return tokenise(text)[0].kind in (*_TURN_SIDES, *_ONLY_OF_PATHS)

@@ -67,6 +67,18 @@ def assert_refused(text: str, formula: bool, says: str) -> None:
     assert says in str(caught.value)
 
 
+def test_a_path_is_shown_by_its_steps():
+    lines = explained("turn left, then stop 2 m before the sofa", formula=False)
+    assert lines[:2] == [
+        "path:        turn left, then stop 2 m before the sofa",
+        "by:          rules",
+    ]
+    args = argparse.Namespace(text="turn left", formula=False, reading=None, config="demo")
+    args.draw = "automaton.svg"
+    with pytest.raises(UserError, match="--draw: a path in words has no automaton"):
+        explain.run(args)
+
+
 def test_all_readings_are_listed_and_one_is_chosen():
     said = "the sofa must be visited before the bed"
     first, *listed, last = explained(said, formula=False)

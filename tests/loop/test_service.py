@@ -368,7 +368,7 @@ def watched(monkeypatch) -> Iterator[ClosedLoop]:
     """Run a closed loop with the sinks of a real run, in real time, over a real session.
 
     Maps, status and latency are copied and encoded in the background, and the prior cuts the map
-    into rooms there. They are sent so seldom here, and it is left out, so that they stay out of
+    into rooms there. They are sent so rarely here, and it is left out, so that they stay out of
     what a test measures.
     """
     monkeypatch.setattr("edge.sinks.zenoh.LATENCY_HZ", 0.001)

@@ -45,7 +45,12 @@ def test_a_room_seen_all_around_is_free_inside_and_walled():
     walls = [grid.state_at(1.51, y) for y in np.arange(-1.3, 1.3, 0.05)]
     assert all(s == 100 for s in walls)
     assert grid.state_at(1.8, 0.0) == -1
-    for other_m, is_floor in (((1.2, 0.5), True), ((2.0, 0.0), True), ((9.0, 0.0), False)):
+    for other_m, is_floor in (
+        ((1.2, 0.5), True),
+        ((2.0, 0.0), True),
+        ((4.0, 0.0), False),
+        ((9.6, 0), False),
+    ):
         assert grid.is_floor_between(np.zeros(3), np.array(other_m)) == is_floor
         assert grid.is_floor_between(np.array(other_m), np.zeros(3)) == is_floor
 

@@ -144,15 +144,24 @@ def test_the_choice_is_explained():
 
 
 @pytest.mark.parametrize(
-    ("x_m", "has_floor", "is_another"),
-    [(1.7, True, False), (1.9, True, True), (1.9, False, False), (2.3, False, True)],
+    ("gap_m", "length_m", "has_floor", "is_another"),
+    [
+        (0.3, 1.0, True, False),
+        (0.5, 1.0, True, True),
+        (0.5, 1.0, False, False),
+        (0.5, 0.4, False, True),  # as two mugs on a table
+        (0.9, 2.0, False, True),
+    ],
 )
-def test_another_one_of_several_is_no_part_of_the_reached_one(x_m, has_floor, is_another):
-    reached = obj(1, "sofa", 1.0)
+def test_another_one_of_several_is_no_part_of_the_reached_one(
+    gap_m, length_m, has_floor, is_another
+):
+    reached, other = obj(1, "sofa", 0.0), obj(2, "sofa", 0.0)
+    reached.points_m[:, 0] = -length_m, 0.0
+    other.points_m[:, 0] = gap_m, gap_m + 0.1
     reached.state = "reached"
     targets = DescribedTargets(in_no_room, lambda point_m, other_m: has_floor)
-    ids = resolve("sofa 2 of 2", (reached, obj(2, "sofa", x_m)), targets=targets)
-    assert ids == [2] * is_another
+    assert resolve("sofa 2 of 2", (reached, other), targets=targets) == [2] * is_another
 
 
 @given(st.text(max_size=30))

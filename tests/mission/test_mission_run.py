@@ -145,6 +145,14 @@ def test_the_limits_do_not_apply_to_a_target_that_ends_by_itself(target):
     assert mission.reason == "no chair within 5 s"
 
 
+def test_without_sensors_the_limits_apply_to_an_exploration():
+    mission = begun("F explored", time_limit_s=10)
+    for t in range(1, 12):
+        mission.observe(SE2(0, 0, 0), t * S, searching=False)
+        mission.check_limits(t * S)
+    assert mission.reason == "time limit of 10 s"
+
+
 def test_time_passes_without_a_pose_but_not_while_paused():
     mission = begun(time_limit_s=10)
     mission.observe(None, 4 * S)

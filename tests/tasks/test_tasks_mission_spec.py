@@ -14,6 +14,7 @@ from edge.tasks.mission_spec import prepare_mission, prepare_task
 
 RULES = simulated({"mission": {"target": "bed", "max_targets": 3}})
 BENCH = Site((Place("bench", SE2(1.0, 2.0, 0.0)),))
+RED_BENCH = Site((Place("red bench", SE2(1.0, 2.0, 0.0)),))
 MODEL = simulated({"tasks": {"planner": {"kind": "model"}}, "mission": {"target": "bed"}})
 
 
@@ -98,6 +99,12 @@ def test_an_instruction_about_a_path_becomes_a_task(instruction, said):
             "'the right of \"bench\"'",
         ),
         ({"instruction": "go to the kitchen, then turn left"}, "did not understand 'left'"),
+        ({"instruction": "turn left at the blorb sofa"}, "did not understand 'left'"),
+        ({"instruction": "circle all chairs"}, "not a known object"),
+        ({"instruction": "turn left, then wait"}, "did not understand 'left'"),
+        ({"instruction": "turn left at 5 pm"}, "no times of day"),
+        ({"instruction": "go past the sofa in an hour"}, "times and distances cannot be used"),
+        ({"instruction": "turn left at the red bench", "site": RED_BENCH}, "'left'"),
         ({"instruction": "go to the sofa exactly"}, "did not understand 'exactly'"),
         ({"instruction": "turn left", "repeat": Repetition(2)}, "did not understand 'left'"),
         ({"instruction": "dance past the sofa"}, "'dance': the robot answers"),

@@ -85,7 +85,7 @@ DEAD = TargetPlan(
 _TARGET_PHRASES = {
     "nothing": "{} comes first",
     "failed": "{} failed",
-    "seen": "{} needs no search",
+    "seen": "{} can come next",
     "reached": "{} was reached before",
     "unknown": "{} has to be found",
 }
@@ -120,7 +120,7 @@ def explain(
 
     >>> known = MissionKnowledge(detected=frozenset({"sofa"}))
     >>> explain("sofa", [("sofa", 1.0), ("chair", 2.0)], known, in_metres=True)
-    'sofa needs no search: 1.0 m to the end; chair would have to be found: 2.0 m'
+    'sofa can come next: 1.0 m to the end; chair would have to be found: 2.0 m'
     """
     cost = dict(options)
     words = _TARGET_PHRASES[status(target, knowledge)].format(step_text(target))
