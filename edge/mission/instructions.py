@@ -38,7 +38,14 @@ from edge.mission.language.intents import (
 from edge.mission.language.nouns import split_entries
 from edge.mission.language.outcomes import Branches, split_outcomes
 from edge.mission.language.periods import Period, split_period
-from edge.mission.language.places import EVERY, EXPLORED, NO, quote_places
+from edge.mission.language.places import (
+    EVERY,
+    EXPLORED,
+    NO,
+    mark_places,
+    quote_places,
+    restore_places,
+)
 from edge.mission.language.spans import shown_s
 from edge.mission.language.tidy import TidySpeech, tidy_up
 from edge.mission.language.tokens import UnclearError, unclear
@@ -95,14 +102,14 @@ def translate(
         quoted, repeat = split_repetition(quote_places(text, _place_names(site)))
         translation = make_translator(config.translator).translate(quoted, reading, ask)
         return replace(with_failures(translation), repeat=repeat)
-    named = tidy_up(quote_places(text, _place_names(site)))
-    if (period := split_period(named.text)) is not None:
+    speech = tidy_up(text)
+    marked, places = mark_places(speech.text, _place_names(site))
+    if (period := split_period(marked)) is not None:
         try:
-            order = named.with_quotations(period.order)
-            return _with_period(translate(config, order, site, reading, ask), period, named, text)
+            order = speech.with_quotations(restore_places(period.order, places))
+            return _with_period(translate(config, order, site, reading, ask), period, speech, text)
         except NoMissionError:
             raise unclear(text, "only an order to drive can be repeated after a time") from None
-    speech = tidy_up(text)
     if (branches := split_outcomes(speech.text)) is not None:
         try:
             return _translate_branches(config, branches, speech, site, reading, ask, text)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from edge.config import MissionConfig, TranslatorGrammar
+from edge.geometry import SE2
 from edge.lab.eval.everyday import SITE
+from edge.memory import Place
 from edge.mission.language.tokens import UnclearError
 from edge.mission.repetition import Repetition
 from edge.mission.spec import prepare
@@ -79,3 +81,9 @@ def test_a_period_of_something_else_is_refused(instruction, reason):
 )
 def test_a_time_or_every_room_is_no_period(instruction, repeat):
     assert prepare(CONFIG, instruction, site=SITE).translation.repeat == repeat
+
+
+def test_the_name_of_a_place_is_no_period():
+    site = SITE.with_item(Place("ring each hour", SE2(1.0, 2.0, 0.0)))
+    translation = prepare(CONFIG, "go to the ring each hour", site=site).translation
+    assert (str(translation.formula), translation.repeat) == ('F "ring each hour"', None)

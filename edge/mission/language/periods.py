@@ -39,7 +39,7 @@ def split_period(instruction: str) -> Period | None:
     """Return the parts of an order with a period; None if it has none.
 
     Args:
-        instruction: an utterance that was tidied up; private characters stand for quotations.
+        instruction: an utterance that was tidied up; private characters stand for names.
 
     Raises:
         UnclearError: it is unclear which of several orders, or how often, the period repeats.
