@@ -191,6 +191,10 @@ def _format_task(format_part: Callable[[dict], str]) -> Callable[[dict], str]:
     return format_answer
 
 
+def _format_formula(answer: dict) -> str:
+    return "" if answer.get("task") else _format_key("formula")(answer)  # a task has none
+
+
 def _format_trajectory(task: dict) -> str:
     length_m, driven_m, refinements = (
         task.get(key) for key in ("length_m", "driven_m", "refinements")
@@ -231,7 +235,7 @@ _ROWS: dict[str, Callable[[dict], str]] = {
     "instruction": _format_key("instruction"),
     "understood": _format_key("english"),
     "reading": _format_reading,
-    "formula": _format_key("formula"),
+    "formula": _format_formula,
     "warning": _format_key("warnings"),
     "state": _format_state,
     "phase": _format_phase,

@@ -38,7 +38,8 @@ from edge.cli.mission import add_arguments, as_text
                 "notes:       a; b",
             ],
         ),
-        ({"task": {"answers": 1, "rounds": [{"error": "x is\nno name"}]}},
+        ({"formula": "F bed"}, ["formula:     F bed"]),
+        ({"formula": "true", "task": {"answers": 1, "rounds": [{"error": "x is\nno name"}]}},
          ["answers:     1, the newest: x is no name"]),
     ],
 )  # fmt: skip
