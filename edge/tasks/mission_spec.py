@@ -62,7 +62,9 @@ def prepare_mission(
     except (AmbiguousInstructionError, NoMissionError):
         raise
     except TranslationError as error:
-        instruction = mission.get("instruction") or config.mission.instruction
+        instruction = mission.get("instruction")
+        if instruction is None:
+            instruction = config.mission.instruction
         only_words = not any(mission.get(name) for name in ("formula", "reading", "repeat"))
         is_english = not isinstance(config.mission.translator, TranslatorLtl)
         if instruction is None or not only_words or not is_english:
@@ -83,7 +85,7 @@ def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
     try:
         is_path, objects = describes_path(instruction), named_objects(instruction)
     except TranslationError as path_error:
-        rest = instruction[max(error.position - 1, 0) :] or instruction.split()[-1]
+        rest = instruction[max(error.position - 1, 0) :] or instruction.rpartition(" ")[2]
         further = path_error.position >= error.position and not isinstance(error, UnclearError)
         raise (path_error if further and begins_with_path_word(rest) else error) from None
     named = [item.name for item in (*site.places, *site.room_names)]
