@@ -14,7 +14,6 @@ from edge.config import Config, TranslatorLtl, WriterModel
 from edge.memory import Site
 from edge.mission.instructions import MissionError
 from edge.mission.language import nouns
-from edge.mission.language.everyday_words import is_room
 from edge.mission.language.intents import NoMissionError
 from edge.mission.language.places import quote_places
 from edge.mission.language.tokens import UnclearError
@@ -94,7 +93,7 @@ def _check_path(instruction: str, site: Site, error: TranslationError) -> None:
         or _MORE_THAN_A_PATH.search(instruction)
         or quote_places(instruction, named) != instruction
         or any(nouns.unknown_in(words) is not None for words in noun_phrases(instruction))
-        or not all(names.is_known(name) and not is_room(name) for name in objects)
+        or not all(names.is_known(name) for name in objects)
     ):
         raise error
 

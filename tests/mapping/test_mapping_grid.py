@@ -45,14 +45,15 @@ def test_a_room_seen_all_around_is_free_inside_and_walled():
     walls = [grid.state_at(1.51, y) for y in np.arange(-1.3, 1.3, 0.05)]
     assert all(s == 100 for s in walls)
     assert grid.state_at(1.8, 0.0) == -1
-    for other_m, is_floor in (
-        ((1.2, 0.5), True),
-        ((2.0, 0.0), True),
-        ((4.0, 0.0), False),
-        ((9.6, 0), False),
+    centre = (0.0, 0.0)
+    for point_m, other_m, is_floor in (
+        (centre, (1.2, 0.5), True),
+        (centre, (2.0, 0.0), True),
+        (centre, (4.0, 0.0), False),
+        ((9.2, 0.0), (9.6, 0.0), False),  # outside the window, which is 9.6 m wide
     ):
-        assert grid.is_floor_between(np.zeros(3), np.array(other_m)) == is_floor
-        assert grid.is_floor_between(np.array(other_m), np.zeros(3)) == is_floor
+        ends_m = np.array(point_m), np.array(other_m)
+        assert grid.is_floor_between(*ends_m) == grid.is_floor_between(*ends_m[::-1]) == is_floor
 
 
 def test_a_walking_person_leaves_no_ghost():

@@ -103,6 +103,8 @@ def test_an_instruction_about_a_path_becomes_a_task(instruction, said):
         ({"instruction": "circle all chairs"}, "not a known object"),
         ({"instruction": "turn left, then wait"}, "did not understand 'left'"),
         ({"instruction": "turn left at 5 pm"}, "no times of day"),
+        ({"instruction": "behind the sofa at 5 pm"}, "no times of day"),
+        ({"instruction": "find a mug and turn left"}, "character 21: did not understand 'left'"),
         ({"instruction": "go past the sofa in an hour"}, "times and distances cannot be used"),
         ({"instruction": "turn left at the red bench", "site": RED_BENCH}, "'left'"),
         ({"instruction": "go to the sofa exactly"}, "did not understand 'exactly'"),
